@@ -1,0 +1,109 @@
+"""The condensed quadratic program of the linearised controller, built apart from any solver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from ..limits import CommandLimits
+from ..planning import Plan, PlanningProblem, Weights
+
+Vec = NDArray[np.float64]
+Mat = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class QpPattern:
+    """What never changes: sparsity and size of  min 1/2 z'Pz + q'z  s.t.  lower <= A z <= upper.
+
+    Attributes:
+        hessian: P, upper triangle in CSC order, with placeholder values.
+        constraints: A in CSC order.
+        moving: positions of the Jacobian's entries in the data of `constraints`; empty without soft limits.
+    """
+
+    hessian: sparse.csc_matrix
+    constraints: sparse.csc_matrix
+    moving: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class QpData:
+    """What changes from step to step; `constraint_data` is None while A stays as it is."""
+
+    hessian_data: Vec
+    gradient: Vec
+    lower: Vec
+    upper: Vec
+    constraint_data: Vec | None
+
+
+@final
+class TrackingQp:
+    """The planning cost with linearised angles, in the deviation v of the commands from a plan p.
+
+        theta(p + v) ~ theta_p + J v
+        P = 2 (J'QJ + w_r D'D + w_e I),  q = 2 (J'Q (theta_p - r) + w_r D'(D p - e_1 u_last) + w_e (p - f))
+        lower <= p + v <= upper,  -rate dt <= D (p + v) - e_1 u_last <= rate dt
+
+    with D the difference matrix. Soft angle limits add H free variables s with cost w_s s^2 and the rows
+    a <= theta_p + J v + s <= b, which is the squared distance to [a, b] exactly.
+    """
+
+    def __init__(self, weights: Weights, limits: CommandLimits, horizon: int, dt: float) -> None:
+        self._weights, self._limits, self._horizon = weights, limits, horizon
+        self._reach = limits.rate * dt
+        self._tracking = weights.over(horizon)
+        self._difference = np.eye(horizon) - np.eye(horizon, k=-1)
+        self._constant = weights.rate * self._difference.T @ self._difference + weights.effort * np.eye(horizon)
+        self._triangle = np.tril_indices(horizon)  # of a symmetric matrix: its upper triangle, column by column
+        # the Jacobian is lower triangular too; column by column its entries are those of the transpose, row by row
+        self._columns = np.triu_indices(horizon)
+        self.pattern = self._build_pattern()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Number of variables and of constraint rows."""
+        rows, columns = self.pattern.constraints.shape
+        return columns, rows
+
+    def data(self, problem: PlanningProblem, around: Plan, jacobian: Mat) -> QpData:
+        """The program around the plan `around` with Jacobian (H, H), lower triangular [deg per command unit]."""
+        weights, plan = self._weights, around.commands
+        weighted = jacobian.T * self._tracking
+        hessian = 2.0 * (weighted @ jacobian + self._constant)
+        moves = np.diff(plan, prepend=problem.u_last)
+        slope = weights.rate * (self._difference.T @ moves) + weights.effort * (plan - problem.feedforward)
+        gradient = 2.0 * (weighted @ (around.angles - problem.reference) + slope)
+        lower = [self._limits.lower - plan, -self._reach - moves]
+        upper = [self._limits.upper - plan, self._reach - moves]
+        if not weights.limits_angle:
+            return QpData(hessian[self._triangle], gradient, np.concatenate(lower), np.concatenate(upper), None)
+        low, high = problem.angle_limits
+        horizon = self._horizon
+        constraint_data = self.pattern.constraints.data.copy()
+        constraint_data[self.pattern.moving] = jacobian.T[self._columns]
+        return QpData(
+            np.concatenate([hessian[self._triangle], np.full(horizon, 2.0 * weights.soft_limit)]),
+            np.concatenate([gradient, np.zeros(horizon)]),
+            np.concatenate([*lower, low - around.angles]),
+            np.concatenate([*upper, high - around.angles]),
+            constraint_data,
+        )
+
+    def _build_pattern(self) -> QpPattern:
+        horizon = self._horizon
+        hessian = sparse.csc_matrix(np.triu(np.ones((horizon, horizon))))
+        rows = [sparse.eye(horizon), sparse.csc_matrix(self._difference)]
+        if not self._weights.limits_angle:
+            return QpPattern(hessian, sparse.vstack(rows, format="csc"), np.empty(0, dtype=np.intp))
+        marker = 2.0  # told apart from the ones of the other blocks
+        triangle = sparse.csc_matrix(marker * np.tril(np.ones((horizon, horizon))))
+        blocks = [[rows[0], None], [rows[1], None], [triangle, sparse.eye(horizon)]]
+        constraints = sparse.bmat(blocks, format="csc")
+        hessian = sparse.block_diag([hessian, sparse.eye(horizon)], format="csc")
+        return QpPattern(hessian, constraints, np.flatnonzero(constraints.data == marker))

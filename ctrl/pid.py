@@ -1,0 +1,109 @@
+"""PID feedback on the tip angle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import final
+
+from hystmpc.trials.errors import ControllerError
+
+from .command import Source
+from .law import Law, Proposal, Situation
+from .limits import CommandLimits
+from .stopwatch import Stopwatch
+
+
+@dataclass(frozen=True)
+class PidGains:
+    """Parallel form; command unit per degree.
+
+    Attributes:
+        kp: proportional gain [mm/deg].
+        ki: integral gain [mm/(deg s)].
+        kd: derivative gain [mm s/deg], acting on the measurement.
+        filter_s: time constant of the derivative's first-order filter [s].
+        tracking_s: back-calculation time of the anti-windup [s].
+        dead_zone_deg: errors below this are not integrated: inside the dead band of a play that hunts.
+
+    Raises:
+        ControllerError: if a value is negative or not finite, or `tracking_s` is zero.
+    """
+
+    kp: float = 0.03
+    ki: float = 0.5
+    kd: float = 0.0
+    filter_s: float = 0.1
+    tracking_s: float = 0.1
+    dead_zone_deg: float = 0.2
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not (math.isfinite(value) and value >= 0) or (item.name == "tracking_s" and value == 0):
+                raise ControllerError(f"pid: got {item.name} {value}, expected finite and not negative")
+
+
+@dataclass(frozen=True)
+class PidMemory:
+    """Integral part [command unit], filtered angular speed [deg/s], last angle [deg]."""
+
+    integral: float
+    speed: float
+    angle: float
+
+
+@final
+class Pid:
+    """u = kp e + I - kd dy/dt with I' = ki e + (u_limited - u) / tracking_s.
+
+    One dead zone, one filter, one anti-windup; stateless, so that `PidFeedback` and `InversePid` share it.
+    """
+
+    def __init__(self, gains: PidGains, limits: CommandLimits, dt: float) -> None:
+        if gains.tracking_s < dt:
+            raise ControllerError(f"pid: got tracking_s {gains.tracking_s}, expected at least the sample time {dt} s")
+        self._gains, self._limits, self._dt = gains, limits, dt
+        self._filter = dt / (gains.filter_s + dt)
+        self._span = limits.upper - limits.lower
+
+    def correct(
+        self, memory: PidMemory, error: float, y: float, u_last: float, feedforward: float
+    ) -> tuple[float, PidMemory]:
+        """Command and next memory.
+
+        Args:
+            memory: what the last call returned.
+            error: wanted minus measured angle [deg].
+            y: measured angle [deg].
+            u_last: the command really sent last.
+            feedforward: added to the feedback.
+        """
+        gains = self._gains
+        speed = memory.speed + self._filter * ((y - memory.angle) / self._dt - memory.speed)
+        u = feedforward + gains.kp * error + memory.integral - gains.kd * speed
+        excess = self._limits.clip(u, u_last, self._dt) - u
+        integrated = error if abs(error) > gains.dead_zone_deg else 0.0
+        integral = memory.integral + self._dt * (gains.ki * integrated + excess / gains.tracking_s)
+        return u, PidMemory(min(max(integral, -self._span), self._span), speed, y)
+
+
+@final
+class PidFeedback(Law[PidMemory]):
+    """PID on the measured angle alone; starts without a bump from the command that the device holds."""
+
+    horizon = 1
+    source = Source.CONTROLLER
+
+    def __init__(self, pid: Pid, limits: CommandLimits) -> None:
+        self._pid = pid
+        self._rest = limits.lower
+
+    def init(self, y: float, u: float) -> PidMemory:
+        return PidMemory(u - self._rest, 0.0, y)
+
+    def propose(self, memory: PidMemory, situation: Situation, watch: Stopwatch) -> Proposal[PidMemory]:
+        y = situation.measured
+        u, memory = self._pid.correct(memory, situation.setpoint - y, y, situation.u_last, self._rest)
+        watch.lap("pid")
+        return Proposal(u, memory)

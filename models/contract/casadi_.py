@@ -1,0 +1,196 @@
+"""A step graph as a CasADi function with exact derivatives, for a user's own optimal control problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import onnx
+import onnx.numpy_helper
+from hystmpc.trials.errors import ModelError
+from numpy.typing import NDArray
+
+from .elementwise_ import ELEMENTWISE, Expression, cast
+from .operators import check_operators, node_name
+from .structure import REARRANGE
+
+# Scalar expressions differentiate and evaluate faster than matrix ones while there are few of them: a graph whose
+# matrix products take no more multiplications than this (any chain of operators) is expanded.
+_EXPANDED_PRODUCTS = 4096
+
+
+@dataclass(frozen=True)
+class Tensor:
+    """Entries in ONNX (row-major) order as one column, and the shape; the batch axis has length one."""
+
+    entries: Expression
+    shape: tuple[int, ...]
+
+    @property
+    def places(self) -> NDArray[np.int64]:
+        """Entry numbers in the shape of the tensor."""
+        return np.arange(int(np.prod(self.shape)), dtype=np.int64).reshape(self.shape)
+
+    @property
+    def known(self) -> NDArray[np.int64]:
+        """Values of a constant whole-number tensor.
+
+        Raises:
+            ValueError: if the value depends on command or state.
+        """
+        if not isinstance(self.entries, ca.DM):
+            raise ValueError("an axis, size or index depends on command or state, expected a constant")
+        return np.array(self.entries).astype(np.int64).reshape(self.shape)
+
+    def take(self, places: NDArray[np.int64]) -> Tensor:
+        """The tensor whose entries are those numbered by `places`."""
+        numbers = places.ravel().tolist()
+        moved = numbers != list(range(self.entries.shape[0]))
+        return Tensor(self.entries[numbers] if moved else self.entries, places.shape)
+
+
+def to_casadi(graph: onnx.GraphProto, name: str = "model") -> ca.Function:
+    """Translate a step graph.
+
+    Where a graph has branches (Where, Max, Min, Clip, Relu) the derivative is that of the active one, of the first
+    operand at a tie; Relu has derivative zero at zero.
+
+    Args:
+        graph: as an `ExportBundle` or an `OnnxModel` has it.
+        name: of the function, a CasADi identifier.
+
+    Returns:
+        `casadi.Function`: state (S, 1), u (1, 1) -> theta (1, 1), next_state (S, 1), in double.
+
+    Raises:
+        ModelError: on an operator that is not on the list, or a node that cannot be translated; names the node.
+    """
+    check_operators(graph, name)
+    size = {value.name: value.type.tensor_type.shape.dim[1].dim_value for value in graph.input}
+    state, u = ca.MX.sym("state", size["state"]), ca.MX.sym("u", 1)
+    tensors = {"state": Tensor(state, (1, size["state"])), "u": Tensor(u, (1, 1))}
+    tensors |= {weight.name: _constant(onnx.numpy_helper.to_array(weight)) for weight in graph.initializer}
+    for index, node in enumerate(graph.node):
+        try:
+            results = _translate(node, [tensors[key] if key else None for key in node.input])
+        except (ValueError, LookupError, TypeError, RuntimeError) as error:  # of NumPy and CasADi, on shapes
+            text = next(iter(str(error).splitlines()), "")
+            raise ModelError(f"{name}: node {node_name(node, index)} ({node.op_type}): {text}") from None
+        tensors.update(zip(node.output, results, strict=True))
+    outputs = [tensors["theta"].entries, tensors["next_state"].entries]
+    function = ca.Function(name, [state, u], outputs, ["state", "u"], ["theta", "next_state"])
+    return function.expand() if _products(graph) <= _EXPANDED_PRODUCTS else function
+
+
+def _translate(node: onnx.NodeProto, operands: Sequence[Tensor | None]) -> list[Tensor]:
+    """Outputs of one node."""
+    given = {item.name: onnx.helper.get_attribute_value(item) for item in node.attribute}
+    if node.op_type in REARRANGE:
+        return _rearranged(node.op_type, operands, given)
+    if node.op_type == "Constant":
+        return [_literal(given)]
+    if node.op_type == "Cast":
+        return [Tensor(cast(_present(operands[0]).entries, given["to"]), _present(operands[0]).shape)]
+    if node.op_type in ELEMENTWISE:
+        return [_elementwise(ELEMENTWISE[node.op_type], operands)]
+    return [_COMBINE[node.op_type](operands, given)]
+
+
+def _elementwise(rule: Callable[..., Expression], operands: Sequence[Tensor | None]) -> Tensor:
+    shape = np.broadcast_shapes(*(t.shape for t in operands if t is not None))
+    # CasADi repeats scalars by itself, which keeps the expression small.
+    spread = [t if t is None or t.entries.is_scalar() else t.take(np.broadcast_to(t.places, shape)) for t in operands]
+    entries = rule(*(None if t is None else t.entries for t in spread))
+    return Tensor(entries, shape)
+
+
+def _rearranged(name: str, operands: Sequence[Tensor | None], given: Mapping[str, Any]) -> list[Tensor]:
+    count = len(operands) if name == "Concat" else 1
+    data = [_present(t) for t in operands[:count]]
+    offsets = np.cumsum([0] + [t.entries.shape[0] for t in data])
+    joined = Tensor(ca.vertcat(*(t.entries for t in data)) if count > 1 else data[0].entries, ())
+    places = [t.places + offset for t, offset in zip(data, offsets, strict=False)]
+    options = [None if t is None else t.known for t in operands[count:]]
+    return [joined.take(result) for result in REARRANGE[name](places, options, given)]
+
+
+def _product(operands: Sequence[Tensor | None], given: Mapping[str, Any]) -> Tensor:
+    """Matrix product of ONNX, one of the operands having at most two axes."""
+    del given
+    a, b = _present(operands[0]), _present(operands[1])
+    if len(b.shape) > 2 and int(np.prod(b.shape[:-2])) > 1:
+        raise ValueError(f"second operand has shape {b.shape}, expected at most two axes longer than one")
+    shape = np.matmul(np.empty(a.shape), np.empty(b.shape)).shape
+    inner = a.shape[-1]
+    rows, columns = a.entries.shape[0] // inner, b.entries.shape[0] // inner
+    # Column-major CasADi reads a row-major matrix as its transpose: C' = B' A'.
+    product = ca.mtimes(_sparse(ca.reshape(b.entries, columns, inner)), ca.reshape(a.entries, inner, rows))
+    return Tensor(ca.vec(product), shape)
+
+
+def _gemm(operands: Sequence[Tensor | None], given: Mapping[str, Any]) -> Tensor:
+    """alpha A' B' + beta C, the transpositions as asked for."""
+    a, b = (
+        t.take(t.places.T) if given.get(key) else t
+        for t, key in zip(map(_present, operands[:2]), ("transA", "transB"), strict=True)
+    )
+    scaled = Tensor(given.get("alpha", 1.0) * a.entries, a.shape)
+    product = _product([scaled, b], {})
+    if len(operands) < 3 or operands[2] is None:
+        return product
+    beta = given.get("beta", 1.0)
+    return _elementwise(lambda p, c: p + beta * c, [product, operands[2]])
+
+
+def _sum(operands: Sequence[Tensor | None], given: Mapping[str, Any]) -> Tensor:
+    data = _present(operands[0])
+    axes = tuple(_present(operands[1]).known.tolist()) if len(operands) > 1 else ()
+    if not axes and given.get("noop_with_empty_axes", 0):
+        return data
+    axes = axes or tuple(range(len(data.shape)))
+    kept = np.sum(data.places, axis=axes, keepdims=bool(given.get("keepdims", 1))).shape
+    rows = int(np.prod(kept))
+    summands = data.take(np.moveaxis(data.places, axes, range(-len(axes), 0)).reshape(rows, -1))
+    return Tensor(ca.sum1(ca.reshape(summands.entries, summands.shape[1], rows)).T, kept)
+
+
+def _shape(operands: Sequence[Tensor | None], given: Mapping[str, Any]) -> Tensor:
+    shape = _present(operands[0]).shape
+    return _constant(np.array(shape[given.get("start", 0) : given.get("end", len(shape))]))
+
+
+_COMBINE: Mapping[str, Callable[[Sequence[Tensor | None], Mapping[str, Any]], Tensor]] = {
+    "MatMul": _product,
+    "Gemm": _gemm,
+    "ReduceSum": _sum,
+    "Shape": _shape,
+}
+
+
+def _present(operand: Tensor | None) -> Tensor:
+    if operand is None:
+        raise ValueError("an input is left out, expected a tensor")
+    return operand
+
+
+def _constant(values: NDArray[Any]) -> Tensor:
+    return Tensor(ca.DM(np.asarray(values, dtype=np.float64).reshape(-1, 1)), np.shape(values))
+
+
+def _literal(given: Mapping[str, Any]) -> Tensor:
+    """The value of a Constant node, in whichever of its attributes it stands."""
+    ((key, value),) = given.items()
+    return _constant(onnx.numpy_helper.to_array(value) if key == "value" else np.array(value))
+
+
+def _sparse(matrix: Expression) -> Expression:
+    return ca.sparsify(matrix) if isinstance(matrix, ca.DM) else matrix
+
+
+def _products(graph: onnx.GraphProto) -> int:
+    """Multiplications of the matrix products, as far as their weights are constant."""
+    used = {key for node in graph.node if node.op_type in ("MatMul", "Gemm") for key in node.input}
+    return sum(int(np.prod(weight.dims)) for weight in graph.initializer if weight.name in used)

@@ -1,0 +1,147 @@
+"""What a model file says about itself: sample time, units, limits, trained range, how to start, where it comes from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Annotated, Self
+
+import numpy as np
+from hystmpc.trials.config import Settings
+from hystmpc.trials.errors import ConfigError, ModelError
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
+
+from ..model import Array
+
+FORMAT = "hystmpc-model/1"
+PREFIX = "hystmpc."
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+class Range(Settings):
+    """A closed interval, lower < upper, in the unit of what it bounds."""
+
+    lower: float
+    upper: float
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.lower >= self.upper:
+            raise ValueError(f"lower {self.lower:.6g} is not below upper {self.upper:.6g}")
+        return self
+
+    def contains(self, values: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each value lies in the interval, ends included; not-a-number does not. Shape as given."""
+        array = np.asarray(values, dtype=np.float64)
+        return np.asarray((array >= self.lower) & (array <= self.upper))
+
+
+class InitialRule(Settings):
+    """State of a device that rests at the measured angle y [deg]: x0 = offset + slope * y, entry by entry."""
+
+    offset: tuple[float, ...]
+    slope: tuple[float, ...]
+
+    @model_validator(mode="after")
+    def _same_size(self) -> Self:
+        if len(self.offset) != len(self.slope):
+            raise ValueError(f"offset has {len(self.offset)} entries, slope {len(self.slope)}, expected as many")
+        return self
+
+    def state(self, y: Array) -> Array:
+        """States (N, S) from measured angles (N, 1) [deg]."""
+        return np.asarray(self.offset, dtype=np.float64) + np.asarray(self.slope, dtype=np.float64) * y
+
+
+class ModelMetadata(Settings):
+    """The facts without which a model file is refused.
+
+    In the file every field is one entry of `metadata_props`, key `hystmpc.<field>`, value JSON, so that any ONNX viewer
+    shows it.
+
+    Attributes:
+        format: layout of graph and metadata; another version is refused.
+        kind: what the model is, for messages and reports ("backlash", "prandtl_ishlinskii", "chain", "lstm", ...).
+        dt_s: sample time of one step [s].
+        command_unit, angle_unit: units of `u` (mm or bar) and `theta`.
+        command_limits: what the device may be sent [command unit].
+        command_rate: greatest change of the command [command unit/s].
+        trained_command, trained_angle: ranges seen in identification [command unit], [deg].
+        trained_rate: fastest command change seen in identification [command unit/s].
+        initial: start of a recorded trial of a device that was not flexed since it was set up.
+        conditioned: start of a device that has done its initialisation flexure; what controllers start from.
+        warmup_samples: samples of the first command, held and unscored, before the first output counts.
+        training_data_hash: fingerprint of the trials that the model was identified on.
+        training: free facts (preset, seed, validation error, logs).
+    """
+
+    format: str = FORMAT
+    kind: str = Field(min_length=1)
+    dt_s: Positive
+    command_unit: str = Field(min_length=1)
+    angle_unit: str = "deg"
+    command_limits: Range
+    command_rate: Positive
+    trained_command: Range
+    trained_angle: Range
+    trained_rate: Positive
+    initial: InitialRule
+    conditioned: InitialRule
+    warmup_samples: int = Field(ge=0)
+    training_data_hash: str
+    training: dict[str, str | float | int | bool] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.format != FORMAT:
+            raise ValueError(f"format is {self.format!r}, this version of hystmpc reads {FORMAT!r}")
+        if self.angle_unit != "deg":
+            raise ValueError(f"angle_unit is {self.angle_unit!r}, expected 'deg'")
+        if len(self.initial.offset) != len(self.conditioned.offset):
+            raise ValueError(
+                f"initial has {len(self.initial.offset)} state entries, conditioned "
+                f"{len(self.conditioned.offset)}, expected as many"
+            )
+        return self
+
+    @property
+    def state_size(self) -> int:
+        """Number S of state entries."""
+        return len(self.initial.offset)
+
+    def to_properties(self) -> dict[str, str]:
+        """Keys and JSON values for `metadata_props`."""
+        return {PREFIX + key: json.dumps(value) for key, value in self.model_dump(mode="json").items()}
+
+    @classmethod
+    def from_properties(cls, properties: Mapping[str, str], where: str) -> Self:
+        """Read what `to_properties` wrote; keys of others are left alone.
+
+        Raises:
+            ModelError: if there is no such metadata, it is of another version, or a field is missing or out of bounds.
+        """
+        ours = {key.removeprefix(PREFIX): text for key, text in properties.items() if key.startswith(PREFIX)}
+        if "format" not in ours:
+            raise ModelError(
+                f"{where}: foreign ONNX file, no '{PREFIX}format' in its metadata, "
+                "expected a file written by export_onnx"
+            )
+        fields = {key: _decode(text, f"{where}: metadata {PREFIX}{key}") for key, text in ours.items()}
+        if fields["format"] != FORMAT:
+            raise ModelError(
+                f"{where}: model format {fields['format']!r}, this version of hystmpc reads {FORMAT!r}; "
+                "export the model again"
+            )
+        try:
+            return cls.parse(fields, f"{where}: metadata")
+        except ConfigError as error:
+            raise ModelError(str(error)) from None
+
+
+def _decode(text: str, where: str) -> object:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        raise ModelError(f"{where}: got {text[:40]!r}, expected JSON") from None

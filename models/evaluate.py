@@ -1,0 +1,133 @@
+"""How well a model reproduces recorded trials: free run from the command alone, and its error in degrees."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from hystmpc.trials.errors import ModelError
+from hystmpc.trials.segments import first_flexure_end, segment
+from hystmpc.trials.trial import Trial
+from numpy.typing import NDArray
+
+from .contract.metadata import ModelMetadata
+from .model import Model
+
+Vec = NDArray[np.float64]
+FORMAT = "hystmpc-evaluation/1"
+HOLD_S, SETTLING_S = 10.0, 1.0
+
+
+class RunnableModel(Model, Protocol):
+    """A model that knows how a trial starts."""
+
+    @property
+    def metadata(self) -> ModelMetadata: ...
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one free run, model minus measurement.
+
+    Attributes:
+        rmse_deg: root mean square error (S1 eq. (8)).
+        bias_deg: mean error.
+        offset_free_rmse_deg: root mean square of the error less its mean.
+        max_abs_error_deg: greatest absolute error (called MAE in S1 eq. (7)).
+        nrmse: rmse over the range of the measured angle (S1 eq. (9)).
+        hold_drift_deg: greatest range of the model's angle while the command rests, from 1 s after it came to rest:
+            over the holds of the trial and over 10 s in which the trial's last command is held.
+    """
+
+    rmse_deg: float
+    bias_deg: float
+    offset_free_rmse_deg: float
+    max_abs_error_deg: float
+    nrmse: float
+    hold_drift_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class TrialEvaluation:
+    """One trial's free run.
+
+    Attributes:
+        trial: the trial as scored, on the model's sample time.
+        theta: the model's angle [deg], shape (T,).
+        start: first sample that counts.
+        errors: over samples `start` on.
+    """
+
+    trial: Trial
+    theta: Vec
+    start: int
+    errors: Errors
+
+
+def free_run(model: RunnableModel, commands: Vec, y: float) -> Vec:
+    """Model's angles (T,) [deg] over commands (T,), given the first measured angle and nothing more of the angle.
+
+    The state starts by the model's rule for a trial; the first command is held for the model's warm-up samples.
+    """
+    x = model.initial(np.array([[y]]))
+    padded = np.concatenate([np.full(model.metadata.warmup_samples, commands[0]), commands])
+    theta = np.empty(padded.size)
+    for k, u in enumerate(padded):
+        x = model.step(x, np.array([[u]]))
+        theta[k] = model.output(x)[0, 0]
+    return theta[model.metadata.warmup_samples :]
+
+
+def evaluate(model: RunnableModel, trial: Trial, skip_first_flexure: bool = False) -> TrialEvaluation:
+    """Score a free run over one trial that is sampled at the model's sample time.
+
+    Raises:
+        ModelError: if sample times or units differ, or the model's angle is not finite.
+        LogError: if the first flexure is to be skipped and the command never turns.
+    """
+    metadata = model.metadata
+    if abs(trial.dt - metadata.dt_s) > 1e-3 * metadata.dt_s:
+        raise ModelError(f"{trial.source}: sampled every {trial.dt:.6g} s, expected {metadata.dt_s:.6g} s; resample it")
+    if trial.units.command != metadata.command_unit:
+        raise ModelError(
+            f"{trial.source}: command in {trial.units.command}, expected {metadata.command_unit} as the model takes"
+        )
+    held = round(HOLD_S / trial.dt)
+    commands = np.concatenate([trial.command, np.full(held, trial.command[-1])])
+    theta = free_run(model, commands, float(trial.angle[0]))
+    if not np.all(np.isfinite(theta)):
+        raise ModelError(f"{trial.source}: the model's angle is not finite from sample {np.argmin(np.isfinite(theta))} on")
+    start = first_flexure_end(trial) if skip_first_flexure else 0
+    holds = [(a, b) for a, b in segment(trial).holds if a >= start] + [(len(trial), commands.size)]
+    return TrialEvaluation(trial, theta[: len(trial)], start, _errors(trial, theta, start, holds))
+
+
+def mean_errors(evaluations: Sequence[TrialEvaluation]) -> Errors:
+    """Mean of each figure over trials; the bias as the mean of its absolute values would hide its sign, so signed."""
+    names = [field.name for field in fields(Errors)]
+    return Errors(*(float(np.mean([getattr(e.errors, name) for e in evaluations])) for name in names))
+
+
+def evaluation_json(evaluations: Sequence[TrialEvaluation]) -> dict[str, Any]:
+    """Plain data in the format `hystmpc-evaluation/1`."""
+    rows = [{"file": Path(e.trial.source).name, **vars(e.errors)} for e in evaluations]
+    return {"format": FORMAT, "trials": rows, "mean": vars(mean_errors(evaluations))}
+
+
+def _errors(trial: Trial, theta: Vec, start: int, holds: list[tuple[int, int]]) -> Errors:
+    error = theta[start : len(trial)] - trial.angle[start:]
+    rmse = math.sqrt(float(np.mean(error**2)))
+    settling = round(SETTLING_S / trial.dt)
+    ranges = [float(np.ptp(theta[a + settling : b])) for a, b in holds if b - a > settling + 1]
+    return Errors(
+        rmse,
+        float(np.mean(error)),
+        float(np.std(error)),
+        float(np.max(np.abs(error))),
+        rmse / float(np.ptp(trial.angle[start:])) if np.ptp(trial.angle[start:]) > 0 else math.inf,
+        max(ranges),
+    )

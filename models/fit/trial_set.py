@@ -1,0 +1,64 @@
+"""What a set of trials says about itself: fingerprint, ranges, and whether a model can be identified from it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+import numpy as np
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.trial import Trial
+
+from ..contract.metadata import Range
+
+LEAST_SAMPLES = 50
+
+
+def fingerprint(trials: Sequence[Trial]) -> str:
+    """SHA-256 over time, command and angle of all trials, in order."""
+    digest = hashlib.sha256()
+    for trial in trials:
+        for signal in (trial.t, trial.command, trial.angle):
+            digest.update(np.ascontiguousarray(signal).tobytes())
+    return digest.hexdigest()
+
+
+def command_range(trials: Sequence[Trial]) -> Range:
+    """Least and greatest command [cmd]."""
+    return Range(
+        lower=float(min(t.command.min() for t in trials)), upper=float(max(t.command.max() for t in trials))
+    )
+
+
+def angle_range(trials: Sequence[Trial]) -> Range:
+    """Least and greatest angle [deg]."""
+    return Range(lower=float(min(t.angle.min() for t in trials)), upper=float(max(t.angle.max() for t in trials)))
+
+
+def fastest_command(trials: Sequence[Trial]) -> float:
+    """Greatest speed of the command [cmd/s]."""
+    return float(max(np.max(np.abs(np.diff(t.command)) / np.diff(t.t)) for t in trials))
+
+
+def check_trial_set(trials: Sequence[Trial]) -> float:
+    """Return the common sample time [s].
+
+    Raises:
+        FitError: if there is no trial, one is too short, sample times or units differ, or command or angle is constant.
+    """
+    if not trials:
+        raise FitError("got no trials, expected at least one")
+    dt, units = trials[0].dt, trials[0].units
+    for trial in trials:
+        if len(trial) < LEAST_SAMPLES:
+            raise FitError(f"{trial.source}: {len(trial)} samples, expected at least {LEAST_SAMPLES}")
+        if abs(trial.dt - dt) > 1e-3 * dt:
+            raise FitError(
+                f"{trial.source}: sampled every {trial.dt:.6g} s, expected {dt:.6g} s as {trials[0].source}; resample"
+            )
+        if trial.units != units:
+            raise FitError(f"{trial.source}: units {trial.units}, expected {units} as {trials[0].source}")
+        for name, signal in (("command", trial.command), ("angle", trial.angle)):
+            if np.ptp(signal) <= 1e-9 * max(1.0, float(np.max(np.abs(signal)))):
+                raise FitError(f"{trial.source}: the {name} is constant at {signal[0]:.6g}, expected a motion")
+    return dt

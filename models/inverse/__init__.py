@@ -1,0 +1,1 @@
+"""Inverses of models from their present memory: angle to command."""

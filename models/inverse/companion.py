@@ -1,0 +1,61 @@
+"""The inverse of a model that has none of its own, through a simulator that runs beside it."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from ..model import Array, Inverse, Predictor
+
+
+@final
+class AccompaniedPredictor(Predictor):
+    """A model with a second one at its side that sees the same commands.
+
+    Predictions are the model's. The state is [model state, model angle, companion state, companion angle], so that
+    the companion's memory is branched and restored together with the model's.
+    """
+
+    def __init__(self, predictor: Predictor, companion: Predictor, angle: float = 0.0) -> None:
+        self.dt, self.command_range = predictor.dt, predictor.command_range
+        self._predictor, self._companion = predictor, companion
+        self._size = predictor.initial(angle, predictor.command_range[0]).size
+
+    def initial(self, y: float, u: float) -> Array:
+        parts = []
+        for model in (self._predictor, self._companion):
+            theta, state = model.advance(model.initial(y, u), u)
+            parts += [state, [theta]]
+        return np.concatenate(parts)
+
+    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+        own, _, beside, _ = self.parts(state)
+        theta, own = self._predictor.advance(own, u)
+        theta_beside, beside = self._companion.advance(beside, u)
+        return theta, np.concatenate([own, [theta], beside, [theta_beside]])
+
+    def rollout(self, state: Array, plans: Array) -> Array:
+        return self._predictor.rollout(self.parts(state)[0], plans)
+
+    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+        return self._predictor.linearise(self.parts(state)[0], plan)
+
+    def parts(self, state: Array) -> tuple[Array, float, Array, float]:
+        """Model state, model angle [deg], companion state, companion angle [deg]."""
+        return state[: self._size], float(state[self._size]), state[self._size + 1 : -1], float(state[-1])
+
+
+@final
+class CompanionInverse(Inverse):
+    """The companion's inverse, asked for the wanted angle less what the companion is off the model by now.
+
+    u = companion^-1(theta + theta_companion - theta_model)
+    """
+
+    def __init__(self, predictor: AccompaniedPredictor, inverse: Inverse) -> None:
+        self._predictor, self._inverse = predictor, inverse
+
+    def command(self, state: Array, theta: float, u_last: float) -> float:
+        _, own, beside, angle = self._predictor.parts(state)
+        return self._inverse.command(beside, theta + angle - own, u_last)

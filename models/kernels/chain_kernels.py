@@ -1,0 +1,85 @@
+"""Compiled kernels of a symbolic step: generated code for the step and its derivatives, shared loops around it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from hystmpc.models.symbolic.instructions import dense
+from hystmpc.models.symbolic.source import scalar_program
+from numpy.typing import NDArray
+
+from .cache import generated_module
+
+Vec = NDArray[np.float64]
+_DECORATOR = '@njit(cache=True, error_model="numpy", inline="never")\n'
+
+
+@dataclass(frozen=True)
+class ChainKernels:
+    """Compiled functions of one step (x, u, p, dt) -> (theta, following); see `chain_loops` for their arguments.
+
+    Attributes:
+        constants: numbers of the expressions, for the last arguments.
+    """
+
+    simulate: Callable[..., None]
+    rollout: Callable[..., None]
+    linearise: Callable[..., None]
+    differentiate: Callable[..., None]
+    command_for: Callable[..., float]
+    state_size: int
+    step_constants: Vec
+    tangent_constants: Vec
+    sensitivity_constants: Vec
+
+
+def compile_step(function: Any) -> ChainKernels:
+    """Compile a dense CasADi function (state, u, p, dt) -> (theta, next state).
+
+    Kernels are cached by the expression's structure: models that differ in numbers only share them.
+    """
+    return _compile(function.serialize())
+
+
+@lru_cache(maxsize=64)
+def _compile(serialized: str) -> ChainKernels:
+    function = ca.Function.deserialize(serialized)
+    size, count = function.numel_in(0), function.numel_in(2)
+    x, u = ca.SX.sym("x", size), ca.SX.sym("u")
+    p, dt = ca.SX.sym("p", count), ca.SX.sym("dt")
+    theta, following = function(x, u, p, dt)
+    by = ca.jacobian
+    arguments = [x, u, p, dt]
+    step = scalar_program(dense("step", arguments, [theta, following]), "step")
+    tangent = scalar_program(
+        dense("tangent", arguments, [theta, following, by(following, x), by(following, u), by(theta, x), by(theta, u)]),
+        "tangent",
+    )
+    sensitivity = scalar_program(
+        dense(
+            "sensitivity",
+            arguments,
+            [theta, following, by(following, x), by(theta, x), by(following, p), by(theta, p)],
+        ),
+        "sensitivity",
+    )
+    generated = "".join(_DECORATOR + program.source + "\n\n" for program in (step, tangent, sensitivity))
+    loops = resources.files(__package__).joinpath("chain_loops.py").read_text(encoding="utf-8")
+    module = generated_module("import math\n\nfrom numba import njit\n\n\n" + generated + loops)
+    return ChainKernels(
+        module.simulate,
+        module.rollout,
+        module.linearise,
+        module.differentiate,
+        module.command_for,
+        size,
+        np.array(step.constants),
+        np.array(tangent.constants),
+        np.array(sensitivity.constants),
+    )

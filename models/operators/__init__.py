@@ -1,0 +1,1 @@
+"""Operators: each equation of hysteresis, lag and delay stands here once, as a CasADi expression."""

@@ -1,0 +1,140 @@
+"""What an operator is: one equation, written once on CasADi symbols, with parameters that carry unit and bounds."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self
+
+import casadi as ca
+from hystmpc.trials.errors import ModelError, did_you_mean
+
+Symbol = Any  # casadi.SX, which has no types
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of an operator.
+
+    Attributes:
+        name: as it stands in a simulator file.
+        unit: with `cmd` for the unit of the command (mm or bar).
+        lower, upper: physical bounds, inclusive; identification stays within them.
+        meaning: one line for tables.
+    """
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    meaning: str
+
+
+class Operator(ABC):
+    """One block of a simulator: a causal map of a scalar signal with explicit state.
+
+    A subclass is a frozen dataclass with one field a parameter and states its equation as a CasADi expression.
+    NumPy, compiled, torch, CasADi and ONNX forms, Jacobians included, are all derived from it (`models/symbolic`).
+    """
+
+    name: ClassVar[str]
+    shape: ClassVar[tuple[str, ...]] = ()  # attributes that fix the size of state or parameters
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters in the order of `values`."""
+
+    @property
+    @abstractmethod
+    def states(self) -> tuple[str, ...]:
+        """Names of the state's entries."""
+
+    @abstractmethod
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        """Next state (S, 1) and output from state, input, parameters (P, 1) and sample time [s]."""
+
+    @abstractmethod
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        """State (S, 1) of an operator whose input rests at `u` and whose output was seen at `y`."""
+
+    @classmethod
+    @abstractmethod
+    def template(cls, **structure: int) -> Self:
+        """Some operator of the given structure, to be filled by `with_values`."""
+
+    @property
+    def structure(self) -> dict[str, int]:
+        """The sizes named in `shape`: what a fit does not change."""
+        return {name: getattr(self, name) for name in self.shape}
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The parameters' values: the fields in order, tuples unrolled."""
+        flat: list[float] = []
+        for field in self._value_fields():
+            value = getattr(self, field)
+            flat.extend(value if isinstance(value, tuple) else (value,))
+        return tuple(float(v) for v in flat)
+
+    def with_values(self, values: Sequence[float]) -> Self:
+        """The same operator with other parameter values, in the order of `values`."""
+        rest = [float(v) for v in values]
+        changes: dict[str, Any] = {}
+        for field in self._value_fields():
+            old = getattr(self, field)
+            count = len(old) if isinstance(old, tuple) else 1
+            taken, rest = rest[:count], rest[count:]
+            changes[field] = tuple(taken) if isinstance(old, tuple) else taken[0]
+        return replace(self, **changes)  # type: ignore[type-var]  # every final operator is a dataclass
+
+    def _value_fields(self) -> list[str]:
+        return [f.name for f in fields(self) if f.name not in self.shape]  # type: ignore[arg-type]
+
+    @property
+    def settling_samples(self) -> int:
+        """Samples of constant input after which the state no longer depends on how `at_rest` guessed it."""
+        return 1
+
+
+def check_values(operator: Operator) -> None:
+    """Compare the values with their bounds.
+
+    Raises:
+        ModelError: naming the parameter, the value and the bounds.
+    """
+    for parameter, value in zip(operator.parameters, operator.values, strict=True):
+        if not (math.isfinite(value) and parameter.lower <= value <= parameter.upper):
+            raise ModelError(
+                f"{operator.name}.{parameter.name} is {value:.6g} {parameter.unit}, "
+                f"expected {parameter.lower:.6g} to {parameter.upper:.6g}"
+            )
+
+
+def values_from(operator_name: str, names: Sequence[str], given: dict[str, float]) -> list[float]:
+    """Order named values as `names` has them.
+
+    Raises:
+        ModelError: on a name that is missing or unknown.
+    """
+    for name in given:
+        if name not in names:
+            raise ModelError(f"{operator_name} has no parameter {name!r}, {did_you_mean(name, names)}")
+    missing = [name for name in names if name not in given]
+    if missing:
+        raise ModelError(f"{operator_name} lacks {', '.join(missing)}, got {', '.join(given) or 'none'}")
+    return [float(given[name]) for name in names]
+
+
+# CasADi's fmin and fmax average the two derivatives at a tie; a play in contact sits exactly on a tie, and its
+# derivative has to be that of the branch that moves. The first argument is the active one at a tie.
+def minimum(a: Symbol, b: Symbol) -> Symbol:
+    """Return min(a, b) with the derivative of the active branch, the first at a tie."""
+    return ca.if_else(a <= b, a, b)
+
+
+def maximum(a: Symbol, b: Symbol) -> Symbol:
+    """Return max(a, b) with the derivative of the active branch, the first at a tie."""
+    return ca.if_else(a >= b, a, b)

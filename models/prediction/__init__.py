@@ -1,0 +1,1 @@
+"""Fast roll-outs and exact linearisations of a model for predictive control, and the reference they are held against."""

@@ -1,0 +1,75 @@
+"""Roll-outs of operator chains and of every exported model made of elementwise operations, by compiled kernels."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+
+from ..contract.metadata import InitialRule, ModelMetadata
+from ..kernels.chain_kernels import compile_step
+from ..model import Array, Predictor
+from ..simulator import Simulator
+from ..symbolic.instructions import dense
+
+
+@final
+class CompiledPredictor(Predictor):
+    """Compiled roll-out and linearisation of a symbolic step (state, u, p, dt) -> (theta, next state)."""
+
+    def __init__(self, transition: Any, p: Array, metadata: ModelMetadata, rule: InitialRule) -> None:
+        self.dt = metadata.dt_s
+        self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
+        self._kernels = compile_step(transition)
+        self._p, self._dt = np.asarray(p, dtype=np.float64), np.array([metadata.dt_s])
+        self._rule, self._warmup = rule, metadata.warmup_samples
+
+    @classmethod
+    def of_simulator(cls, simulator: Simulator) -> CompiledPredictor:
+        """Predictor of a simulator at its own sample time."""
+        metadata = simulator.metadata()
+        return cls(simulator.chain.transition, simulator.chain.values, metadata, metadata.conditioned)
+
+    @classmethod
+    def of_function(cls, function: Any, metadata: ModelMetadata) -> CompiledPredictor:
+        """Predictor of a CasADi SX function (state, u) -> (theta, next state), as exported models give it."""
+        x, u = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("u")
+        theta, following = function(x, u)
+        transition = dense("transition", [x, u, ca.SX.sym("p", 0), ca.SX.sym("dt")], [theta, following])
+        return cls(transition, np.empty(0), metadata, metadata.conditioned)
+
+    def initial(self, y: float, u: float) -> Array:
+        state = self._rule.state(np.array([[y]]))[0]
+        for _ in range(self._warmup):
+            _, state = self.advance(state, u)
+        return state
+
+    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+        following, theta = state.reshape(1, -1).copy(), np.empty((1, 1))
+        self._kernels.simulate(
+            following, np.array([[u]]), self._p, self._dt, self._kernels.step_constants, theta
+        )
+        return float(theta[0, 0]), following[0]
+
+    def rollout(self, state: Array, plans: Array) -> Array:
+        plans = np.ascontiguousarray(plans, dtype=np.float64)
+        theta = np.empty(plans.shape)
+        self._kernels.rollout(state, plans, self._p, self._dt, self._kernels.step_constants, theta)
+        return theta
+
+    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+        plan = np.ascontiguousarray(plan, dtype=np.float64)
+        theta, jacobian = np.empty(plan.size), np.empty((plan.size, plan.size))
+        self._kernels.linearise(
+            state, plan, self._p, self._dt, self._kernels.tangent_constants, theta, jacobian
+        )
+        return theta, jacobian
+
+    def command_for(self, state: Array, theta: float, low: float, high: float, last: float) -> float:
+        """Command in [low, high] after which the angle is `theta`, exact to 1e-11; see `CompiledInverse`."""
+        return float(
+            self._kernels.command_for(
+                state, theta, low, high, last, self._p, self._dt, self._kernels.tangent_constants
+            )
+        )

@@ -1,0 +1,166 @@
+"""The simulator file: a chain of operators in readable YAML, with limits, trained range and what it left unexplained."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from hystmpc.trials.config import Settings, dump_yaml, read_yaml
+from hystmpc.trials.errors import ConfigError, ModelError
+from hystmpc.trials.files import write_atomically
+from pydantic import Field
+
+from .chain import Chain
+from .contract.metadata import InitialRule, ModelMetadata, Positive, Range
+from .operators.catalogue import operator_from, operator_spec
+
+FORMAT = "hystmpc-simulator/1"
+
+
+class Residual(Settings):
+    """What the simulator left unexplained on one trial that it was identified from.
+
+    Attributes:
+        log: name of the log.
+        motion: `holds` where the command rests for a fifth of the time or more, else `continuous`.
+        samples: samples that counted.
+        rmse_deg, bias_deg: of model minus measurement.
+        lag_one: correlation of neighbouring residuals, near one where the error is structure, not noise.
+    """
+
+    log: str
+    motion: Literal["holds", "continuous"]
+    samples: int = Field(ge=1)
+    rmse_deg: float = Field(ge=0)
+    bias_deg: float
+    lag_one: float = Field(ge=-1, le=1)
+
+
+class Identification(Settings):
+    """Where a simulator's numbers come from."""
+
+    method: str
+    seed: int = 0
+    skip_first_flexure: bool = False
+    training_data_hash: str = ""
+    residuals: tuple[Residual, ...] = ()
+
+
+class SimulatorFile(Settings):
+    """Layout of the YAML file; the blocks of `chain` are read by the operator catalogue."""
+
+    format: str
+    dt_s: Positive
+    command_unit: str = Field(min_length=1)
+    command_limits: Range
+    command_rate_per_s: Positive
+    trained_command: Range
+    trained_angle_deg: Range
+    trained_rate_per_s: Positive
+    chain: dict[Literal["before", "core", "after"], Any]
+    identification: Identification
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """A chain of operators with all that makes it usable: sample time, units, limits, range and origin.
+
+    Attributes:
+        chain: the operators.
+        dt_s: sample time at which it was identified [s]; the operators themselves hold at any.
+        command_unit: mm or bar.
+        command_limits, command_rate_per_s: what the device may be sent.
+        trained_command, trained_angle_deg, trained_rate_per_s: what identification saw.
+        identification: method, data and residuals.
+    """
+
+    chain: Chain
+    dt_s: float
+    command_unit: str
+    command_limits: Range
+    command_rate_per_s: float
+    trained_command: Range
+    trained_angle_deg: Range
+    trained_rate_per_s: float
+    identification: Identification
+
+    def metadata(self) -> ModelMetadata:
+        """The facts of the model contract.
+
+        The device is taken to rest at the lower end of its command; operators do not age, so that a fresh device
+        and one that has done its first flexure start by the same rule.
+        """
+        rest = self.command_limits.lower
+        at = [np.asarray(self.chain.rest(y, rest, self.chain.values)).ravel() for y in (0.0, 1.0)]
+        rule = InitialRule(offset=tuple(at[0].tolist()), slope=tuple((at[1] - at[0]).tolist()))
+        single = not self.chain.before and not self.chain.after
+        return ModelMetadata(
+            kind=self.chain.core.name if single else "chain",
+            dt_s=self.dt_s,
+            command_unit=self.command_unit,
+            command_limits=self.command_limits,
+            command_rate=self.command_rate_per_s,
+            trained_command=self.trained_command,
+            trained_angle=self.trained_angle_deg,
+            trained_rate=self.trained_rate_per_s,
+            initial=rule,
+            conditioned=rule,
+            warmup_samples=self.chain.settling_samples,
+            training_data_hash=self.identification.training_data_hash,
+            training={"method": self.identification.method, "seed": self.identification.seed},
+        )
+
+
+def save_simulator(simulator: Simulator, path: Path | str) -> Path:
+    """Write a simulator file, whole or not at all."""
+    chain = simulator.chain
+    content = {
+        "format": FORMAT,
+        "dt_s": simulator.dt_s,
+        "command_unit": simulator.command_unit,
+        "command_limits": simulator.command_limits.model_dump(),
+        "command_rate_per_s": simulator.command_rate_per_s,
+        "trained_command": simulator.trained_command.model_dump(),
+        "trained_angle_deg": simulator.trained_angle_deg.model_dump(),
+        "trained_rate_per_s": simulator.trained_rate_per_s,
+        "chain": {
+            "before": [operator_spec(operator) for operator in chain.before],
+            "core": operator_spec(chain.core),
+            "after": [operator_spec(operator) for operator in chain.after],
+        },
+        "identification": simulator.identification.model_dump(mode="json"),
+    }
+    return write_atomically(path, dump_yaml(content))
+
+
+def load_simulator(path: Path | str) -> Simulator:
+    """Read a simulator file.
+
+    Raises:
+        ModelError: if the file is missing, foreign, of another version, or names what the catalogue does not know.
+    """
+    try:
+        data = read_yaml(path)
+        if not isinstance(data, dict) or data.get("format") != FORMAT:
+            got = data.get("format") if isinstance(data, dict) else type(data).__name__
+            raise ModelError(f"{path}: format {got!r}, expected a simulator file of format {FORMAT!r}")
+        file = SimulatorFile.parse(data, str(path))
+    except ConfigError as error:
+        raise ModelError(str(error)) from None
+    if "core" not in file.chain:
+        raise ModelError(f"{path}: chain has no 'core', got {', '.join(file.chain) or 'nothing'}")
+    chain = Chain(
+        operator_from(file.chain["core"], f"{path}: chain.core"),
+        _side(file.chain.get("before"), f"{path}: chain.before"),
+        _side(file.chain.get("after"), f"{path}: chain.after"),
+    )
+    names = [name for name in SimulatorFile.model_fields if name not in ("format", "chain")]
+    return Simulator(chain=chain, **{name: getattr(file, name) for name in names})
+
+
+def _side(specs: Any, where: str) -> tuple[Any, ...]:
+    if specs is not None and not isinstance(specs, list):
+        raise ModelError(f"{where}: got {type(specs).__name__}, expected a list of operators")
+    return tuple(operator_from(spec, f"{where}[{k}]") for k, spec in enumerate(specs or []))

@@ -1,0 +1,107 @@
+"""ONNX nodes from an instruction list: the step graph of any operator chain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+from .instructions import Instruction, instructions
+
+_BINARY = {"add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "and": "Mul", "pow": "Pow"}
+_COMPARE = {"lt": "Less", "le": "LessOrEqual", "eq": "Equal"}
+_UNARY = {
+    **{"neg": "Neg", "fabs": "Abs", "sign": "Sign", "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "tanh": "Tanh"},
+    **{"sin": "Sin", "cos": "Cos", "floor": "Floor", "assign": "Identity"},
+}
+
+
+class _Writer:
+    """Collects nodes and constants of one graph; registers become columns (N, 1)."""
+
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: dict[float, str] = {}
+        self.count = 0
+
+    def node(self, kind: str, inputs: list[str], **attributes: Any) -> str:
+        self.count += 1
+        out = f"{kind.lower()}_{self.count}"
+        self.nodes.append(helper.make_node(kind, inputs, [out], name=out, **attributes))
+        return out
+
+    def constant(self, value: float) -> str:
+        return self.constants.setdefault(value, f"constant_{len(self.constants)}")
+
+    def number(self, condition: str) -> str:
+        """Turn a truth column into 1.0 or 0.0."""
+        return self.node("Cast", [condition], to=TensorProto.DOUBLE)
+
+    def operation(self, step: Instruction, w: dict[int, str]) -> str:
+        a = [w[i] for i in step.args]
+        if step.name in _BINARY:
+            return self.node(_BINARY[step.name], a)
+        if step.name in _UNARY:
+            return self.node(_UNARY[step.name], a)
+        if step.name in _COMPARE:
+            return self.number(self.node(_COMPARE[step.name], a))
+        zero, one = self.constant(0.0), self.constant(1.0)
+        if step.name == "if_else_zero":
+            return self.node("Where", [self.node("Greater", [self.node("Abs", [a[0]]), zero]), a[1], zero])
+        if step.name in ("fmin", "fmax"):
+            compare = "LessOrEqual" if step.name == "fmin" else "GreaterOrEqual"
+            return self.node("Where", [self.node(compare, a), *a])
+        if step.name == "ne":
+            return self.number(self.node("Not", [self.node("Equal", a)]))
+        if step.name == "or":
+            return self.number(self.node("Greater", [self.node("Add", a), zero]))
+        if step.name == "not":
+            return self.node("Sub", [one, a[0]])
+        if step.name == "inv":
+            return self.node("Div", [one, a[0]])
+        return self.node({"sq": "Mul", "twice": "Add"}[step.name], [a[0], a[0]])
+
+
+def step_graph(function: Any, name: str) -> onnx.GraphProto:
+    """Translate (state (S, 1), u) -> (theta, next state) into the step graph of the ONNX contract, in double.
+
+    Inputs `u [N,1]`, `state [N,S]`; outputs `theta [N,1]`, `next_state [N,S]`.
+    """
+    size = function.numel_in(0)
+    writer = _Writer()
+    columns = [f"state_{i}" for i in range(size)]
+    if size > 1:
+        split = helper.make_node("Split", ["state"], columns, name="split_state", axis=1, num_outputs=size)
+    else:
+        split = helper.make_node("Identity", ["state"], columns, name="split_state")
+    writer.nodes.append(split)
+    sources = {0: columns, 1: ["u"]}
+    registers: dict[int, str] = {}
+    results: dict[tuple[int, ...], str] = {}
+    for step in instructions(function):
+        if step.name == "input":
+            registers[step.out[0]] = sources[step.args[0]][step.args[1]]
+        elif step.name == "output":
+            results[step.out] = registers[step.args[0]]
+        elif step.name == "const":
+            registers[step.out[0]] = writer.constant(step.value)
+        else:
+            registers[step.out[0]] = writer.operation(step, registers)
+    writer.nodes.append(helper.make_node("Identity", [results[0, 0]], ["theta"], name="theta"))
+    following = [results[1, i] for i in range(size)]
+    writer.nodes.append(helper.make_node("Concat", following, ["next_state"], name="next_state", axis=1))
+    return helper.make_graph(
+        writer.nodes,
+        name,
+        [_value("u", 1), _value("state", size)],
+        [_value("theta", 1), _value("next_state", size)],
+        initializer=[
+            numpy_helper.from_array(np.full((1, 1), value), name=label) for value, label in writer.constants.items()
+        ],
+    )
+
+
+def _value(name: str, width: int) -> onnx.ValueInfoProto:
+    return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width])

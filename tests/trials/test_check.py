@@ -1,0 +1,149 @@
+"""The quality check: every fault that is put into a clean log is found under its topic, and nothing else is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hystmpc.trials.check import check_trial
+from hystmpc.trials.csv_ import read_csv, write_csv
+from hystmpc.trials.errors import LogError
+from hystmpc.trials.findings import Severity
+from hystmpc.trials.trial import Trial, Units
+
+OK, NOTE, WARNING, ERROR = Severity
+TOPICS = {
+    "values", "time base", "jitter", "gaps", "duplicates", "stuck samples", "units of command", "units of angle",
+    "sign", "excitation", "segments", "first flexure",
+}  # fmt: skip
+
+
+def clean(**changes: np.ndarray | Units) -> Trial:
+    """Two cycles of 0.2 Hz between 0 and 6 mm at 50 Hz, with a hold of 2 s at the end; no hysteresis."""
+    t = np.arange(600) / 50
+    command = np.where(t < 10, 3 - 3 * np.cos(2 * np.pi * 0.2 * t), 0.0)
+    values = {"t": t, "command": command, "angle": 30 + 10 * command} | changes
+    return Trial(**values)
+
+
+def broken(change: Callable[[list[str]], None], tmp_path: Path) -> Path:
+    """The clean log with changed lines; line k is row k + 1."""
+    path = write_csv(clean(), tmp_path / "log.csv")
+    lines = path.read_text().splitlines()
+    change(lines)
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_a_clean_trial_has_nothing_but_good_news() -> None:
+    report = check_trial(clean())
+    assert {f.topic for f in report.findings} == TOPICS
+    assert report.worst is OK, report.findings
+    assert report.of("time base")[0].message == "50 Hz (median), 11.98 s, 600 samples"
+    assert report.of("segments")[0].message == "2 loading (5 s), 2 unloading (4.98 s), 1 hold (2 s)"
+    assert report.of("excitation")[0].message.startswith("3 reversals")
+    assert "10 deg per mm (correlation 1.00)" in report.of("sign")[0].message
+
+
+def test_file_and_memory_get_the_same_findings(tmp_path: Path) -> None:
+    path = write_csv(clean(), tmp_path / "log.csv")
+    assert check_trial(path).findings == check_trial(clean()).findings
+    assert (check_trial(path).preset, check_trial(path).source) == ("canonical", str(path))
+
+
+def _set(index: int, column: int, text: str) -> Callable[[list[str]], None]:
+    def change(lines: list[str]) -> None:
+        cells = lines[index].split(",")
+        cells[column] = text
+        lines[index] = ",".join(cells)
+
+    return change
+
+
+FILE_FAULTS = {
+    "nan": (_set(100, 2, "nan"), "values", "angle: 1 of 600 not finite, first at row 101"),
+    "empty": (_set(100, 1, ""), "values", "command: 1 of 600 not finite, first at row 101"),
+    "repeat": (lambda lines: lines.insert(50, lines[49]), "duplicates", "1 time stamps repeat the one before, first at row 51"),
+    "backwards": (_set(50, 0, "0.5"), "duplicates", "1 time stamps run backwards, first at row 51"),
+    "gap": (lambda lines: lines.__delitem__(slice(100, 150)), "gaps", "the longest 1.02 s from 1.96 s (row 100)"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "topic", "text"), FILE_FAULTS.values(), ids=FILE_FAULTS)
+def test_what_a_reader_refuses_becomes_a_finding(
+    change: Callable[[list[str]], None], topic: str, text: str, tmp_path: Path
+) -> None:
+    report = check_trial(broken(change, tmp_path))
+    (finding,) = report.of(topic)
+    assert finding.severity is ERROR
+    assert text in finding.message
+    others = {f.topic for f in report.findings if f.severity is ERROR} - {topic, "segments"}
+    assert not others
+
+
+def signals() -> dict[str, tuple[Trial, str, Severity, str]]:
+    base = clean()
+    u, y, t = base.command, base.angle, base.t
+    noise = np.random.default_rng(0).normal(size=u.size)
+    late = t >= 5
+    return {
+        "metres": (clean(command=u / 1000), "units of command", WARNING, "looks like metres"),
+        "micrometres": (clean(command=u * 1000), "units of command", WARNING, "looks like micrometres"),
+        "kPa": (clean(command=u * 50, units=Units("bar")), "units of command", WARNING, "looks like kPa"),
+        "offset": (clean(command=u + 500), "units of command", WARNING, "offset or another unit"),
+        "radians": (clean(angle=np.radians(y)), "units of angle", WARNING, "looks like radians"),
+        "sign": (clean(angle=90 - 10 * u), "sign", WARNING, "the angle falls as the command rises"),
+        "unrelated": (clean(angle=40 + noise), "sign", WARNING, "hardly follows"),
+        "constant": (clean(command=0 * u + 2), "excitation", ERROR, "the command is 2 mm throughout"),
+        "one way": (clean(command=t, angle=10 * t), "excitation", WARNING, "0 reversals"),
+        "milliseconds": (clean(t=1000 * t), "time base", WARNING, "is time in ms?"),
+        "jitter": (clean(t=t + 0.003 * np.sin(7 * np.arange(t.size))), "jitter", NOTE, "standard deviation"),
+        "stuck": (clean(angle=np.where((t > 1) & (t < 2), 50, y)), "stuck samples", NOTE, "longest stretch is 0.96 s"),
+        "set": (clean(angle=y + 12 * late), "first flexure", WARNING, "30.0 deg before and is 42.0 deg after it: a set of +12.0"),
+        "no return": (clean(command=np.where(late, np.maximum(u, 1.5), u)[50:][: t.size].repeat(2)[: t.size]), "first flexure", NOTE, "does not come back"),
+    }  # fmt: skip
+
+
+SIGNALS = signals()
+
+
+@pytest.mark.parametrize(("trial", "topic", "severity", "text"), SIGNALS.values(), ids=SIGNALS)
+def test_a_fault_of_the_signals_is_found(trial: Trial, topic: str, severity: Severity, text: str) -> None:
+    (finding,) = check_trial(trial).of(topic)
+    assert finding.severity is severity
+    assert text in finding.message
+
+
+def test_a_channel_with_holes_is_only_a_note() -> None:
+    current = np.ones(600)
+    current[7] = np.nan
+    trial = Trial(clean().t, clean().command, clean().angle, {"current": current})
+    (finding,) = check_trial(trial).of("values")
+    assert (finding.severity, finding.message) == (NOTE, "current: 1 of 600 not finite, first at sample 7")
+
+
+def test_a_log_without_any_usable_sample_is_reported(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,command,angle_deg\n" + "nan,nan,nan\n" * 5)
+    report = check_trial(path)
+    assert report.worst is ERROR
+    assert report.findings[-1].message == "0 usable samples, expected at least 2"
+
+
+def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="no such file"):
+        check_trial(tmp_path / "absent.csv")
+
+
+def test_the_real_logs_show_the_set_of_the_first_flexure(real_logs: list[Path]) -> None:
+    for path in real_logs:
+        report = check_trial(path)
+        (flexure,) = report.of("first flexure")
+        assert {f.topic for f in report.findings if f.severity is not OK} == {"jitter", "first flexure"}
+        if path.name.startswith("zero"):
+            assert "30.0 deg before and is 41.8 deg after it" in flexure.message
+        else:
+            assert "does not come back to its start" in flexure.message
+        assert report.findings == check_trial(read_csv(path)).findings[:0] + report.findings

@@ -1,0 +1,132 @@
+"""Reports: one page that needs nothing from outside, escapes what it is given and never mixes up its figures."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from hystmpc.trials.html import Heading, KeyValues, Paragraph, Plot, Report, Table, figure_svg
+from hystmpc.trials.plot_style import PALETTE, new_figure
+from matplotlib.figure import Figure
+
+VOID = {"meta", "link", "br", "img", "hr", "input"}
+
+
+class Page(HTMLParser):
+    """Tags, attributes and text of a page; checks that every element is closed."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str]] = []
+        self.text: list[str] = []
+        self.open: list[str] = []
+        self.feed(html)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_startendtag(tag, attrs)
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += [(name, value or "") for name, value in attrs]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+    def values(self, name: str) -> list[str]:
+        return [value for key, value in self.attributes if key == name]
+
+
+def draw(label: str = "angle [deg]") -> Figure:
+    with new_figure(4, 3) as figure:
+        axes = figure.subplots()
+        axes.plot(np.linspace(0, 1, 50), np.linspace(0, 1, 50) ** 2, label="measured", marker="o")
+        axes.fill_between([0, 1], [0, 0], [1, 1], hatch="//")
+        axes.set_ylabel(label)
+        axes.legend()
+    return figure
+
+
+def report() -> Report:
+    return Report(
+        "Check of <log.csv>",
+        (
+            Heading("First & foremost"),
+            Paragraph("a < b <script>alert(1)</script>"),
+            KeyValues({"rate [Hz]": 499.87654, "file": "a&b.csv"}),
+            Heading("Over time", 3),
+            Plot(draw(), "Angle, \"measured\""),
+            Plot(draw()),
+            Heading("Numbers"),
+            Table(("name", "value"), [("<i>rmse</i>", 1.23456789), ("n", 3), ("good", True)], "Scores"),
+        ),
+        "second line",
+    )
+
+
+@pytest.fixture(scope="module")
+def html() -> str:
+    return report().html()
+
+
+def test_the_page_is_well_formed_and_fetches_nothing(html: str) -> None:
+    page = Page(html)
+    assert page.open == []
+    assert html.startswith("<!DOCTYPE html>")
+    assert not re.search(r"https?://|@import|//cdn", html)
+    assert not {"script", "link", "img", "iframe", "object"} & set(page.tags)
+    assert all(target.startswith("#") for target in page.values("href") + page.values("src"))
+    assert all(target.startswith("#") for target in re.findall(r"url\(([^)]*)\)", html))
+
+
+def test_ids_are_unique_and_every_reference_has_its_target(html: str) -> None:
+    page = Page(html)
+    ids = page.values("id")
+    assert len(ids) == len(set(ids))
+    targets = [target[1:] for target in page.values("href")] + re.findall(r"url\(#([^)]*)\)", html)
+    assert len(targets) > 10
+    assert set(targets) <= set(ids)
+
+
+def test_every_piece_is_shown_and_listed(html: str) -> None:
+    page = Page(html)
+    text = "".join(page.text)
+    assert (page.tags.count("svg"), page.tags.count("figure"), page.tags.count("figcaption")) == (2, 2, 1)
+    assert page.tags.count("li") == 3
+    for part in ("First & foremost", "a < b <script>", "499.9", "a&b.csv", "<i>rmse</i>", "1.235", "True", "second line"):
+        assert part in text
+
+
+def test_the_same_pieces_give_the_same_page(html: str) -> None:
+    assert report().html() == html
+
+
+def test_an_id_prefix_reaches_every_id() -> None:
+    svg = figure_svg(draw(), prefix="loop-")
+    assert svg.startswith("<svg")
+    assert svg.endswith("</svg>")
+    assert all(name.startswith("loop-") for name in Page(svg).values("id"))
+
+
+def test_a_report_is_saved_whole(tmp_path: Path, html: str) -> None:
+    path = report().save(tmp_path / "deep" / "report.html")
+    assert path.read_text(encoding="utf-8") == html
+    assert [file.name for file in path.parent.iterdir()] == ["report.html"]
+
+
+def test_the_style_leaves_no_trace() -> None:
+    before = dict(mpl.rcParams)
+    figure = draw()
+    assert dict(mpl.rcParams) == before
+    assert figure.axes[0].lines[0].get_color() == PALETTE[0]
+    assert not figure.axes[0].spines["top"].get_visible()

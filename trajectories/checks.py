@@ -1,0 +1,29 @@
+"""Checks of single numbers, shared by every trajectory."""
+
+from __future__ import annotations
+
+import math
+
+from hystmpc.trials.errors import TrajectoryError
+
+
+def require_finite(**values: float) -> None:
+    """Raise TrajectoryError at the first value that is not a finite number."""
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise TrajectoryError(f"{name}: got {value}, expected a finite number")
+
+
+def require_positive(**values: float) -> None:
+    """Raise TrajectoryError at the first value that is not finite and above zero."""
+    for name, value in values.items():
+        if not (math.isfinite(value) and value > 0):
+            raise TrajectoryError(f"{name}: got {value}, expected a finite number > 0")
+
+
+def require_range(name: str, bounds: tuple[float, float], least: float = -math.inf) -> None:
+    """Raise TrajectoryError unless `least` <= bounds[0] <= bounds[1], all finite."""
+    low, high = bounds
+    if not (math.isfinite(low) and math.isfinite(high) and least <= low <= high):
+        floor = "" if least == -math.inf else f"{least:g} <= "
+        raise TrajectoryError(f"{name}: got {low} to {high}, expected finite {floor}lower <= upper")

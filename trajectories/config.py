@@ -1,0 +1,208 @@
+"""Motions in YAML: one settings block per kind, told apart by the key `kind`."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from hystmpc.trials.config import Settings
+from hystmpc.trials.errors import ConfigError, did_you_mean
+from pydantic import BeforeValidator, Field
+
+from .limits import MotionLimits
+from .point_to_point import PointToPoint, random_point_to_point
+from .sampled_csv import read_sampled
+from .scan import Raster, Shape, SinusoidScan, TriangleScan
+from .trajectory import Trajectory
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+class LimitsSettings(Settings):
+    """Block `limits`; defaults as MotionLimits."""
+
+    velocity_deg_s: Positive = MotionLimits.velocity_deg_s
+    acceleration_deg_s2: Positive = MotionLimits.acceleration_deg_s2
+    jerk_deg_s3: Positive = MotionLimits.jerk_deg_s3
+
+    def build(self) -> MotionLimits:
+        """The limits."""
+        return MotionLimits(self.velocity_deg_s, self.acceleration_deg_s2, self.jerk_deg_s3)
+
+
+class MotionSettings(Settings):
+    """Base of the motion blocks."""
+
+    @abstractmethod
+    def build(self, folder: Path | str = ".") -> Trajectory:
+        """Make the trajectory; relative file names start at `folder`.
+
+        Raises:
+            TrajectoryError: if the settings are each valid but no motion fits them together.
+        """
+
+
+class PointToPointSettings(MotionSettings):
+    """`kind: point_to_point`; see PointToPoint."""
+
+    kind: Literal["point_to_point"]
+    start_deg: float
+    targets_deg: tuple[float, ...] = Field(min_length=1)
+    holds_s: tuple[NotNegative, ...] = Field(min_length=1)
+    limits: LimitsSettings = LimitsSettings()
+
+    def build(self, folder: Path | str = ".") -> PointToPoint:
+        """Make the motion."""
+        del folder
+        return PointToPoint(self.start_deg, self.targets_deg, self.holds_s, self.limits.build())
+
+
+class RandomPointToPointSettings(MotionSettings):
+    """`kind: random_point_to_point`; see random_point_to_point."""
+
+    kind: Literal["random_point_to_point"]
+    seed: int = Field(ge=0)
+    start_deg: float
+    range_deg: tuple[float, float]
+    moves: int = Field(default=10, ge=1)
+    hold_range_s: tuple[NotNegative, NotNegative] = (1.0, 5.0)
+    limits: LimitsSettings = LimitsSettings()
+
+    def build(self, folder: Path | str = ".") -> PointToPoint:
+        """Draw the motion from the seed."""
+        del folder
+        return random_point_to_point(
+            self.seed,
+            start_deg=self.start_deg,
+            range_deg=self.range_deg,
+            moves=self.moves,
+            hold_range_s=self.hold_range_s,
+            limits=self.limits.build(),
+        )
+
+
+class _ScanSettings(MotionSettings):
+    """The keys all scans share."""
+
+    start_deg: float
+    centre_deg: float
+    frequency_hz: Positive
+    cycles: float = Field(gt=0, multiple_of=0.5)
+    limits: LimitsSettings | None = None
+
+    def _limits(self) -> MotionLimits | None:
+        return self.limits.build() if self.limits else None
+
+
+class SinusoidScanSettings(_ScanSettings):
+    """`kind: scan_sinusoid`; see SinusoidScan."""
+
+    kind: Literal["scan_sinusoid"]
+    amplitude_deg: Positive
+
+    def build(self, folder: Path | str = ".") -> SinusoidScan:
+        """Make the motion."""
+        del folder
+        return SinusoidScan(
+            self.start_deg, self.centre_deg, self.amplitude_deg, self.frequency_hz, self.cycles, self._limits()
+        )
+
+
+class TriangleScanSettings(_ScanSettings):
+    """`kind: scan_triangle`; see TriangleScan."""
+
+    kind: Literal["scan_triangle"]
+    amplitude_deg: Positive
+
+    def build(self, folder: Path | str = ".") -> TriangleScan:
+        """Make the motion."""
+        del folder
+        return TriangleScan(
+            self.start_deg, self.centre_deg, self.amplitude_deg, self.frequency_hz, self.cycles, self._limits()
+        )
+
+
+class RasterSettings(_ScanSettings):
+    """`kind: raster`; see Raster."""
+
+    kind: Literal["raster"]
+    amplitudes_deg: tuple[Positive, ...] = Field(min_length=1)
+    shape: Shape = "sinusoid"
+
+    def build(self, folder: Path | str = ".") -> Raster:
+        """Make the motion."""
+        del folder
+        return Raster(
+            self.start_deg,
+            self.centre_deg,
+            self.amplitudes_deg,
+            self.frequency_hz,
+            self.cycles,
+            self.shape,
+            self._limits(),
+        )
+
+
+class SampledSettings(MotionSettings):
+    """`kind: sampled`; a CSV file with the columns time_s and angle_deg, see read_sampled."""
+
+    kind: Literal["sampled"]
+    file: Path
+
+    def build(self, folder: Path | str = ".") -> Trajectory:
+        """Read the file."""
+        return read_sampled(Path(folder) / self.file)
+
+
+# Every kind of motion: what a configuration can name and what the contract tests run over.
+MOTIONS: Mapping[str, type[MotionSettings]] = {
+    "point_to_point": PointToPointSettings,
+    "random_point_to_point": RandomPointToPointSettings,
+    "scan_sinusoid": SinusoidScanSettings,
+    "scan_triangle": TriangleScanSettings,
+    "raster": RasterSettings,
+    "sampled": SampledSettings,
+}
+
+
+def _known_kind(data: Any) -> Any:
+    """Answer a missing or unknown kind with the kinds there are."""
+    if isinstance(data, Mapping):
+        if "kind" not in data:
+            raise ValueError(f"no key 'kind', available: {', '.join(sorted(MOTIONS))}")
+        if data["kind"] not in MOTIONS:
+            raise ValueError(f"unknown kind {data['kind']!r}, {did_you_mean(str(data['kind']), MOTIONS)}")
+    return data
+
+
+# For a field of another settings block: `reference: Motion`.
+Motion = Annotated[
+    Annotated[
+        PointToPointSettings
+        | RandomPointToPointSettings
+        | SinusoidScanSettings
+        | TriangleScanSettings
+        | RasterSettings
+        | SampledSettings,
+        Field(discriminator="kind"),
+    ],
+    BeforeValidator(_known_kind),
+]
+
+
+def parse_motion(data: Any, where: str = "<memory>") -> MotionSettings:
+    """Validate one motion given as plain data.
+
+    Raises:
+        ConfigError: on an unknown kind, an unknown key or a value out of bounds.
+    """
+    if not isinstance(data, Mapping):
+        raise ConfigError(f"{where}: got {type(data).__name__}, expected a mapping with the key 'kind'")
+    try:
+        _known_kind(data)
+    except ValueError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    return MOTIONS[data["kind"]].parse(dict(data), where)

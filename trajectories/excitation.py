@@ -1,0 +1,129 @@
+"""The papers' identification and test commands, as printed; where they are silent the value is an argument.
+
+S1 is Wu et al., RA-L 2021 (DOI 10.1109/LRA.2021.3061069): pressure [bar], 0 to 3.
+S2 is RA-L 2024, PMC11633443: tendon displacement [mm], 0 to 6.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from hystmpc.trials.errors import TrajectoryError, did_you_mean
+
+from .checks import require_positive
+from .decaying_sine import DecayingSine
+from .ramp_hold import RampHold, RampHoldDraw
+
+S1_AMPLITUDE_BAR = 1.5
+S1_TRAIN_HZ = (0.2, 0.4, 0.6, 0.8)
+S1_TRAIN_DECAY_PER_S = 0.15
+# Not printed: 26 798 training samples in 8 groups, at the 250 Hz of the laser.
+S1_GROUP_S = 13.4
+# Not printed: the falling chirp of test (b) stands still at 3.5 s, the rising one of (c) has made its 3 loops then.
+S1_CHIRP_S = 3.5
+# Our stand-in for the unprinted "arbitrarily varying signal with plateaus" of test (d).
+S1_ARBITRARY = RampHoldDraw(moves=8, targets=(0.0, 3.0), rates=(0.5, 3.0), holds_s=(0.5, 2.0), steps=(0.3, 3.0))
+
+S2_TRAVEL_MM = 6.0
+# The seven frequencies are inferred from file names and counts of files.
+S2_FREQUENCIES_HZ = {"train": (0.1, 0.2, 0.4, 0.5), "validation": (0.3,), "test": (0.15, 0.45)}
+S2_OFFSETS = {"0BL": (1.0, 0.0), "MidBL": (0.0, 1.0), "EndBL": (-1.0, 2.0)}
+S2_POINT_TO_POINT = {
+    "train": RampHoldDraw(
+        moves=10, targets=(0.0, S2_TRAVEL_MM), rates=(0.5, 6.0), holds_s=(1.0, 5.0), steps=(0.5, 3.0)
+    ),
+    "test": RampHoldDraw(moves=10, targets=(0.0, S2_TRAVEL_MM), rates=(0.5, 6.0), holds_s=(1.0, 10.0)),
+}
+
+Offset = Literal["0BL", "MidBL", "EndBL"]
+Split = Literal["train", "test"]
+
+
+def s1_zero_baseline(
+    frequency_hz: float, decay_per_s: float = S1_TRAIN_DECAY_PER_S, duration_s: float = S1_GROUP_S
+) -> DecayingSine:
+    """p1(t) = A e^(-tau t) ( sin(2 pi f t - pi/2) + 1 ) [bar], A = 1.5. S1 eq. (5)."""
+    return DecayingSine(S1_AMPLITUDE_BAR, frequency_hz, decay_per_s, duration_s)
+
+
+def s1_raised_baseline(
+    frequency_hz: float, decay_per_s: float = S1_TRAIN_DECAY_PER_S, duration_s: float = S1_GROUP_S
+) -> DecayingSine:
+    """p2(t) = A e^(-tau t) sin(2 pi f t - pi/2) + A [bar], A = 1.5. S1 eq. (6)."""
+    return DecayingSine(S1_AMPLITUDE_BAR, frequency_hz, decay_per_s, duration_s, lift=0.0, baseline=S1_AMPLITUDE_BAR)
+
+
+def s1_training() -> dict[str, DecayingSine]:
+    """The eight training commands of S1 by name: eq. (5) and (6) at 0.2, 0.4, 0.6 and 0.8 Hz, tau = 0.15."""
+    zero = {f"zero baseline {f} Hz": s1_zero_baseline(f) for f in S1_TRAIN_HZ}
+    return zero | {f"raised baseline {f} Hz": s1_raised_baseline(f) for f in S1_TRAIN_HZ}
+
+
+def s1_test_a(duration_s: float = S1_GROUP_S) -> DecayingSine:
+    """S1 test (a): eq. (5) with f = 0.7, tau = 0.12."""
+    return s1_zero_baseline(0.7, 0.12, duration_s)
+
+
+def s1_test_b(duration_s: float = S1_CHIRP_S) -> DecayingSine:
+    """p(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + 1 ) + B [bar]. S1 eq. (10), test (b).
+
+    A = 0.9, B = 1.2, f = 0.7, tau = 0.1, c = -0.1.
+    """
+    return DecayingSine(0.9, 0.7, 0.1, duration_s, baseline=1.2, chirp_hz_per_s=-0.1)
+
+
+def s1_test_c(decay_per_s: float = -0.05, duration_s: float = S1_CHIRP_S) -> DecayingSine:
+    """p(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + 1 ) [bar]. S1 eq. (11), test (c).
+
+    A = 0.6, f = 0.3, c = 0.15. S1 prints tau = 0.05 and calls the signal ascending, which it is with the sign
+    turned; `decay_per_s=0.05` gives the printed one.
+    """
+    return DecayingSine(0.6, 0.3, decay_per_s, duration_s, chirp_hz_per_s=0.15)
+
+
+def s1_test_d(seed: int | np.random.Generator) -> RampHold:
+    """A seeded stand-in for S1's test (d), whose shape is not printed: random ramps and plateaus in 0 to 3 bar."""
+    return S1_ARBITRARY(seed)
+
+
+def s1_oct_scan() -> DecayingSine:
+    """One back-and-forth of S1's reconstruction scan: 0.1 Hz, peak 2.95 bar, no decay (S1 sec. III-B)."""
+    return DecayingSine(2.95 / 2, 0.1, 0.0, 10.0)
+
+
+def s2_sinusoid(frequency_hz: float, offset: Offset) -> DecayingSine:
+    """u(t) = A e^(-tau t) ( sin(2 pi f t - pi/2) + a ) + A b [mm], A = 3. S2 eq. (9), (10).
+
+    tau = (f / 6) ln 7 and T = 7 / f: seven periods, the amplitude is 1/7 after six. (a, b) is (1, 0) for `0BL`
+    (minima at the pretension), (0, 1) for `MidBL`, (-1, 2) for `EndBL` (maxima at 6 mm). All start at u = 0.
+
+    Raises:
+        TrajectoryError: if the offset is unknown or the frequency is not positive.
+    """
+    if offset not in S2_OFFSETS:
+        raise TrajectoryError(f"offset: got {offset!r}, {did_you_mean(str(offset), S2_OFFSETS)}")
+    require_positive(frequency_hz=frequency_hz)
+    a, b = S2_OFFSETS[offset]
+    amplitude, decay = S2_TRAVEL_MM / 2, frequency_hz / 6 * math.log(7)
+    return DecayingSine(amplitude, frequency_hz, decay, 7 / frequency_hz, lift=a, baseline=amplitude * b)
+
+
+def s2_point_to_point(seed: int | np.random.Generator, split: Split = "train") -> RampHold:
+    """Ten constant-velocity moves and ten holds from u = 0 [mm]. S2 eq. (11).
+
+    Targets U(0, 6) mm, speeds U(0.5, 6) mm/s. `train` (and validation): holds U(1, 5) s, 0.5 < |dx| < 3 mm;
+    `test`: holds U(1, 10) s, |dx| free.
+
+    Raises:
+        TrajectoryError: if the split is unknown.
+    """
+    if split not in S2_POINT_TO_POINT:
+        raise TrajectoryError(f"split: got {split!r}, {did_you_mean(str(split), S2_POINT_TO_POINT)}")
+    return S2_POINT_TO_POINT[split](seed)
+
+
+def s2_initialisation() -> DecayingSine:
+    """S2's initialisation flexure: one period of 0.1 Hz from 0 to 6 mm (90 deg) and back, to be discarded."""
+    return DecayingSine(S2_TRAVEL_MM / 2, 0.1, 0.0, 10.0)

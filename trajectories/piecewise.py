@@ -1,0 +1,98 @@
+"""Motions of constant jerk, piece by piece: the exact form of every jerk-limited reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from hystmpc.trials.errors import TrajectoryError
+from numpy.typing import ArrayLike, NDArray
+
+from .trajectory import Vec, inside
+
+# One row per piece: duration [s], then theta, velocity, acceleration at its start, and its jerk.
+Segments = NDArray[np.float64]
+
+
+def hold(value: float, duration_s: float) -> Segments:
+    """One piece that keeps `value`, shape (1, 5)."""
+    return np.array([[duration_s, value, 0.0, 0.0, 0.0]])
+
+
+def ramp(start: float, end: float, duration_s: float) -> Segments:
+    """One piece of constant velocity, shape (1, 5)."""
+    return np.array([[duration_s, start, (end - start) / duration_s, 0.0, 0.0]])
+
+
+def peak_rates(segments: Segments) -> tuple[float, float, float]:
+    """Greatest |velocity|, |acceleration| and |jerk| over all pieces, exactly (vertices included)."""
+    duration, _, v0, a0, jerk = segments.T
+    vertex = np.clip(np.divide(-a0, jerk, out=np.zeros_like(jerk), where=jerk != 0), 0.0, duration)
+    velocity = [v0 + a0 * s + jerk * s**2 / 2 for s in (np.zeros_like(duration), vertex, duration)]
+    acceleration = [a0, a0 + jerk * duration]
+    return float(np.abs(velocity).max()), float(np.abs(acceleration).max()), float(np.abs(jerk).max())
+
+
+def end_state(segment: Vec) -> tuple[float, float, float]:
+    """Value, velocity and acceleration at the end of one piece (5,)."""
+    s, p, v, a, j = (float(x) for x in segment)
+    return p + s * (v + s * (a / 2 + s * j / 6)), v + s * (a + s * j / 2), a + s * j
+
+
+@dataclass(frozen=True, eq=False)
+class PiecewiseCubic:
+    """theta(t) = p + v s + a s^2/2 + j s^3/6 with s = t - t_i, the time since the start of piece i.
+
+    Attributes:
+        segments: rows of duration [s], p [deg], v [deg/s], a [deg/s^2], j [deg/s^3], shape (M, 5).
+
+    Raises:
+        TrajectoryError: if a number is not finite, a duration is negative, or their sum is zero.
+    """
+
+    segments: Segments
+    _knots: Vec = field(init=False, repr=False)
+    _rows: Vec = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        segments = np.array(self.segments, dtype=np.float64)
+        if segments.ndim != 2 or segments.shape[1] != 5 or not np.isfinite(segments).all():
+            raise TrajectoryError(f"pieces: got shape {segments.shape}, expected finite numbers of shape (M, 5)")
+        if (segments[:, 0] < 0).any() or segments[:, 0].sum() <= 0:
+            raise TrajectoryError("motion of no duration: no target differs from the start and no hold is above 0 s")
+        segments.setflags(write=False)
+        object.__setattr__(self, "segments", segments)
+        object.__setattr__(self, "_knots", np.concatenate(([0.0], np.cumsum(segments[:, 0]))))
+        # The row after the last piece holds its end value.
+        object.__setattr__(self, "_rows", np.vstack((segments[:, 1:], (end_state(segments[-1])[0], 0.0, 0.0, 0.0))))
+
+    @property
+    def duration_s(self) -> float:
+        """Sum of the durations [s]."""
+        return float(self._knots[-1])
+
+    def __call__(self, t: ArrayLike) -> Vec:
+        """Values at `t` [s]."""
+        s, (p, v, a, j) = self._locate(t)
+        return p + s * (v + s * (a / 2 + s * j / 6))
+
+    def derivative(self, t: ArrayLike, order: int) -> Vec:
+        """Velocity (order 1), acceleration (2) or jerk (3) at `t` [s]; at a knot that of the later piece.
+
+        Raises:
+            TrajectoryError: if the order is not 1, 2 or 3.
+        """
+        s, (_, v, a, j) = self._locate(t)
+        if order == 1:
+            return v + s * (a + s * j / 2)
+        if order == 2:
+            return a + s * j
+        if order == 3:
+            return j + 0 * s
+        raise TrajectoryError(f"derivative: got order {order}, expected 1, 2 or 3")
+
+    def _locate(self, t: ArrayLike) -> tuple[Vec, Vec]:
+        """Time since the start of the piece, and its polynomial, for each `t`."""
+        time = inside(t, self.duration_s)
+        piece = np.searchsorted(self._knots, time, side="right") - 1
+        return time - self._knots[piece], np.moveaxis(self._rows[piece], -1, 0)

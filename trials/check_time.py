@@ -1,0 +1,102 @@
+"""Quality of a log's clock: rate, jitter, gaps, repeated time stamps, repeated measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .findings import Finding, Severity
+from .resample import gap_limit_s
+
+Vec = NDArray[np.float64]
+
+_SLOW_INTERVAL_S = 1.0  # no closed loop of this field samples slower: time is then likely in ms
+_JITTER_SHARE = 0.1  # of the median interval; more is worth knowing
+_STUCK_SHARE = 0.05  # of the range of the command: travel without any change of the angle
+
+
+def time_findings(t: Vec, command: Vec, angle: Vec, where: Callable[[int], str]) -> Iterator[Finding]:
+    """Findings on time stamps [s] that may repeat, run backwards or be missing.
+
+    Args:
+        t, command, angle: signals, (T,).
+        where: names a sample for the reader.
+    """
+    kept = np.flatnonzero(np.isfinite(t))
+    intervals = np.diff(t[kept])
+    forward = intervals[intervals > 0]
+    if not forward.size:
+        yield Finding(Severity.ERROR, "time base", "time never increases")
+        return
+    median = float(np.median(forward))
+    yield _base(median, float(t[kept[-1]] - t[kept[0]]), t.size)
+    yield _jitter(forward, median)
+    yield _gaps(t, kept, intervals, median, where)
+    yield _order(kept, intervals, where)
+    yield _stuck(t, command, angle)
+
+
+def _base(median: float, duration: float, count: int) -> Finding:
+    text = f"{1 / median:.4g} Hz (median), {duration:.4g} s, {count} samples"
+    if median >= _SLOW_INTERVAL_S:
+        return Finding(Severity.WARNING, "time base", f"{text}: one sample every {median:g} s; is time in ms?")
+    return Finding(Severity.OK, "time base", text)
+
+
+def _jitter(forward: Vec, median: float) -> Finding:
+    spread = float(np.std(forward))
+    severity = Severity.NOTE if spread > _JITTER_SHARE * median else Severity.OK
+    return Finding(
+        severity,
+        "jitter",
+        f"sample interval {1e3 * median:.3g} ms (median), standard deviation {1e3 * spread:.2g} ms "
+        f"({spread / median:.0%}), longest {1e3 * float(forward.max()):.3g} ms",
+    )
+
+
+def _gaps(t: Vec, kept: NDArray[np.intp], intervals: Vec, median: float, where: Callable[[int], str]) -> Finding:
+    limit = gap_limit_s(median)
+    gaps = np.flatnonzero(intervals > limit)
+    if not gaps.size:
+        return Finding(Severity.OK, "gaps", f"none longer than {limit:.3g} s")
+    k = int(gaps[np.argmax(intervals[gaps])])
+    return Finding(
+        Severity.ERROR,
+        "gaps",
+        f"{gaps.size} longer than {limit:.3g} s, the longest {intervals[k]:.3g} s from {t[kept[k]]:.6g} s "
+        f"({where(int(kept[k]))}); cut the log there",
+    )
+
+
+def _order(kept: NDArray[np.intp], intervals: Vec, where: Callable[[int], str]) -> Finding:
+    same, back = np.flatnonzero(intervals == 0), np.flatnonzero(intervals < 0)
+    parts = [
+        f"{found.size} time stamps {what}, first at {where(int(kept[found[0] + 1]))}"
+        for found, what in ((same, "repeat the one before"), (back, "run backwards"))
+        if found.size
+    ]
+    if parts:
+        return Finding(Severity.ERROR, "duplicates", "; ".join(parts))
+    return Finding(Severity.OK, "duplicates", "time increases from sample to sample")
+
+
+def _stuck(t: Vec, command: Vec, angle: Vec) -> Finding:
+    """The longest stretch over which the angle is the very same number."""
+    changes = np.flatnonzero(np.diff(angle) != 0)
+    edges = np.concatenate(([0], changes + 1, [angle.size]))
+    longest = int(np.argmax(np.diff(edges)))
+    start, stop = int(edges[longest]), int(edges[longest + 1])
+    share = 1 - changes.size / max(angle.size - 1, 1)
+    finite = command[np.isfinite(command)]
+    travel, span = np.ptp(command[start:stop]), np.ptp(finite) if finite.size else 0.0
+    held_s = t[stop - 1] - t[start]
+    text = (
+        f"{share:.0%} of the angles equal the one before; the longest stretch is {held_s:.3g} s from {t[start]:.6g} s"
+    )
+    if travel > _STUCK_SHARE * span > 0:
+        return Finding(
+            Severity.NOTE, "stuck samples", f"{text}, while the command travels {travel:.3g}: dead zone or stuck sensor"
+        )
+    return Finding(Severity.OK, "stuck samples", text)

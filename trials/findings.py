@@ -1,0 +1,55 @@
+"""What a quality check answers: findings by topic, each with a severity and one line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Severity(StrEnum):
+    """How much a finding matters, least first."""
+
+    OK = "ok"
+    NOTE = "note"  # worth knowing
+    WARNING = "warning"  # the log can be used, results will suffer
+    ERROR = "error"  # readers or identifications will refuse the log
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of a quality check.
+
+    Attributes:
+        severity: how much it matters.
+        topic: what was looked at, such as `jitter` or `units`.
+        message: what was found, with numbers and units.
+    """
+
+    severity: Severity
+    topic: str
+    message: str
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """All findings on one log, in the order in which they were looked for.
+
+    Attributes:
+        source: path of the log.
+        preset: layout it was read with, empty for a trial from memory.
+        findings: at least one per topic.
+    """
+
+    source: str
+    preset: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def worst(self) -> Severity:
+        """The greatest severity among the findings."""
+        order = list(Severity)
+        return max((f.severity for f in self.findings), key=order.index, default=Severity.OK)
+
+    def of(self, topic: str) -> tuple[Finding, ...]:
+        """The findings on one topic."""
+        return tuple(f for f in self.findings if f.topic == topic)

@@ -1,0 +1,138 @@
+"""Reports: one self-contained HTML page that opens offline."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from .files import write_atomically
+from .plot_style import style
+
+_ID = re.compile(r'(\bid="|url\(#|href="#)')
+_NAMESPACE = re.compile(r'\s+xmlns(?::\w+)?="[^"]*"')  # an SVG inside HTML needs none
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading, level 2 or 3; it is listed in the table of contents."""
+
+    text: str
+    level: int = 2
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Running text."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class KeyValues:
+    """A short two-column table of names and values."""
+
+    rows: Mapping[str, object]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a header row; numbers are set flush right."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A matplotlib figure and its caption."""
+
+    figure: Figure
+    caption: str = ""
+
+
+Piece = Heading | Paragraph | KeyValues | Table | Plot
+
+
+@dataclass(frozen=True)
+class Report:
+    """A page made of pieces.
+
+    Attributes:
+        title: title of the page.
+        pieces: what it shows, in order.
+        subtitle: one line below the title.
+    """
+
+    title: str
+    pieces: tuple[Piece, ...]
+    subtitle: str = ""
+
+    def html(self) -> str:
+        """The page: styles and figures inside, no scripts, nothing fetched; the same pieces give the same text."""
+        blocks = [_block(piece, number) for number, piece in enumerate(self.pieces, start=1)]
+        contents = [block for block in blocks if block["kind"] == "heading"]
+        css = Markup(_resource("report.css"))
+        return _template().render(title=self.title, subtitle=self.subtitle, blocks=blocks, contents=contents, css=css)
+
+    def save(self, path: Path | str) -> Path:
+        """Write the page, whole or not at all."""
+        return write_atomically(path, self.html())
+
+
+def figure_svg(figure: Figure, prefix: str = "") -> str:
+    """A figure as an `<svg>` element to be set into a page.
+
+    Args:
+        figure: any matplotlib figure.
+        prefix: put before every id, so that the figures of one page do not refer to each other's parts.
+    """
+    out = io.StringIO()
+    with style():
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    svg = out.getvalue()
+    svg = _NAMESPACE.sub("", svg[svg.index("<svg") :]).replace("xlink:href=", "href=")
+    return _ID.sub(lambda match: match.group(1) + prefix, svg).strip()
+
+
+def _block(piece: Piece, number: int) -> dict[str, Any]:
+    """What the template needs of one piece."""
+    if isinstance(piece, Heading):
+        return {"kind": "heading", "text": piece.text, "level": piece.level, "id": f"section-{number}"}
+    if isinstance(piece, Paragraph):
+        return {"kind": "paragraph", "text": piece.text}
+    if isinstance(piece, KeyValues):
+        return {"kind": "key_values", "rows": [(key, _cell(value)) for key, value in piece.rows.items()]}
+    if isinstance(piece, Table):
+        rows = [[_cell(value) for value in row] for row in piece.rows]
+        return {"kind": "table", "columns": piece.columns, "rows": rows, "caption": piece.caption}
+    svg = figure_svg(piece.figure, prefix=f"figure-{number}-")
+    return {"kind": "figure", "svg": Markup(svg), "caption": piece.caption, "id": f"figure-{number}"}
+
+
+def _cell(value: object) -> dict[str, object]:
+    """Text of a value and whether it is a number; floats are shown to four digits."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return {"text": f"{value:.4g}" if isinstance(value, float) else str(value), "is_number": is_number}
+
+
+def _resource(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    return environment.from_string(_resource("report.html.j2"))

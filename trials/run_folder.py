@@ -1,0 +1,188 @@
+"""The folder that every simulation, experiment, study and diagnosis leaves behind; a run can be replayed from it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import mcap_
+from .config import Settings, dump_yaml, read_yaml
+from .csv_ import read_csv
+from .errors import ConfigError, LogError
+from .files import write_atomically
+from .presets import CANONICAL
+from .table import format_table, read_lines, read_table
+from .trial import Trial
+
+FORMAT = "hystmpc-run/1"
+_PACKAGES = ("hystmpc", "numpy", "casadi", "onnxruntime", "osqp")
+
+Column = NDArray[np.float64] | tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """One run on disk: `config.yaml`, `meta.json`, `log.csv`, `log.mcap` (where `mcap` is installed), `report.html`.
+
+    Every file is written whole or not at all. Use `create` for a new run and `open` for one that exists.
+
+    Attributes:
+        path: the folder.
+        meta: what `meta.json` says: format, versions, seed, model hashes, host, start, command line.
+    """
+
+    path: Path
+    meta: Mapping[str, Any]
+
+    @classmethod
+    def create(
+        cls,
+        path: Path | str,
+        settings: Settings | Mapping[str, Any],
+        *,
+        seed: int | None = None,
+        models: Iterable[Path | str] = (),
+        command_line: Sequence[str] | None = None,
+    ) -> RunFolder:
+        """Start a run: make the folder and write what was asked for.
+
+        Args:
+            path: a new or empty folder.
+            settings: resolved settings, defaults included.
+            seed: of the run's random numbers, None where it draws none.
+            models: model files of the run; their SHA-256 is kept.
+            command_line: how the run was started; the process's own where not given.
+
+        Raises:
+            ConfigError: if the path is a file, a folder that is not empty, or cannot be made; or a model is missing.
+        """
+        folder = Path(path)
+        _require_vacant(folder)
+        meta = {
+            "format": FORMAT,
+            "start": datetime.now(UTC).isoformat(),
+            "host": platform.node(),
+            "platform": platform.platform(),
+            "command_line": list(sys.argv if command_line is None else command_line),
+            "seed": seed,
+            "models": {str(model): _sha256(Path(model)) for model in models},
+            "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
+        }
+        plain = settings.model_dump(mode="json") if isinstance(settings, Settings) else dict(settings)
+        try:
+            write_atomically(folder / "config.yaml", dump_yaml(plain))
+            write_atomically(folder / "meta.json", json.dumps(meta, indent=2) + "\n")
+        except OSError as error:
+            raise ConfigError(f"{folder}: cannot be written ({error.strerror}), expected a writable folder") from None
+        return cls(folder, meta)
+
+    @classmethod
+    def open(cls, path: Path | str) -> RunFolder:
+        """A run that exists.
+
+        Raises:
+            LogError: if the folder holds no run, or one of another format.
+        """
+        file = Path(path) / "meta.json"
+        try:
+            meta = json.loads(file.read_text(encoding="utf-8"))
+        except OSError:
+            raise LogError(f"{path}: no readable meta.json, expected the folder of a run") from None
+        except ValueError as error:
+            raise LogError(f"{file}: not JSON ({error})") from None
+        found = meta.get("format") if isinstance(meta, dict) else None
+        if found != FORMAT:
+            raise LogError(f"{file}: format {found!r}, expected {FORMAT!r}")
+        return cls(Path(path), meta)
+
+    def write_log(self, columns: Mapping[str, ArrayLike | Sequence[str]]) -> None:
+        """Write `log.csv`, and `log.mcap` where `mcap` is installed.
+
+        Args:
+            columns: `time_s`, `command` (or `command_bar`, ...), `angle_deg`, then any further numbers or texts,
+                each (T,).
+
+        Raises:
+            LogError: if a canonical column is missing or lengths differ.
+        """
+        if gone := CANONICAL.missing(list(columns)):
+            raise LogError(f"{self.path}: log lacks {', '.join(gone)}; got {', '.join(columns)}")
+        arrays = {name: _column(values) for name, values in columns.items()}
+        lengths = {name: len(values) for name, values in arrays.items()}
+        if len(set(lengths.values())) > 1:
+            raise LogError(f"{self.path}: log columns of different lengths, expected one: {lengths}")
+        write_atomically(self.path / "log.csv", format_table(arrays))
+        if mcap_.available():
+            start_ns = round(1e9 * datetime.fromisoformat(self.meta["start"]).timestamp())
+            t = np.asarray(arrays[CANONICAL.time], dtype=np.float64)
+            write_atomically(self.path / "log.mcap", mcap_.format_mcap(arrays, t, start_ns))
+
+    def write_report(self, html: str) -> Path:
+        """Write `report.html`."""
+        return write_atomically(self.path / "report.html", html)
+
+    def config(self) -> Any:
+        """Resolved settings of the run, as plain data."""
+        return read_yaml(self.path / "config.yaml")
+
+    def log(self) -> dict[str, Column]:
+        """All columns of `log.csv`: numbers as arrays (T,), texts as tuples.
+
+        Raises:
+            LogError: if the log is missing or not a table.
+        """
+        file = self.path / "log.csv"
+        table = read_table(read_lines(file), str(file))
+        return {name: table.numbers[name] if name in table.numbers else table.texts[name] for name in table.header}
+
+    def trial(self) -> Trial:
+        """The log as a trial, to be replayed or identified from; columns of text are left out."""
+        return read_csv(self.path / "log.csv", CANONICAL)
+
+
+def _require_vacant(folder: Path) -> None:
+    """A run never overwrites anything."""
+    if folder.is_dir():
+        inside = sorted(entry.name for entry in folder.iterdir())
+        if inside:
+            what = "holds a run" if "meta.json" in inside else "is not empty"
+            names = ", ".join(inside[:5]) + (", ..." if len(inside) > 5 else "")
+            raise ConfigError(f"{folder}: {what} ({names}), expected a new or empty folder")
+    elif folder.exists():
+        raise ConfigError(f"{folder}: is a file, expected a new or empty folder")
+
+
+def _column(values: ArrayLike | Sequence[str]) -> NDArray[np.generic] | tuple[str, ...]:
+    """Numbers as an array, texts (and enumerations of texts) as plain strings."""
+    array = np.asarray(values)
+    if array.dtype.kind in "fiu":
+        return array
+    if array.dtype.kind == "b":
+        return array.astype(np.int64)
+    return tuple(str(value) for value in np.asarray(values, dtype=object))
+
+
+def _sha256(model: Path) -> str:
+    try:
+        return hashlib.sha256(model.read_bytes()).hexdigest()
+    except OSError as error:
+        raise ConfigError(f"{model}: cannot be read ({error.strerror}), expected a model file") from None
+
+
+def _version(package: str) -> str | None:
+    """Installed version, None where the package is absent."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

@@ -1,0 +1,143 @@
+"""Parts of a trial by the motion of its command: loading, unloading, hold; turning points; the first flexure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import ConfigError, LogError
+from .resample import require_uniform
+from .trial import Trial
+
+Vec = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+class Motion(IntEnum):
+    """What the command does at a sample."""
+
+    UNLOADING = -1
+    HOLD = 0
+    LOADING = 1
+
+
+@dataclass(frozen=True)
+class SegmentRule:
+    """Thresholds, relative to the range of the command so that its scale and offset do not matter.
+
+    Attributes:
+        reversal: the command turns where it comes back by more than this share of its range; less is noise.
+        hold_band: the command is held where it stays within this share of its range ...
+        hold_s: ... for at least this long [s]; the crest of a slow sine is shorter.
+
+    Raises:
+        ConfigError: if a threshold is not positive, or a share not below 1.
+    """
+
+    reversal: float = 0.01
+    hold_band: float = 0.001
+    hold_s: float = 0.6
+
+    def __post_init__(self) -> None:
+        if not (0 < self.reversal < 1 and 0 < self.hold_band < 1 and self.hold_s > 0):
+            raise ConfigError(f"segment rule: got {self}, expected shares in (0, 1) and hold_s > 0")
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Segmentation of one trial of T samples.
+
+    Attributes:
+        labels: a `Motion` per sample, (T,) int8.
+        reversals: samples at which the command turns: the last of each extreme, increasing.
+    """
+
+    labels: NDArray[np.int8]
+    reversals: Index
+
+    def runs(self, motion: Motion) -> list[tuple[int, int]]:
+        """Start and stop (exclusive) of every unbroken run of that motion."""
+        inside = np.concatenate(([0], (self.labels == motion).astype(np.int8), [0]))
+        edges = np.diff(inside)
+        starts, stops = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+        return list(zip(starts.tolist(), stops.tolist(), strict=True))
+
+    @property
+    def holds(self) -> list[tuple[int, int]]:
+        """Start and stop (exclusive) of every hold."""
+        return self.runs(Motion.HOLD)
+
+
+DEFAULT_RULE = SegmentRule()
+
+
+def segment(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> Segments:
+    """Label every sample of a uniformly sampled trial.
+
+    A sample belongs to the motion that led to it; a command that never moves is one hold.
+
+    Raises:
+        LogError: if the sampling is not uniform.
+    """
+    dt = require_uniform(trial)
+    span = float(np.ptp(trial.command))
+    direction, reversals = _turning_points(trial.command, rule.reversal * span)
+    labels = np.zeros(len(trial), dtype=np.int8)
+    if direction:
+        pieces = np.diff(np.concatenate(([0], reversals + 1, [len(trial)])))
+        labels = np.repeat(direction * (-1) ** np.arange(pieces.size), pieces).astype(np.int8)
+    labels[_held(trial.command, round(rule.hold_s / dt) + 1, rule.hold_band * span)] = Motion.HOLD
+    return Segments(labels, reversals)
+
+
+def first_flexure_end(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> int:
+    """Sample at which the command first turns: the first flexure, which differs from all later ones, ends here.
+
+    Raises:
+        LogError: if the command never turns, or the sampling is not uniform.
+    """
+    require_uniform(trial)
+    _, reversals = _turning_points(trial.command, rule.reversal * float(np.ptp(trial.command)))
+    if not reversals.size:
+        raise LogError(
+            f"{trial.source}: the command never turns back (it runs from {trial.command[0]:g} to "
+            f"{trial.command[-1]:g} {trial.units.command}), expected a reversal that ends the first flexure"
+        )
+    return int(reversals[0])
+
+
+def _turning_points(command: Vec, threshold: float) -> tuple[int, Index]:
+    """First direction (+1, -1, 0 if none) and the samples at which the command turns by more than `threshold`."""
+    values = command.tolist()
+    highest = lowest = 0
+    first = direction = 0
+    turns: list[int] = []
+    for k, value in enumerate(values):
+        if direction >= 0 and value >= values[highest]:
+            highest = k
+        if direction <= 0 and value <= values[lowest]:
+            lowest = k
+        fell, rose = values[highest] - value > threshold, value - values[lowest] > threshold
+        if direction >= 0 and fell:
+            turns += [highest] if direction else []
+            direction, lowest = -1, k
+        elif direction <= 0 and rose:
+            turns += [lowest] if direction else []
+            direction, highest = 1, k
+        first = first or direction
+    return first, np.array(turns, dtype=np.intp)
+
+
+def _held(command: Vec, window: int, band: float) -> NDArray[np.bool_]:
+    """Samples inside some stretch of `window` samples over which the command ranges over at most `band`."""
+    if window > command.size:
+        return np.zeros(command.size, dtype=np.bool_)
+    stretches = np.lib.stride_tricks.sliding_window_view(command, window)
+    starts = np.flatnonzero(stretches.max(axis=1) - stretches.min(axis=1) <= band)
+    change = np.zeros(command.size + 1, dtype=np.intp)
+    change[starts] += 1
+    change[starts + window] -= 1
+    return np.cumsum(change[:-1]) > 0

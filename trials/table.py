@@ -1,0 +1,171 @@
+"""Delimited text as columns of numbers, and back; a bad cell is named by its row and column."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import LogError
+
+Vec = NDArray[np.float64]
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns of one file.
+
+    Attributes:
+        source: path of the file, for messages.
+        lines: text of the file, line by line.
+        delimiter: what separates the cells.
+        start: index of the first line below the header.
+        header: names of all columns in the order of the file.
+        numbers: columns of numbers, each (T,), not-a-number where the cell is empty or says so.
+        texts: columns whose first cell is text, each of length T.
+    """
+
+    source: str
+    lines: Sequence[str]
+    delimiter: str
+    start: int
+    header: tuple[str, ...]
+    numbers: Mapping[str, Vec]
+    texts: Mapping[str, tuple[str, ...]]
+
+    def locate(self, sample: int, column: str) -> tuple[int, str]:
+        """Row (1-based, as an editor shows it) and text of one cell."""
+        rows = list(_rows(self.lines, self.start, self.delimiter, self.source))
+        number, cells = rows[sample]
+        return number, cells[self.header.index(column)].strip()
+
+
+def read_lines(path: Path | str) -> list[str]:
+    """Text of a file, line by line; a byte order mark, CRLF and a missing last newline make no difference.
+
+    Raises:
+        LogError: if the path is missing, a folder, unreadable, binary or empty.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except FileNotFoundError:
+        raise LogError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise LogError(f"{path}: is a folder, expected a file") from None
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror})") from None
+    if bad := _CONTROL.search(data):
+        raise LogError(f"{path}: binary (byte {bad.group()[0]:#04x} at offset {bad.start()}), expected delimited text")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")  # logs of older lab software; every byte has a meaning in it
+    if not text.strip():
+        raise LogError(f"{path}: empty file, expected a header row and at least two rows of numbers")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def first_row(lines: Sequence[str], delimiter: str) -> tuple[int, tuple[str, ...]]:
+    """Index and cells of the first line that is not blank."""
+    index = next(k for k, line in enumerate(lines) if line.strip())
+    return index, tuple(cell.strip() for cell in next(csv.reader([lines[index]], delimiter=delimiter)))
+
+
+def read_table(lines: Sequence[str], source: str, delimiter: str = ",", names: Sequence[str] = ()) -> Table:
+    """Columns of delimited text, named by its first row or, where given, by `names`.
+
+    Raises:
+        LogError: on a column named twice, no rows, a ragged row or text among numbers; names row and column.
+    """
+    index, cells = first_row(lines, delimiter)
+    header, start = (tuple(names), index) if names else (cells, index + 1)
+    twice = sorted({name for name in header if name and header.count(name) > 1})
+    if twice:
+        raise LogError(f"{source}, row {index + 1}: column {twice[0]!r} occurs twice, expected each once")
+    first = next(iter(_rows(lines, start, delimiter, source)), None)
+    if first is None:
+        raise LogError(f"{source}: header only, expected at least two rows of numbers")
+    kinds = [_number(cell) is not None for cell in first[1]]
+    wanted = [k for k, is_number in enumerate(kinds) if is_number and k < len(header)]
+    block = None if not all(kinds) else _fast(lines[start:], delimiter, len(header))
+    rows = [] if block is not None else _checked(_rows(lines, start, delimiter, source), header, source)
+    if block is None:
+        block = _convert(rows, header, wanted, source)
+    numbers = {header[k]: np.ascontiguousarray(block[:, j]) for j, k in enumerate(wanted)}
+    texts = {name: tuple(cells[k].strip() for _, cells in rows) for k, name in enumerate(header) if name not in numbers}
+    return Table(source, lines, delimiter, start, header, numbers, texts)
+
+
+def format_table(columns: Mapping[str, Sequence[str] | NDArray[np.generic]]) -> str:
+    """Comma-separated text of columns of one length; numbers are written so that they read back exactly."""
+    cells = [
+        map(repr, c.tolist()) if isinstance(c, np.ndarray) and c.dtype.kind in "fiu" else c for c in columns.values()
+    ]
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*cells, strict=True))
+    return out.getvalue()
+
+
+def _rows(lines: Sequence[str], start: int, delimiter: str, source: str) -> Iterable[tuple[int, list[str]]]:
+    """Row number (1-based) and cells of every row from `start` on that is not blank."""
+    reader = csv.reader((line + "\n" for line in lines[start:]), delimiter=delimiter)
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                yield start + reader.line_num, cells
+    except csv.Error as error:  # a quote that is never closed
+        raise LogError(f"{source}, row {start + reader.line_num}: {error}, expected delimited text") from None
+
+
+def _number(cell: str) -> float | None:
+    """Value of a cell, not-a-number where it is empty, None where it is text."""
+    text = cell.strip()
+    if not text:
+        return math.nan
+    try:
+        return None if "_" in text else float(text)  # Python reads 1_0 as 10, a log does not mean it
+    except ValueError:
+        return None
+
+
+def _fast(lines: Sequence[str], delimiter: str, width: int) -> Vec | None:
+    """All cells as numbers, or None where anything is unusual and must be read cell by cell."""
+    if {line.count(delimiter) for line in lines if line} != {width - 1}:
+        return None
+    try:
+        return np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
+    except ValueError:
+        return None
+
+
+def _checked(rows: Iterable[tuple[int, list[str]]], header: Sequence[str], source: str) -> list[tuple[int, list[str]]]:
+    """The rows, all as wide as the header."""
+    kept = list(rows)
+    for number, cells in kept:
+        if len(cells) != len(header):
+            raise LogError(f"{source}, row {number}: {len(cells)} cells, expected {len(header)} as in the header")
+    return kept
+
+
+def _convert(rows: Sequence[tuple[int, list[str]]], header: Sequence[str], wanted: Sequence[int], source: str) -> Vec:
+    """Numbers of the wanted columns, (T, columns)."""
+    block = np.empty((len(rows), len(wanted)))
+    for i, (number, cells) in enumerate(rows):
+        for j, k in enumerate(wanted):
+            value = _number(cells[k])
+            if value is None:
+                raise LogError(
+                    f"{source}, row {number}, column {header[k]!r}: got {cells[k].strip()!r}, expected a number"
+                )
+            block[i, j] = value
+    return block
