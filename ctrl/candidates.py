@@ -46,11 +46,13 @@ class Candidates:
             reference: wanted angles without disturbance [deg], shape (H,).
             remaining: what is left of the last plan, shape (0..H,).
         """
-        greedy = self.inverse_plan(state, u_last, reference)
+        targets = self._inverse_targets(state, u_last, reference)
+        moves = np.diff(targets, prepend=u_last)
+        greedy = targets if np.max(np.abs(moves)) <= self._reach else self.inverse_plan(state, u_last, reference)
         plans = np.empty((4 + len(self._ramps), self._horizon))
         plans[HOLD] = u_last
         plans[INVERSE] = greedy
-        plans[2] = self._ahead(self._inverse_targets(state, u_last, reference))
+        plans[2] = self._ahead(targets)
         plans[3] = greedy if not remaining.size else remaining[-1]
         plans[3, : remaining.size] = remaining
         plans[4:] = u_last + self._ramps

@@ -105,13 +105,18 @@ class OutputEstimator(Observer):
         """A device at rest: what the model cannot explain of `y` is the first disturbance.
 
         Raises:
-            ControllerError: if the model answers with something that is not finite.
+            ControllerError: if the model is not finite, or further from `y` than the disturbance may be.
         """
         angle, state = self._predictor.advance(self._predictor.initial(y, u), u)
         if not (math.isfinite(angle) and np.all(np.isfinite(state))):
             raise ControllerError(f"estimator: the model answers {angle} deg to a rest at command {u}, expected finite")
+        if abs(y - angle) > self._options.disturbance_limit_deg:
+            raise ControllerError(
+                f"estimator: got {y:.6g} deg at rest with command {u:.6g}, the model expects {angle:.6g} deg, "
+                f"accepted is a difference of {self._options.disturbance_limit_deg:.6g} deg"
+            )
         queue = self.delay_samples + 1
-        return Estimate(state, u, (float(angle),) * queue, (True,) * queue, self._bounded(y - angle), y)
+        return Estimate(state, u, (float(angle),) * queue, (True,) * queue, y - angle, y)
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:
         innovation = usable_angle(y) - estimate.angles[0] - estimate.disturbance

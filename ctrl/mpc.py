@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Generic, TypeVar, final
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from .candidates import HOLD, INVERSE, Candidates
 from .command import Source
 from .law import Law, Proposal, Situation
-from .planning import Plan, PlanCost, Planner, PlanningProblem, Weights
+from .planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
 from .stopwatch import Stopwatch
 
 Vec = NDArray[np.float64]
@@ -108,6 +109,8 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         chosen = plans[HOLD : HOLD + 1] if holding else plans
         start = self._cost.best(chosen, angles[: len(chosen)], problem)
         watch.lap("rollout")
+        if not math.isfinite(start.cost):
+            raise PlanningError(f"none of {len(chosen)} candidates has a finite prediction")
         if holding:
             return self._proposal(start, "ok", PredictiveMemory(memory.planner, True))
         plan, status, planner = self._planner.improve(problem, start, memory.planner, watch)

@@ -30,8 +30,8 @@ class PidGains:
         ControllerError: if a value is negative or not finite, or `tracking_s` is zero.
     """
 
-    kp: float = 0.03
-    ki: float = 0.5
+    kp: float = 0.02
+    ki: float = 0.3
     kd: float = 0.0
     filter_s: float = 0.1
     tracking_s: float = 0.1

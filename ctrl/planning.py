@@ -123,15 +123,9 @@ class PlanCost:
         return np.where(np.isfinite(cost), cost, np.inf)
 
     def best(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> Plan:
-        """The cheapest of the plans.
-
-        Raises:
-            PlanningError: if no plan has finite predictions.
-        """
+        """The cheapest of the plans; its cost is infinite where no prediction is finite."""
         costs = self(plans, angles, problem)
         row = int(np.argmin(costs))
-        if not math.isfinite(costs[row]):
-            raise PlanningError(f"none of {len(plans)} plans has a finite prediction")
         return Plan(plans[row], angles[row], float(costs[row]))
 
 

@@ -173,8 +173,10 @@ def _known_kind(data: Any) -> Any:
     if isinstance(data, Mapping):
         if "kind" not in data:
             raise ValueError(f"no key 'kind', available: {', '.join(sorted(MOTIONS))}")
-        if data["kind"] not in MOTIONS:
-            raise ValueError(f"unknown kind {data['kind']!r}, {did_you_mean(str(data['kind']), MOTIONS)}")
+        kind = data["kind"]
+        # A kind read from YAML may be anything, also what a mapping cannot be asked for.
+        if not isinstance(kind, str) or kind not in MOTIONS:
+            raise ValueError(f"unknown kind {kind!r}, {did_you_mean(str(kind), MOTIONS)}")
     return data
 
 

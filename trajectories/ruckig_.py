@@ -17,7 +17,7 @@ _SNAP = 1e-12
 # Relative excess over a limit, and gap at the target, that pass as rounding.
 _EXCESS = 1e-9
 _GAP = 1e-8
-# ruckig refuses durations beyond 7600 of its units of time.
+# ruckig is made for durations up to 7600 of its units of time and may refuse longer ones (ruckig#109).
 _LONGEST = 1000.0
 
 
@@ -32,9 +32,9 @@ class RestingState:
 def move(start: RestingState, target: RestingState, limits: MotionLimits, duration_s: float | None = None) -> Segments:
     """Fastest move between two states of no velocity, or the one that takes `duration_s`.
 
-    ruckig checks its result against absolute tolerances, which a move of 1e-9 deg or a jerk of 1e6 deg/s^3 leaves
-    meaningless (ruckig#58, #86). So every move is planned over the distance 1 with a unit of time near
-    (distance / jerk)^(1/3), scaled back, and checked: limits to 1e-9, end state to 1e-8.
+    ruckig's tolerances are absolute: in degrees and seconds it silently plans no motion at all for 1e-10 deg, and
+    extreme limits leave them meaningless (compare ruckig#58, #86). So every move is planned over the distance 1 with
+    a unit of time near (distance / jerk)^(1/3), scaled back, and checked: limits to 1e-9, end state to 1e-8.
 
     Args:
         start, target: states at both ends.

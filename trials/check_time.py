@@ -83,20 +83,21 @@ def _order(kept: NDArray[np.intp], intervals: Vec, where: Callable[[int], str]) 
 
 
 def _stuck(t: Vec, command: Vec, angle: Vec) -> Finding:
-    """The longest stretch over which the angle is the very same number."""
-    changes = np.flatnonzero(np.diff(angle) != 0)
-    edges = np.concatenate(([0], changes + 1, [angle.size]))
-    longest = int(np.argmax(np.diff(edges)))
-    start, stop = int(edges[longest]), int(edges[longest + 1])
-    share = 1 - changes.size / max(angle.size - 1, 1)
-    finite = command[np.isfinite(command)]
-    travel, span = np.ptp(command[start:stop]), np.ptp(finite) if finite.size else 0.0
-    held_s = t[stop - 1] - t[start]
-    text = (
-        f"{share:.0%} of the angles equal the one before; the longest stretch is {held_s:.3g} s from {t[start]:.6g} s"
+    """Stretches of one and the same angle; of these, the one over which the command travels farthest."""
+    topic = "stuck samples"
+    starts = np.concatenate(([0], np.flatnonzero(angle[1:] != angle[:-1]) + 1))
+    share = 1 - (starts.size - 1) / (angle.size - 1)
+    text = f"{share:.0%} of the angles equal the one before"
+    known = np.where(np.isfinite(command), command, np.nan)
+    travel = np.nan_to_num(np.fmax.reduceat(known, starts) - np.fmin.reduceat(known, starts))
+    span = float(np.nan_to_num(np.fmax.reduce(known) - np.fmin.reduce(known)))
+    farthest = int(np.argmax(travel))
+    if travel[farthest] <= _STUCK_SHARE * span:
+        return Finding(Severity.OK, topic, text)
+    start, stop = int(starts[farthest]), int(np.append(starts, angle.size)[farthest + 1]) - 1
+    return Finding(
+        Severity.NOTE,
+        topic,
+        f"{text}; from {t[start]:.6g} to {t[stop]:.6g} s it stays the same while the command travels "
+        f"{travel[farthest]:.3g}: dead zone or stuck sensor",
     )
-    if travel > _STUCK_SHARE * span > 0:
-        return Finding(
-            Severity.NOTE, "stuck samples", f"{text}, while the command travels {travel:.3g}: dead zone or stuck sensor"
-        )
-    return Finding(Severity.OK, "stuck samples", text)

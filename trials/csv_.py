@@ -140,23 +140,31 @@ def write_csv(trial: Trial, path: Path | str) -> Path:
     return write_atomically(path, format_table(columns))
 
 
-def read_trials(paths: Iterable[Path | str], preset: str | Preset = "auto") -> list[Trial]:
-    """Read several trials; a folder stands for its `*.csv` in the order of their names.
+def expand_logs(paths: Iterable[Path | str]) -> list[Path]:
+    """Files to read: a folder stands for its `*.csv` in the order of their names.
 
     Raises:
-        LogError: if nothing is found, or a log cannot be read.
-        ConfigError: on an unknown preset.
+        LogError: if nothing is given, or a folder holds no log.
     """
-    given = [Path(path) for path in paths]
     files: list[Path] = []
-    for path in given:
+    for path in map(Path, paths):
         inside = sorted(path.glob("*.csv")) if path.is_dir() else [path]
         if not inside:
             raise LogError(f"{path}: no *.csv in this folder, expected recorded logs")
         files += inside
     if not files:
         raise LogError("no logs given, expected files or folders of *.csv")
-    return [read_csv(file, preset) for file in files]
+    return files
+
+
+def read_trials(paths: Iterable[Path | str], preset: str | Preset = "auto") -> list[Trial]:
+    """Read several trials; see `expand_logs` for folders.
+
+    Raises:
+        LogError: if nothing is found, or a log cannot be read.
+        ConfigError: on an unknown preset.
+    """
+    return [read_csv(file, preset) for file in expand_logs(paths)]
 
 
 def _detect(lines: Sequence[str], source: str) -> Preset:

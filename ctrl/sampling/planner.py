@@ -106,9 +106,8 @@ class SamplingPlanner(Planner[SampleCounter]):
         mean = self._admissible(self._weighted(plans[usable], costs[usable])[None, :], problem)
         averaged = self._cost.best(mean, self._predictor.rollout(problem.state, mean), problem)
         best = int(np.argmin(costs))
-        sampled = Plan(plans[best], angles[best], float(costs[best]))
         watch.lap("weigh")
-        return min((start, averaged, sampled), key=lambda plan: plan.cost)
+        return min((start, averaged, Plan(plans[best], angles[best], float(costs[best]))), key=lambda p: p.cost)
 
     def _weighted(self, plans: Mat, costs: Vec) -> Vec:
         lowest = costs.min()

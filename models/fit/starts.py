@@ -33,7 +33,7 @@ def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:
 
 
 def prandtl_ishlinskii_starts(trials: Sequence[Trial], plays: int) -> list[Chain]:
-    """Equal weights that share the mean slope, thresholds spread over 5, 15 and 40 % of the command's range.
+    """Equal weights that share the mean slope, thresholds spread over 10, 30 and 80 % of the command's range.
 
     Raises:
         FitError: if the angle does not rise with the command, or a branch is missing.
@@ -44,7 +44,7 @@ def prandtl_ishlinskii_starts(trials: Sequence[Trial], plays: int) -> list[Chain
     share = slope / (plays + 1)
     return [
         Chain(PrandtlIshlinskii(share, (share,) * plays, reach * span / plays, 1e-3, offset))
-        for reach in (0.05, 0.15, 0.4)
+        for reach in (0.1, 0.3, 0.8)
     ]
 
 

@@ -9,26 +9,22 @@ from ..chain import Chain
 from ..evaluate import RunnableModel, free_run
 from ..fit.operators import OperatorFitSettings, fit_chain
 from ..fit.starts import backlash_starts
+from ..probe import probe_commands
 from ..simulator import Identification, Simulator
-
-CYCLES, FREQUENCY_HZ = 7, 0.2
 
 
 def shadow_simulator(model: RunnableModel) -> Simulator:
     """Simulator whose backlash follows the model's free run over a decaying sinusoid of its trained range.
 
-    The sinusoid is S2 eq. (9)-(10) with its mean in the middle, at 0.2 Hz; the first flexure does not count.
+    The motion is `probe_commands`; its first flexure does not count.
 
     Raises:
         FitError: if the model's angle does not rise with the command.
     """
     facts = model.metadata
-    low, high = facts.trained_command.lower, facts.trained_command.upper
-    t = np.arange(0.0, CYCLES / FREQUENCY_HZ, facts.dt_s)
-    decay = np.exp(-FREQUENCY_HZ / 6 * np.log(7) * t)
-    swing = 0.5 * (high - low) * (decay * np.sin(2 * np.pi * FREQUENCY_HZ * t - np.pi / 2) + 1)
-    commands = low + swing
+    commands = probe_commands(facts)
     theta = free_run(model, commands, 0.5 * (facts.trained_angle.lower + facts.trained_angle.upper))
+    t = np.arange(commands.size) * facts.dt_s
     trial = Trial(t, commands, theta, units=Units(facts.command_unit), source="the model's own free run")
     fit = fit_chain(backlash_starts([trial]), [trial], OperatorFitSettings(skip_first_flexure=True))
     return Simulator(

@@ -1,51 +1,183 @@
-"""Compiled float32 kernels of a stacked LSTM: step, batched roll-out and Jacobian by forward sensitivity.
+"""Compiled float32 kernels of a stacked LSTM: step, batched roll-out, Jacobian by forward sensitivity.
 
-The plain route: matrix products through BLAS (`np.dot`), everything between them in loops that LLVM vectorises. All four
-gates are evaluated as one hyperbolic tangent, sigmoid(z) = 1/2 + 1/2 tanh(z/2); the halves are already in the packed
-weights. A clamp inside turns not-a-number into a number: check inputs before.
+The plain route: matrix products through BLAS (`np.dot`), everything between them in loops that LLVM vectorises
+(`lstm_gates`). Rows are plans in a roll-out; in a Jacobian row 0 is the motion itself and row 1 + j its derivative by
+command j. Callers check for not-a-number: the gates' clamp would hide it.
 """
 
 from __future__ import annotations
 
-import numba
+from typing import Any, NamedTuple
+
 import numpy as np
+from hystmpc.models.lstm.weights import LstmWeights
 from numba import njit
+from numpy.typing import NDArray
 
-Float32 = np.ndarray[tuple[int, ...], np.dtype[np.float32]]
+from .lstm_gates import add_multiple, add_row, cell_row, derivative_row, differentiated_cell_row, dot_row
 
-_HALF = np.float32(0.5)
-_ONE = np.float32(1.0)
-# Rational tanh of Eigen and XLA: odd polynomial of degree 13 over even polynomial of degree 6, 2e-7 on the whole line.
-_LIMIT = np.float32(7.90531110763549805)
-_A1, _A3, _A5, _A7 = (np.float32(a) for a in (4.89352455891786e-03, 6.37261928875436e-04, 1.48572235717979e-05, 5.12229709037114e-08))
-_A9, _A11, _A13 = (np.float32(a) for a in (-8.60467152213735e-11, 2.00018790482477e-13, -2.76076847742355e-16))
-_B0, _B2, _B4, _B6 = (np.float32(b) for b in (4.89352518554385e-03, 2.26843463243900e-03, 1.18534705686654e-04, 1.19825839466702e-06))
+Float32 = NDArray[np.float32]
+_ROWS = 64  # plans at a time: their gates (64 KB at 64 cells) stay in the second-level cache
+_BLOCK = 4  # rows that a BLAS kernel keeps in registers
+_FEW = 10  # rows up to which one product a row is faster
 
 
-@njit(cache=True, fastmath=True, inline="always")
-def _tanh(x):
-    x = min(max(x, -_LIMIT), _LIMIT)
-    s = x * x
-    p = _A1 + s * (_A3 + s * (_A5 + s * (_A7 + s * (_A9 + s * (_A11 + s * _A13)))))
-    q = _B0 + s * (_B2 + s * (_B4 + s * _B6))
-    return x * p / q
+class PackedLstm(NamedTuple):
+    """Weights as the kernels read them: float32, contiguous, one column a gate, sigmoid gates halved.
+
+    Attributes:
+        entry: weights of the scaled command (4H,).
+        inputs: input weights of the layers above the first (L - 1, H, 4H).
+        recurrent: recurrent weights of all layers (L, H, 4H).
+        bias: (L, 4H).
+        head: (H,).
+        head_bias: (1,).
+    """
+
+    entry: Float32
+    inputs: Float32
+    recurrent: Float32
+    bias: Float32
+    head: Float32
+    head_bias: Float32
 
 
-@njit(cache=True, fastmath=True)
-def _tanh_row(row):
-    for j in range(row.size):
-        row[j] = _tanh(row[j])
+def pack_lstm(weights: LstmWeights) -> PackedLstm:
+    """Arrange weights for the kernels; sigmoid(z) = 1/2 + 1/2 tanh(z/2), the inner half is applied here."""
+    hidden, layers = weights.hidden, weights.layers
+    half = np.repeat([0.5, 0.5, 1.0, 0.5], hidden)
+    arrays = (
+        layers[0].w_ih[:, 0] * half,
+        np.reshape([layer.w_ih.T * half for layer in layers[1:]], (len(layers) - 1, hidden, 4 * hidden)),
+        np.stack([layer.w_hh.T * half for layer in layers]),
+        np.stack([layer.bias * half for layer in layers]),
+        weights.head_weight,
+        np.array([weights.head_bias]),
+    )
+    return PackedLstm(*(np.array(array, dtype=np.float32, order="C") for array in arrays))
 
 
-@njit(cache=True, fastmath=True)
-def _advance_row(z, c, h):
-    """c' = f c + i g, h' = o tanh(c') of one row from its gates' arguments z (4H,); z is overwritten."""
-    n = c.size
-    _tanh_row(z)
-    i, f, g, o = z[:n], z[n : 2 * n], z[2 * n : 3 * n], z[3 * n :]
-    for j in range(n):
-        c[j] = (_HALF + _HALF * f[j]) * c[j] + (_HALF + _HALF * i[j]) * g[j]
-    for j in range(n):
-        h[j] = (_HALF + _HALF * o[j]) * _tanh(c[j])
+@njit(cache=True, error_model="numpy")
+def advance(packed: Any, state: Any, v: Any) -> Any:
+    """Scaled angle of one sample of scaled command `v`; `state` (2L, H) is moved on in place."""
+    plan = np.full((1, 1), v)
+    angle = np.empty((1, 1), np.float32)
+    h, c = _start(state, 1)
+    _roll(packed, plan, angle, h, c)
+    for layer in range(len(h)):
+        for j in range(packed.head.size):
+            state[2 * layer, j] = h[layer, 0, j]
+            state[2 * layer + 1, j] = c[layer, 0, j]
+    return angle[0, 0]
 
 
+@njit(cache=True, error_model="numpy")
+def rollout(packed: Any, state: Any, plans: Any, angles: Any) -> None:
+    """Scaled angles (N, K) of scaled plans (N, K), all from one `state` (2L, H)."""
+    for first in range(0, len(plans), _ROWS):
+        part = plans[first : first + _ROWS]
+        h, c = _start(state, len(part))
+        _roll(packed, part, angles[first : first + _ROWS], h, c)
+
+
+@njit(cache=True, error_model="numpy")
+def linearise(packed: Any, state: Any, plan: Any, angles: Any, jacobian: Any) -> None:
+    """Scaled angles (K,) along the scaled `plan` (K,) and their derivative (K, K), whose upper part is left alone.
+
+    Layer by layer, so that the inputs of a layer at all samples are one matrix product. A command acts from its own
+    sample on: sample k has rows 0..k+1, the motion and k + 1 derivatives, stored behind those of the samples before.
+    """
+    count, hidden = plan.size, packed.head.size
+    total = count * (count + 3) // 2
+    z = np.zeros((total, 4 * hidden), np.float32)
+    h = np.zeros((total + _BLOCK, hidden), np.float32)
+    first = 0
+    for k in range(count):
+        for j in range(4 * hidden):
+            z[first, j] = plan[k] * packed.entry[j]
+            z[first + k + 1, j] = packed.entry[j]
+        first += k + 2
+    for layer in range(len(packed.recurrent)):
+        if layer:
+            np.dot(h[:total], packed.inputs[layer - 1], z)
+        _differentiate_layer(packed.recurrent[layer], packed.bias[layer], state[2 * layer : 2 * layer + 2], z, h)
+    first = 0
+    for k in range(count):
+        angles[k] = dot_row(packed.head, h[first]) + packed.head_bias[0]
+        for r in range(k + 1):
+            jacobian[k, r] = dot_row(packed.head, h[first + 1 + r])
+        first += k + 2
+
+
+@njit(cache=True, error_model="numpy")
+def _differentiate_layer(recurrent: Any, bias: Any, start: Any, z: Any, h: Any) -> None:
+    """Outputs h of one layer and their derivatives at all samples from the input parts z of its gates, rows as above."""
+    hidden = h.shape[1]
+    factors = np.empty((6, hidden), np.float32)
+    before = np.zeros((_BLOCK, hidden), np.float32)
+    before[0] = start[0]
+    first, count = 0, 0
+    rows = len(z)
+    c = np.zeros((rows, hidden), np.float32)
+    c[0] = start[1]
+    feedback = np.empty((rows + _BLOCK, 4 * hidden), np.float32)
+    while first < rows:
+        count += 1  # rows alive at the sample before
+        _product(before, recurrent, feedback, count)
+        add_row(z[first], feedback[0])
+        differentiated_cell_row(z[first], bias, c[0], h[first], factors)
+        for r in range(1, count):
+            add_row(z[first + r], feedback[r])
+        for r in range(1, count + 1):
+            derivative_row(z[first + r], factors, c[r], h[first + r])
+        before = h[first:]
+        first += count + 1
+
+
+@njit(cache=True, error_model="numpy")
+def _product(rows: Any, weights: Any, out: Any, count: int) -> None:
+    """out[:count] = rows[:count] weights; both have _BLOCK rows to spare.
+
+    BLAS repacks the weights in every matrix product: a few rows are faster one by one, more in full register blocks.
+    """
+    if count <= _FEW:
+        for r in range(count):
+            np.dot(rows[r], weights, out[r])
+    else:
+        padded = -(-count // _BLOCK) * _BLOCK
+        np.dot(rows[:padded], weights, out[:padded])
+
+
+@njit(cache=True, error_model="numpy")
+def _start(state: Any, rows: int) -> Any:
+    """Working arrays h and c (L, N, H), every row at `state` (2L, H)."""
+    layers, hidden = len(state) // 2, state.shape[1]
+    h = np.empty((layers, rows, hidden), np.float32)
+    c = np.empty((layers, rows, hidden), np.float32)
+    for layer in range(layers):
+        for r in range(rows):
+            for j in range(hidden):
+                h[layer, r, j] = state[2 * layer, j]
+                c[layer, r, j] = state[2 * layer + 1, j]
+    return h, c
+
+
+@njit(cache=True, error_model="numpy")
+def _roll(packed: Any, plans: Any, angles: Any, h: Any, c: Any) -> None:
+    """Move all rows through their plans; h and c end at the last sample."""
+    rows, hidden = h.shape[1:]
+    z = np.empty((rows, 4 * hidden), np.float32)
+    x = np.empty((rows, 4 * hidden), np.float32)
+    for k in range(plans.shape[1]):
+        for layer in range(len(h)):
+            np.dot(h[layer], packed.recurrent[layer], z)
+            if layer:
+                np.dot(h[layer - 1], packed.inputs[layer - 1], x)
+            for r in range(rows):
+                if layer:
+                    add_row(z[r], x[r])
+                else:
+                    add_multiple(z[r], plans[r, k], packed.entry)
+                cell_row(z[r], packed.bias[layer], c[layer, r], h[layer, r])
+        for r in range(rows):
+            angles[r, k] = dot_row(packed.head, h[-1, r]) + packed.head_bias[0]

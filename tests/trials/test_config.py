@@ -41,7 +41,7 @@ def test_settings_survive_yaml(path: Path) -> None:
 @pytest.mark.parametrize(
     ("overrides", "parts"),
     [
-        (["loop.rate=3"], ["experiment.yaml", "loop", "'rate'", "available: horizon, rate_hz", "did you mean 'rate_hz'"]),
+        (["loop.rate=3"], ["experiment.yaml", "loop", "'rate'", "available: horizon, rate_hz; did you mean 'rate_hz'"]),
         (["loops.rate_hz=3"], ["'loops'", "did you mean 'loop'"]),
         (["loop.rate_hz=-1"], ["loop.rate_hz", "greater than 0", "got -1"]),
         (["loop.rate_hz=.inf"], ["loop.rate_hz", "finite", "inf"]),

@@ -83,10 +83,11 @@ def test_a_hold_is_a_hold_and_a_ramp_is_none(moves: list[tuple[int, int]]) -> No
 @given(MOVES, st.integers(0, 1000))
 def test_noise_below_the_threshold_adds_no_reversal(moves: list[tuple[int, int]], seed: int) -> None:
     command, _ = ramps(moves)
-    noise = 0.002 * np.ptp(command) * np.random.default_rng(seed).uniform(-1, 1, command.size)
+    amplitude = 0.002 * np.ptp(command)
+    noise = amplitude * np.random.default_rng(seed).uniform(-1, 1, command.size)
     plain, noisy = segment(trial_of(command)), segment(trial_of(command + noise))
     assert noisy.reversals.size == plain.reversals.size
-    np.testing.assert_allclose(command[noisy.reversals], command[plain.reversals])
+    assert np.all(np.abs(command[noisy.reversals] - command[plain.reversals]) <= 2 * amplitude)
 
 
 def test_a_constant_command_is_one_hold() -> None:

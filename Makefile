@@ -1,0 +1,82 @@
+# Python 3.11 or newer, make and a network to PyPI are all that is needed; no compiler.
+# `make PYTHON=python3.12 ...` chooses the interpreter; a venv made by another Python version is made anew.
+
+PYTHON ?= python3
+VENV ?= .venv
+DEMO_VENV ?= .venv-demo
+ARGS ?=
+
+ROOMS := trials models trajectories ctrl sim rig gap cli
+VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+# Wheels only: a missing one is said in a line instead of in a compiler's output.
+INSTALL := -m pip install --quiet --disable-pip-version-check --only-binary :all: --constraint constraints.txt
+
+# Each pytest worker keeps to one core; more threads than cores slow the suite down and make it noisy.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+PYTEST = $(ONE_THREAD) $(VENV)/bin/python -m pytest -n auto --dist worksteal
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-fast lint format types wheel-test bench clean distclean
+
+help: ## list these targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: $(DEMO_VENV)/.installed ## simulated closed-loop comparison without torch; leaves demo/report.html
+	$(DEMO_VENV)/bin/hystmpc demo $(ARGS)
+
+test: $(VENV)/.installed ## the whole suite; ARGS="tests/ctrl -x" is handed to pytest
+	$(PYTEST) $(ARGS)
+
+test-fast: $(VENV)/.installed ## the suite without its slow part, under a minute on two cores
+	$(PYTEST) -m "not slow" $(ARGS)
+
+lint: $(VENV)/.installed ## ruff: rules and formatting
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+
+format: $(VENV)/.installed ## sort the imports and lay out the code as `make lint` wants it
+	$(VENV)/bin/ruff check --select I --fix .
+	$(VENV)/bin/ruff format .
+
+types: $(VENV)/.installed ## mypy (strict) and pyright
+	@mkdir -p .typecheck/hystmpc
+	@for room in $(ROOMS); do ln -sfn ../../$$room .typecheck/hystmpc/$$room; done
+	cd .typecheck && "$(abspath $(VENV))/bin/mypy" --config-file ../pyproject.toml -p hystmpc
+	$(VENV)/bin/pyright --pythonpath $(VENV)/bin/python
+
+# The suite runs on an editable install, where a package or data file that pyproject.toml forgets is found all the same.
+wheel-test: $(VENV)/.installed ## build sdist and wheel, install the wheel alone in an empty venv, test it there
+	@set -e; folder=$$(mktemp -d); trap 'rm -rf "$$folder"' EXIT; \
+	$(VENV)/bin/python -m build --outdir "$$folder/dist" . > "$$folder/build.log" || { cat "$$folder/build.log"; exit 1; }; \
+	ls "$$folder/dist"; \
+	$(VENV)/bin/python -m venv "$$folder/venv"; \
+	"$$folder/venv/bin/python" $(INSTALL) "$$folder"/dist/*.whl pytest; \
+	cp -r tests/wheel "$$folder/wheel"; \
+	cd "$$folder/wheel"; \
+	HYSTMPC_CHECKOUT="$(CURDIR)" HYSTMPC_WHEEL="$$(ls "$$folder"/dist/*.whl)" ../venv/bin/python -m pytest -q $(ARGS) .
+
+bench: $(VENV)/.installed ## time the roll-outs and controllers on this machine
+	$(VENV)/bin/hystmpc bench $(ARGS)
+
+clean: ## remove caches and build products; run folders and venvs stay
+	rm -rf .typecheck .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist ./*.egg-info
+	find . -path './.venv*' -prune -o -name __pycache__ -prune -exec rm -rf {} +
+
+distclean: clean ## also remove the venvs
+	rm -rf $(VENV) $(DEMO_VENV)
+
+$(DEMO_VENV)/.installed: EXTRAS :=
+$(VENV)/.installed: EXTRAS := [train,logs,bench,dev]
+# Editable, so that nothing is installed again after a change of code.
+%/.installed: %/.python-$(VERSION) pyproject.toml constraints.txt
+	$*/bin/python $(INSTALL) --editable ".$(EXTRAS)"
+	@touch $@
+
+%/.python-$(VERSION):
+	@test -n "$(VERSION)" || { echo "error: $(PYTHON) is not there; name a Python >= 3.11: make PYTHON=python3.12"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "error: $(PYTHON) is Python $(VERSION), expected >= 3.11; name another: make PYTHON=python3.12"; exit 1; }
+	$(PYTHON) -m venv --clear $*
+	@touch $@
+
+.PRECIOUS: %/.python-$(VERSION)

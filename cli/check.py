@@ -1,0 +1,31 @@
+"""`hystmpc check`: can these logs be used, and what is in them?"""
+
+from __future__ import annotations
+
+from hystmpc.trials.check import check_trial
+from hystmpc.trials.csv_ import expand_logs
+from hystmpc.trials.findings import Severity
+from rich.markup import escape
+from rich.table import Table
+
+from .console import out
+from .options import Layout, Logs
+
+_COLOURS = {Severity.OK: "green", Severity.NOTE: "cyan", Severity.WARNING: "yellow", Severity.ERROR: "red"}
+
+
+def check(logs: Logs, preset: Layout = "auto") -> int:
+    """Check logs: time base, jitter, gaps, duplicates, NaN, units, sign, segments, first flexure.
+
+    Exit code 1 if a log cannot be used.
+    """
+    unusable = False
+    for log in expand_logs(logs):
+        report = check_trial(log, preset)
+        grid = Table(title=f"{report.source} ({report.preset})", title_justify="left", show_header=False)
+        for finding in report.findings:
+            colour = _COLOURS[finding.severity]
+            grid.add_row(f"[{colour}]{finding.severity}[/]", finding.topic, escape(finding.message))
+        out.print(grid)
+        unusable |= report.worst is Severity.ERROR
+    return int(unusable)

@@ -1,0 +1,55 @@
+"""Consoles, tables and progress bars that the verbs share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+out = Console()
+errors = Console(stderr=True)
+
+
+class Bar:
+    """A progress bar with time left and a changing note, on standard error."""
+
+    def __init__(self, progress: Progress, title: str, total: float | None) -> None:
+        self._progress = progress
+        self._task = progress.add_task(title, total=total, note="")
+
+    def __call__(self, done: float, note: str = "", total: float | None = None) -> None:
+        """Move to `done`; a total may become known or change on the way."""
+        if total is not None:
+            self._progress.update(self._task, total=total)
+        self._progress.update(self._task, completed=done, note=note)
+
+
+@contextmanager
+def bar(title: str, total: float | None = None) -> Iterator[Bar]:
+    """Show a progress bar while the block runs; nothing of it stays on a screen that is not a terminal."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    with Progress(*columns, console=errors, transient=False) as progress:
+        yield Bar(progress, title, total)
+
+
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], last_apart: bool = False) -> Table:
+    """A table whose first column is text and whose others are numbers; the last row may stand apart."""
+    grid = Table(title=title, title_justify="left")
+    for k, name in enumerate(columns):
+        grid.add_column(name, justify="left" if k == 0 else "right", overflow="fold")
+    for k, row in enumerate(rows):
+        if last_apart and k == len(rows) - 1:
+            grid.add_section()
+        grid.add_row(*row)
+    return grid

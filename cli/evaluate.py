@@ -1,0 +1,51 @@
+"""`hystmpc evaluate`: how well does a model reproduce recorded trials?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from hystmpc.models.evaluate import Errors, TrialEvaluation, evaluation_json, mean_errors
+from hystmpc.models.evaluate import evaluate as score
+from hystmpc.models.load import load_model
+from hystmpc.trials.files import write_atomically
+from rich.table import Table
+
+from .console import bar, out, table
+from .options import Layout, Logs, SkipFirstFlexure, trials_at
+
+_COLUMNS = ("trial", "RMSE", "bias", "offset-free", "max abs", "NRMSE %", "hold drift")
+
+
+def evaluate(
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="A simulator (.yaml) or exported model (.onnx).")],
+    logs: Logs,
+    preset: Layout = "auto",
+    skip_first_flexure: SkipFirstFlexure = False,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-evaluation/1 here.")] = None,
+) -> None:
+    """Free run from the command alone against the measured angle; errors in degrees."""
+    opened = load_model(model)
+    trials = trials_at(logs, preset, 1 / opened.metadata.dt_s)
+    results = []
+    with bar("free runs", len(trials)) as show:
+        for trial in trials:
+            results.append(score(opened, trial, skip_first_flexure))
+            show(len(results))
+    out.print(errors_table(f"{model}: free run{', from the first reversal on' if skip_first_flexure else ''}", results))
+    if json_file is not None:
+        write_atomically(json_file, json.dumps(evaluation_json(results), indent=2) + "\n")
+
+
+def errors_table(title: str, results: Sequence[TrialEvaluation]) -> Table:
+    """Errors a trial and their mean [deg]."""
+    rows = [_row(Path(result.trial.source).name, result.errors) for result in results]
+    return table(title, _COLUMNS, [*rows, _row("mean", mean_errors(results))], last_apart=True)
+
+
+def _row(name: str, e: Errors) -> list[str]:
+    figures = (e.rmse_deg, e.bias_deg, e.offset_free_rmse_deg, e.max_abs_error_deg, 100 * e.nrmse, e.hold_drift_deg)
+    return [name, *(f"{figure:.3f}" for figure in figures)]

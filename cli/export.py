@@ -1,0 +1,26 @@
+"""`hystmpc export`: a simulator becomes an ONNX model, if it passes the numeric gate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from hystmpc.models.contract.load import load_onnx
+from hystmpc.models.export_simulator import export_simulator
+from hystmpc.models.simulator import load_simulator
+
+from .console import out
+
+
+def export(
+    simulator: Annotated[Path, typer.Argument(metavar="SIMULATOR", help="A simulator file (.yaml) as `fit` writes it.")],
+    path: Annotated[Path, typer.Option("--out", help="The ONNX file to write.")],
+) -> None:
+    """Write a simulator as a stateful ONNX step and hold it against its reference, onnxruntime and CasADi."""
+    gate = export_simulator(load_simulator(simulator), path)
+    out.print(
+        f"{path}: {gate.steps} steps within {max(gate.runtime_deg, gate.casadi_deg):.2g} deg of the reference "
+        f"(onnxruntime {gate.runtime_deg:.2g}, CasADi {gate.casadi_deg:.2g}), Jacobians within {gate.jacobian:.2g}; "
+        f"sha256 {load_onnx(path).hash[:12]}"
+    )

@@ -1,0 +1,26 @@
+"""Arguments and options that several verbs take, and the trials behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from hystmpc.trials.csv_ import read_trials
+from hystmpc.trials.presets import PRESETS
+from hystmpc.trials.resample import resample
+from hystmpc.trials.trial import Trial
+
+_LAYOUTS = ", ".join(preset.name for preset in PRESETS)
+
+Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded trials, or folders of *.csv.")]
+Layout = Annotated[str, typer.Option("--preset", help=f"Layout of the logs: auto, {_LAYOUTS}.")]
+SkipFirstFlexure = Annotated[
+    bool, typer.Option("--skip-first-flexure", help="Count each trial only from the command's first reversal on.")
+]
+
+
+def trials_at(logs: Sequence[Path], layout: str, rate_hz: float) -> list[Trial]:
+    """Read logs and resample them."""
+    return [resample(trial, rate_hz) for trial in read_trials(logs, layout)]

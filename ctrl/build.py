@@ -1,0 +1,173 @@
+"""From settings to a controller; everything that can be wrong is found here, before the first sample."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from hystmpc.models.model import Inverse, Predictor
+from hystmpc.trials.errors import ControllerError
+from numpy.typing import NDArray
+
+from .candidates import Candidates
+from .config import (
+    AnyControllerSettings,
+    EstimatorSettings,
+    InverseControllerSettings,
+    InversePidControllerSettings,
+    LimitsSettings,
+    LinearisedMpcSettings,
+    PidControllerSettings,
+    PidSettings,
+    SamplingMpcSettings,
+    SplineNoiseSettings,
+    WeightsSettings,
+)
+from .estimator import EstimatorOptions, OutputEstimator
+from .guarded import GuardedController
+from .inverse_feedforward import InverseFeedforward
+from .inverse_pid import InversePid
+from .ladder import Ladder, LadderOptions
+from .law import Law
+from .limits import CommandLimits
+from .linearised.osqp_ import OsqpOptions
+from .linearised.planner import LinearisedPlanner
+from .mpc import HoldOptions, PredictiveLaw
+from .observer import Observer, WithoutModel
+from .pid import Pid, PidFeedback, PidGains
+from .planning import Planner, Weights
+from .sampling.noise import coloured_noise, spline_noise
+from .sampling.planner import SamplingOptions, SamplingPlanner
+
+
+def build_controller(
+    settings: AnyControllerSettings,
+    predictor: Predictor,
+    inverse: Inverse,
+    limits: CommandLimits,
+) -> GuardedController[Any]:
+    """The controller that `settings` describe.
+
+    Args:
+        settings: one of the classes of `CONTROLLERS`.
+        predictor: the model; PID takes only the sample time from it.
+        inverse: its inverse, for feedforward, candidate plans and fallback.
+        limits: hard limits of the device; `settings.limits` may narrow them.
+
+    Raises:
+        ControllerError: if the settings contradict each other or go beyond the device's limits.
+    """
+    limits = _narrowed(limits, settings.limits)
+    ladder_options = LadderOptions(settings.ladder.stop_after_failures, settings.ladder.safe_command)
+    if isinstance(settings, PidControllerSettings):
+        observer: Observer = WithoutModel()
+        law: Law[Any] = PidFeedback(_pid(settings.gains, limits, predictor.dt), limits)
+        ladder = Ladder(limits, ladder_options, inverse=None)
+    else:
+        observer = OutputEstimator(predictor, _estimator_options(settings.estimator))
+        law = _model_law(settings, predictor, inverse, limits, observer.noise_deg)
+        ladder = Ladder(limits, ladder_options, inverse)
+    return GuardedController(law, observer, ladder, limits, predictor.dt, settings.ladder.max_missing_samples)
+
+
+def _model_law(
+    settings: InverseControllerSettings | InversePidControllerSettings | LinearisedMpcSettings | SamplingMpcSettings,
+    predictor: Predictor,
+    inverse: Inverse,
+    limits: CommandLimits,
+    noise_deg: float,
+) -> Law[Any]:
+    if isinstance(settings, InverseControllerSettings):
+        return InverseFeedforward(inverse, settings.reference_dead_zone_deg)
+    if isinstance(settings, InversePidControllerSettings):
+        feedforward = InverseFeedforward(inverse, settings.reference_dead_zone_deg)
+        return InversePid(feedforward, _pid(settings.gains, limits, predictor.dt), predictor, limits)
+    weights = _weights(settings.weights)
+    return PredictiveLaw(
+        predictor,
+        Candidates(predictor, inverse, limits, settings.horizon),
+        _planner(settings, predictor, weights, limits),
+        weights,
+        settings.horizon,
+        HoldOptions(settings.hold_tolerance_deg, noise_deg),
+    )
+
+
+def _planner(
+    settings: LinearisedMpcSettings | SamplingMpcSettings,
+    predictor: Predictor,
+    weights: Weights,
+    limits: CommandLimits,
+) -> Planner[Any]:
+    horizon = settings.horizon
+    if isinstance(settings, LinearisedMpcSettings):
+        options = OsqpOptions(eps=settings.solver_eps)
+        return LinearisedPlanner(predictor, weights, limits, horizon, settings.iterations, options)
+    return SamplingPlanner(
+        predictor,
+        weights,
+        limits,
+        _noise(settings),
+        SamplingOptions(
+            samples=settings.samples,
+            iterations=settings.iterations,
+            sigma=settings.sigma,
+            finest=settings.finest,
+            temperature=settings.temperature,
+            seed=settings.seed,
+        ),
+    )
+
+
+def _noise(settings: SamplingMpcSettings) -> NDArray[np.float64]:
+    noise = settings.noise
+    if isinstance(noise, SplineNoiseSettings):
+        return spline_noise(settings.horizon, noise.knots)
+    return coloured_noise(settings.horizon, noise.exponent)
+
+
+def _narrowed(device: CommandLimits, wanted: LimitsSettings | None) -> CommandLimits:
+    if wanted is None:
+        return device
+    if wanted.lower < device.lower or wanted.upper > device.upper or wanted.rate_per_s > device.rate:
+        raise ControllerError(
+            f"limits: got {wanted.lower} to {wanted.upper} at {wanted.rate_per_s} per second, expected them within "
+            f"those of the device, {device.lower} to {device.upper} at {device.rate}"
+        )
+    return CommandLimits(wanted.lower, wanted.upper, wanted.rate_per_s)
+
+
+def _estimator_options(settings: EstimatorSettings) -> EstimatorOptions:
+    return EstimatorOptions(
+        sensor_sigma_deg=settings.sensor_sigma_deg,
+        drift_sigma_deg=settings.drift_sigma_deg_per_sqrt_s,
+        delay_samples=settings.delay_samples,
+        outlier_deg=settings.outlier_deg,
+        dead_band_gain=settings.dead_band_gain_deg_per_unit,
+        disturbance_limit_deg=settings.disturbance_limit_deg,
+    )
+
+
+def _weights(settings: WeightsSettings) -> Weights:
+    low, high = settings.angle_lower_deg, settings.angle_upper_deg
+    return Weights(
+        tracking=settings.tracking,
+        terminal=settings.terminal,
+        rate=settings.rate,
+        effort=settings.effort,
+        soft_limit=settings.soft_limit,
+        angle_limits_deg=(-math.inf if low is None else low, math.inf if high is None else high),
+    )
+
+
+def _pid(settings: PidSettings, limits: CommandLimits, dt: float) -> Pid:
+    gains = PidGains(
+        kp=settings.kp_per_deg,
+        ki=settings.ki_per_deg_s,
+        kd=settings.kd_s_per_deg,
+        filter_s=settings.filter_s,
+        tracking_s=settings.tracking_s,
+        dead_zone_deg=settings.dead_zone_deg,
+    )
+    return Pid(gains, limits, dt)

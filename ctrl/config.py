@@ -1,0 +1,177 @@
+"""Settings of every controller, told apart by `kind`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from hystmpc.trials.config import Settings
+from hystmpc.trials.errors import ConfigError, did_you_mean
+from pydantic import Field, model_validator
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class LimitsSettings(Settings):
+    """Hard limits of the command [mm or bar] and of its rate [mm/s or bar/s]."""
+
+    lower: float
+    upper: float
+    rate_per_s: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> LimitsSettings:
+        if not self.lower < self.upper:
+            raise ValueError(f"got lower {self.lower} and upper {self.upper}, expected lower < upper")
+        return self
+
+
+class EstimatorSettings(Settings):
+    """See `EstimatorOptions`; the delay is what the model itself does not contain."""
+
+    sensor_sigma_deg: Positive = 0.15
+    drift_sigma_deg_per_sqrt_s: Positive = 0.2
+    delay_samples: Annotated[int, Field(ge=0)] = 0
+    outlier_deg: Positive = 15.0
+    dead_band_gain_deg_per_unit: NotNegative = 1.0
+    disturbance_limit_deg: Positive = 30.0
+
+
+class LadderSettings(Settings):
+    """When prediction, fallback and stop set in; see `LadderOptions` and `GuardedController`."""
+
+    stop_after_failures: Count = 25
+    max_missing_samples: Annotated[int, Field(ge=0)] = 25
+    safe_command: float | None = None
+
+
+class WeightsSettings(Settings):
+    """See `Weights`: tracking per deg^2, the others per squared command unit; no angle limit where null."""
+
+    tracking: Positive = 1.0
+    terminal: NotNegative = 2.0
+    rate: Positive = 1.0
+    effort: NotNegative = 0.01
+    soft_limit: NotNegative = 100.0
+    angle_lower_deg: float | None = None
+    angle_upper_deg: float | None = None
+
+
+class PidSettings(Settings):
+    """See `PidGains`; gains per degree in the parallel form."""
+
+    kp_per_deg: NotNegative = 0.02
+    ki_per_deg_s: NotNegative = 0.3
+    kd_s_per_deg: NotNegative = 0.0
+    filter_s: NotNegative = 0.1
+    tracking_s: Positive = 0.1
+    dead_zone_deg: NotNegative = 0.2
+
+
+class _Common(Settings):
+    """What every controller has. `limits` may only narrow those of the device; null takes them as they are."""
+
+    limits: LimitsSettings | None = None
+    ladder: LadderSettings = LadderSettings()
+
+
+class InverseControllerSettings(_Common):
+    """Inverse feedforward."""
+
+    kind: Literal["inverse"] = "inverse"
+    estimator: EstimatorSettings = EstimatorSettings()
+    reference_dead_zone_deg: NotNegative = 0.027
+
+
+class PidControllerSettings(_Common):
+    """PID feedback, without a model."""
+
+    kind: Literal["pid"] = "pid"
+    gains: PidSettings = PidSettings()
+
+
+class InversePidControllerSettings(_Common):
+    """Inverse feedforward with PID feedback."""
+
+    kind: Literal["inverse_pid"] = "inverse_pid"
+    estimator: EstimatorSettings = EstimatorSettings()
+    reference_dead_zone_deg: NotNegative = 0.027
+    gains: PidSettings = PidSettings(kp_per_deg=0.01, ki_per_deg_s=0.2)
+
+
+class _Predictive(_Common):
+    """What both predictive controllers have."""
+
+    estimator: EstimatorSettings = EstimatorSettings()
+    horizon: Count = 20
+    weights: WeightsSettings = WeightsSettings()
+    hold_tolerance_deg: NotNegative = 0.03
+
+
+class LinearisedMpcSettings(_Predictive):
+    """Real-time iteration with OSQP."""
+
+    kind: Literal["linearised_mpc"] = "linearised_mpc"
+    iterations: Count = 1
+    solver_eps: Annotated[float, Field(gt=0, le=1e-4)] = 1e-5
+
+
+class SplineNoiseSettings(Settings):
+    """Cubic spline through independent normals."""
+
+    kind: Literal["spline"] = "spline"
+    knots: Annotated[int, Field(ge=2)] = 6
+
+
+class ColouredNoiseSettings(Settings):
+    """Power spectrum 1 / f^exponent."""
+
+    kind: Literal["coloured"] = "coloured"
+    exponent: NotNegative = 2.0
+
+
+class SamplingMpcSettings(_Predictive):
+    """MPPI; see `SamplingOptions`."""
+
+    kind: Literal["sampling_mpc"] = "sampling_mpc"
+    samples: Count = 256
+    iterations: Count = 2
+    sigma: Positive = 0.3
+    finest: Annotated[float, Field(gt=0, le=1)] = 0.01
+    temperature: Positive = 0.02
+    seed: Annotated[int, Field(ge=0)] = 0
+    noise: Annotated[SplineNoiseSettings | ColouredNoiseSettings, Field(discriminator="kind")] = SplineNoiseSettings()
+
+
+AnyControllerSettings = (
+    InverseControllerSettings
+    | PidControllerSettings
+    | InversePidControllerSettings
+    | LinearisedMpcSettings
+    | SamplingMpcSettings
+)
+ControllerSettings = Annotated[AnyControllerSettings, Field(discriminator="kind")]
+
+# The one list of controllers: tests, studies and the command line read it.
+CONTROLLERS: dict[str, type[AnyControllerSettings]] = {
+    "inverse": InverseControllerSettings,
+    "pid": PidControllerSettings,
+    "inverse_pid": InversePidControllerSettings,
+    "linearised_mpc": LinearisedMpcSettings,
+    "sampling_mpc": SamplingMpcSettings,
+}
+
+
+def parse_controller(data: Any, where: str = "<memory>") -> AnyControllerSettings:
+    """Validate a mapping with the key `kind`.
+
+    Raises:
+        ConfigError: if it is no mapping, `kind` is missing or unknown, or a setting of that kind is wrong.
+    """
+    if not isinstance(data, dict) or "kind" not in data:
+        raise ConfigError(f"{where}: expected a mapping with the key 'kind', {did_you_mean('', CONTROLLERS)}")
+    kind = str(data["kind"])
+    if kind not in CONTROLLERS:
+        raise ConfigError(f"{where}: kind: got {kind!r}, {did_you_mean(kind, CONTROLLERS)}")
+    return CONTROLLERS[kind].parse(data, where)

@@ -1,0 +1,130 @@
+"""The closed loop on a simulated clock: a controller, a plant, a reference, and a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from hystmpc.trials.errors import ControllerError
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from .command import Command
+from .protocols import Controller, Plant
+
+Vec = NDArray[np.float64]
+S = TypeVar("S")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One closed-loop sample; all angles belong to its end.
+
+    Attributes:
+        time_s: end of the sample.
+        reference_deg: wanted angle.
+        measured_deg: measured angle.
+        command: what was sent at the beginning of the sample.
+    """
+
+    time_s: float
+    reference_deg: float
+    measured_deg: float
+    command: Command
+
+
+@dataclass(frozen=True, eq=False)
+class LoopLog:
+    """A closed-loop run, one row per sample (N,); all angles belong to the end of the sample.
+
+    Attributes:
+        time_s: end of the sample.
+        reference_deg, measured_deg, predicted_deg: wanted, measured, predicted angle; NaN without a prediction.
+        command: command sent.
+        disturbance_deg: estimated output disturbance.
+        source, status: of every command.
+        stage_s: time per stage, shape (N,) each; zero where a stage did not run.
+        interrupted: whether the run was ended by the keyboard.
+    """
+
+    time_s: Vec
+    reference_deg: Vec
+    measured_deg: Vec
+    predicted_deg: Vec
+    command: Vec
+    disturbance_deg: Vec
+    source: tuple[str, ...]
+    status: tuple[str, ...]
+    stage_s: dict[str, Vec]
+    interrupted: bool
+
+    @property
+    def step_s(self) -> Vec:
+        """Execution time of every step, all stages."""
+        return np.sum(list(self.stage_s.values()), axis=0) if self.stage_s else np.zeros_like(self.time_s)
+
+
+def run_loop(
+    controller: Controller[S],
+    plant: Plant,
+    reference: Callable[[int], Vec],
+    steps: int,
+    *,
+    u_start: float = 0.0,
+    on_sample: Callable[[Sample], None] | None = None,
+) -> LoopLog:
+    """Run `steps` samples as fast as they come and leave the plant stopped, whatever happens.
+
+    Args:
+        controller: what decides.
+        plant: what moves.
+        reference: preview (H,) [deg] from the end of sample k on, for k = 0, 1, ...
+        steps: number of samples.
+        u_start: the command that the plant holds after its reset.
+        on_sample: called after every sample, for progress and live logs.
+
+    Returns:
+        The log; after a keyboard interrupt what there is of it.
+
+    Raises:
+        ControllerError: if the sample times of controller and plant differ.
+    """
+    if abs(controller.dt - plant.dt) > 1e-9 * plant.dt:
+        raise ControllerError(f"loop: got a controller at {controller.dt} s and a plant at {plant.dt} s, expected one")
+    samples: list[Sample] = []
+    interrupted = False
+    with threadpool_limits(limits=1):  # a second BLAS thread only adds latency to matrices this small
+        try:
+            y = plant.reset()
+            state = controller.init(y, u_start)
+            for k in range(steps):
+                preview = reference(k)
+                command, state = controller.step(state, y, preview)
+                y = plant.apply(command.u)
+                samples.append(Sample((k + 1) * plant.dt, float(preview[0]), y, command))
+                if on_sample is not None:
+                    on_sample(samples[-1])
+        except KeyboardInterrupt:
+            interrupted = True
+        finally:
+            plant.stop()
+    return _log(samples, interrupted)
+
+
+def _log(samples: list[Sample], interrupted: bool) -> LoopLog:
+    commands = [sample.command for sample in samples]
+    stages = dict.fromkeys(stage for command in commands for stage in command.timing.stages)
+    return LoopLog(
+        time_s=np.array([s.time_s for s in samples]),
+        reference_deg=np.array([s.reference_deg for s in samples]),
+        measured_deg=np.array([s.measured_deg for s in samples]),
+        predicted_deg=np.array([c.predicted[0] if c.predicted.size else np.nan for c in commands]),
+        command=np.array([c.u for c in commands]),
+        disturbance_deg=np.array([c.disturbance for c in commands]),
+        source=tuple(str(c.source) for c in commands),
+        status=tuple(c.status for c in commands),
+        stage_s={stage: np.array([c.timing.stages.get(stage, 0.0) for c in commands]) for stage in stages},
+        interrupted=interrupted,
+    )

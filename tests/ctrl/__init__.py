@@ -1,0 +1,1 @@
+"""Tests of the ctrl room; a package so that they can share `plays`."""

@@ -1,0 +1,105 @@
+"""Laws of the output estimator."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hystmpc.ctrl.estimator import EstimatorOptions, OutputEstimator, kalman_gain
+from hystmpc.ctrl.observer import Estimate
+from hystmpc.trials.errors import ControllerError
+
+from .plays import DT, SOUND, Backlash, Case, Lag
+
+OPTIONS = EstimatorOptions()
+
+
+@given(st.floats(0.01, 2.0), st.floats(0.01, 5.0), st.floats(0.004, 0.1))
+def test_gain_is_the_scalar_riccati_solution(sensor: float, drift: float, dt: float) -> None:
+    q, r = drift**2 * dt, sensor**2
+    covariance = 0.5 * (q + math.sqrt(q * q + 4 * q * r))  # P = P - P^2 / (P + r) + q
+    assert kalman_gain(sensor, drift, dt) == pytest.approx(covariance / (covariance + r), rel=1e-6)
+
+
+def test_noise_of_the_estimate_is_the_predicted_one() -> None:
+    estimator = OutputEstimator(Lag(), OPTIONS)
+    estimate, random = estimator.init(20.0, 0.0), np.random.default_rng(0)
+    disturbances = []
+    for _ in range(20_000):
+        estimate = estimator.advance(estimator.correct(estimate, 20.0 + 0.15 * random.standard_normal()), 0.0)
+        disturbances.append(estimate.disturbance)
+    assert np.std(disturbances) == pytest.approx(estimator.noise_deg, rel=0.05)
+
+
+@pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
+@pytest.mark.parametrize("delay", [0, 3])
+def test_disturbance_converges_to_a_constant_offset(case: Case, delay: int) -> None:
+    estimator = OutputEstimator(case.predictor, replace(OPTIONS, delay_samples=delay))
+    state, estimate = case.predictor.initial(case.y_rest, case.u_rest), estimator.init(case.y_rest, case.u_rest)
+    y, under_way = case.y_rest, [case.u_rest] * delay
+    for k in range(150):
+        estimate = estimator.correct(estimate, y + 2.5)
+        u = 2.0 + 1.5 * math.sin(0.1 * k)
+        estimate = estimator.advance(estimate, u)
+        under_way.append(u)
+        y, state = case.predictor.advance(state, under_way.pop(0))
+        # a delayed measurement meets the prediction of its own instant
+        assert estimate.angles[0] == pytest.approx(y, abs=1e-9)
+    assert estimate.disturbance == pytest.approx(2.5, abs=1e-3)
+
+
+def _in_the_dead_band(estimator: OutputEstimator) -> Estimate:
+    model = Backlash()
+    estimate = estimator.init(50.0, 50.0 / model.m_up - model.c_up)
+    return estimator.advance(estimate, estimate.command - 0.1)
+
+
+def test_disturbance_rests_while_the_model_crosses_its_dead_band() -> None:
+    estimator = OutputEstimator(Backlash(), OPTIONS)
+    estimate = _in_the_dead_band(estimator)
+    assert estimate.angles[0] == pytest.approx(50.0)
+    assert estimator.correct(estimate, 47.0).disturbance == estimate.disturbance
+    held = estimator.advance(estimate, estimate.command)  # at rest the offset is looked for again
+    assert estimator.correct(held, 47.0).disturbance < estimate.disturbance
+
+
+@pytest.mark.parametrize("y", [math.nan, math.inf, 1e300, 80.0])
+def test_missing_and_outlying_measurements_leave_the_prediction(y: float) -> None:
+    estimator = OutputEstimator(Lag(), OPTIONS)
+    estimate = estimator.init(20.0, 0.0)
+    corrected = estimator.correct(estimator.correct(estimate, y), y)
+    assert (corrected.disturbance, corrected.missing) == (estimate.disturbance, 2)
+    assert estimator.correct(corrected, 20.1).missing == 0
+
+
+def test_disturbance_is_bounded() -> None:
+    estimator = OutputEstimator(Lag(), replace(OPTIONS, disturbance_limit_deg=3.0))
+    estimate = estimator.init(20.0, 0.0)
+    for _ in range(200):
+        estimate = estimator.advance(estimator.correct(estimate, 20.0 + estimate.disturbance + 10.0), 0.0)
+    assert estimate.disturbance == 3.0
+
+
+def test_what_the_model_cannot_explain_at_rest_is_the_first_disturbance() -> None:
+    estimator = OutputEstimator(Backlash(), OPTIONS)
+    estimate = estimator.init(40.0, 0.0)  # the unloading line gives 28.98 deg
+    assert estimate.angles[0] + estimate.disturbance == pytest.approx(40.0)
+    with pytest.raises(ControllerError, match=r"got 80 deg at rest with command 0, the model expects 28\.98"):
+        estimator.init(80.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"sensor_sigma_deg": 0.0}, {"drift_sigma_deg": math.nan}, {"delay_samples": -1}, {"dead_band_gain": -1.0}],
+)
+def test_impossible_options_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(ControllerError, match="estimator: got"):
+        replace(OPTIONS, **change)  # type: ignore[arg-type]
+
+
+def test_sample_time_enters_the_gain() -> None:
+    assert kalman_gain(0.15, 0.2, DT) > kalman_gain(0.15, 0.2, DT / 10)

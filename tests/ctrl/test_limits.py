@@ -1,0 +1,40 @@
+"""Laws of the hard limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.trials.errors import ControllerError
+
+LIMITS = CommandLimits(-1.0, 6.0, 12.0)
+DT = 0.04
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=20), st.floats(-1.0, 6.0))
+def test_plans_are_clipped_as_single_commands_are(plan: list[float], last: float) -> None:
+    clipped = LIMITS.clip_plans(np.array([plan, plan[::-1]]), last, DT)
+    for row, wanted in zip(clipped, (plan, plan[::-1]), strict=True):
+        previous = last
+        for got, want in zip(row, wanted, strict=True):
+            previous = LIMITS.clip(want, previous, DT)
+            assert got == pytest.approx(previous, abs=1e-12)
+
+
+@given(st.lists(st.floats(-5.0, 10.0), min_size=1, max_size=20), st.floats(-1.0, 6.0))
+def test_clipping_twice_is_clipping_once(plan: list[float], last: float) -> None:
+    once = LIMITS.clip_plans(np.array(plan), last, DT)
+    np.testing.assert_allclose(LIMITS.clip_plans(once, last, DT), once, atol=1e-12)
+
+
+@pytest.mark.parametrize("u", [np.nan, np.inf, -np.inf])
+def test_command_that_is_not_finite_becomes_the_last_one(u: float) -> None:
+    assert LIMITS.clip(u, 2.0, DT) == 2.0
+
+
+@pytest.mark.parametrize("values", [(1.0, 1.0, 1.0), (0.0, 1.0, 0.0), (0.0, np.inf, 1.0), (np.nan, 1.0, 1.0)])
+def test_impossible_limits_are_refused(values: tuple[float, float, float]) -> None:
+    with pytest.raises(ControllerError, match="expected finite lower < upper"):
+        CommandLimits(*values)

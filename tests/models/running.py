@@ -1,0 +1,28 @@
+"""Running one operator over a signal, by its compiled kernel."""
+
+from __future__ import annotations
+
+import numpy as np
+from hystmpc.models.chain import Chain
+from hystmpc.models.kernels.chain_kernels import compile_step
+from hystmpc.models.operators.operator import Operator
+
+from .zoo import DT
+
+
+def run_operator(operator: Operator, u: np.ndarray, seen: float = 0.0, dt: float = DT) -> np.ndarray:
+    """Output over `u`, from rest at the first input with the output seen at `seen`."""
+    chain = Chain(operator)
+    kernels = compile_step(chain.transition)
+    state = np.array(operator_rest(operator, float(u[0]), seen)).reshape(1, -1)
+    theta = np.empty((1, u.size))
+    kernels.simulate(state, u[None].astype(float), chain.values, np.array([dt]), kernels.step_constants, theta)
+    return theta[0]
+
+
+def operator_rest(operator: Operator, u: float, seen: float) -> np.ndarray:
+    """State at rest, as numbers."""
+    import casadi as ca
+
+    p = ca.DM(list(operator.values))
+    return np.asarray(ca.DM(operator.at_rest(ca.DM(u), ca.DM(seen), p)))

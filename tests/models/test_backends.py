@@ -1,0 +1,167 @@
+"""One equation, five backends: CasADi, compiled, NumPy, torch and ONNX give one result."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import onnx
+import onnxruntime as ort
+import pytest
+from hystmpc.models.chain import Chain
+from hystmpc.models.kernels.chain_kernels import compile_step
+from hystmpc.models.operators.catalogue import OPERATORS
+from hystmpc.models.symbolic.instructions import BINARY, UNARY, dense
+from hystmpc.models.symbolic.onnx_nodes import step_graph
+from hystmpc.models.symbolic.source import NUMPY, SCALAR, TORCH, array_program
+from hystmpc.trials.errors import ModelError
+
+from .zoo import CHAINS, DT, EXAMPLES
+
+CASES = [*(Chain(example) for example in EXAMPLES), CHAINS["delayed pi with lag"]]
+IDS = [*(f"{example.name}-{k}" for k, example in enumerate(EXAMPLES)), "chain"]
+BATCH = 40
+
+
+def points(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
+    """States and inputs around a catheter's operating range, where all branches are met."""
+    rng = np.random.default_rng(7)
+    return rng.uniform(-1.0, 80.0, (BATCH, chain.state_size)), rng.uniform(0.0, 80.0, (BATCH, 1))
+
+
+def by_casadi(chain: Chain, states: np.ndarray, u: np.ndarray) -> np.ndarray:
+    rows = [chain.transition(x, v, chain.values, DT) for x, v in zip(states, u, strict=True)]
+    return np.array([np.concatenate([np.asarray(y).ravel(), np.asarray(x).ravel()]) for y, x in rows])
+
+
+def by_kernel(chain: Chain, states: np.ndarray, u: np.ndarray) -> np.ndarray:
+    kernels = compile_step(chain.transition)
+    following, theta = states.copy(), np.empty_like(u)
+    kernels.simulate(following, u, chain.values, np.array([DT]), kernels.step_constants, theta)
+    return np.hstack([theta, following])
+
+
+def by_numpy(chain: Chain, states: np.ndarray, u: np.ndarray) -> np.ndarray:
+    program = array_program(chain.transition, "step", NUMPY)
+    scope: dict[str, object] = {"np": np}
+    exec(program.source, scope)
+    theta, following = scope["step"](states.T, u.T, chain.values, [DT], program.constants)  # type: ignore[operator]
+    return np.stack([np.broadcast_to(v, BATCH) for v in [*theta, *following]], axis=1)
+
+
+def by_torch(chain: Chain, states: np.ndarray, u: np.ndarray) -> np.ndarray:
+    torch = pytest.importorskip("torch", reason="torch is an extra")
+    program = array_program(chain.transition, "step", TORCH)
+    scope: dict[str, object] = {"torch": torch}
+    exec(program.source, scope)
+    default = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    try:
+        arguments = [torch.tensor(a) for a in (states.T, u.T, chain.values, np.array([DT]), program.constants)]
+        theta, following = scope["step"](*arguments)  # type: ignore[operator]
+        return torch.stack([v.expand(BATCH) for v in [*theta, *following]], dim=1).numpy()
+    finally:
+        torch.set_default_dtype(default)
+
+
+def by_onnx(chain: Chain, states: np.ndarray, u: np.ndarray) -> np.ndarray:
+    graph = step_graph(chain.bound(DT), "step")
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 18)], ir_version=9)
+    onnx.checker.check_model(model)
+    session = ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+    return np.hstack(session.run(["theta", "next_state"], {"u": u, "state": states}))
+
+
+@pytest.mark.parametrize("chain", CASES, ids=IDS)
+@pytest.mark.parametrize("backend", [by_kernel, by_numpy, by_torch, by_onnx])
+def test_backends_agree(backend: object, chain: Chain) -> None:
+    states, u = points(chain)
+    np.testing.assert_allclose(backend(chain, states, u), by_casadi(chain, states, u), rtol=1e-12, atol=1e-10)  # type: ignore[operator]
+
+
+def test_the_examples_cover_the_catalogue() -> None:
+    assert {type(chain.core) for chain in CASES} == set(OPERATORS)
+
+
+@pytest.mark.parametrize("table", [SCALAR, NUMPY, TORCH], ids=["scalar", "numpy", "torch"])
+def test_every_backend_knows_the_whole_list(table: dict[str, str]) -> None:
+    assert set(BINARY + UNARY) <= set(table)
+
+
+def test_an_operation_outside_the_list_is_named() -> None:
+    x = ca.SX.sym("x")
+    with pytest.raises(ModelError, match="'erf' at instruction"):
+        array_program(dense("foreign", [x], [ca.erf(x)]), "foreign", NUMPY)
+
+
+def finite_difference(chain: Chain, state: np.ndarray, u: float, step: float = 1e-6) -> np.ndarray:
+    """Central differences of (theta, next state) by (state, u)."""
+    columns = []
+    for j in range(state.size + 1):
+        shift = np.zeros(state.size + 1)
+        shift[j] = step
+        ends = [
+            by_kernel(chain, (state + sign * shift[:-1])[None], np.array([[u + sign * shift[-1]]]))[0] for sign in (1, -1)
+        ]
+        columns.append((ends[0] - ends[1]) / (2 * step))
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize("chain", CASES, ids=IDS)
+def test_jacobian_is_that_of_finite_differences_away_from_kinks(chain: Chain) -> None:
+    x, u = ca.SX.sym("x", chain.state_size), ca.SX.sym("u")
+    theta, following = chain.bound(DT)(x, u)
+    jacobian = dense("jacobian", [x, u], [ca.jacobian(ca.vertcat(theta, following), ca.vertcat(x, u))])
+    compared = 0
+    for state, command in zip(*points(chain), strict=True):
+        wide, narrow = (finite_difference(chain, state, command[0], step) for step in (1e-5, 1e-6))
+        if np.allclose(wide, narrow, atol=1e-6):  # a kink in between would make them differ
+            np.testing.assert_allclose(np.asarray(jacobian(state, command[0])), narrow, atol=1e-6)
+            compared += 1
+    assert compared >= BATCH // 2
+
+
+@pytest.mark.parametrize("chain", CASES, ids=IDS)
+def test_parameter_sensitivity_is_that_of_finite_differences(chain: Chain) -> None:
+    kernels = compile_step(chain.transition)
+    u = 3 - 3 * np.cos(2 * np.pi * 0.37 * np.arange(0, 6, DT)) + 0.01 * np.sin(np.arange(0, 6, DT))
+    # Off round numbers: a delay of a whole number of samples sits on a kink of its own.
+    p, dt = chain.values * 1.0137 + 1e-3, np.array([DT])
+    state, size = np.full(chain.state_size, 31.0), chain.state_size
+
+    def run(values: np.ndarray) -> np.ndarray:
+        x, theta = state[None].copy(), np.empty((1, u.size))
+        kernels.simulate(x, u[None], values, dt, kernels.step_constants, theta)
+        return theta[0]
+
+    theta, gradient = np.empty(u.size), np.empty((u.size, p.size))
+    kernels.differentiate(state, np.zeros((size, p.size)), u, p, dt, kernels.sensitivity_constants, theta, gradient)
+    np.testing.assert_allclose(theta, run(p), atol=1e-10)
+    for j in range(p.size):
+        shift = np.zeros(p.size)
+        shift[j] = 1e-7
+        difference = (run(p + shift) - run(p - shift)) / 2e-7
+        assert np.quantile(np.abs(difference - gradient[:, j]), 0.9) <= 1e-5 * max(1.0, np.abs(difference).max())
+
+
+@pytest.mark.parametrize("chain", CASES, ids=IDS)
+def test_linearisation_along_a_plan_is_the_product_of_the_steps(chain: Chain) -> None:
+    """Compiled horizon Jacobian against the chain rule on CasADi's step derivatives."""
+    kernels = compile_step(chain.transition)
+    rng = np.random.default_rng(3)
+    plan = np.cumsum(rng.normal(0, 0.3, 12)) + 3.0
+    state = np.full(chain.state_size, 2.0)
+    theta, jacobian = np.empty(12), np.empty((12, 12))
+    kernels.linearise(state, plan, chain.values, np.array([DT]), kernels.tangent_constants, theta, jacobian)
+    x, u = ca.SX.sym("x", chain.state_size), ca.SX.sym("u")
+    angle, following = chain.bound(DT)(x, u)
+    step = dense("step", [x, u], [angle, following, ca.jacobian(ca.vertcat(angle, following), ca.vertcat(x, u))])
+    moving, expected, angles = np.zeros((chain.state_size, 12)), np.zeros((12, 12)), []
+    for k, command in enumerate(plan):
+        angle, state, by = (np.asarray(part) for part in step(state, command))
+        moving[:, k] = 0.0
+        full = by[:, :-1] @ moving
+        full[:, k] += by[:, -1]
+        expected[k], moving = full[0], full[1:]
+        angles.append(float(angle[0, 0]))
+    np.testing.assert_allclose(theta, angles, atol=1e-10)
+    np.testing.assert_allclose(jacobian, expected, atol=1e-9)

@@ -1,0 +1,50 @@
+"""The one list of operators and chains that the model tests run over."""
+
+from __future__ import annotations
+
+from hystmpc.models.chain import Chain
+from hystmpc.models.contract.metadata import Range
+from hystmpc.models.operators.backlash import Backlash, InverseBacklash
+from hystmpc.models.operators.delay import Delay
+from hystmpc.models.operators.lag import Lag
+from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.play import Play
+from hystmpc.models.operators.prandtl_ishlinskii import InversePrandtlIshlinskii, PrandtlIshlinskii
+from hystmpc.models.simulator import Identification, Simulator
+
+DT = 0.04
+BACKLASH = Backlash(10.27, 10.70, 2.822, 2.003)  # S2's forward fit in mm and degrees
+STATIC_PI = PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.0, 22.0)
+RATE_PI = PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, 22.0)
+
+# Every operator of the catalogue appears at least once; a test holds this list against the catalogue.
+EXAMPLES: tuple[Operator, ...] = (
+    Play(0.4),
+    BACKLASH,
+    InverseBacklash(10.27, 10.70, 2.822, 2.003, 0.027),
+    STATIC_PI,
+    RATE_PI,
+    InversePrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, 22.0),
+    Lag(0.08),
+    Delay(0.1, 4),
+)
+CHAINS: dict[str, Chain] = {
+    "backlash": Chain(BACKLASH),
+    "pi": Chain(RATE_PI),
+    "delayed pi with lag": Chain(RATE_PI, before=(Delay(0.06, 2),), after=(Lag(0.08),)),
+}
+
+
+def simulator(chain: Chain, dt: float = DT) -> Simulator:
+    """A simulator of a tendon catheter around a chain."""
+    return Simulator(
+        chain=chain,
+        dt_s=dt,
+        command_unit="mm",
+        command_limits=Range(lower=0.0, upper=6.0),
+        command_rate_per_s=12.0,
+        trained_command=Range(lower=0.0, upper=6.0),
+        trained_angle_deg=Range(lower=20.0, upper=95.0),
+        trained_rate_per_s=11.0,
+        identification=Identification(method="chosen by hand"),
+    )
