@@ -33,7 +33,7 @@ from .law import Law
 from .limits import CommandLimits
 from .linearised.osqp_ import OsqpOptions
 from .linearised.planner import LinearisedPlanner
-from .mpc import HoldOptions, PredictiveLaw
+from .mpc import HoldRule, PredictiveLaw
 from .observer import Observer, WithoutModel
 from .pid import Pid, PidFeedback, PidGains
 from .planning import Planner, Weights
@@ -90,7 +90,7 @@ def _model_law(
         _planner(settings, predictor, weights, limits),
         weights,
         settings.horizon,
-        HoldOptions(settings.hold_tolerance_deg, noise_deg),
+        HoldRule(settings.hold_tolerance_deg, noise_deg, patience=settings.horizon // 2),
     )
 
 

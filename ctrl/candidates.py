@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
@@ -20,8 +21,8 @@ class Candidates:
     """Admissible plans (N, H), the same N at every step:
 
     hold; inverse, as fast as the rate limit allows once the reference asks for it; inverse ahead of time, so that
-    a dead band is crossed before the reference turns; the last plan, shifted; reversals, m samples at the greatest
-    rate in either direction and then rest.
+    a dead band is crossed before the reference turns; inverse half ahead, so that the crossing has its middle at
+    the turn; the last plan, shifted; reversals, m samples at the greatest rate in either direction and then rest.
 
     Args:
         predictor: the model, with the sample time.
@@ -49,13 +50,14 @@ class Candidates:
         targets = self._inverse_targets(state, u_last, reference)
         moves = np.diff(targets, prepend=u_last)
         greedy = targets if np.max(np.abs(moves)) <= self._reach else self.inverse_plan(state, u_last, reference)
-        plans = np.empty((4 + len(self._ramps), self._horizon))
+        plans = np.empty((5 + len(self._ramps), self._horizon))
         plans[HOLD] = u_last
         plans[INVERSE] = greedy
         plans[2] = self._ahead(targets)
-        plans[3] = greedy if not remaining.size else remaining[-1]
-        plans[3, : remaining.size] = remaining
-        plans[4:] = u_last + self._ramps
+        plans[3] = self._ahead(self._half_postponed(targets, moves))
+        plans[4] = greedy if not remaining.size else remaining[-1]
+        plans[4, : remaining.size] = remaining
+        plans[5:] = u_last + self._ramps
         return self._limits.clip_plans(plans, u_last, self._dt)
 
     def inverse_plan(self, state: Vec, u_last: float, reference: Vec) -> Vec:
@@ -84,6 +86,17 @@ class Candidates:
         for k in range(self._horizon - 2, -1, -1):
             plan[k] = min(max(plan[k], plan[k + 1] - self._reach), plan[k + 1] + self._reach)
         return plan
+
+    def _half_postponed(self, targets: Vec, moves: Vec) -> Vec:
+        """The targets with their first jump later by half of the samples that it takes at the greatest rate."""
+        jumps = np.flatnonzero(np.abs(moves) > self._reach)
+        if not jumps.size:
+            return targets
+        first = int(jumps[0])
+        half = math.ceil(abs(moves[first]) / self._reach) // 2
+        postponed = targets.copy()
+        postponed[first : first + half] = targets[first] - moves[first]
+        return postponed
 
     def _reversal_ramps(self) -> Vec:
         """Offsets (M, H) from the last command: m = 1, 2, 4, ... samples at the greatest rate, up and down."""

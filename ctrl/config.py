@@ -31,7 +31,7 @@ class EstimatorSettings(Settings):
     """See `EstimatorOptions`; the delay is what the model itself does not contain."""
 
     sensor_sigma_deg: Positive = 0.15
-    drift_sigma_deg_per_sqrt_s: Positive = 0.2
+    drift_sigma_deg_per_sqrt_s: Positive = 0.4
     delay_samples: Annotated[int, Field(ge=0)] = 0
     outlier_deg: Positive = 15.0
     dead_band_gain_deg_per_unit: NotNegative = 1.0

@@ -54,7 +54,7 @@ class EstimatorOptions:
     """
 
     sensor_sigma_deg: float = 0.15
-    drift_sigma_deg: float = 0.2
+    drift_sigma_deg: float = 0.4
     delay_samples: int = 0
     outlier_deg: float = 15.0
     dead_band_gain: float = 1.0

@@ -21,15 +21,28 @@ Vec = NDArray[np.float64]
 P = TypeVar("P")
 
 _LEAVE_SIGMAS = 5.0  # two independent estimates of one disturbance differ by more than this once in 10^4 samples
+_ENTER_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
-class HoldOptions:
-    """When a constant reference counts as reached.
+class Hold:
+    """Whether the command is held on purpose, and for how many samples the preview has been constant."""
+
+    holding: bool = False
+    constant: int = 0
+
+
+@dataclass(frozen=True)
+class HoldRule:
+    """When a constant reference counts as reached: the held command keeps the angle close over the whole horizon.
+
+    Close is `tolerance_deg` at first; with patience, `tolerance_deg` and two standard deviations of the disturbance
+    estimate, since noise may never let it come closer; once held, five.
 
     Attributes:
-        tolerance_deg: a hold begins when the held command keeps the angle this close over the whole horizon.
-        noise_deg: standard deviation of the disturbance estimate; a hold ends five of these beyond the tolerance.
+        tolerance_deg: closeness that is always good enough [deg].
+        noise_deg: standard deviation of the disturbance estimate that sensor noise alone causes [deg].
+        patience: samples of constant preview after which noise is allowed for.
 
     Raises:
         ControllerError: if a value is negative.
@@ -37,27 +50,28 @@ class HoldOptions:
 
     tolerance_deg: float = 0.03
     noise_deg: float = 0.0
+    patience: int = 10
 
     def __post_init__(self) -> None:
-        if not (self.tolerance_deg >= 0 and self.noise_deg >= 0):
-            raise ControllerError(
-                f"hold: got tolerance_deg {self.tolerance_deg}, noise_deg {self.noise_deg}, expected both >= 0"
-            )
+        if not (self.tolerance_deg >= 0 and self.noise_deg >= 0 and self.patience >= 0):
+            raise ControllerError(f"hold: got {self}, expected values >= 0")
 
-    def settled(self, reference: Vec, held_angles: Vec, holding: bool) -> bool:
-        """Whether to hold: the reference (H,) is constant and the held command's angles (H,) are close to it."""
+    def judge(self, before: Hold, reference: Vec, held_angles: Vec) -> Hold:
+        """Whether to hold now, from the preview (H,) [deg] and the held command's angles (H,) [deg]."""
         if np.ptp(reference) > self.tolerance_deg:
-            return False
-        allowed = self.tolerance_deg + (_LEAVE_SIGMAS * self.noise_deg if holding else 0.0)
-        return bool(np.max(np.abs(held_angles - reference)) <= allowed)
+            return Hold()
+        constant = before.constant + 1
+        sigmas = _LEAVE_SIGMAS if before.holding else _ENTER_SIGMAS if constant > self.patience else 0.0
+        error = float(np.max(np.abs(held_angles - reference)))
+        return Hold(error <= self.tolerance_deg + sigmas * self.noise_deg, constant)
 
 
 @dataclass(frozen=True)
 class PredictiveMemory(Generic[P]):
-    """The planner's memory, and whether the last command was a hold on purpose."""
+    """The planner's memory, and the hold."""
 
     planner: P
-    holding: bool
+    hold: Hold
 
 
 @final
@@ -78,7 +92,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         planner: Planner[P],
         weights: Weights,
         horizon: int,
-        hold: HoldOptions,
+        hold: HoldRule,
     ) -> None:
         self.horizon = horizon
         self._predictor, self._candidates, self._planner = predictor, candidates, planner
@@ -88,7 +102,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
 
     def init(self, y: float, u: float) -> PredictiveMemory[P]:
         del y, u
-        return PredictiveMemory(self._planner.init(), False)
+        return PredictiveMemory(self._planner.init(), Hold())
 
     def propose(
         self, memory: PredictiveMemory[P], situation: Situation, watch: Stopwatch
@@ -105,16 +119,16 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
             angle_limits=(low - situation.disturbance, high - situation.disturbance),
         )
         angles = self._predictor.rollout(situation.state, plans)
-        holding = self._hold.settled(wanted, angles[HOLD], memory.holding)
-        chosen = plans[HOLD : HOLD + 1] if holding else plans
+        hold = self._hold.judge(memory.hold, wanted, angles[HOLD])
+        chosen = plans[HOLD : HOLD + 1] if hold.holding else plans
         start = self._cost.best(chosen, angles[: len(chosen)], problem)
         watch.lap("rollout")
         if not math.isfinite(start.cost):
             raise PlanningError(f"none of {len(chosen)} candidates has a finite prediction")
-        if holding:
-            return self._proposal(start, "ok", PredictiveMemory(memory.planner, True))
+        if hold.holding:
+            return self._proposal(start, "ok", PredictiveMemory(memory.planner, hold))
         plan, status, planner = self._planner.improve(problem, start, memory.planner, watch)
-        return self._proposal(plan, status, PredictiveMemory(planner, False))
+        return self._proposal(plan, status, PredictiveMemory(planner, hold))
 
     @staticmethod
     def _proposal(plan: Plan, status: str, memory: PredictiveMemory[P]) -> Proposal[PredictiveMemory[P]]:

@@ -1,4 +1,4 @@
-"""Shared fixtures: where the real logs lie, a seed, a private kernel cache."""
+"""Shared by all tests: where the real logs lie, and property tests that draw the same examples on every run."""
 
 from __future__ import annotations
 
@@ -6,8 +6,13 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# A busy machine must not fail a test: no deadline, and no complaint about slow examples.
+settings.register_profile("ci", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("ci")
 
 
 def data_folder() -> Path:

@@ -20,53 +20,63 @@ class OsqpOptions:
 
     Attributes:
         eps: absolute and relative tolerance; 1e-3 leaves errors of 1e-2 in the command.
-        max_iterations: bound on the time of one solve.
+        max_iterations: bound on the time of one solve; what is reached by then is used, and said in the status.
         rho: ADMM step size after scaling.
     """
 
     eps: float = 1e-5
-    max_iterations: int = 2000
+    max_iterations: int = 250
     rho: float = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class QpSolution:
-    """Primal (n,) and dual (m,) solution; `solved` tells whether they may be used, `status` why not."""
+    """What the solver found.
+
+    Attributes:
+        primal: z, shape (n,).
+        usable: whether `primal` is a step worth trying: solved, or finite when the iterations ran out.
+        status: `solved`, or the solver's own words.
+        iterations: taken.
+    """
 
     primal: Vec
-    dual: Vec
-    solved: bool
+    usable: bool
     status: str
     iterations: int
+
+
+_USABLE = ("solved", "solved inaccurate", "maximum iterations reached")
 
 
 @final
 class OsqpSolver:
     """Solves one family of quadratic programs.
 
-    The workspace only saves time: every solve starts from the primal and dual point it is given, so a solution
-    depends on nothing but the arguments.
+    The workspace only saves time: every solve starts from z = 0 and the multipliers that come with the data, so a
+    solution depends on nothing but the arguments.
     """
 
     def __init__(self, pattern: QpPattern, options: OsqpOptions) -> None:
         self._pattern, self._options = pattern, options
+        self._origin = np.zeros(pattern.hessian.shape[0])
         self._workspace: Any = self._build()
 
-    def solve(self, data: QpData, primal: Vec, dual: Vec) -> QpSolution:
-        """Solve from the starting point `primal` (n,), `dual` (m,)."""
+    def solve(self, data: QpData) -> QpSolution:
+        """Solve one program of the family; a failure shows in the solution, not as an exception."""
         if self._workspace is None:
             self._workspace = self._build()
         workspace = self._workspace
         moving = {} if data.constraint_data is None else {"Ax": data.constraint_data}
         workspace.update(Px=data.hessian_data, q=data.gradient, l=data.lower, u=data.upper, **moving)
-        workspace.warm_start(x=primal, y=dual)
+        workspace.warm_start(x=self._origin, y=data.dual)
         result = workspace.solve(raise_error=False)
-        status = str(result.info.status)
-        finite = bool(np.all(np.isfinite(result.x)) and np.all(np.isfinite(result.y)))
-        solved = finite and status in ("solved", "solved inaccurate")
-        if not solved:
+        finite = bool(np.all(np.isfinite(result.x)))
+        status = str(result.info.status) if finite else "solution not finite"
+        usable = finite and status in _USABLE
+        if not usable:
             self._workspace = None  # a failed workspace may keep what made it fail
-        return QpSolution(result.x, result.y, solved, status if finite else "not finite", int(result.info.iter))
+        return QpSolution(result.x, usable, status, int(result.info.iter))
 
     def _build(self) -> Any:
         variables, rows = self._pattern.hessian.shape[0], self._pattern.constraints.shape[0]

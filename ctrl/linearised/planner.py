@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -21,15 +20,8 @@ Vec = NDArray[np.float64]
 _STEPS = np.array([1.0, 0.5, 0.25, 0.125])
 
 
-@dataclass(frozen=True, eq=False)
-class DualMemory:
-    """Dual variables of the last program (m,), where the next solve starts."""
-
-    dual: Vec
-
-
 @final
-class LinearisedPlanner(Planner[DualMemory]):
+class LinearisedPlanner(Planner[None]):
     """One or two sequential-quadratic-programming iterations per step, guarded by the nonlinear cost.
 
     The program's step is tried whole and in parts in one batched roll-out; the start plan wins where none is
@@ -63,33 +55,30 @@ class LinearisedPlanner(Planner[DualMemory]):
         self._qp = TrackingQp(weights, limits, horizon, predictor.dt)
         self._solver = OsqpSolver(self._qp.pattern, options or OsqpOptions())
 
-    def init(self) -> DualMemory:
-        return DualMemory(np.zeros(self._qp.size[1]))
+    def init(self) -> None:
+        return None
 
     def improve(
-        self, problem: PlanningProblem, start: Plan, memory: DualMemory, watch: Stopwatch
-    ) -> tuple[Plan, str, DualMemory]:
+        self, problem: PlanningProblem, start: Plan, memory: None, watch: Stopwatch
+    ) -> tuple[Plan, str, None]:
+        del memory
         status = "ok"
         for _ in range(self._iterations):
-            start, status, memory = self._iterate(problem, start, memory, watch)
-        return start, status, memory
+            start, status = self._iterate(problem, start, watch)
+        return start, status, None
 
-    def _iterate(
-        self, problem: PlanningProblem, start: Plan, memory: DualMemory, watch: Stopwatch
-    ) -> tuple[Plan, str, DualMemory]:
+    def _iterate(self, problem: PlanningProblem, start: Plan, watch: Stopwatch) -> tuple[Plan, str]:
         _, jacobian = self._predictor.linearise(problem.state, start.commands)
         watch.lap("linearise")
         if not np.all(np.isfinite(jacobian)):
             raise PlanningError("the model's Jacobian is not finite")
-        data = self._qp.data(problem, start, jacobian)
-        solution = self._solver.solve(data, np.zeros(self._qp.size[0]), memory.dual)
+        solution = self._solver.solve(self._qp.data(problem, start, jacobian))
         watch.lap("solve")
-        if not solution.solved:
+        if not solution.usable:
             raise PlanningError(f"OSQP: {solution.status} after {solution.iterations} iterations")
         plan = self._search(problem, start, solution.primal[: start.commands.size])
         watch.lap("search")
-        status = "ok" if solution.status == "solved" else f"OSQP: {solution.status}"
-        return plan, status, DualMemory(solution.dual)
+        return plan, "ok" if solution.status == "solved" else f"OSQP: {solution.status}"
 
     def _search(self, problem: PlanningProblem, start: Plan, step: Vec) -> Plan:
         """The cheapest of the start plan and parts of the step, by nonlinear cost."""

@@ -33,13 +33,21 @@ class QpPattern:
 
 @dataclass(frozen=True, eq=False)
 class QpData:
-    """What changes from step to step; `constraint_data` is None while A stays as it is."""
+    """What changes from step to step.
+
+    Attributes:
+        hessian_data: entries of P in the order of the pattern.
+        gradient, lower, upper: q and the bounds of A z.
+        constraint_data: entries of A in the order of the pattern; None while A stays as it is.
+        dual: where the multipliers of A z start.
+    """
 
     hessian_data: Vec
     gradient: Vec
     lower: Vec
     upper: Vec
     constraint_data: Vec | None
+    dual: Vec
 
 
 @final
@@ -65,12 +73,6 @@ class TrackingQp:
         self._columns = np.triu_indices(horizon)
         self.pattern = self._build_pattern()
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """Number of variables and of constraint rows."""
-        rows, columns = self.pattern.constraints.shape
-        return columns, rows
-
     def data(self, problem: PlanningProblem, around: Plan, jacobian: Mat) -> QpData:
         """The program around the plan `around` with Jacobian (H, H), lower triangular [deg per command unit]."""
         weights, plan = self._weights, around.commands
@@ -79,20 +81,41 @@ class TrackingQp:
         moves = np.diff(plan, prepend=problem.u_last)
         slope = weights.rate * (self._difference.T @ moves) + weights.effort * (plan - problem.feedforward)
         gradient = 2.0 * (weighted @ (around.angles - problem.reference) + slope)
-        lower = [self._limits.lower - plan, -self._reach - moves]
-        upper = [self._limits.upper - plan, self._reach - moves]
-        if not weights.limits_angle:
-            return QpData(hessian[self._triangle], gradient, np.concatenate(lower), np.concatenate(upper), None)
+        hard = QpData(
+            hessian[self._triangle],
+            gradient,
+            np.concatenate([self._limits.lower - plan, -self._reach - moves]),
+            np.concatenate([self._limits.upper - plan, self._reach - moves]),
+            None,
+            np.concatenate([np.zeros(self._horizon), self._rate_multipliers(gradient, moves)]),
+        )
+        return self._softened(hard, problem, around, jacobian) if weights.limits_angle else hard
+
+    def _rate_multipliers(self, gradient: Vec, moves: Vec) -> Vec:
+        """Multipliers that hold the plan where it already moves at the greatest rate.
+
+        Stationarity D'y = -q, solved backwards in time, of the right sign, and zero where the rate limit is not
+        touched. First-order methods take thousands of iterations to find these, and the best candidates of a
+        reversal touch the limit over many samples.
+        """
+        balance = -np.cumsum(gradient[::-1])[::-1]
+        touching = self._reach * (1.0 - 1e-6)
+        upward = np.where(moves >= touching, np.maximum(balance, 0.0), 0.0)
+        return np.where(moves <= -touching, np.minimum(balance, 0.0), upward)
+
+    def _softened(self, hard: QpData, problem: PlanningProblem, around: Plan, jacobian: Mat) -> QpData:
+        """The program with soft angle limits beside the hard limits."""
         low, high = problem.angle_limits
-        horizon = self._horizon
+        none = np.zeros(self._horizon)
         constraint_data = self.pattern.constraints.data.copy()
         constraint_data[self.pattern.moving] = jacobian.T[self._columns]
         return QpData(
-            np.concatenate([hessian[self._triangle], np.full(horizon, 2.0 * weights.soft_limit)]),
-            np.concatenate([gradient, np.zeros(horizon)]),
-            np.concatenate([*lower, low - around.angles]),
-            np.concatenate([*upper, high - around.angles]),
+            np.concatenate([hard.hessian_data, none + 2.0 * self._weights.soft_limit]),
+            np.concatenate([hard.gradient, none]),
+            np.concatenate([hard.lower, low - around.angles]),
+            np.concatenate([hard.upper, high - around.angles]),
             constraint_data,
+            np.concatenate([hard.dual, none]),
         )
 
     def _build_pattern(self) -> QpPattern:

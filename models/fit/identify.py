@@ -86,6 +86,7 @@ def _simulator(
             trained_rate_per_s=fastest_command(trials),
             identification=Identification(
                 method="bounded least squares on free runs",
+                seed=settings.seed,
                 skip_first_flexure=settings.skip_first_flexure,
                 training_data_hash=fingerprint(trials),
                 residuals=residuals,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -20,6 +20,7 @@ from .trial_set import check_trial_set
 
 Vec = NDArray[np.float64]
 Progress = Callable[[int, float], None]
+RESTART_SPREAD = 0.2
 
 
 @dataclass(frozen=True)
@@ -32,12 +33,16 @@ class OperatorFitSettings:
             mounted anew between trials.
         evaluations: greatest number of free runs over all trials, for each start.
         tolerance: relative change of the loss at which a start is done.
+        restarts: further starts around the best point so far; the error has kinks, where a start may get stuck.
+        seed: of the restarts.
     """
 
     skip_first_flexure: bool = False
     offset_free: bool = False
     evaluations: int = 200
     tolerance: float = 1e-9
+    restarts: int = 6
+    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -127,17 +132,16 @@ def fit_chain(
     """
     settings = settings or OperatorFitSettings()
     search = _Search(FreeRunResiduals(starts[0], trials, settings), progress)
+    bounds = (np.array([p.lower for p in starts[0].parameters]), np.array([p.upper for p in starts[0].parameters]))
     reached, interrupted = [], False
-    lower = np.array([p.lower for p in starts[0].parameters])
-    upper = np.array([p.upper for p in starts[0].parameters])
     try:
-        for start in starts:
+        for start in _points(starts, search, settings):
             search.begin()
             least_squares(
                 search.residuals,
-                np.clip(start.values, lower, upper),
+                np.clip(start, *bounds),
                 search.jacobian,
-                bounds=(lower, upper),
+                bounds=bounds,
                 x_scale="jac",
                 ftol=settings.tolerance,
                 xtol=1e-10,
@@ -153,6 +157,15 @@ def fit_chain(
     except ModelError as error:
         raise FitError(f"the fit ended at an unusable model: {error}") from None
     return OperatorFit(chain, search.best_rmse, tuple(reached), search.evaluations, interrupted)
+
+
+def _points(starts: Sequence[Chain], search: _Search, settings: OperatorFitSettings) -> Iterator[Vec]:
+    """The given starts, then the best point so far with every parameter changed by a fifth or so."""
+    yield from (start.values for start in starts)
+    rng = np.random.default_rng(settings.seed)
+    for _ in range(settings.restarts):
+        if search.best is not None:
+            yield search.best * np.exp(rng.normal(0.0, RESTART_SPREAD, search.best.size))
 
 
 class _Search:

@@ -23,11 +23,8 @@ class AccompaniedPredictor(Predictor):
         self._size = predictor.initial(angle, predictor.command_range[0]).size
 
     def initial(self, y: float, u: float) -> Array:
-        parts = []
-        for model in (self._predictor, self._companion):
-            theta, state = model.advance(model.initial(y, u), u)
-            parts += [state, [theta]]
-        return np.concatenate(parts)
+        # What the two show before their first step is the measured angle for both: no difference is known yet.
+        return np.concatenate([self._predictor.initial(y, u), [y], self._companion.initial(y, u), [y]])
 
     def advance(self, state: Array, u: float) -> tuple[float, Array]:
         own, _, beside, _ = self.parts(state)

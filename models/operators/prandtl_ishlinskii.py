@@ -80,11 +80,11 @@ class PrandtlIshlinskii(Operator):
         return ca.vertcat(u, *z), theta
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        n = self.plays
-        total = sum(p[i] for i in range(n + 1))
-        # All plays at the command that would show y without hysteresis; settling moves them into reach of u.
-        centre = (y - p[n + 3]) / total
-        return ca.vertcat(u, *([centre] * n))
+        # All plays at the one state that shows y at command u; settling moves those within reach of u that are not.
+        # Without weights no state makes a difference, and the division must not make one either.
+        wanted = y - p[self.plays + 3] - p[0] * u
+        weight = sum(p[i] for i in range(1, self.plays + 1))
+        return ca.vertcat(u, *([wanted / (weight + 1e-9)] * self.plays))
 
     def inverse(self) -> InversePrandtlIshlinskii:
         """The analytic inverse, angle to command."""

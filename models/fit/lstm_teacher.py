@@ -1,0 +1,92 @@
+"""Motions that were never recorded, answered by an operator: what a network learns beside the trials."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import final
+
+import numpy as np
+from hystmpc.trials.trial import Trial
+
+from ..chain_model import ChainModel
+from ..contract.metadata import Range
+from .identify import identify
+from .streams import Rng, Run, Vec
+from .trial_set import check_trial_set, command_range, fastest_command
+
+_CYCLES = 7
+_DURATION_S = (12.0, 40.0)
+_FREQUENCY_HZ = (0.08, 0.6)  # of the tip motions of S1 and S2, a little beyond at both ends
+_HOLD_S = 4.0
+_SINES = 4
+
+
+@final
+class Teacher:
+    """A Prandtl-Ishlinskii model fitted to `trials`, run over random motions from the start of a trial.
+
+    Raises:
+        FitError: as `identify` does.
+    """
+
+    def __init__(self, trials: Sequence[Trial], plays: int) -> None:
+        simulator, fit = identify("pi", trials, plays=plays)
+        self.rmse_deg = fit.rmse_deg
+        self._model = ChainModel(simulator)
+        self._starts = [(float(t.command[0]), float(t.angle[0])) for t in trials]
+        self._range, self._rate, self._dt = command_range(trials), fastest_command(trials), check_trial_set(trials)
+
+    def runs(self, count: int, weight: float, rng: Rng) -> list[Run]:
+        """Random motions in equal parts of each kind, in the units of the trials."""
+        return [self._run(_KINDS[k % len(_KINDS)], weight, rng) for k in range(count)]
+
+    def _run(self, kind: Callable[[Range, float, float, Rng], Vec], weight: float, rng: Rng) -> Run:
+        rest, angle = self._starts[rng.integers(len(self._starts))]
+        motion = kind(self._range, self._rate, self._dt, rng)
+        approach = abs(motion[0] - rest) / (self._rate * self._dt)
+        command = np.concatenate([np.linspace(rest, motion[0], 1 + math.ceil(approach), endpoint=False), motion])
+        return Run(command, self._model.run(command, angle), np.full(command.size, weight))
+
+
+def _decaying_sine(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
+    """S2 eq. (9)-(10) of random frequency, amplitude, decay and baseline (low, middle, high)."""
+    del rate
+    frequency = _log_uniform(*_FREQUENCY_HZ, rng)
+    t = np.arange(0.0, _CYCLES / frequency, dt)
+    decay = np.exp(-frequency / (_CYCLES - 1) * math.log(_CYCLES) * rng.uniform(0.0, 1.5) * t)
+    swing = rng.uniform(0.5, 1.0) * 0.5 * decay
+    sine = np.sin(2 * np.pi * frequency * t - np.pi / 2)
+    shape = (swing * (sine + 1), 0.5 + swing * sine, 1 + swing * (sine - 1))[rng.integers(3)]
+    return commands.lower + (commands.upper - commands.lower) * shape
+
+
+def _moves_and_holds(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
+    """S2 eq. (11): moves of constant speed to random targets, and holds."""
+    samples = round(rng.uniform(*_DURATION_S) / dt)
+    parts, last, total = [], commands.lower, 0
+    while total < samples:
+        target, speed = rng.uniform(commands.lower, commands.upper), _log_uniform(0.03 * rate, rate, rng)
+        move = np.linspace(last, target, 2 + math.ceil(abs(target - last) / (speed * dt)))
+        hold = np.full(rng.integers(1, 1 + math.ceil(_HOLD_S / dt)), target)
+        parts += [move, hold]
+        last, total = target, total + move.size + hold.size
+    return np.concatenate(parts)[:samples]
+
+
+def _sum_of_sines(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
+    """Nested and crossing loops of all sizes; not faster than the trials were."""
+    t = np.arange(0.0, rng.uniform(*_DURATION_S), dt)
+    frequencies = [_log_uniform(0.3 * _FREQUENCY_HZ[0], _FREQUENCY_HZ[1], rng) for _ in range(_SINES)]
+    waves = sum(rng.uniform() * np.sin(2 * np.pi * (f * t + rng.uniform())) for f in frequencies)
+    unit = (waves - np.min(waves)) / np.ptp(waves)
+    fastest = np.max(np.abs(np.diff(unit))) / dt
+    swing = min(rng.uniform(0.3, 1.0) * (commands.upper - commands.lower), rate / fastest)
+    return rng.uniform(commands.lower, commands.upper - swing) + swing * unit
+
+
+_KINDS = (_decaying_sine, _moves_and_holds, _sum_of_sines)
+
+
+def _log_uniform(low: float, high: float, rng: Rng) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

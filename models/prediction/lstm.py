@@ -1,0 +1,80 @@
+"""Roll-outs of an LSTM by compiled float32 kernels."""
+
+from __future__ import annotations
+
+from typing import Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..contract.load import OnnxModel
+from ..contract.metadata import ModelMetadata
+from ..kernels import lstm_kernels
+from ..lstm.weights import LstmWeights
+from ..model import Array, Predictor
+
+_Float32 = NDArray[np.float32]
+
+
+@final
+class LstmPredictor(Predictor):
+    """Compiled roll-out and linearisation of a stacked LSTM; state (S,) as in `LstmWeights`.
+
+    Plans must be finite, as those within command limits are: the kernels' gates clamp, and would turn not-a-number into
+    a plausible angle. The matrix products run on as many threads as the process gives BLAS; a control process sets one
+    (threadpoolctl), since a second one stalls beside a busy neighbour.
+    """
+
+    def __init__(
+        self, weights: LstmWeights, metadata: ModelMetadata, start: Literal["initial", "conditioned"] = "conditioned"
+    ) -> None:
+        self.dt = metadata.dt_s
+        self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
+        self._packed = lstm_kernels.pack_lstm(weights)
+        self._scaling = weights.scaling
+        self._shape = (2 * len(weights.layers), weights.hidden)
+        self._rule = metadata.initial if start == "initial" else metadata.conditioned
+        self._warmup = metadata.warmup_samples
+
+    @classmethod
+    def of_model(cls, model: OnnxModel, start: Literal["initial", "conditioned"] = "conditioned") -> LstmPredictor:
+        """Predictor of a loaded model file of kind `lstm`; the graph's initializers are all that it needs.
+
+        Raises:
+            ModelError: if the initializers are not those of an exported LSTM.
+        """
+        return cls(LstmWeights.from_arrays(model.initializers), model.metadata, start)
+
+    def initial(self, y: float, u: float) -> Array:
+        state = self._rule.state(np.array([[y]]))[0]
+        for _ in range(self._warmup):
+            _, state = self.advance(state, u)
+        return state
+
+    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+        following = self._layers(state)
+        y = lstm_kernels.advance(self._packed, following, self._scaled(u))
+        return float(self._angles(y)), following.ravel().astype(np.float64)
+
+    def rollout(self, state: Array, plans: Array) -> Array:
+        scaled = self._scaled(plans)
+        y = np.empty(scaled.shape, np.float32)
+        lstm_kernels.rollout(self._packed, self._layers(state), scaled, y)
+        return self._angles(y)
+
+    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+        y, by_plan = np.empty(plan.size, np.float32), np.zeros((plan.size, plan.size), np.float32)
+        lstm_kernels.linearise(self._packed, self._layers(state), self._scaled(plan), y, by_plan)
+        gain = self._scaling.theta_scale / self._scaling.u_scale
+        return self._angles(y), gain * by_plan.astype(np.float64)
+
+    def _layers(self, state: Array) -> _Float32:
+        """A float32 copy (2L, H) of the state for a kernel to work on."""
+        return np.array(state, dtype=np.float32).reshape(self._shape)
+
+    def _scaled(self, u: Array | float) -> _Float32:
+        scaled = (np.asarray(u, dtype=np.float64) - self._scaling.u_offset) / self._scaling.u_scale
+        return np.ascontiguousarray(scaled, dtype=np.float32) if scaled.ndim else np.float32(scaled)
+
+    def _angles(self, y: _Float32) -> Array:
+        return self._scaling.theta_offset + self._scaling.theta_scale * np.asarray(y, dtype=np.float64)

@@ -1,0 +1,166 @@
+"""The condensed program against a dense reference, its solver, and the real-time iteration around it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
+from hystmpc.ctrl.linearised.planner import LinearisedPlanner
+from hystmpc.ctrl.linearised.problem import QpData, TrackingQp
+from hystmpc.ctrl.planning import Plan, PlanCost, PlanningError, PlanningProblem, Weights
+from hystmpc.ctrl.stopwatch import Stopwatch
+from hystmpc.trials.errors import ControllerError
+from scipy.optimize import LinearConstraint, minimize
+
+from .plays import DT, SOUND, Case, Faulty, Lag, not_a_number
+
+LIMITS = CommandLimits(0.0, 6.0, 4.0)
+HARD = Weights(rate=1.0, effort=0.5)
+SOFT = replace(HARD, soft_limit=50.0, angle_limits_deg=(25.0, 42.0))
+H = 5
+
+
+def posed(case: Case, horizon: int = H, seed: int = 0) -> tuple[PlanningProblem, Plan]:
+    """A random problem and an admissible plan that starts it."""
+    random = np.random.default_rng(seed)
+    state, u_last = case.predictor.initial(40.0, 2.0), 2.0
+    commands = LIMITS.clip_plans(u_last + np.cumsum(random.normal(0, 0.1, horizon)), u_last, DT)
+    problem = PlanningProblem(
+        state, u_last, 40.0 + np.cumsum(random.normal(0, 3.0, horizon)), commands - 0.05, SOFT.angle_limits_deg
+    )
+    return problem, Plan(commands, case.predictor.rollout(state, commands[None])[0], math.inf)
+
+
+def dense(qp: TrackingQp, data: QpData) -> tuple[np.ndarray, np.ndarray]:
+    hessian = qp.pattern.hessian.copy()
+    hessian.data = data.hessian_data
+    upper = hessian.toarray()
+    constraints = qp.pattern.constraints.copy()
+    if data.constraint_data is not None:
+        constraints.data = data.constraint_data
+    return upper + np.triu(upper, 1).T, constraints.toarray()
+
+
+@pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
+@pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
+@pytest.mark.parametrize("seed", range(5))
+def test_solution_is_that_of_a_dense_reference(weights: Weights, case: Case, seed: int) -> None:
+    problem, start = posed(case, seed=seed)
+    qp = TrackingQp(weights, LIMITS, H, DT)
+    data = qp.data(problem, start, case.predictor.linearise(problem.state, start.commands)[1])
+    p, a = dense(qp, data)
+    solution = OsqpSolver(qp.pattern, OsqpOptions(eps=1e-8, max_iterations=20_000)).solve(data)
+    reference = minimize(
+        lambda z: 0.5 * z @ p @ z + data.gradient @ z,
+        np.zeros(len(p)),
+        jac=lambda z: p @ z + data.gradient,
+        hess=lambda z: p,
+        constraints=LinearConstraint(a, data.lower, data.upper),
+        method="SLSQP",
+        options={"ftol": 1e-13, "maxiter": 500},
+    )
+    assert solution.status == "solved"
+    np.testing.assert_allclose(solution.primal[:H], reference.x[:H], atol=2e-5)
+
+
+def test_program_is_the_planning_cost_where_the_model_is_linear() -> None:
+    case = SOUND[1]
+    problem, start = posed(case)
+    cost = PlanCost(HARD, H)
+    qp = TrackingQp(HARD, LIMITS, H, DT)
+    data = qp.data(problem, start, case.predictor.linearise(problem.state, start.commands)[1])
+    p, _ = dense(qp, data)
+    for v in np.random.default_rng(1).normal(0, 0.2, (10, H)):
+        plans = np.array([start.commands, start.commands + v])
+        costs = cost(plans, case.predictor.rollout(problem.state, plans), problem)
+        assert costs[1] - costs[0] == pytest.approx(0.5 * v @ p @ v + data.gradient @ v, rel=1e-9)
+
+
+@pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
+@pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
+@pytest.mark.parametrize("iterations", [1, 2])
+def test_result_is_admissible_and_never_worse_than_the_start(
+    weights: Weights, case: Case, iterations: int
+) -> None:
+    horizon = 20
+    planner = LinearisedPlanner(case.predictor, weights, LIMITS, horizon, iterations)
+    cost = PlanCost(weights, horizon)
+    for seed in range(20):
+        problem, start = posed(case, horizon, seed)
+        start = cost.best(start.commands[None], start.angles[None], problem)
+        plan, _, _ = planner.improve(problem, start, planner.init(), Stopwatch())
+        again = cost.best(plan.commands[None], case.predictor.rollout(problem.state, plan.commands[None]), problem)
+        assert plan.cost <= start.cost
+        assert plan.cost == pytest.approx(again.cost)
+        np.testing.assert_allclose(
+            LIMITS.clip_plans(plan.commands, problem.u_last, DT), plan.commands, atol=1e-12
+        )
+
+
+def test_one_iteration_is_optimal_where_the_model_is_linear() -> None:
+    case, weights = SOUND[1], replace(HARD, effort=0.0)
+    problem, start = posed(case, 20)
+    planner = LinearisedPlanner(case.predictor, weights, LIMITS, 20, 1, OsqpOptions(eps=1e-8, max_iterations=20_000))
+    start = PlanCost(weights, 20).best(start.commands[None], start.angles[None], problem)
+    once, _, _ = planner.improve(problem, start, planner.init(), Stopwatch())
+    twice, _, _ = planner.improve(problem, once, planner.init(), Stopwatch())
+    assert once.cost < 0.9 * start.cost
+    assert twice.cost == pytest.approx(once.cost, rel=1e-6)
+
+
+def test_equal_data_give_equal_answers_whatever_came_before() -> None:
+    case = SOUND[0]
+    qp = TrackingQp(HARD, LIMITS, H, DT)
+    solver = OsqpSolver(qp.pattern, OsqpOptions())
+    data = []
+    for seed in range(4):
+        problem, start = posed(case, seed=seed)
+        data.append(qp.data(problem, start, case.predictor.linearise(problem.state, start.commands)[1]))
+    first = [solver.solve(d).primal for d in data]
+    backwards = [solver.solve(d).primal for d in data[::-1]][::-1]
+    np.testing.assert_array_equal(first, backwards)
+
+
+def test_solver_that_failed_is_rebuilt() -> None:
+    case = SOUND[0]
+    qp = TrackingQp(HARD, LIMITS, H, DT)
+    solver = OsqpSolver(qp.pattern, OsqpOptions())
+    problem, start = posed(case)
+    data = qp.data(problem, start, case.predictor.linearise(problem.state, start.commands)[1])
+    good = solver.solve(data)
+    bad = solver.solve(replace(data, lower=data.lower + 10.0, upper=data.lower + 10.0))
+    assert (bad.usable, bad.status) == (False, "primal infeasible")
+    np.testing.assert_array_equal(solver.solve(data).primal, good.primal)
+
+
+def test_rate_multipliers_are_exact_where_every_move_is_at_the_limit() -> None:
+    problem, start = posed(SOUND[1])
+    ramp = problem.u_last + LIMITS.rate * DT * np.arange(1, H + 1)
+    start = replace(start, commands=ramp, angles=Lag().rollout(problem.state, ramp[None])[0])
+    problem = replace(problem, reference=np.full(H, 200.0), feedforward=ramp)
+    qp = TrackingQp(HARD, LIMITS, H, DT)
+    data = qp.data(problem, start, Lag().linearise(problem.state, ramp)[1])
+    _, a = dense(qp, data)
+    np.testing.assert_allclose(a.T @ data.dual, -data.gradient, rtol=1e-9)
+    assert OsqpSolver(qp.pattern, OsqpOptions()).solve(data).iterations <= 10
+
+
+def test_jacobian_that_is_not_finite_is_a_planning_error() -> None:
+    case = SOUND[1]
+    problem, start = posed(case)
+    planner = LinearisedPlanner(Faulty(case.predictor, not_a_number, -1.0), HARD, LIMITS, H)
+    with pytest.raises(PlanningError, match="Jacobian is not finite"):
+        planner.improve(problem, start, planner.init(), Stopwatch())
+
+
+@pytest.mark.parametrize(
+    "change", [{"tracking": 0.0}, {"rate": 0.0}, {"effort": -1.0}, {"angle_limits_deg": (3.0, 2.0)}]
+)
+def test_impossible_weights_are_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(ControllerError, match="weights: got"):
+        replace(HARD, **change)

@@ -1,0 +1,94 @@
+"""Laws of the sampling planner and its noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hystmpc.ctrl.planning import Plan, PlanCost, Weights
+from hystmpc.ctrl.sampling.noise import coloured_noise, spline_noise
+from hystmpc.ctrl.sampling.planner import SampleCounter, SamplingOptions, SamplingPlanner
+from hystmpc.ctrl.stopwatch import Stopwatch
+from hystmpc.trials.errors import ControllerError
+
+from .plays import DT, SOUND, Case
+from .test_linearised import LIMITS, posed
+
+H = 20
+WEIGHTS = Weights()
+NOISES = {"spline": spline_noise(H, 6), "red": coloured_noise(H, 2.0), "white": coloured_noise(H, 0.0)}
+
+
+def planner_for(case: Case, noise: str = "spline", **options: Any) -> SamplingPlanner:
+    return SamplingPlanner(case.predictor, WEIGHTS, LIMITS, NOISES[noise], SamplingOptions(**options))
+
+
+def started(case: Case, seed: int) -> tuple[Any, Plan]:
+    problem, plan = posed(case, H, seed)
+    return problem, PlanCost(WEIGHTS, H).best(plan.commands[None], plan.angles[None], problem)
+
+
+@pytest.mark.parametrize("name", NOISES)
+def test_every_sample_is_perturbed_with_the_same_variance(name: str) -> None:
+    np.testing.assert_allclose(np.sum(NOISES[name] ** 2, axis=1), 1.0)
+
+
+def test_white_noise_is_white_and_red_noise_is_smooth() -> None:
+    covariance = NOISES["white"] @ NOISES["white"].T
+    assert np.max(np.abs(covariance - np.eye(H))) < 0.06
+    neighbours = {name: np.mean(np.diag(noise @ noise.T, 1)) for name, noise in NOISES.items()}
+    assert neighbours["red"] > 0.9
+    assert neighbours["spline"] > 0.8
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
+def test_result_is_admissible_and_never_worse_than_the_start(case: Case, noise: str) -> None:
+    planner = planner_for(case, noise, samples=64)
+    better = 0
+    for seed in range(10):
+        problem, start = started(case, seed)
+        plan, status, _ = planner.improve(problem, start, planner.init(), Stopwatch())
+        better += plan.cost < start.cost
+        assert status == "ok"
+        assert plan.cost <= start.cost
+        np.testing.assert_allclose(LIMITS.clip_plans(plan.commands, problem.u_last, DT), plan.commands, atol=1e-12)
+    assert better == 10  # a random start is far from the optimum
+
+
+def test_random_numbers_depend_on_seed_and_step_alone() -> None:
+    case = SOUND[0]
+    problem, start = started(case, 0)
+    planner = planner_for(case, samples=32)
+    first, _, after = planner.improve(problem, start, SampleCounter(7), Stopwatch())
+    planner.improve(problem, start, after, Stopwatch())
+    again, _, _ = planner_for(case, samples=32).improve(problem, start, SampleCounter(7), Stopwatch())
+    np.testing.assert_array_equal(first.commands, again.commands)
+    assert after == SampleCounter(8)
+    for other, counter in ((planner_for(case, samples=32, seed=1), 7), (planner, 8)):
+        different, _, _ = other.improve(problem, start, SampleCounter(counter), Stopwatch())
+        assert not np.array_equal(first.commands, different.commands)
+
+
+def test_more_iterations_do_not_cost_more() -> None:
+    problem, start = started(SOUND[1], 1)
+    costs = []
+    for iterations in (1, 2, 4, 8):
+        planner = planner_for(SOUND[1], iterations=iterations)
+        costs.append(planner.improve(problem, start, planner.init(), Stopwatch())[0].cost)
+    assert costs == sorted(costs, reverse=True)
+
+
+@pytest.mark.parametrize("change", [{"samples": 0}, {"sigma": -1.0}, {"finest": 2.0}, {"seed": -1}])
+def test_impossible_options_are_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(ControllerError, match="sampling MPC: got"):
+        replace(SamplingOptions(), **change)
+
+
+def test_impossible_noise_is_refused() -> None:
+    with pytest.raises(ControllerError, match="expected 2 to the horizon of 20"):
+        spline_noise(20, 21)
+    with pytest.raises(ControllerError, match="expected >= 0"):
+        coloured_noise(20, -1.0)

@@ -1,0 +1,66 @@
+"""The package's source as syntax trees: what the rules of the house are checked on."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+# A room imports itself and the tiers before its own; rooms of one tier do not know each other.
+TIERS = (("trials",), ("models",), ("trajectories", "ctrl"), ("sim", "rig"), ("gap",), ("cli",))
+ROOMS = tuple(room for tier in TIERS for room in tier)
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+@dataclass(frozen=True)
+class Module:
+    """One file of one room under `root`."""
+
+    root: Path
+    path: Path
+
+    @property
+    def where(self) -> str:
+        """The file as messages name it."""
+        return self.path.relative_to(self.root).as_posix()
+
+    @property
+    def name(self) -> str:
+        """Dotted name, `hystmpc.models.fit` for models/fit/__init__.py."""
+        parts = self.path.relative_to(self.root).with_suffix("").parts
+        return ".".join(("hystmpc", *(p for p in parts if p != "__init__")))
+
+    @property
+    def room(self) -> str:
+        """Folder at the root that holds the file."""
+        return self.path.relative_to(self.root).parts[0]
+
+    @cached_property
+    def tree(self) -> ast.Module:
+        """The file, parsed."""
+        return ast.parse(self.path.read_text(encoding="utf-8"), str(self.path))
+
+    def imports(self) -> Iterator[tuple[int, str]]:
+        """Line and absolute dotted name of every import, those inside functions included."""
+        package = self.name if self.path.name == "__init__.py" else self.name.rpartition(".")[0]
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.Import):
+                yield from ((node.lineno, alias.name) for alias in node.names)
+            elif isinstance(node, ast.ImportFrom):
+                base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+                yield from ((node.lineno, f"{base}.{alias.name}") for alias in node.names)
+
+
+def modules(root: Path = ROOT) -> list[Module]:
+    """Every module of every room."""
+    return [Module(root, path) for room in ROOMS for path in sorted((root / room).rglob("*.py"))]
+
+
+def functions(tree: ast.AST) -> Iterator[Function]:
+    """Every function and method, nested and private ones included."""
+    return (node for node in ast.walk(tree) if isinstance(node, Function))

@@ -1,0 +1,89 @@
+"""Imports run one way through the rooms, and torch stays where its extra is expected."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from .source import ROOMS, ROOT, TIERS, Module, modules
+
+TIER = {room: number for number, tier in enumerate(TIERS) for room in tier}
+
+
+def wrong_way(root: Path) -> Iterator[str]:
+    """Imports of a room that does not lie in an earlier tier."""
+    for module in modules(root):
+        for line, name in module.imports():
+            package, _, rest = name.partition(".")
+            room = rest.partition(".")[0]
+            if package == "hystmpc" and room != module.room and TIER[room] >= TIER[module.room]:
+                yield f"{module.where}:{line}: {module.room} imports {name}"
+
+
+def may_need_torch(module: Module) -> bool:
+    """Training and the one wrapper of torch."""
+    return module.name.startswith("hystmpc.models.fit.") or module.name == "hystmpc.models.lstm.torch_"
+
+
+def test_imports_run_one_way() -> None:
+    assert list(wrong_way(ROOT)) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "expected"),
+    [
+        ("trials/a.py", "import hystmpc.models.model", 1),
+        ("ctrl/a.py", "def f():\n    from hystmpc.trajectories.preview import g", 1),
+        ("rig/a.py", "from hystmpc import sim", 1),
+        ("models/fit/a.py", "from ...ctrl import limits", 1),
+        ("gap/__init__.py", "from ..cli import main", 1),
+        ("sim/a.py", "from hystmpc.ctrl import limits\nimport numpy", 0),
+        ("models/fit/a.py", "from ..model import Model\nfrom . import starts", 0),
+        ("cli/a.py", "from hystmpc import gap, rig, trials", 0),
+    ],
+)
+def test_the_check_itself(tmp_path: Path, file: str, text: str, expected: int) -> None:
+    (tmp_path / file).parent.mkdir(parents=True)
+    (tmp_path / file).write_text(text)
+    assert len(list(wrong_way(tmp_path))) == expected
+
+
+def test_no_room_is_imported_as_a_top_level_package() -> None:
+    """It would work in a checkout and fail for everybody who has installed a wheel."""
+    files = [path for folder in (*ROOMS, "tests", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py")]
+    offenders = []
+    for path in files:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                names = [node.module]
+            offenders += [f"{path.relative_to(ROOT)}: {name}" for name in names if name.partition(".")[0] in ROOMS]
+    assert offenders == []
+
+
+def test_torch_is_imported_by_training_only() -> None:
+    offenders = [
+        f"{module.where}:{line}: {name}"
+        for module in modules()
+        if not may_need_torch(module)
+        for line, name in module.imports()
+        if name.partition(".")[0] == "torch"
+    ]
+    assert offenders == []
+
+
+def test_importing_the_package_does_not_load_torch() -> None:
+    names = [module.name for module in modules() if not may_need_torch(module)]
+    code = (
+        "import importlib, sys\n"
+        "for name in sys.argv[1:]:\n"
+        "    importlib.import_module(name)\n"
+        "    if 'torch' in sys.modules: sys.exit(f'{name} loads torch')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *names], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
