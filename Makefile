@@ -1,4 +1,4 @@
-# Python 3.11 or newer, make and a network to PyPI are all that is needed; no compiler.
+# Python 3.11 or newer, make and a package index are all that is needed; no compiler.
 # `make PYTHON=python3.12 ...` chooses the interpreter; a venv made by another Python version is made anew.
 
 PYTHON ?= python3
@@ -65,18 +65,17 @@ clean: ## remove caches and build products; run folders and venvs stay
 distclean: clean ## also remove the venvs
 	rm -rf $(VENV) $(DEMO_VENV)
 
-$(DEMO_VENV)/.installed: EXTRAS :=
+VENVS := $(VENV) $(DEMO_VENV)
+EXTRAS :=
 $(VENV)/.installed: EXTRAS := [train,logs,bench,dev]
 # Editable, so that nothing is installed again after a change of code.
-%/.installed: %/.python-$(VERSION) pyproject.toml constraints.txt
+$(VENVS:%=%/.installed): %/.installed: %/.python-$(VERSION) pyproject.toml constraints.txt
 	$*/bin/python $(INSTALL) --editable ".$(EXTRAS)"
 	@touch $@
 
-%/.python-$(VERSION):
-	@test -n "$(VERSION)" || { echo "error: $(PYTHON) is not there; name a Python >= 3.11: make PYTHON=python3.12"; exit 1; }
+$(VENVS:%=%/.python-$(VERSION)):
+	@test -n "$(VERSION)" || { echo "error: $(PYTHON) does not run; name a Python >= 3.11: make PYTHON=python3.12"; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "error: $(PYTHON) is Python $(VERSION), expected >= 3.11; name another: make PYTHON=python3.12"; exit 1; }
-	$(PYTHON) -m venv --clear $*
+	$(PYTHON) -m venv --clear $(@D)
 	@touch $@
-
-.PRECIOUS: %/.python-$(VERSION)

@@ -18,6 +18,10 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
 from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
@@ -29,9 +33,6 @@ from hystmpc.models.fit.lstm_settings import LSTM_PRESETS, LstmSettings
 from hystmpc.trials.csv_ import read_csv
 from hystmpc.trials.resample import resample
 from hystmpc.trials.trial import Trial
-from rich.console import Console
-from rich.progress import Progress
-from rich.table import Table
 
 Build = Callable[[Sequence[Trial]], RunnableModel]
 COLUMNS = ("rmse", "offset-free", "max", "rmse*", "offset-free*", "max*", "hold drift", "train s")
@@ -93,7 +94,8 @@ def study(trials: Sequence[Trial], folds: Sequence[int], builds: dict[str, Build
         table.add_column("trial")
         for column in COLUMNS:
             table.add_column(column, justify="right")
-        for label, row in [*zip([Path(trials[k].source).stem for k in folds], rows, strict=True), ("mean", np.mean(rows, 0))]:
+        labels = [Path(trials[k].source).stem for k in folds]
+        for label, row in zip([*labels, "mean"], [*rows, np.mean(rows, axis=0)], strict=True):
             table.add_row(label, *(f"{value:.2f}" for value in row))
         Console(width=140).print(table)
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import typer
+from rich.markup import escape
+from rich.table import Table
+
 from hystmpc.trials.check import check_trial
 from hystmpc.trials.csv_ import expand_logs
 from hystmpc.trials.findings import Severity
-from rich.markup import escape
-from rich.table import Table
 
 from .console import out
 from .options import Layout, Logs
@@ -14,7 +16,7 @@ from .options import Layout, Logs
 _COLOURS = {Severity.OK: "green", Severity.NOTE: "cyan", Severity.WARNING: "yellow", Severity.ERROR: "red"}
 
 
-def check(logs: Logs, preset: Layout = "auto") -> int:
+def check(logs: Logs, preset: Layout = "auto") -> None:
     """Check logs: time base, jitter, gaps, duplicates, NaN, units, sign, segments, first flexure.
 
     Exit code 1 if a log cannot be used.
@@ -28,4 +30,5 @@ def check(logs: Logs, preset: Layout = "auto") -> int:
             grid.add_row(f"[{colour}]{finding.severity}[/]", finding.topic, escape(finding.message))
         out.print(grid)
         unusable |= report.worst is Severity.ERROR
-    return int(unusable)
+    if unusable:
+        raise typer.Exit(1)

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.table import Table
+
 from hystmpc.models.evaluate import Errors, TrialEvaluation, evaluation_json, mean_errors
 from hystmpc.models.evaluate import evaluate as score
 from hystmpc.models.load import load_model
 from hystmpc.trials.files import write_atomically
-from rich.table import Table
 
 from .console import bar, out, table
 from .options import Layout, Logs, SkipFirstFlexure, trials_at

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.export_simulator import export_simulator
 from hystmpc.models.simulator import load_simulator
@@ -14,7 +15,9 @@ from .console import out
 
 
 def export(
-    simulator: Annotated[Path, typer.Argument(metavar="SIMULATOR", help="A simulator file (.yaml) as `fit` writes it.")],
+    simulator: Annotated[
+        Path, typer.Argument(metavar="SIMULATOR", help="A simulator file (.yaml) as `fit` writes it.")
+    ],
     path: Annotated[Path, typer.Option("--out", help="The ONNX file to write.")],
 ) -> None:
     """Write a simulator as a stateful ONNX step and hold it against its reference, onnxruntime and CasADi."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 
-import click
 import typer
+
 from hystmpc.trials.errors import HystmpcError
 
 from .bench import bench
@@ -18,13 +18,14 @@ from .fit import fit
 from .report import report
 from .simulate import simulate
 
-INTERRUPTED, UNUSABLE = 130, 2
+UNUSABLE = 2
 
 app = typer.Typer(
     name="hystmpc",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
+    pretty_exceptions_enable=False,
     help="Inverse-model predictive control for actuators with hysteresis: check and fit recorded trials, export "
     "models to ONNX, track tip angles in simulation, compare controllers.",
 )
@@ -35,17 +36,7 @@ for verb in (check, fit, evaluate, export, simulate, report, demo, bench):
 def main() -> None:
     """Run the program; one line on standard error and exit code 2 for unusable input, 130 after Ctrl-C."""
     try:
-        code = app(standalone_mode=False)
-    except click.exceptions.Abort:
-        errors.print("interrupted", style="yellow")
-        sys.exit(INTERRUPTED)
-    except click.ClickException as error:
-        error.show()
-        sys.exit(UNUSABLE)
-    except KeyboardInterrupt:
-        errors.print("interrupted", style="yellow")
-        sys.exit(INTERRUPTED)
+        app()
     except HystmpcError as error:
         errors.print(f"error: {error}", style="red", soft_wrap=True, markup=False, highlight=False)
         sys.exit(UNUSABLE)
-    sys.exit(code if isinstance(code, int) else 0)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+
 from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.presets import PRESETS
 from hystmpc.trials.resample import resample

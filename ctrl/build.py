@@ -6,9 +6,10 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.errors import ControllerError
-from numpy.typing import NDArray
 
 from .candidates import Candidates
 from .config import (

@@ -6,8 +6,9 @@ import math
 from typing import final
 
 import numpy as np
-from hystmpc.models.model import Inverse, Predictor
 from numpy.typing import NDArray
+
+from hystmpc.models.model import Inverse, Predictor
 
 from .limits import CommandLimits
 

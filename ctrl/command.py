@@ -46,8 +46,8 @@ class Command:
         source: which rung of the ladder produced it.
         status: `ok`, or one line on what was unusual or why a better rung was not used.
         plan: planned commands over the horizon, shape (H,), empty where the controller does not plan.
-        predicted: predicted tip angles [deg] at the ends of this and the next samples, disturbance included;
-            one entry where the controller does not plan, none where it has no model.
+        predicted: predicted tip angles [deg] at the ends of this and the next samples, disturbance included: as
+            many as the plan has, up to the effect of `u` where there is no plan, none without a model.
         disturbance: estimated output disturbance [deg].
         timing: time per stage.
     """

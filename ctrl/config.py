@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+from pydantic import Field, model_validator
+
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
-from pydantic import Field, model_validator
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
-from numpy.typing import NDArray
 
 from .inputs import usable_angle
 from .observer import Estimate, Observer

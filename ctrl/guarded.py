@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Generic, TypeVar, final
 
 import numpy as np
-from hystmpc.trials.errors import ControllerError, HystmpcError
 from numpy.typing import NDArray
+
+from hystmpc.trials.errors import ControllerError, HystmpcError
 
 from .command import EMPTY, Command, Timing
 from .inputs import ANGLE_BOUND_DEG, UnusableReferenceError, usable_angle, usable_reference
@@ -123,9 +124,7 @@ class GuardedController(Generic[M]):
         )
         return command, replace(decided, estimate=after)
 
-    def _decide(
-        self, state: GuardedState[M], reference: object, watch: Stopwatch
-    ) -> tuple[Rung, GuardedState[M]]:
+    def _decide(self, state: GuardedState[M], reference: object, watch: Stopwatch) -> tuple[Rung, GuardedState[M]]:
         """The rung to stand on; the state with the law's memory, the ladder and the next due angle renewed."""
         ladder, missing = state.ladder, state.estimate.missing
         waiting = self._situation(state, np.full(self.horizon, state.due))

@@ -40,9 +40,7 @@ class InverseFeedforward(Law[FeedforwardMemory]):
         del u
         return FeedforwardMemory(y)
 
-    def propose(
-        self, memory: FeedforwardMemory, situation: Situation, watch: Stopwatch
-    ) -> Proposal[FeedforwardMemory]:
+    def propose(self, memory: FeedforwardMemory, situation: Situation, watch: Stopwatch) -> Proposal[FeedforwardMemory]:
         wanted = float(situation.reference[0])
         followed = wanted if abs(wanted - memory.followed) >= self._dead_zone else memory.followed
         u = self._inverse.command(situation.state, followed, situation.u_last)

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from hystmpc.models.model import Predictor
 from numpy.typing import NDArray
+
+from hystmpc.models.model import Predictor
 
 from .command import Source
 from .inverse_feedforward import FeedforwardMemory, InverseFeedforward
@@ -41,9 +42,7 @@ class InversePid(Law[InversePidMemory]):
     horizon = 1
     source = Source.CONTROLLER
 
-    def __init__(
-        self, feedforward: InverseFeedforward, pid: Pid, predictor: Predictor, limits: CommandLimits
-    ) -> None:
+    def __init__(self, feedforward: InverseFeedforward, pid: Pid, predictor: Predictor, limits: CommandLimits) -> None:
         self._feedforward, self._pid = feedforward, pid
         self._predictor, self._limits = predictor, limits
 
@@ -51,9 +50,7 @@ class InversePid(Law[InversePidMemory]):
         state = self._predictor.initial(y, u)
         return InversePidMemory(self._feedforward.init(y, u), PidMemory(0.0, 0.0, y), state, u)
 
-    def propose(
-        self, memory: InversePidMemory, situation: Situation, watch: Stopwatch
-    ) -> Proposal[InversePidMemory]:
+    def propose(self, memory: InversePidMemory, situation: Situation, watch: Stopwatch) -> Proposal[InversePidMemory]:
         alone = replace(situation, state=memory.state, u_last=memory.u)
         wanted = self._feedforward.propose(memory.feedforward, alone, watch)
         u_alone = self._limits.clip(wanted.u, memory.u, self._predictor.dt)

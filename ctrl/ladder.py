@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar, final
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hystmpc.models.model import Inverse
 from hystmpc.trials.errors import ControllerError
-from numpy.typing import NDArray
 
 from .command import EMPTY, Source
 from .law import Situation

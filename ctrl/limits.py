@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from hystmpc.trials.errors import ControllerError
 from numpy.typing import NDArray
+
+from hystmpc.trials.errors import ControllerError
 
 Vec = NDArray[np.float64]
 

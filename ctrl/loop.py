@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from hystmpc.trials.errors import ControllerError
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
+
+from hystmpc.trials.errors import ControllerError
 
 from .command import Command
 from .protocols import Controller, Plant

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar, final
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
-from numpy.typing import NDArray
 
 from .candidates import HOLD, INVERSE, Candidates
 from .command import Source

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar, final
 
 import numpy as np
-from hystmpc.trials.errors import ControllerError
 from numpy.typing import NDArray
+
+from hystmpc.trials.errors import ControllerError
 
 from .stopwatch import Stopwatch
 
@@ -137,9 +138,7 @@ class Planner(ABC, Generic[P]):
         """The planner's memory before its first plan (dual variables, random counter)."""
 
     @abstractmethod
-    def improve(
-        self, problem: PlanningProblem, start: Plan, memory: P, watch: Stopwatch
-    ) -> tuple[Plan, str, P]:
+    def improve(self, problem: PlanningProblem, start: Plan, memory: P, watch: Stopwatch) -> tuple[Plan, str, P]:
         """The better plan, `ok` or one line on what was unusual, and the next memory.
 
         Raises:

@@ -9,6 +9,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+
 from hystmpc.trials.errors import ModelError
 
 from .operators.operator import Operator, Parameter

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.segments import first_flexure_end, segment
 from hystmpc.trials.trial import Trial
-from numpy.typing import NDArray
 
 from .contract.metadata import ModelMetadata
 from .model import Model
@@ -26,7 +27,9 @@ class RunnableModel(Model, Protocol):
     """A model that knows how a trial starts."""
 
     @property
-    def metadata(self) -> ModelMetadata: ...
+    def metadata(self) -> ModelMetadata:
+        """Start rules, warm-up, sample time and units."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,9 @@ def evaluate(model: RunnableModel, trial: Trial, skip_first_flexure: bool = Fals
     commands = np.concatenate([trial.command, np.full(held, trial.command[-1])])
     theta = free_run(model, commands, float(trial.angle[0]))
     if not np.all(np.isfinite(theta)):
-        raise ModelError(f"{trial.source}: the model's angle is not finite from sample {np.argmin(np.isfinite(theta))} on")
+        raise ModelError(
+            f"{trial.source}: the model's angle is not finite from sample {np.argmin(np.isfinite(theta))} on"
+        )
     start = first_flexure_end(trial) if skip_first_flexure else 0
     holds = [(a, b) for a, b in segment(trial).holds if a >= start] + [(len(trial), commands.size)]
     return TrialEvaluation(trial, theta[: len(trial)], start, _errors(trial, theta, start, holds))

@@ -18,11 +18,19 @@ class Model(Protocol):
     """
 
     @property
-    def nx(self) -> int: ...
+    def nx(self) -> int:
+        """Entries of the state."""
+        ...
+
     @property
-    def nu(self) -> int: ...
+    def nu(self) -> int:
+        """Commands: one."""
+        ...
+
     @property
-    def dt(self) -> float: ...
+    def dt(self) -> float:
+        """Sample time [s]."""
+        ...
 
     def initial(self, y: Array) -> Array:
         """State of a device that rests at the measured angle `y` (N, 1) [deg]."""

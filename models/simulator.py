@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field
+
 from hystmpc.trials.config import Settings, dump_yaml, read_yaml
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.files import write_atomically
-from pydantic import Field
 
 from .chain import Chain
 from .contract.metadata import InitialRule, ModelMetadata, Positive, Range

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from hystmpc.trials.errors import TrajectoryError
 from numpy.typing import ArrayLike
+
+from hystmpc.trials.errors import TrajectoryError
 
 from .trajectory import Trajectory, Vec, inside
 

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from pydantic import BeforeValidator, Field
+
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
-from pydantic import BeforeValidator, Field
 
 from .limits import MotionLimits
 from .point_to_point import PointToPoint, random_point_to_point

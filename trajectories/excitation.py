@@ -10,6 +10,7 @@ import math
 from typing import Literal
 
 import numpy as np
+
 from hystmpc.trials.errors import TrajectoryError, did_you_mean
 
 from .checks import require_positive

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from hystmpc.trials.errors import TrajectoryError
 from numpy.typing import ArrayLike
+
+from hystmpc.trials.errors import TrajectoryError
 
 from .checks import require_finite, require_positive, require_range
 from .piecewise import PiecewiseCubic, hold, ramp

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import ruckig
+
 from hystmpc.trials.errors import TrajectoryError
 
 from .limits import MotionLimits

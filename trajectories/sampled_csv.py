@@ -6,6 +6,7 @@ import csv
 from pathlib import Path
 
 import numpy as np
+
 from hystmpc.trials.errors import TrajectoryError
 
 from .trajectory import Sampled

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from hystmpc.trials.errors import TrajectoryError
 from numpy.typing import ArrayLike
+
+from hystmpc.trials.errors import TrajectoryError
 
 from .limits import MotionLimits
 from .sweeps import SweepPlan, sinusoid_sweeps, triangle_sweeps

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from hystmpc.trials.errors import TrajectoryError
 from numpy.typing import ArrayLike
+
+from hystmpc.trials.errors import TrajectoryError
 
 from .chain import Chain
 from .checks import require_finite, require_positive

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from hystmpc.trials.errors import TrajectoryError
 from numpy.typing import ArrayLike, NDArray
+
+from hystmpc.trials.errors import TrajectoryError
 
 from .checks import require_positive
 

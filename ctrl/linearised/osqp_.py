@@ -13,20 +13,25 @@ from .problem import QpData, QpPattern
 
 Vec = NDArray[np.float64]
 
+_UNFINISHED = "maximum iterations reached"
+_USABLE = ("solved", "solved inaccurate", _UNFINISHED)  # inaccurate: within ten times the tolerance
+
 
 @dataclass(frozen=True)
 class OsqpOptions:
-    """Tolerances and bounds of the solver; the step size is fixed, so that equal data give equal answers.
+    """Tolerance, and the bound on the time of one solve.
 
     Attributes:
         eps: absolute and relative tolerance; 1e-3 leaves errors of 1e-2 in the command.
-        max_iterations: bound on the time of one solve; what is reached by then is used, and said in the status.
-        rho: ADMM step size after scaling.
+        rhos: ADMM step sizes, tried in turn until the program is solved. A small one suits programs that touch few
+            limits, a large one those that run along the rate limit; the solver's own rule adapts too slowly for
+            either, and its answers would depend on the programs before.
+        iterations: bound per step size; what is reached by the last is used, and said in the status.
     """
 
     eps: float = 1e-5
-    max_iterations: int = 250
-    rho: float = 0.1
+    rhos: tuple[float, ...] = (0.1, 10.0, 1.0, 10.0)
+    iterations: int = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +41,7 @@ class QpSolution:
     Attributes:
         primal: z, shape (n,).
         usable: whether `primal` is a step worth trying: solved, or finite when the iterations ran out.
-        status: `solved`, or the solver's own words.
+        status: the solver's own words.
         iterations: taken.
     """
 
@@ -45,21 +50,26 @@ class QpSolution:
     status: str
     iterations: int
 
-
-_USABLE = ("solved", "solved inaccurate", "maximum iterations reached")
+    @property
+    def unfinished(self) -> bool:
+        """Whether the iterations ran out."""
+        return self.status == _UNFINISHED
 
 
 @final
 class OsqpSolver:
     """Solves one family of quadratic programs.
 
-    The workspace only saves time: every solve starts from z = 0 and the multipliers that come with the data, so a
-    solution depends on nothing but the arguments.
+    The workspace only saves time: every solve starts from z = 0, the first step size and the multipliers that come
+    with the data, and the cost is scaled here and not by the solver, whose scaling leaves rounding errors behind.
+    So equal data give equal answers, to the last bit.
     """
 
     def __init__(self, pattern: QpPattern, options: OsqpOptions) -> None:
         self._pattern, self._options = pattern, options
         self._origin = np.zeros(pattern.hessian.shape[0])
+        # the last entry of every column of an upper triangle is the one on the diagonal
+        self._diagonal = pattern.hessian.indptr[1:] - 1
         self._workspace: Any = self._build()
 
     def solve(self, data: QpData) -> QpSolution:
@@ -67,31 +77,44 @@ class OsqpSolver:
         if self._workspace is None:
             self._workspace = self._build()
         workspace = self._workspace
+        scale = 1.0 / float(np.mean(data.hessian_data[self._diagonal]))
         moving = {} if data.constraint_data is None else {"Ax": data.constraint_data}
-        workspace.update(Px=data.hessian_data, q=data.gradient, l=data.lower, u=data.upper, **moving)
-        workspace.warm_start(x=self._origin, y=data.dual)
-        result = workspace.solve(raise_error=False)
+        workspace.update(Px=scale * data.hessian_data, q=scale * data.gradient, l=data.lower, u=data.upper, **moving)
+        workspace.warm_start(x=self._origin, y=scale * data.dual)
+        result, iterations = self._staged(workspace)
         finite = bool(np.all(np.isfinite(result.x)))
         status = str(result.info.status) if finite else "solution not finite"
         usable = finite and status in _USABLE
         if not usable:
             self._workspace = None  # a failed workspace may keep what made it fail
-        return QpSolution(result.x, usable, status, int(result.info.iter))
+        return QpSolution(result.x, usable, status, iterations)
+
+    def _staged(self, workspace: Any) -> tuple[Any, int]:
+        """Iterate with one step size after the other, each from where the last one stopped."""
+        iterations = 0
+        for rho in self._options.rhos:
+            workspace.update_settings(rho=rho)
+            result = workspace.solve(raise_error=False)
+            iterations += int(result.info.iter)
+            if str(result.info.status) != _UNFINISHED:
+                break
+        return result, iterations
 
     def _build(self) -> Any:
         variables, rows = self._pattern.hessian.shape[0], self._pattern.constraints.shape[0]
         workspace = osqp.OSQP()
         workspace.setup(
-            P=self._pattern.hessian + 0.0,
+            P=self._pattern.hessian,
             q=np.zeros(variables),
             A=self._pattern.constraints,
             l=np.full(rows, -1.0),
             u=np.full(rows, 1.0),
             eps_abs=self._options.eps,
             eps_rel=self._options.eps,
-            max_iter=self._options.max_iterations,
-            rho=self._options.rho,
+            max_iter=self._options.iterations,
+            rho=self._options.rhos[0],
             adaptive_rho=0,
+            scaling=0,
             polishing=False,
             warm_starting=True,
             check_termination=5,

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
-from numpy.typing import NDArray
 
 from ..limits import CommandLimits
 from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
@@ -58,9 +59,7 @@ class LinearisedPlanner(Planner[None]):
     def init(self) -> None:
         return None
 
-    def improve(
-        self, problem: PlanningProblem, start: Plan, memory: None, watch: Stopwatch
-    ) -> tuple[Plan, str, None]:
+    def improve(self, problem: PlanningProblem, start: Plan, memory: None, watch: Stopwatch) -> tuple[Plan, str, None]:
         del memory
         status = "ok"
         for _ in range(self._iterations):
@@ -78,7 +77,7 @@ class LinearisedPlanner(Planner[None]):
             raise PlanningError(f"OSQP: {solution.status} after {solution.iterations} iterations")
         plan = self._search(problem, start, solution.primal[: start.commands.size])
         watch.lap("search")
-        return plan, "ok" if solution.status == "solved" else f"OSQP: {solution.status}"
+        return plan, f"OSQP: {solution.status}, its best step used" if solution.unfinished else "ok"
 
     def _search(self, problem: PlanningProblem, start: Plan, step: Vec) -> Plan:
         """The cheapest of the start plan and parts of the step, by nonlinear cost."""

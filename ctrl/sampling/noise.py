@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from hystmpc.trials.errors import ControllerError
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
+
+from hystmpc.trials.errors import ControllerError
 
 Vec = NDArray[np.float64]
 Mat = NDArray[np.float64]

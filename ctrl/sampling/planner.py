@@ -6,9 +6,10 @@ from dataclasses import dataclass, fields
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
-from numpy.typing import NDArray
 
 from ..limits import CommandLimits
 from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
@@ -91,9 +92,7 @@ class SamplingPlanner(Planner[SampleCounter]):
             start = self._iterate(problem, start, generator, watch)
         return start, "ok", SampleCounter(memory.step + 1)
 
-    def _iterate(
-        self, problem: PlanningProblem, start: Plan, generator: np.random.Generator, watch: Stopwatch
-    ) -> Plan:
+    def _iterate(self, problem: PlanningProblem, start: Plan, generator: np.random.Generator, watch: Stopwatch) -> Plan:
         normals = generator.standard_normal((self._options.samples, self._shape.shape[0]))
         plans = self._admissible(start.commands + self._sigmas * (normals @ self._shape), problem)
         watch.lap("sample")

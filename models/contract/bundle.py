@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import onnx
+
 from hystmpc.trials.errors import ExportError
 
 from ..model import Array, StepFunction

@@ -10,8 +10,9 @@ import casadi as ca
 import numpy as np
 import onnx
 import onnx.numpy_helper
-from hystmpc.trials.errors import ModelError
 from numpy.typing import NDArray
+
+from hystmpc.trials.errors import ModelError
 
 from .elementwise_ import ELEMENTWISE, Expression, cast
 from .operators import check_operators, node_name
@@ -49,7 +50,7 @@ class Tensor:
         """The tensor whose entries are those numbered by `places`."""
         numbers = places.ravel().tolist()
         moved = numbers != list(range(self.entries.shape[0]))
-        return Tensor(self.entries[numbers] if moved else self.entries, places.shape)
+        return Tensor(self.entries[numbers, 0] if moved else self.entries, places.shape)
 
 
 def to_casadi(graph: onnx.GraphProto, name: str = "model") -> ca.Function:

@@ -7,6 +7,7 @@ import onnx
 import onnx.checker
 import onnx.numpy_helper
 from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
+
 from hystmpc.trials.errors import ModelError
 
 from .operators import check_operators, node_name
@@ -57,7 +58,7 @@ def check_graph(proto: onnx.ModelProto, state_size: int, where: str) -> np.dtype
     _check_weights(proto.graph, where)
     try:
         onnx.checker.check_model(proto, full_check=True)
-    except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
+    except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError, UnicodeDecodeError) as error:
         raise ModelError(f"{where}: not a valid ONNX graph: {' '.join(str(error).split())}") from None
     return dtype
 
@@ -71,18 +72,18 @@ def _check_interface(graph: onnx.GraphProto, state_size: int, where: str) -> np.
     sizes = {"u": 1, "state": state_size}, {"theta": 1, "next_state": state_size}
     for kind, values, expected in zip(("inputs", "outputs"), (inputs, graph.output), sizes, strict=True):
         got = sorted(_signature(value) for value in values)
-        wanted = sorted(f"{name} {dtype.name} [N,{size}]" for name, size in expected.items())
+        wanted = sorted(f"{name!r} {dtype.name} [N,{size}]" for name, size in expected.items())
         if got != wanted:
             raise ModelError(f"{where}: {kind} are {', '.join(got) or 'none'}, expected {', '.join(wanted)}")
     return dtype
 
 
 def _signature(value: onnx.ValueInfoProto) -> str:
-    """`name dtype [N,size]`; N stands for any axis of free length."""
+    """`'name' dtype [N,size]`; N stands for any axis of free length."""
     tensor = value.type.tensor_type
     shape = ",".join(str(d.dim_value) if d.HasField("dim_value") else "N" for d in tensor.shape.dim)
     dtype = _TYPES[tensor.elem_type].name if tensor.elem_type in _TYPES else f"type {tensor.elem_type}"
-    return f"{value.name} {dtype} [{shape}]"
+    return f"{value.name!r} {dtype} [{shape}]"
 
 
 def _check_weights(graph: onnx.GraphProto, where: str) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import onnx
 import onnx.helper
+
 from hystmpc.trials.errors import ExportError, ModelError
 from hystmpc.trials.files import write_atomically
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+
 from hystmpc.trials.errors import ExportError
 
 from ..model import Array, StepFunction
@@ -63,7 +64,7 @@ def run_gate(bundle: ExportBundle, model: OnnxModel) -> GateReport:
     """
     function = model.casadi_function()
     commands = np.resize(bundle.probe, STEPS)
-    angle = bundle.metadata.trained_angle
+    angle = bundle.metadata.trained_angle  # the run starts at the angle of this range that is nearest to zero
     start = bundle.metadata.initial.state(np.clip([[0.0]], angle.lower, angle.upper))
     reference = _free_run(bundle.reference.advance, start, commands)
     visited = np.vstack([start, reference[:-1, 1:]])
@@ -148,7 +149,7 @@ def _compare_jacobians(
     """Largest difference of the Jacobians, and the number of kinks among the points.
 
     Raises:
-        ExportError: on a difference beyond the tolerance, or if every point is a kink so that nothing was compared.
+        ExportError: on a difference beyond the tolerance, or if more than half of the points are kinks.
     """
     jacobian = _jacobian_of(function)
     relative, absolute = _JACOBIAN_TOLERANCE[dtype]
@@ -169,8 +170,11 @@ def _compare_jacobians(
                 f"CasADi Jacobian at sample {k}: entry [{i}, {j}] is {got[i, j]:.9g}, the reference gives "
                 f"{expected[i, j]:.9g}, expected within {absolute:g} + {relative:g} relative"
             )
-    if kinks == _JACOBIANS:
-        raise ExportError(f"all {kinks} Jacobians fell on kinks, expected a probe that moves")
+    if kinks > _JACOBIANS // 2:
+        raise ExportError(
+            f"{kinks} of {_JACOBIANS} Jacobians differ from the reference on kinks, expected at most half: "
+            "the probe rests too long, or the graph takes the other branch at a tie"
+        )
     return worst, kinks
 
 

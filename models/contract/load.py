@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Literal, final
 import numpy as np
 import onnx
 import onnx.numpy_helper
-from hystmpc.trials.errors import ModelError
 from numpy.typing import NDArray
+
+from hystmpc.trials.errors import ModelError
 
 from ..model import Array
 from .checks import check_graph, parse_model
@@ -46,7 +47,9 @@ class OnnxModel:
         if start not in ("initial", "conditioned"):
             raise ModelError(f"{source}: start is {start!r}, available: conditioned, initial")
         proto = parse_model(content, source)
-        self.metadata = ModelMetadata.from_properties({p.key: p.value for p in proto.metadata_props}, source)
+        # Damaged text arrives from protobuf as bytes; turned into str it is found to be neither our key nor JSON.
+        properties = {str(entry.key): str(entry.value) for entry in proto.metadata_props}
+        self.metadata = ModelMetadata.from_properties(properties, source)
         self._dtype = check_graph(proto, self.metadata.state_size, source)
         self.graph: onnx.GraphProto = proto.graph
         self.initializers: Mapping[str, NDArray[np.generic]] = {

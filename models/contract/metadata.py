@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from typing import Annotated, Self
 
 import numpy as np
-from hystmpc.trials.config import Settings
-from hystmpc.trials.errors import ConfigError, ModelError
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
+
+from hystmpc.trials.config import Settings
+from hystmpc.trials.errors import ConfigError, ModelError
 
 from ..model import Array
 
@@ -134,6 +135,9 @@ class ModelMetadata(Settings):
                 f"{where}: model format {fields['format']!r}, this version of hystmpc reads {FORMAT!r}; "
                 "export the model again"
             )
+        missing = [key for key in cls.model_fields if key not in ours]  # defaults included: a file cut off lacks them
+        if missing:
+            raise ModelError(f"{where}: metadata lacks {', '.join(missing)}; the file is cut off or was edited")
         try:
             return cls.parse(fields, f"{where}: metadata")
         except ConfigError as error:

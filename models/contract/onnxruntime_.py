@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import onnxruntime as ort
-from hystmpc.trials.errors import ModelError
 from onnxruntime.capi import onnxruntime_pybind11_state as state_
+
+from hystmpc.trials.errors import ModelError
 
 _ERRORS = (
     state_.EPFail,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import onnx
+
 from hystmpc.trials.errors import ModelError
 
 _ARITHMETIC = ("Add", "Sub", "Mul", "Div", "Neg", "Reciprocal", "Abs", "Sign", "Floor", "Ceil", "Cast", "Identity")

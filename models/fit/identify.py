@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
 from hystmpc.trials.errors import FitError, did_you_mean
 from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
@@ -69,9 +70,7 @@ def identify(
     return _simulator(fit.chain, trials, settings, limits or DeviceLimits()), fit
 
 
-def _simulator(
-    chain: Chain, trials: Sequence[Trial], settings: OperatorFitSettings, limits: DeviceLimits
-) -> Simulator:
+def _simulator(chain: Chain, trials: Sequence[Trial], settings: OperatorFitSettings, limits: DeviceLimits) -> Simulator:
     """The chain with the facts of its trials; residuals are found by running it."""
 
     def build(residuals: tuple[Residual, ...]) -> Simulator:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
@@ -126,7 +127,7 @@ def _looks(
         for check in checks:
             in_degrees = (scaling.theta_scale * check.training, scaling.theta_scale * check.judged)
             if not math.isfinite(in_degrees[1]):
-                raise FitError(f"training diverged: the free run is not finite at step {check.step}; lower learning_rate")
+                raise FitError(f"training diverged: free run not finite at step {check.step}; lower learning_rate")
             yield LstmCheck(check.step, *in_degrees), weights_of(check.net, scaling)
 
 

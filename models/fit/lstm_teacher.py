@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import final
 
 import numpy as np
+
 from hystmpc.trials.trial import Trial
 
 from ..chain_model import ChainModel
@@ -18,7 +19,7 @@ from .trial_set import check_trial_set, command_range, fastest_command
 _CYCLES = 7
 _DURATION_S = (12.0, 40.0)
 _FREQUENCY_HZ = (0.08, 0.6)  # of the tip motions of S1 and S2, a little beyond at both ends
-_HOLD_S = 4.0
+_HOLD_S = (0.1, 10.0)
 _SINES = 4
 
 
@@ -53,7 +54,7 @@ def _decaying_sine(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
     """S2 eq. (9)-(10) of random frequency, amplitude, decay and baseline (low, middle, high)."""
     del rate
     frequency = _log_uniform(*_FREQUENCY_HZ, rng)
-    t = np.arange(0.0, _CYCLES / frequency, dt)
+    t = np.arange(0.0, min(_CYCLES / frequency, _DURATION_S[1]), dt)
     decay = np.exp(-frequency / (_CYCLES - 1) * math.log(_CYCLES) * rng.uniform(0.0, 1.5) * t)
     swing = rng.uniform(0.5, 1.0) * 0.5 * decay
     sine = np.sin(2 * np.pi * frequency * t - np.pi / 2)
@@ -68,7 +69,7 @@ def _moves_and_holds(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
     while total < samples:
         target, speed = rng.uniform(commands.lower, commands.upper), _log_uniform(0.03 * rate, rate, rng)
         move = np.linspace(last, target, 2 + math.ceil(abs(target - last) / (speed * dt)))
-        hold = np.full(rng.integers(1, 1 + math.ceil(_HOLD_S / dt)), target)
+        hold = np.full(math.ceil(_log_uniform(*_HOLD_S, rng) / dt), target)
         parts += [move, hold]
         last, total = target, total + move.size + hold.size
     return np.concatenate(parts)[:samples]

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+
 from hystmpc.trials.errors import FitError
 
 from ..lstm.torch_ import LstmNet
@@ -55,9 +56,10 @@ def torch_session(seed: int, threads: int) -> Iterator[None]:
 
 
 def new_net(settings: LstmSettings) -> LstmNet:
-    """PyTorch's initial weights with a gain on the command; with `memory_samples`, gates that remember from 1 to that many samples.
+    """PyTorch's initial weights with a gain on the command and, with `memory_samples`, gates that remember.
 
-    Tallec and Ollivier, ICLR 2018: forget bias log(tau), input bias -log(tau), here with log(tau) uniform.
+    Memories tau from 1 to that many samples, log(tau) uniform: forget bias log(tau), input bias -log(tau), after Tallec
+    and Ollivier, ICLR 2018.
     """
     net = LstmNet(settings.hidden, settings.layers)
     net.lstm.weight_ih_l0.data *= settings.command_gain
@@ -116,7 +118,8 @@ def stream_checks(
             start, end = way.teacher.weight
             runs += teacher(start + (end - start) * step / way.updates, rng)
         state = None
-        for command, angle, weight, fresh in _pieces(arrange(runs, way.streams, way.length, settings.warmup_samples, rng)):
+        streams = arrange(runs, way.streams, way.length, settings.warmup_samples, rng)
+        for command, angle, weight, fresh in _pieces(streams):
             if state is not None:
                 state = (state[0].detach() * ~fresh, state[1].detach() * ~fresh)
             output, state = net(command, state)
@@ -135,11 +138,9 @@ def stream_checks(
             squares = samples = 0.0
 
 
-def _update(
-    optimiser: torch.optim.Optimizer, net: LstmNet, loss: torch.Tensor, clip_norm: float, step: int
-) -> None:
+def _update(optimiser: torch.optim.Optimizer, net: LstmNet, loss: torch.Tensor, clip_norm: float, step: int) -> None:
     if not math.isfinite(loss.item()):
-        raise FitError(f"training diverged: the loss is {loss.item()} at step {step}, expected finite; lower learning_rate")
+        raise FitError(f"training diverged: the loss is {loss.item()} at step {step}; lower learning_rate")
     optimiser.zero_grad()
     loss.backward()
     torch.nn.utils.clip_grad_norm_(net.parameters(), clip_norm)

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
-from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from ..chain import Chain
 from ..kernels.chain_kernels import compile_step
@@ -207,5 +208,3 @@ def _rest_with_slope(chain: Chain) -> ca.Function:
     y, u, p = ca.SX.sym("y"), ca.SX.sym("u"), ca.SX.sym("p", len(chain.parameters))
     state = chain.rest(y, u, p)
     return dense("rest", [y, u, p], [state, ca.jacobian(state, p)])
-
-

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 
@@ -14,9 +15,9 @@ FEW_TRIALS = 8
 def hold_out(trials: Sequence[Trial], count: int, seed: int) -> tuple[list[Trial], list[Trial]]:
     """Training and held-out trials, both in the order given.
 
-    From fewer than eight trials the most ordinary ones are held out, so that the motions at the edges (slowest, fastest,
-    lowest, highest) remain in training: a network that has not seen them would be stopped for the wrong reason. From
-    eight on the draw is random by `seed`.
+    From fewer than eight trials the most ordinary ones are held out, so that the motions at the edges (slowest,
+    fastest, lowest, highest) remain in training: a network that has not seen them would be stopped for the wrong
+    reason. From eight on the draw is random by `seed`.
 
     Raises:
         FitError: if no trial would be left for training.

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import Motion, first_flexure_end, segment
 from hystmpc.trials.trial import Trial
-from numpy.typing import NDArray
 
 from ..chain import Chain
 from ..operators.backlash import Backlash
@@ -26,10 +27,11 @@ def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:
     loading, unloading = _branch(trials, Motion.LOADING), _branch(trials, Motion.UNLOADING)
     slope = 0.5 * (loading[0] + unloading[0])
     middle = 0.5 * (loading[1] + unloading[1])
-    starts = [_lines(unloading, loading)]
-    for width in (0.5, 2.0):  # in degrees either side, small and large for a catheter of tens of degrees
-        starts.append(_lines(np.array([slope, middle + width]), np.array([slope, middle - width])))
-    return starts
+    widths = (0.5, 2.0)  # in degrees either side, small and large for a catheter of tens of degrees
+    return [
+        _lines(unloading, loading),
+        *(_lines(np.array([slope, middle + width]), np.array([slope, middle - width])) for width in widths),
+    ]
 
 
 def prandtl_ishlinskii_starts(trials: Sequence[Trial], plays: int) -> list[Chain]:
@@ -71,6 +73,4 @@ def _branch(trials: Sequence[Trial], motion: Motion) -> Vec:
 
 def _lines(unloading: Vec, loading: Vec) -> Chain:
     """A backlash of two lines (slope, offset)."""
-    return Chain(
-        Backlash(unloading[0], loading[0], unloading[1] / unloading[0], loading[1] / loading[0])
-    )
+    return Chain(Backlash(unloading[0], loading[0], unloading[1] / unloading[0], loading[1] / loading[0]))

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Sequence
 
 import numpy as np
+
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 
@@ -25,9 +26,7 @@ def fingerprint(trials: Sequence[Trial]) -> str:
 
 def command_range(trials: Sequence[Trial]) -> Range:
     """Least and greatest command [cmd]."""
-    return Range(
-        lower=float(min(t.command.min() for t in trials)), upper=float(max(t.command.max() for t in trials))
-    )
+    return Range(lower=float(min(t.command.min() for t in trials)), upper=float(max(t.command.max() for t in trials)))
 
 
 def angle_range(trials: Sequence[Trial]) -> Range:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from hystmpc.trials.trial import Trial, Units
 
 from ..chain import Chain

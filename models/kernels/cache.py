@@ -12,6 +12,7 @@ from types import ModuleType
 
 import numba
 import platformdirs
+
 from hystmpc.trials.files import write_atomically
 
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from hystmpc.models.symbolic.instructions import dense
-from hystmpc.models.symbolic.source import scalar_program
 from numpy.typing import NDArray
 
+from ..symbolic.instructions import dense
+from ..symbolic.source import scalar_program
 from .cache import generated_module
 
 Vec = NDArray[np.float64]
@@ -70,7 +70,7 @@ def _compile(serialized: str) -> ChainKernels:
         "sensitivity",
     )
     generated = "".join(_DECORATOR + program.source + "\n\n" for program in (step, tangent, sensitivity))
-    loops = resources.files(__package__).joinpath("chain_loops.py").read_text(encoding="utf-8")
+    loops = resources.files("hystmpc.models.kernels").joinpath("chain_loops.py").read_text(encoding="utf-8")
     module = generated_module("import math\n\nfrom numba import njit\n\n\n" + generated + loops)
     return ChainKernels(
         module.simulate,

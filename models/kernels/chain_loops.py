@@ -10,6 +10,7 @@ k...):
 """
 # ruff: noqa: F821  (step, tangent and sensitivity are generated)
 # mypy: ignore-errors
+# pyright: reportUndefinedVariable=false
 
 import numpy as np
 from numba import njit

@@ -10,9 +10,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from hystmpc.models.lstm.weights import LstmWeights
 from numba import njit
 from numpy.typing import NDArray
+
+from hystmpc.models.lstm.weights import LstmWeights
 
 from .lstm_gates import add_multiple, add_row, cell_row, derivative_row, differentiated_cell_row, dot_row
 
@@ -58,17 +59,16 @@ def pack_lstm(weights: LstmWeights) -> PackedLstm:
 
 
 @njit(cache=True, error_model="numpy")
-def advance(packed: Any, state: Any, v: Any) -> Any:
-    """Scaled angle of one sample of scaled command `v`; `state` (2L, H) is moved on in place."""
-    plan = np.full((1, 1), v)
-    angle = np.empty((1, 1), np.float32)
+def advance(packed: Any, state: Any, plan: Any) -> Any:
+    """Scaled angles (K,) along the scaled `plan` (K,); `state` (2L, H) is moved on in place."""
+    angles = np.empty((1, plan.size), np.float32)
     h, c = _start(state, 1)
-    _roll(packed, plan, angle, h, c)
+    _roll(packed, plan.reshape((1, plan.size)), angles, h, c)
     for layer in range(len(h)):
         for j in range(packed.head.size):
             state[2 * layer, j] = h[layer, 0, j]
             state[2 * layer + 1, j] = c[layer, 0, j]
-    return angle[0, 0]
+    return angles[0]
 
 
 @njit(cache=True, error_model="numpy")
@@ -111,7 +111,7 @@ def linearise(packed: Any, state: Any, plan: Any, angles: Any, jacobian: Any) ->
 
 @njit(cache=True, error_model="numpy")
 def _differentiate_layer(recurrent: Any, bias: Any, start: Any, z: Any, h: Any) -> None:
-    """Outputs h of one layer and their derivatives at all samples from the input parts z of its gates, rows as above."""
+    """Outputs h of one layer and their derivatives at all samples, from the input part z of its gates; rows as above."""
     hidden = h.shape[1]
     factors = np.empty((6, hidden), np.float32)
     before = np.zeros((_BLOCK, hidden), np.float32)

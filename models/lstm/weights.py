@@ -8,9 +8,10 @@ from typing import Self
 
 import numpy as np
 import onnx
-from hystmpc.trials.errors import ModelError
 from numpy.typing import ArrayLike
 from onnx import numpy_helper
+
+from hystmpc.trials.errors import ModelError
 
 from ..model import Array
 
@@ -22,6 +23,9 @@ class LstmScaling:
     Attributes:
         u_offset, u_scale: in the unit of the command [mm or bar].
         theta_offset, theta_scale: [deg].
+
+    Raises:
+        ModelError: if a number is not finite or a scale not positive.
     """
 
     u_offset: float = 0.0
@@ -43,6 +47,9 @@ class LstmLayer:
         w_ih: input weights (4H, I).
         w_hh: recurrent weights (4H, H).
         bias: sum of the input and the recurrent bias (4H,).
+
+    Raises:
+        ModelError: if sizes do not fit each other or a number is not finite.
     """
 
     w_ih: Array

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import casadi as ca
+
 from hystmpc.trials.errors import ModelError
 
 from .operator import Operator, Parameter, Symbol, check_values, maximum
@@ -23,6 +24,9 @@ class Delay(Operator):
     Attributes:
         delay_s: delay d [s], at most `samples` sample times.
         samples: length n of the store; it fixes the size of the state, so it is not a parameter of a fit.
+
+    Raises:
+        ModelError: if the store is empty or the delay out of bounds.
     """
 
     delay_s: float

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
 import casadi as ca
+
 from hystmpc.trials.errors import ModelError, did_you_mean
 
 Symbol = Any  # casadi.SX, which has no types

@@ -47,9 +47,7 @@ class CompiledPredictor(Predictor):
 
     def advance(self, state: Array, u: float) -> tuple[float, Array]:
         following, theta = state.reshape(1, -1).copy(), np.empty((1, 1))
-        self._kernels.simulate(
-            following, np.array([[u]]), self._p, self._dt, self._kernels.step_constants, theta
-        )
+        self._kernels.simulate(following, np.array([[u]]), self._p, self._dt, self._kernels.step_constants, theta)
         return float(theta[0, 0]), following[0]
 
     def rollout(self, state: Array, plans: Array) -> Array:
@@ -61,15 +59,11 @@ class CompiledPredictor(Predictor):
     def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
         plan = np.ascontiguousarray(plan, dtype=np.float64)
         theta, jacobian = np.empty(plan.size), np.empty((plan.size, plan.size))
-        self._kernels.linearise(
-            state, plan, self._p, self._dt, self._kernels.tangent_constants, theta, jacobian
-        )
+        self._kernels.linearise(state, plan, self._p, self._dt, self._kernels.tangent_constants, theta, jacobian)
         return theta, jacobian
 
     def command_for(self, state: Array, theta: float, low: float, high: float, last: float) -> float:
         """Command in [low, high] after which the angle is `theta`, exact to 1e-11; see `CompiledInverse`."""
         return float(
-            self._kernels.command_for(
-                state, theta, low, high, last, self._p, self._dt, self._kernels.tangent_constants
-            )
+            self._kernels.command_for(state, theta, low, high, last, self._p, self._dt, self._kernels.tangent_constants)
         )

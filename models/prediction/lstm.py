@@ -53,8 +53,8 @@ class LstmPredictor(Predictor):
 
     def advance(self, state: Array, u: float) -> tuple[float, Array]:
         following = self._layers(state)
-        y = lstm_kernels.advance(self._packed, following, self._scaled(u))
-        return float(self._angles(y)), following.ravel().astype(np.float64)
+        y = lstm_kernels.advance(self._packed, following, self._scaled(np.array([u])))
+        return float(self._angles(y)[0]), following.ravel().astype(np.float64)
 
     def rollout(self, state: Array, plans: Array) -> Array:
         scaled = self._scaled(plans)
@@ -72,9 +72,8 @@ class LstmPredictor(Predictor):
         """A float32 copy (2L, H) of the state for a kernel to work on."""
         return np.array(state, dtype=np.float32).reshape(self._shape)
 
-    def _scaled(self, u: Array | float) -> _Float32:
-        scaled = (np.asarray(u, dtype=np.float64) - self._scaling.u_offset) / self._scaling.u_scale
-        return np.ascontiguousarray(scaled, dtype=np.float32) if scaled.ndim else np.float32(scaled)
+    def _scaled(self, u: Array) -> _Float32:
+        return np.ascontiguousarray((u - self._scaling.u_offset) / self._scaling.u_scale, dtype=np.float32)
 
     def _angles(self, y: _Float32) -> Array:
-        return self._scaling.theta_offset + self._scaling.theta_scale * np.asarray(y, dtype=np.float64)
+        return self._scaling.theta_offset + self._scaling.theta_scale * y.astype(np.float64)

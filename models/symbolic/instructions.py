@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
+
 from hystmpc.trials.errors import ModelError, did_you_mean
 
 _NAMES: dict[int, str] = {

@@ -23,18 +23,22 @@ _SHARED = {
     "assign": "{0}",
     "pow": "{0} ** {1}",
 }
-SCALAR: Mapping[str, str] = _SHARED | {
-    "lt": "1.0 if {0} < {1} else 0.0",
-    "le": "1.0 if {0} <= {1} else 0.0",
-    "eq": "1.0 if {0} == {1} else 0.0",
-    "ne": "1.0 if {0} != {1} else 0.0",
-    "or": "1.0 if {0} + {1} > 0.0 else 0.0",
-    "if_else_zero": "{1} if {0} != 0.0 else 0.0",
-    "fmin": "{0} if {0} <= {1} else {1}",
-    "fmax": "{0} if {0} >= {1} else {1}",
-    "fabs": "abs({0})",
-    "sign": "(1.0 if {0} > 0.0 else (-1.0 if {0} < 0.0 else 0.0))",
-} | {name: f"math.{name}({{0}})" for name in ("sqrt", "exp", "log", "tanh", "sin", "cos", "floor")}
+SCALAR: Mapping[str, str] = (
+    _SHARED
+    | {
+        "lt": "1.0 if {0} < {1} else 0.0",
+        "le": "1.0 if {0} <= {1} else 0.0",
+        "eq": "1.0 if {0} == {1} else 0.0",
+        "ne": "1.0 if {0} != {1} else 0.0",
+        "or": "1.0 if {0} + {1} > 0.0 else 0.0",
+        "if_else_zero": "{1} if {0} != 0.0 else 0.0",
+        "fmin": "{0} if {0} <= {1} else {1}",
+        "fmax": "{0} if {0} >= {1} else {1}",
+        "fabs": "abs({0})",
+        "sign": "(1.0 if {0} > 0.0 else (-1.0 if {0} < 0.0 else 0.0))",
+    }
+    | {name: f"math.{name}({{0}})" for name in ("sqrt", "exp", "log", "tanh", "sin", "cos", "floor")}
+)
 
 
 def array_table(module: str, cast: str) -> Mapping[str, str]:

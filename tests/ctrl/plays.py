@@ -1,12 +1,20 @@
-"""Small exact models for the controllers' tests: a backlash and a lag, their inverses, plants, and broken ones."""
+"""The one list of models that the controllers' tests run over: small exact ones, a compiled one, broken ones."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+
+from hystmpc.models.chain import Chain
+from hystmpc.models.chain_model import ChainModel
+from hystmpc.models.contract.metadata import Range
 from hystmpc.models.model import Array, Inverse, Predictor
+from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from hystmpc.models.prediction.build import predictor_and_inverse
+from hystmpc.models.simulator import Identification, Simulator
 
 DT = 0.04
 
@@ -23,6 +31,7 @@ class Backlash(Predictor):
     command_range: tuple[float, float] = (0.0, 6.0)
 
     def initial(self, y: float, u: float) -> Array:
+        del u
         return np.array([y])
 
     def advance(self, state: Array, u: float) -> tuple[float, Array]:
@@ -80,6 +89,7 @@ class Lag(Predictor):
     command_range: tuple[float, float] = (0.0, 6.0)
 
     def initial(self, y: float, u: float) -> Array:
+        del u
         return np.array([y])
 
     def advance(self, state: Array, u: float) -> tuple[float, Array]:
@@ -106,6 +116,7 @@ class LagInverse(Inverse):
     model: Lag
 
     def command(self, state: Array, theta: float, u_last: float) -> float:
+        del u_last
         m = self.model
         return ((theta - m.a * float(state[0])) / (1 - m.a) - m.b) / m.g
 
@@ -146,7 +157,7 @@ def not_a_number(value: Array) -> Array:
 
 
 class ModelPlant:
-    """A plant that is a predictor, with optional offset, delay and sensor noise; its state is hidden, as hardware's is."""
+    """A plant that is a predictor, with optional offset, delay and sensor noise; its state is hidden."""
 
     def __init__(
         self,
@@ -185,23 +196,60 @@ class ModelPlant:
 
 @dataclass(frozen=True)
 class Case:
-    """A model with its inverse and a state of rest that both can hold."""
+    """A model with its inverse, built when first asked for, and a state of rest that both can hold."""
 
     name: str
-    predictor: Predictor
-    inverse: Inverse
     y_rest: float
     u_rest: float
+    build: Callable[[], tuple[Predictor, Inverse]]
+
+    @cached_property
+    def _built(self) -> tuple[Predictor, Inverse]:
+        return self.build()
+
+    @property
+    def predictor(self) -> Predictor:
+        return self._built[0]
+
+    @property
+    def inverse(self) -> Inverse:
+        return self._built[1]
 
     def broken(self, fault: Callable[[Array], Array]) -> Case:
         """The same model with a fault."""
-        return replace(self, name=f"{self.name}, {fault.__name__}", predictor=Faulty(self.predictor, fault))
+        return replace(
+            self, name=f"{self.name}, {fault.__name__}", build=lambda: (Faulty(self.predictor, fault), self.inverse)
+        )
 
 
-_BACKLASH = Backlash()
-_LAG = Lag()
-SOUND = [
-    Case("backlash", _BACKLASH, BacklashInverse(_BACKLASH), _BACKLASH.m_lo * _BACKLASH.c_lo, 0.0),
-    Case("lag", _LAG, LagInverse(_LAG), _LAG.b, 0.0),
-]
-BROKEN = [case.broken(fault) for case in SOUND for fault in (raising, not_a_number)]
+def compiled_pi() -> tuple[Predictor, Inverse]:
+    """Rate-dependent PI with four plays, as identified models are: compiled, with its exact inverse."""
+    chain = Chain(PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, 22.0))
+    simulator = Simulator(
+        chain=chain,
+        dt_s=DT,
+        command_unit="mm",
+        command_limits=Range(lower=0.0, upper=6.0),
+        command_rate_per_s=12.0,
+        trained_command=Range(lower=0.0, upper=6.0),
+        trained_angle_deg=Range(lower=20.0, upper=95.0),
+        trained_rate_per_s=11.0,
+        identification=Identification(method="chosen by hand"),
+    )
+    return predictor_and_inverse(ChainModel(simulator))
+
+
+def backlash() -> tuple[Predictor, Inverse]:
+    model = Backlash()
+    return model, BacklashInverse(model)
+
+
+def lag() -> tuple[Predictor, Inverse]:
+    model = Lag()
+    return model, LagInverse(model)
+
+
+PLAY = Case("backlash", Backlash.m_lo * Backlash.c_lo, 0.0, backlash)
+LINEAR = Case("lag", Lag.b, 0.0, lag)
+SOUND = [PLAY, LINEAR, Case("compiled PI", 22.0, 0.0, compiled_pi)]
+BROKEN = [case.broken(fault) for case in (PLAY, LINEAR) for fault in (raising, not_a_number)]

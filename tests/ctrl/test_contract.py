@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import Source
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.limits import CommandLimits
 
-from .plays import BROKEN, SOUND, Case
+from .plays import BROKEN, PLAY, SOUND, Case
 
 LIMITS = [CommandLimits(0.0, 6.0, 12.0), CommandLimits(-1.0, 2.5, 0.7), CommandLimits(0.0, 0.01, 500.0)]
 CASES = {case.name: case for case in [*SOUND, *BROKEN]}
@@ -85,7 +86,7 @@ def test_restored_snapshot_gives_the_same_command(kind: str, case: Case) -> None
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_plan_and_prediction_belong_to_the_command(kind: str) -> None:
-    case = SOUND[0]
+    case = PLAY
     controller = controller_for(kind, case.name, LIMITS[0], 2)
     state = controller.init(case.y_rest, case.u_rest)
     command, after = controller.step(state, case.y_rest, np.full(30, 45.0))
@@ -103,4 +104,4 @@ def test_start_that_makes_no_sense_is_refused(kind: str, y: float, u: float) -> 
     from hystmpc.trials.errors import ControllerError
 
     with pytest.raises(ControllerError, match="expected a finite angle"):
-        controller_for(kind, SOUND[0].name, LIMITS[0]).init(y, u)
+        controller_for(kind, PLAY.name, LIMITS[0]).init(y, u)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from hystmpc.ctrl.estimator import EstimatorOptions, OutputEstimator, kalman_gain
 from hystmpc.ctrl.observer import Estimate
 from hystmpc.trials.errors import ControllerError

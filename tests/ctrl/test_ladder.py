@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import Command, Source
 from hystmpc.ctrl.config import CONTROLLERS
@@ -15,10 +16,10 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.models.model import Array, Inverse, Predictor
 from hystmpc.trials.errors import ControllerError
 
-from .plays import SOUND
+from .plays import PLAY
 
 LIMITS = CommandLimits(0.0, 6.0, 12.0)
-CASE = SOUND[0]
+CASE = PLAY
 
 
 class Switched(Predictor):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.trials.errors import ControllerError
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import LinearConstraint, minimize
+
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner
@@ -15,9 +17,8 @@ from hystmpc.ctrl.linearised.problem import QpData, TrackingQp
 from hystmpc.ctrl.planning import Plan, PlanCost, PlanningError, PlanningProblem, Weights
 from hystmpc.ctrl.stopwatch import Stopwatch
 from hystmpc.trials.errors import ControllerError
-from scipy.optimize import LinearConstraint, minimize
 
-from .plays import DT, SOUND, Case, Faulty, Lag, not_a_number
+from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, Lag, not_a_number
 
 LIMITS = CommandLimits(0.0, 6.0, 4.0)
 HARD = Weights(rate=1.0, effort=0.5)
@@ -54,12 +55,11 @@ def test_solution_is_that_of_a_dense_reference(weights: Weights, case: Case, see
     qp = TrackingQp(weights, LIMITS, H, DT)
     data = qp.data(problem, start, case.predictor.linearise(problem.state, start.commands)[1])
     p, a = dense(qp, data)
-    solution = OsqpSolver(qp.pattern, OsqpOptions(eps=1e-8, max_iterations=20_000)).solve(data)
+    solution = OsqpSolver(qp.pattern, OsqpOptions(eps=1e-8, iterations=20_000)).solve(data)
     reference = minimize(
         lambda z: 0.5 * z @ p @ z + data.gradient @ z,
         np.zeros(len(p)),
         jac=lambda z: p @ z + data.gradient,
-        hess=lambda z: p,
         constraints=LinearConstraint(a, data.lower, data.upper),
         method="SLSQP",
         options={"ftol": 1e-13, "maxiter": 500},
@@ -69,7 +69,7 @@ def test_solution_is_that_of_a_dense_reference(weights: Weights, case: Case, see
 
 
 def test_program_is_the_planning_cost_where_the_model_is_linear() -> None:
-    case = SOUND[1]
+    case = LINEAR
     problem, start = posed(case)
     cost = PlanCost(HARD, H)
     qp = TrackingQp(HARD, LIMITS, H, DT)
@@ -84,9 +84,7 @@ def test_program_is_the_planning_cost_where_the_model_is_linear() -> None:
 @pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize("iterations", [1, 2])
-def test_result_is_admissible_and_never_worse_than_the_start(
-    weights: Weights, case: Case, iterations: int
-) -> None:
+def test_result_is_admissible_and_never_worse_than_the_start(weights: Weights, case: Case, iterations: int) -> None:
     horizon = 20
     planner = LinearisedPlanner(case.predictor, weights, LIMITS, horizon, iterations)
     cost = PlanCost(weights, horizon)
@@ -97,15 +95,13 @@ def test_result_is_admissible_and_never_worse_than_the_start(
         again = cost.best(plan.commands[None], case.predictor.rollout(problem.state, plan.commands[None]), problem)
         assert plan.cost <= start.cost
         assert plan.cost == pytest.approx(again.cost)
-        np.testing.assert_allclose(
-            LIMITS.clip_plans(plan.commands, problem.u_last, DT), plan.commands, atol=1e-12
-        )
+        np.testing.assert_allclose(LIMITS.clip_plans(plan.commands, problem.u_last, DT), plan.commands, atol=1e-12)
 
 
 def test_one_iteration_is_optimal_where_the_model_is_linear() -> None:
-    case, weights = SOUND[1], replace(HARD, effort=0.0)
+    case, weights = LINEAR, replace(HARD, effort=0.0)
     problem, start = posed(case, 20)
-    planner = LinearisedPlanner(case.predictor, weights, LIMITS, 20, 1, OsqpOptions(eps=1e-8, max_iterations=20_000))
+    planner = LinearisedPlanner(case.predictor, weights, LIMITS, 20, 1, OsqpOptions(eps=1e-8, iterations=20_000))
     start = PlanCost(weights, 20).best(start.commands[None], start.angles[None], problem)
     once, _, _ = planner.improve(problem, start, planner.init(), Stopwatch())
     twice, _, _ = planner.improve(problem, once, planner.init(), Stopwatch())
@@ -114,7 +110,7 @@ def test_one_iteration_is_optimal_where_the_model_is_linear() -> None:
 
 
 def test_equal_data_give_equal_answers_whatever_came_before() -> None:
-    case = SOUND[0]
+    case = PLAY
     qp = TrackingQp(HARD, LIMITS, H, DT)
     solver = OsqpSolver(qp.pattern, OsqpOptions())
     data = []
@@ -127,7 +123,7 @@ def test_equal_data_give_equal_answers_whatever_came_before() -> None:
 
 
 def test_solver_that_failed_is_rebuilt() -> None:
-    case = SOUND[0]
+    case = PLAY
     qp = TrackingQp(HARD, LIMITS, H, DT)
     solver = OsqpSolver(qp.pattern, OsqpOptions())
     problem, start = posed(case)
@@ -139,7 +135,7 @@ def test_solver_that_failed_is_rebuilt() -> None:
 
 
 def test_rate_multipliers_are_exact_where_every_move_is_at_the_limit() -> None:
-    problem, start = posed(SOUND[1])
+    problem, start = posed(LINEAR)
     ramp = problem.u_last + LIMITS.rate * DT * np.arange(1, H + 1)
     start = replace(start, commands=ramp, angles=Lag().rollout(problem.state, ramp[None])[0])
     problem = replace(problem, reference=np.full(H, 200.0), feedforward=ramp)
@@ -151,7 +147,7 @@ def test_rate_multipliers_are_exact_where_every_move_is_at_the_limit() -> None:
 
 
 def test_jacobian_that_is_not_finite_is_a_planning_error() -> None:
-    case = SOUND[1]
+    case = LINEAR
     problem, start = posed(case)
     planner = LinearisedPlanner(Faulty(case.predictor, not_a_number, -1.0), HARD, LIMITS, H)
     with pytest.raises(PlanningError, match="Jacobian is not finite"):

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.guarded import GuardedController
@@ -13,9 +14,9 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import run_loop
 from hystmpc.trials.errors import ControllerError
 
-from .plays import DT, SOUND, ModelPlant
+from .plays import DT, PLAY, ModelPlant
 
-CASE = SOUND[0]
+CASE = PLAY
 
 
 @pytest.fixture

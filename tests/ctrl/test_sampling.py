@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from hystmpc.ctrl.planning import Plan, PlanCost, Weights
 from hystmpc.ctrl.sampling.noise import coloured_noise, spline_noise
 from hystmpc.ctrl.sampling.planner import SampleCounter, SamplingOptions, SamplingPlanner
 from hystmpc.ctrl.stopwatch import Stopwatch
 from hystmpc.trials.errors import ControllerError
 
-from .plays import DT, SOUND, Case
+from .plays import DT, LINEAR, PLAY, SOUND, Case
 from .test_linearised import LIMITS, posed
 
 H = 20
@@ -39,7 +40,7 @@ def test_white_noise_is_white_and_red_noise_is_smooth() -> None:
     covariance = NOISES["white"] @ NOISES["white"].T
     assert np.max(np.abs(covariance - np.eye(H))) < 0.06
     neighbours = {name: np.mean(np.diag(noise @ noise.T, 1)) for name, noise in NOISES.items()}
-    assert neighbours["red"] > 0.9
+    assert neighbours["red"] > 0.8
     assert neighbours["spline"] > 0.8
 
 
@@ -59,7 +60,7 @@ def test_result_is_admissible_and_never_worse_than_the_start(case: Case, noise: 
 
 
 def test_random_numbers_depend_on_seed_and_step_alone() -> None:
-    case = SOUND[0]
+    case = PLAY
     problem, start = started(case, 0)
     planner = planner_for(case, samples=32)
     first, _, after = planner.improve(problem, start, SampleCounter(7), Stopwatch())
@@ -73,10 +74,10 @@ def test_random_numbers_depend_on_seed_and_step_alone() -> None:
 
 
 def test_more_iterations_do_not_cost_more() -> None:
-    problem, start = started(SOUND[1], 1)
+    problem, start = started(LINEAR, 1)
     costs = []
     for iterations in (1, 2, 4, 8):
-        planner = planner_for(SOUND[1], iterations=iterations)
+        planner = planner_for(LINEAR, iterations=iterations)
         costs.append(planner.improve(problem, start, planner.init(), Stopwatch())[0].cost)
     assert costs == sorted(costs, reverse=True)
 

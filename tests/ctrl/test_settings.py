@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import CONTROLLERS, parse_controller
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.trials.errors import ConfigError, ControllerError
 
-from .plays import SOUND
+from .plays import LINEAR, PLAY
 
 LIMITS = CommandLimits(0.0, 6.0, 12.0)
 
@@ -19,8 +20,8 @@ LIMITS = CommandLimits(0.0, 6.0, 12.0)
 def test_every_kind_builds_from_its_name_alone(kind: str) -> None:
     settings = parse_controller({"kind": kind})
     assert settings.kind == kind
-    controller = build_controller(settings, SOUND[0].predictor, SOUND[0].inverse, LIMITS)
-    assert controller.dt == SOUND[0].predictor.dt
+    controller = build_controller(settings, PLAY.predictor, PLAY.inverse, LIMITS)
+    assert controller.dt == PLAY.predictor.dt
     assert controller.horizon >= 1
 
 
@@ -36,7 +37,7 @@ def test_settings_survive_a_round_trip(kind: str) -> None:
         ({"kind": "linearized_mpc"}, "did you mean 'linearised_mpc'"),
         ({"horizon": 3}, "the key 'kind'"),
         ({"kind": "pid", "horizon": 3}, "unknown key 'horizon'"),
-        ({"kind": "pid", "gains": {"kp": 1.0}}, "did you mean 'kp_per_deg'"),
+        ({"kind": "pid", "gains": {"kp_deg": 1.0}}, "did you mean 'kp_per_deg'"),
         ({"kind": "inverse", "limits": {"lower": 2, "upper": 1, "rate_per_s": 1}}, "expected lower < upper"),
         ({"kind": "sampling_mpc", "noise": {"kind": "pink"}}, "noise"),
         ({"kind": "linearised_mpc", "solver_eps": 1e-3}, "solver_eps"),
@@ -52,7 +53,7 @@ def test_wrong_settings_end_in_one_clear_line(data: dict[str, Any], text: str) -
 @pytest.mark.parametrize(
     ("data", "text"),
     [
-        ({"kind": "pid", "limits": {"lower": 0, "upper": 7, "rate_per_s": 3}}, "expected them within those of the device"),
+        ({"kind": "pid", "limits": {"lower": 0, "upper": 7, "rate_per_s": 3}}, "within those of the device"),
         ({"kind": "pid", "gains": {"tracking_s": 0.01}}, "expected at least the sample time"),
         ({"kind": "sampling_mpc", "horizon": 4}, "expected 2 to the horizon of 4"),
         ({"kind": "inverse", "ladder": {"safe_command": 9}}, "safe_command"),
@@ -61,12 +62,12 @@ def test_wrong_settings_end_in_one_clear_line(data: dict[str, Any], text: str) -
 )
 def test_settings_that_contradict_the_device_are_refused(data: dict[str, Any], text: str) -> None:
     with pytest.raises(ControllerError, match=text):
-        build_controller(parse_controller(data), SOUND[0].predictor, SOUND[0].inverse, LIMITS)
+        build_controller(parse_controller(data), PLAY.predictor, PLAY.inverse, LIMITS)
 
 
 def test_limits_of_the_settings_narrow_those_of_the_device() -> None:
     settings = parse_controller({"kind": "inverse", "limits": {"lower": 1, "upper": 2, "rate_per_s": 1}})
-    controller = build_controller(settings, SOUND[1].predictor, SOUND[1].inverse, LIMITS)
+    controller = build_controller(settings, LINEAR.predictor, LINEAR.inverse, LIMITS)
     state = controller.init(30.0, 1.0)
     for _ in range(40):
         command, state = controller.step(state, 30.0, [90.0])  # type: ignore[arg-type]

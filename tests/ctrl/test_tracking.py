@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import LoopLog, run_loop
 
-from .plays import DT, SOUND, Backlash, BacklashInverse, Case, ModelPlant
+from .plays import DT, LINEAR, PLAY, SOUND, Backlash, BacklashInverse, Case, ModelPlant
 
 LIMITS = CommandLimits(0.0, 6.0, 12.0)
 PREDICTIVE = ["linearised_mpc", "sampling_mpc"]
-PLAY = SOUND[0]
 
 
 def scan(t: np.ndarray) -> np.ndarray:
@@ -63,9 +63,7 @@ def resting(case: Case, **options: Any) -> ModelPlant:
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize("kind", PREDICTIVE)
 @pytest.mark.parametrize(("motion", "rmse"), [(scan, 0.02), (smooth_moves, 0.03)])
-def test_exact_model_tracks(
-    kind: str, case: Case, motion: Callable[[np.ndarray], np.ndarray], rmse: float
-) -> None:
+def test_exact_model_tracks(kind: str, case: Case, motion: Callable[[np.ndarray], np.ndarray], rmse: float) -> None:
     _, error = track(built(kind, case), resting(case), motion, 9.0)
     assert math.sqrt(np.mean(error[25:] ** 2)) < rmse
     assert np.max(np.abs(error[25:])) < 0.15
@@ -149,12 +147,12 @@ def test_soft_angle_limit_is_kept_where_it_can_be(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["pid", "inverse_pid"])
 def test_integral_action_removes_an_offset(kind: str) -> None:
-    plant = resting(SOUND[1], offset_deg=0.0)
+    plant = resting(LINEAR, offset_deg=0.0)
 
     def push(sample: Any) -> None:
         plant.offset_deg = 2.0
 
-    _, error = track(built(kind, SOUND[1]), plant, lambda t: np.full_like(t, 50.0), 12.0, on_sample=push)
+    _, error = track(built(kind, LINEAR), plant, lambda t: np.full_like(t, 50.0), 12.0, on_sample=push)
     assert np.max(np.abs(error[-20:])) <= 0.2 + 1e-9  # the dead zone
 
 
@@ -163,7 +161,7 @@ def test_integrator_does_not_wind_up_at_a_limit(kind: str) -> None:
     def unreachable(t: np.ndarray) -> np.ndarray:
         return np.where(t < 6.0, 200.0, 60.0)
 
-    log, error = track(built(kind, SOUND[1]), resting(SOUND[1]), unreachable, 12.0)
+    log, error = track(built(kind, LINEAR), resting(LINEAR), unreachable, 12.0)
     assert log.command.max() == 6.0
     assert np.max(np.abs(error[-25:])) < 0.5
 

@@ -53,6 +53,18 @@ def test_the_check_itself(tmp_path: Path, file: str, text: str, expected: int) -
     assert len(list(wrong_way(tmp_path))) == expected
 
 
+def test_a_room_imports_itself_relatively() -> None:
+    """One spelling; by the other a type checker takes a class for two."""
+    offenders = [
+        f"{module.where}:{node.lineno}"
+        for module in modules()
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.ImportFrom) and node.level == 0
+        if f"{node.module}.".startswith(f"hystmpc.{module.room}.")
+    ]
+    assert offenders == []
+
+
 def test_no_room_is_imported_as_a_top_level_package() -> None:
     """It would work in a checkout and fail for everybody who has installed a wheel."""
     files = [path for folder in (*ROOMS, "tests", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from hystmpc.models.chain import Chain
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.operators.operator import Operator

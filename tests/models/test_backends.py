@@ -7,6 +7,7 @@ import numpy as np
 import onnx
 import onnxruntime as ort
 import pytest
+
 from hystmpc.models.chain import Chain
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.operators.catalogue import OPERATORS
@@ -100,7 +101,8 @@ def finite_difference(chain: Chain, state: np.ndarray, u: float, step: float = 1
         shift = np.zeros(state.size + 1)
         shift[j] = step
         ends = [
-            by_kernel(chain, (state + sign * shift[:-1])[None], np.array([[u + sign * shift[-1]]]))[0] for sign in (1, -1)
+            by_kernel(chain, (state + sign * shift[:-1])[None], np.array([[u + sign * shift[-1]]]))[0]
+            for sign in (1, -1)
         ]
         columns.append((ends[0] - ends[1]) / (2 * step))
     return np.array(columns).T

@@ -10,11 +10,12 @@ import casadi as ca
 import numpy as np
 import onnx
 import pytest
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
+
 from hystmpc.models.contract import ExportBundle, ModelMetadata, OnnxModel, export_onnx, load_onnx
 from hystmpc.models.model import Array, StepFunction
 from hystmpc.trials.errors import ExportError
-from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
 
 DT_S = 0.04
 SLOPE, OFFSET, WIDTH, RATE_GAIN = 10.0, 30.0, 0.3, 0.05
@@ -65,10 +66,11 @@ class Lstm(StepFunction):
     def __init__(self) -> None:
         rng = np.random.default_rng(3)
         scale = 1 / np.sqrt(HIDDEN)
-        self.w_x = rng.normal(0, 1, (1, 4 * HIDDEN)).astype(np.float32)
-        self.w_h = rng.normal(0, scale, (HIDDEN, 4 * HIDDEN)).astype(np.float32)
-        self.bias = rng.normal(0, 0.3, (4 * HIDDEN,)).astype(np.float32)
-        self.head = rng.normal(0, 40 * scale, (HIDDEN, 1)).astype(np.float32)
+        # rounded to float32, as the graph has them, but computed with in float64
+        self.w_x = np.float64(np.float32(rng.normal(0, 1, (1, 4 * HIDDEN))))
+        self.w_h = np.float64(np.float32(rng.normal(0, scale, (HIDDEN, 4 * HIDDEN))))
+        self.bias = np.float64(np.float32(rng.normal(0, 0.3, 4 * HIDDEN)))
+        self.head = np.float64(np.float32(rng.normal(0, 40 * scale, (HIDDEN, 1))))
 
     def _gates(self, h: Array, u: Array) -> list[Array]:
         z = (u - 3.0) / 3.0 @ self.w_x + h @ self.w_h + self.bias
@@ -160,7 +162,7 @@ def lstm_graph() -> onnx.GraphProto:
         n("MatMul", "h_next head", "scaled"),
         n("Add", "scaled thirty", "theta"),
     ]
-    weights = {"w_x": net.w_x, "w_h": net.w_h, "bias": net.bias, "head": net.head}
+    weights = {name: np.float32(getattr(net, name)) for name in ("w_x", "w_h", "bias", "head")}
     numbers = {"three": np.float32([3.0]), "thirty": np.float32([30.0]), "halves": np.array([HIDDEN, HIDDEN])}
     return graph_of(nodes, 2 * HIDDEN, weights | numbers)
 
@@ -199,7 +201,11 @@ class System:
         return ExportBundle(self.graph(), metadata(reference.state_size), reference, PROBE)
 
 
-SYSTEMS = [System("play", Play, play_graph), System("rate play", RatePlay, rate_graph), System("lstm", Lstm, lstm_graph)]
+SYSTEMS = [
+    System("play", Play, play_graph),
+    System("rate play", RatePlay, rate_graph),
+    System("lstm", Lstm, lstm_graph),
+]
 
 
 @pytest.fixture(params=SYSTEMS, ids=lambda system: system.name)
@@ -298,7 +304,9 @@ def test_casadi_function_has_exact_derivatives(bundle: ExportBundle, tmp_path: P
 
 def test_changed_weight_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     wrong = ExportBundle(play_graph(slope=SLOPE * 1.001), metadata(1), Play(), PROBE)
-    with pytest.raises(ExportError, match=r"onnxruntime on its own, sample \d+: theta \[deg\] is .* nothing was written"):
+    with pytest.raises(
+        ExportError, match=r"onnxruntime on its own, sample \d+: theta \[deg\] is .* nothing was written"
+    ):
         export_onnx(wrong, tmp_path / "model.onnx")
     assert list(tmp_path.iterdir()) == []
 
@@ -330,6 +338,34 @@ def test_wrong_jacobian_is_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+STAIRS = np.repeat([0.4, 1.3, 2.1, 3.4, 4.2, 5.3], 60) + np.tile(np.minimum(np.arange(60), 15) / 40, 6)
+
+
+def test_other_branch_at_a_tie_is_refused_where_the_probe_rests(tmp_path: Path) -> None:
+    graph = play_graph()
+    graph.node[3].op_type = "Greater"  # GreaterOrEqual: a play in contact moves with the command
+    path = tmp_path / "model.onnx"
+    assert export_onnx(ExportBundle(play_graph(), metadata(1), Play(), STAIRS), path).kinks == 0
+    path.unlink()
+    with pytest.raises(ExportError, match="Jacobians differ from the reference on kinks, expected at most half"):
+        export_onnx(ExportBundle(graph, metadata(1), Play(), STAIRS), path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_rounding_at_a_tie_counts_as_a_kink_and_passes(tmp_path: Path) -> None:
+    """The same play in thirds of a millimetre: in contact, rounding alone decides between two equal branches."""
+    graph = play_graph()
+    graph.initializer.append(numpy_helper.from_array(np.array(3.0), "third"))
+    graph.initializer.append(numpy_helper.from_array(np.array(WIDTH / 3.0), "r_third"))
+    del graph.node[0]
+    graph.node.insert(0, n("Div", "u third", "u_third"))
+    graph.node.insert(1, n("Sub", "u_third r_third", "low_third"))
+    graph.node.insert(2, n("Mul", "low_third third", "low"))
+    report = export_onnx(ExportBundle(graph, metadata(1), Play(), STAIRS), tmp_path / "model.onnx")
+    assert 0 < report.kinks <= 25
+    assert report.jacobian <= 1e-9
+
+
 def test_graph_that_mixes_rows_of_a_batch_is_refused(tmp_path: Path) -> None:
     graph = play_graph()
     graph.initializer.append(numpy_helper.from_array(np.array([0]), "rows"))
@@ -342,14 +378,14 @@ def test_graph_that_mixes_rows_of_a_batch_is_refused(tmp_path: Path) -> None:
 
 
 def test_probe_outside_the_trained_range_is_refused() -> None:
-    with pytest.raises(ExportError, match="probe is 6.5 mm at sample 1, expected the trained range 0 to 6"):
+    with pytest.raises(ExportError, match=r"probe is 6\.5 mm at sample 1, expected the trained range 0 to 6"):
         ExportBundle(play_graph(), metadata(1), Play(), np.array([1.0, 6.5]))
 
 
 def test_state_sizes_have_to_match(tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="reference has 1 state entries, metadata 2"):
         ExportBundle(play_graph(), metadata(2), Play(), PROBE)
-    with pytest.raises(ExportError, match=r"inputs are state float64 \[N,1\].*expected state float64 \[N,2\]"):
+    with pytest.raises(ExportError, match=r"inputs are 'state' float64 \[N,1\].*expected 'state' float64 \[N,2\]"):
         export_onnx(ExportBundle(play_graph(), metadata(2), RatePlay(), PROBE), tmp_path / "model.onnx")
     assert list(tmp_path.iterdir()) == []
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from hystmpc.models.chain import Chain
 from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.metadata import Range

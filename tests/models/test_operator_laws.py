@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from hystmpc.models.chain import Chain
 from hystmpc.models.operators.catalogue import OPERATORS, operator_from, operator_spec
 from hystmpc.models.operators.delay import Delay
@@ -29,7 +32,7 @@ def label(operator: Operator) -> str:
 
 def polyline(points: list[float], samples: int) -> np.ndarray:
     """Straight moves between points, each of `samples` samples, monotone to the last bit."""
-    moves = [np.linspace(a, b, samples + 1)[1:] for a, b in zip(points, points[1:], strict=False)]
+    moves = [np.linspace(a, b, samples + 1)[1:] for a, b in itertools.pairwise(points)]
     return np.concatenate([[points[0]], *moves])
 
 

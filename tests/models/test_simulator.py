@@ -10,6 +10,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+
 from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.evaluate import free_run
 from hystmpc.models.export_simulator import export_simulator

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from hystmpc.trajectories import MotionLimits, PointToPoint, SinusoidScan, random_point_to_point
 from hystmpc.trajectories.config import LimitsSettings, Motion, parse_motion
 from hystmpc.trials.config import Settings

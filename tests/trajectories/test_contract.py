@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from hystmpc.trajectories import excitation
 from hystmpc.trajectories.chain import Chain
 from hystmpc.trajectories.config import MOTIONS, parse_motion

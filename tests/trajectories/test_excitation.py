@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from hystmpc.trajectories import excitation as ex
 from hystmpc.trajectories import sample
 from hystmpc.trajectories.decaying_sine import DecayingSine

@@ -7,6 +7,7 @@ import pytest
 import ruckig
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from hystmpc.trajectories import MotionLimits, PointToPoint, random_point_to_point, sample
 from hystmpc.trajectories.piecewise import PiecewiseCubic, end_state
 from hystmpc.trajectories.point_to_point import rest_to_rest

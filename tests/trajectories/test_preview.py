@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from hystmpc.trajectories import PreviewTable, Sampled, preview, sample
 from hystmpc.trials.errors import TrajectoryError
 

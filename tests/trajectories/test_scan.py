@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from hystmpc.trajectories import MotionLimits, Raster, SinusoidScan, TriangleScan
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.errors import TrajectoryError

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from hystmpc.trials.check import check_trial
 from hystmpc.trials.csv_ import write_csv
 from hystmpc.trials.errors import LogError

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from pydantic import Field
+
 from hystmpc.trials.config import Settings, dump_yaml, load_settings
 from hystmpc.trials.errors import ConfigError
-from pydantic import Field
 
 
 class Loop(Settings):

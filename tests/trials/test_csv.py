@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+
 from hystmpc.trials.csv_ import read_columns, read_csv, read_trials, write_csv
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.presets import COMMAND_UNITS, PRESETS, Preset, detect_preset, get_preset

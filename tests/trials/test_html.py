@@ -9,9 +9,10 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Plot, Report, Table, figure_svg
 from hystmpc.trials.plot_style import PALETTE, new_figure
-from matplotlib.figure import Figure
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.resample import MAX_GAP_S, require_uniform, resample
 from hystmpc.trials.trial import Trial, Units

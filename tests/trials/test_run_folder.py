@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from hystmpc.trials import mcap_
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, LogError

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+
 from hystmpc.trials.csv_ import read_csv
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.resample import resample

@@ -7,6 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
+
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.trial import Trial, Units
 

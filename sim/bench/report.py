@@ -1,0 +1,113 @@
+"""The result of a benchmark: rows of one ratio each, and their JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from .timing import Times
+
+FORMAT = "hystmpc-bench/1"
+
+
+class Reads(StrEnum):
+    """What a ratio says."""
+
+    FASTER = "times faster"  # peer / ours
+    OVER_LIMIT = "times the limit"  # ours / limit
+    TAIL = "p99 / median"  # of ours
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One comparison.
+
+    Attributes:
+        section: what is measured, with the model.
+        ours, other: the two sides.
+        reads: what the ratio says.
+        goal: of the ratio: at least for `FASTER`, at most for the others; None for none.
+        state: `measured`, `not installed`, `interrupted`.
+        ratio: None unless measured.
+        times, other_times: of both sides; the limit has a duration only.
+        limit_s: duration at the limit [s].
+        facts: further numbers, names with units.
+        note: one line.
+    """
+
+    section: str
+    ours: str
+    other: str
+    reads: Reads
+    goal: float | None = None
+    state: str = "interrupted"
+    ratio: float | None = None
+    times: Times | None = None
+    other_times: Times | None = None
+    limit_s: float | None = None
+    facts: Mapping[str, float] = field(default_factory=dict)
+    note: str = ""
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether the goal is reached; None without goal or ratio."""
+        if self.goal is None or self.ratio is None:
+            return None
+        return self.ratio >= self.goal if self.reads is Reads.FASTER else self.ratio <= self.goal
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """A whole run.
+
+    Attributes:
+        settings: sizes and effort.
+        machine: processor, cores and versions.
+        models: what was controlled, by name.
+        rows: the comparisons.
+        interrupted: whether the keyboard ended the run.
+    """
+
+    settings: Mapping[str, Any]
+    machine: Mapping[str, Any]
+    models: Mapping[str, str]
+    rows: Sequence[Row]
+    interrupted: bool
+
+
+def report_json(report: Report) -> dict[str, Any]:
+    """Plain data in format `hystmpc-bench/1`; durations in seconds."""
+    return {
+        "format": FORMAT,
+        "settings": dict(report.settings),
+        "machine": dict(report.machine),
+        "models": dict(report.models),
+        "interrupted": report.interrupted,
+        "rows": [_row_json(row) for row in report.rows],
+    }
+
+
+def _row_json(row: Row) -> dict[str, Any]:
+    other = {"name": row.other, **_times_json(row.other_times)}
+    if row.limit_s is not None:
+        other["median_s"] = row.limit_s
+    return {
+        "section": row.section,
+        "ours": {"name": row.ours, **_times_json(row.times)},
+        "other": other,
+        "ratio": row.ratio,
+        "reads": str(row.reads),
+        "goal": row.goal,
+        "reached": row.reached,
+        "state": row.state,
+        "facts": dict(row.facts),
+        "note": row.note,
+    }
+
+
+def _times_json(times: Times | None) -> dict[str, Any]:
+    if times is None:
+        return {}
+    return {"median_s": times.median_s, "p99_s": times.p99_s, "least_s": times.least_s, "calls": times.seconds.size}

@@ -1,0 +1,63 @@
+"""One controller on one simulated plant along one motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hystmpc.ctrl.loop import LoopLog, Sample, run_loop
+from hystmpc.ctrl.protocols import Controller
+from hystmpc.trajectories import PreviewTable, Trajectory
+
+from .plant import SimulatedPlant
+
+Vec = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoopRun:
+    """What happened.
+
+    Attributes:
+        log: the loop's own log, with measured angles, N samples.
+        true_deg: angles without sensor noise at the ends of the samples (N,) [deg].
+        rest_command: the command that the plant held before the first sample.
+        dt: sample time [s].
+    """
+
+    log: LoopLog
+    true_deg: Vec
+    rest_command: float
+    dt: float
+
+    @property
+    def error_deg(self) -> Vec:
+        """True angle less reference (N,) [deg]."""
+        return self.true_deg - self.log.reference_deg
+
+
+def run_closed_loop(
+    controller: Controller[Any],
+    plant: SimulatedPlant,
+    motion: Trajectory,
+    on_sample: Callable[[Sample], None] | None = None,
+) -> ClosedLoopRun:
+    """Follow a motion once from the plant's rest, as fast as it computes.
+
+    Raises:
+        ControllerError: if controller and plant differ in sample time, or the controller cannot start from the rest.
+    """
+    preview = PreviewTable(motion, plant.dt, controller.horizon)
+    angles: list[float] = []
+
+    def note(sample: Sample) -> None:
+        angles.append(plant.true_angle)
+        if on_sample is not None:
+            on_sample(sample)
+
+    log = run_loop(controller, plant, preview.at, preview.steps, u_start=plant.rest_command, on_sample=note)
+    return ClosedLoopRun(log, np.array(angles), plant.rest_command, plant.dt)

@@ -1,0 +1,118 @@
+"""Settings of a closed-loop study: which plant, which model, which motions, which controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+from hystmpc.ctrl.config import CONTROLLERS, ControllerSettings, LimitsSettings
+from hystmpc.models.library import model_path
+from hystmpc.trajectories.config import Motion, SampledSettings
+from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.errors import did_you_mean
+
+NotNegative = Annotated[float, Field(ge=0)]
+# Names become folders of the run.
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
+
+
+class PlantSettings(Settings):
+    """The simulated device; see `SimulatedPlant` and `Effects`.
+
+    Attributes:
+        simulator: a simulator file, or `builtin:NAME`.
+    """
+
+    simulator: str
+    lag_s: NotNegative = 0.0
+    delay_s: NotNegative = 0.0
+    noise_deg: NotNegative = 0.0
+    quantisation_deg: NotNegative = 0.0
+    mismatch: dict[str, float] = {}
+
+
+class TuningSettings(Settings):
+    """How PID gains are searched for; see `tune_pid`.
+
+    Attributes:
+        evaluations: closed-loop runs over all motions, about, for each controller.
+    """
+
+    evaluations: Annotated[int, Field(ge=10)] = 150
+
+
+def _known_controller(data: Any) -> Any:
+    """Answer a missing or unknown kind with the kinds there are."""
+    if isinstance(data, Mapping):
+        if "kind" not in data:
+            raise ValueError(f"no key 'kind', available: {', '.join(sorted(CONTROLLERS))}")
+        if str(data["kind"]) not in CONTROLLERS:
+            raise ValueError(f"unknown kind {data['kind']!r}, {did_you_mean(str(data['kind']), CONTROLLERS)}")
+    return data
+
+
+class SimulationConfig(Settings):
+    """A closed-loop study: every controller follows every motion on one simulated plant.
+
+    Attributes:
+        plant: the device.
+        model: what controllers know of it: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
+        inverse: simulator that is inverted in the model's place; for networks, which have no inverse of their own.
+        motions: references by name.
+        controllers: controllers by name.
+        limits: hard limits of command and rate; those of the model where left out.
+        tune_pid: search the gains of every `pid` and `inverse_pid` on this plant and these motions first; where left
+            out the gains stand as given.
+        seed: of sensor noise and of the search.
+    """
+
+    plant: PlantSettings
+    model: str
+    inverse: str | None = None
+    motions: dict[Name, Motion] = Field(min_length=1)
+    controllers: dict[Name, Annotated[ControllerSettings, BeforeValidator(_known_controller)]] = Field(min_length=1)
+    limits: LimitsSettings | None = None
+    tune_pid: TuningSettings | None = None
+    seed: Annotated[int, Field(ge=0)] = 0
+
+
+def load_simulation(path: Path | str, overrides: Iterable[str] = ()) -> SimulationConfig:
+    """Read a study; file names in it start at its own folder and come out absolute.
+
+    Args:
+        path: a YAML file.
+        overrides: changes such as `plant.lag_s=0.1`.
+
+    Raises:
+        ConfigError: on an unreadable file, a malformed override, an unknown key or a value out of bounds.
+        ModelError: on an unknown built-in model.
+    """
+    return located(load_settings(SimulationConfig, path, overrides), Path(path).resolve().parent)
+
+
+def located(config: SimulationConfig, folder: Path) -> SimulationConfig:
+    """The study with every file name absolute, relative ones starting at `folder`; built-in models keep their names.
+
+    Raises:
+        ModelError: on an unknown built-in model.
+    """
+
+    def file(text: str) -> str:
+        path = model_path(text, folder)
+        return text if text.startswith("builtin:") else str(path)
+
+    motions = {
+        name: motion.model_copy(update={"file": folder / motion.file}) if isinstance(motion, SampledSettings) else motion
+        for name, motion in config.motions.items()
+    }
+    return config.model_copy(
+        update={
+            "plant": config.plant.model_copy(update={"simulator": file(config.plant.simulator)}),
+            "model": file(config.model),
+            "inverse": None if config.inverse is None else file(config.inverse),
+            "motions": motions,
+        }
+    )

@@ -1,0 +1,132 @@
+"""PID gains by global search on the study's own plant and motions: the strongest PID that there is to compare with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult, differential_evolution
+
+from hystmpc.ctrl.config import AnyControllerSettings, InversePidControllerSettings, PidControllerSettings
+from hystmpc.trials.errors import ConfigError
+
+from .closed_loop import run_closed_loop
+from .study import Study
+
+Vec = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+PidLike = PidControllerSettings | InversePidControllerSettings
+
+POPULATION = 10
+_KP_KI = ((1e-4, 1.0), (1e-2, 10.0))  # [cmd/deg], [cmd/(deg s)], searched by their logarithms
+_KD = (0.0, 0.05)  # [cmd s/deg]
+_DEAD_ZONE_DEG = (0.0, 0.5)
+
+
+@dataclass(frozen=True)
+class PidTuning:
+    """Result of a search.
+
+    Attributes:
+        settings: the controller with the gains found.
+        rmse_deg: root of the mean over motions of the mean square true error with them [deg].
+        start_rmse_deg: the same with the gains given.
+        evaluations: times that all motions were run.
+    """
+
+    settings: PidLike
+    rmse_deg: float
+    start_rmse_deg: float
+    evaluations: int
+
+
+def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = None) -> PidTuning:
+    """Search the gains that track all motions of a study best, by seeded differential evolution.
+
+    J = mean over motions of mean_k (theta_k - r_k)^2 with the true angle theta; the noise is that of the study, which
+    makes the result the strongest opponent of a model-based controller, not a fair forecast for another device.
+    The given gains belong to the first population, so that the result is never worse than they are.
+
+    Args:
+        study: plant, model and motions.
+        settings: the controller whose `kp`, `ki`, `kd` and dead zone are searched; everything else stays.
+        progress: called with the evaluations so far and their number.
+
+    Raises:
+        ConfigError: if the study has no `tune_pid`.
+    """
+    if study.config.tune_pid is None:
+        raise ConfigError("tune_pid: got none, expected settings of the search")
+    # scipy counts generations after the first population
+    generations = max(1, study.config.tune_pid.evaluations // POPULATION - 1)
+    total, done = POPULATION * (generations + 1), 0
+
+    def cost(x: Vec) -> float:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(min(done, total), total)
+        return _mean_square(study, with_gains(settings, x))
+
+    bounds = np.array([*np.log(_KP_KI), _KD, _DEAD_ZONE_DEG])
+    found: OptimizeResult = differential_evolution(
+        cost,
+        bounds,
+        init=_population(bounds, _point(settings), study.config.seed),
+        maxiter=generations,
+        polish=False,
+        tol=1e-4,
+        rng=np.random.default_rng(study.config.seed),
+    )
+    start = _mean_square(study, settings)
+    return PidTuning(with_gains(settings, found.x), float(np.sqrt(found.fun)), float(np.sqrt(start)), int(found.nfev))
+
+
+def tuned(study: Study, progress: Progress | None = None) -> dict[str, PidTuning]:
+    """Search the gains of every `pid` and `inverse_pid` of a study, by name; empty where `tune_pid` is left out."""
+    if study.config.tune_pid is None:
+        return {}
+    chosen = {name: s for name, s in study.config.controllers.items() if isinstance(s, PidLike)}
+    results = {}
+    for k, (name, settings) in enumerate(chosen.items()):
+
+        def overall(done: int, total: int, before: int = k) -> None:
+            if progress is not None:
+                progress(before * total + done, len(chosen) * total)
+
+        results[name] = tuned_gains(study, settings, overall)
+    return results
+
+
+def with_gains(settings: PidLike, x: Vec) -> PidLike:
+    """The controller at a point of the search: log kp, log ki, kd, dead zone."""
+    kp, ki = np.exp(x[:2])
+    gains = {"kp_per_deg": kp, "ki_per_deg_s": ki, "kd_s_per_deg": x[2], "dead_zone_deg": x[3]}
+    # Four digits are all that anybody would write down, and what stands in the report is what ran.
+    rounded = {name: float(f"{value:.4g}") for name, value in gains.items()}
+    return settings.model_copy(update={"gains": settings.gains.model_copy(update=rounded)})
+
+
+def _point(settings: PidLike) -> Vec:
+    gains = settings.gains
+    least = [low for low, _ in _KP_KI]
+    kp_ki = np.log(np.maximum([gains.kp_per_deg, gains.ki_per_deg_s], least))
+    return np.array([*kp_ki, gains.kd_s_per_deg, gains.dead_zone_deg])
+
+
+def _population(bounds: Vec, given: Vec, seed: int) -> Vec:
+    """The given point and others spread over the box, one in each of as many slices of every axis."""
+    random = np.random.default_rng(seed)
+    slices = np.stack([random.permutation(POPULATION) for _ in bounds], axis=1)
+    unit = (slices + random.random(slices.shape)) / POPULATION
+    points = bounds[:, 0] + unit * (bounds[:, 1] - bounds[:, 0])
+    points[0] = np.clip(given, bounds[:, 0], bounds[:, 1])
+    return points
+
+
+def _mean_square(study: Study, settings: AnyControllerSettings) -> float:
+    controller = study.controller(settings)
+    runs = [run_closed_loop(controller, study.plant, motion) for motion in study.motions.values()]
+    return float(np.mean([np.mean(run.error_deg**2) for run in runs]))

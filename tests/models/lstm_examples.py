@@ -1,0 +1,70 @@
+"""LSTMs for the tests: small and paper-sized, with gains of about one, and facts to go with them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hystmpc.models.contract.metadata import ModelMetadata, Range
+from hystmpc.models.lstm.initial import conditioned_rule, zero_state_rule
+from hystmpc.models.lstm.reference import LstmStep
+from hystmpc.models.lstm.weights import LstmLayer, LstmScaling, LstmWeights
+from hystmpc.trials.trial import Trial
+
+DT = 0.04
+SIZES = {"one layer of 5": (5, 1), "two of 64": (64, 2), "three of 7": (7, 3)}
+
+
+def random_weights(hidden: int, layers: int, seed: int = 0) -> LstmWeights:
+    """Weights in single precision, as trained ones are; memory of up to hundreds of samples."""
+    rng = np.random.default_rng(seed)
+
+    def draw(*shape: int) -> np.ndarray:
+        return rng.normal(size=shape).astype(np.float32).astype(float)
+
+    stack = []
+    for k in range(layers):
+        bias = 0.3 * draw(4 * hidden)
+        bias[hidden : 2 * hidden] += np.linspace(0, 5, hidden)
+        bias[:hidden] -= np.linspace(0, 5, hidden)
+        inputs = 1 if k == 0 else hidden
+        stack.append(LstmLayer(draw(4 * hidden, inputs) / inputs**0.5, draw(4 * hidden, hidden) / hidden**0.5, bias))
+    head = draw(hidden) / hidden**0.5
+    rounded = LstmWeights(tuple(stack), head, 0.25, LstmScaling(3.0, 3.0, 60.0, 32.0)).to_arrays()
+    return LstmWeights.from_arrays({name: a.astype(np.float32) for name, a in rounded.items()})
+
+
+def facts(weights: LstmWeights, warmup: int = 5) -> ModelMetadata:
+    """Metadata of a tendon catheter's LSTM."""
+    step, trained = LstmStep(weights), Range(lower=0.0, upper=6.0)
+    return ModelMetadata(
+        kind="lstm",
+        dt_s=DT,
+        command_unit="mm",
+        command_limits=trained,
+        command_rate=12.0,
+        trained_command=trained,
+        trained_angle=Range(lower=28.0, upper=92.0),
+        trained_rate=11.0,
+        initial=zero_state_rule(step.state_size),
+        conditioned=conditioned_rule(step, trained, DT, warmup),
+        warmup_samples=warmup,
+        training_data_hash="none",
+    )
+
+
+def decaying_trial(frequency_hz: float, middle: bool, source: str) -> Trial:
+    """A decaying sinusoid of four cycles and the angle of a catheter with 7 deg of play, made by hand."""
+    t = np.arange(0.0, 4.0 / frequency_hz, DT)
+    decay = 3.0 * np.exp(-0.3 * frequency_hz * t)
+    sine = np.sin(2 * np.pi * frequency_hz * t - np.pi / 2)
+    command = decay * sine + 3.0 if middle else decay * (sine + 1)
+    angle, last = np.empty_like(t), 30.0
+    for k, u in enumerate(command):
+        last = max(10.5 * u + 23.0, min(10.5 * u + 30.0, last))
+        angle[k] = last
+    return Trial(t, command, angle, source=source)
+
+
+def four_trials() -> list[Trial]:
+    """Two speeds, two baselines."""
+    return [decaying_trial(f, m, f"{f} Hz, {'mid' if m else 'zero'}") for f in (0.4, 0.8) for m in (True, False)]

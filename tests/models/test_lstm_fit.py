@@ -1,0 +1,219 @@
+"""Training of LSTMs: it learns, it repeats itself, it stops when told and says why it cannot start."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hystmpc.models.contract.export import export_onnx
+from hystmpc.models.contract.load import load_onnx
+from hystmpc.models.evaluate import evaluate
+from hystmpc.models.fit.lstm import LstmFit, fit_lstm
+from hystmpc.models.fit.lstm_bundle import lstm_bundle
+from hystmpc.models.fit.lstm_settings import LSTM_PRESETS, LstmSettings, StreamTraining, TeacherSettings, WindowTraining
+from hystmpc.models.fit.lstm_teacher import Teacher
+from hystmpc.models.fit.split import hold_out
+from hystmpc.models.fit.streams import Run, arrange, stretch
+from hystmpc.models.fit.windows import draw_windows
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.trial import Trial
+
+from .lstm_examples import DT, decaying_trial, four_trials
+
+torch = pytest.importorskip("torch")
+
+STREAMS = StreamTraining(length=25, streams=4, updates=240, rounds_between_checks=1, averaging=0.9, teacher=None)
+SMALL = LstmSettings(hidden=8, layers=2, warmup_samples=5, learning_rate=1e-2, training=STREAMS)
+WAYS = {
+    "streams": SMALL,
+    "streams with teacher": SMALL.model_copy(
+        update={"training": STREAMS.model_copy(update={"teacher": TeacherSettings(plays=3, runs=2)})}
+    ),
+    "windows": SMALL.model_copy(update={"training": WindowTraining(length=20, epochs=6, windows_per_epoch=160)}),
+    "windows, constant in constant out": SMALL.model_copy(
+        update={"training": WindowTraining(length=20, epochs=6, windows_per_epoch=160, constancy_weight=1e-4)}
+    ),
+}
+every_way = pytest.mark.parametrize("settings", WAYS.values(), ids=WAYS.keys())
+
+
+def same(a: LstmFit, b: LstmFit) -> bool:
+    pairs = zip(a.weights.to_arrays().values(), b.weights.to_arrays().values(), strict=True)
+    return a.history == b.history and all(np.array_equal(x, y) for x, y in pairs)
+
+
+@every_way
+def test_error_falls_and_the_best_look_is_kept(settings: LstmSettings) -> None:
+    seen: list[tuple[int, float]] = []
+    fit = fit_lstm(four_trials(), settings, lambda done, best: seen.append((done, best)))
+    errors = [look.validation_rmse_deg for look in fit.history]
+    assert fit.validation_rmse_deg == min(errors) < 0.7 * errors[0]
+    assert fit.history[[look.step for look in fit.history].index(fit.best_step)].validation_rmse_deg == min(errors)
+    assert [done for done, _ in seen] == [look.step for look in fit.history]
+    assert seen[-1] == (settings.steps, min(errors))
+    assert not fit.interrupted
+
+
+@every_way
+def test_same_seed_same_network_and_another_seed_another(settings: LstmSettings) -> None:
+    trials = four_trials()
+    state = torch.random.get_rng_state()
+    first = fit_lstm(trials, settings)
+    assert torch.equal(torch.random.get_rng_state(), state)  # the caller's random numbers are his own
+    assert same(first, fit_lstm(trials, settings))
+    assert not same(first, fit_lstm(trials, settings.model_copy(update={"seed": 2})))
+
+
+@every_way
+def test_interrupting_keeps_the_best_so_far(settings: LstmSettings) -> None:
+    looks = 0
+
+    def stop_at_third(done: int, best: float) -> None:
+        nonlocal looks
+        looks += 1
+        if looks == 3:
+            raise KeyboardInterrupt
+
+    threads = torch.get_num_threads()
+    fit = fit_lstm(four_trials(), settings, stop_at_third)
+    assert fit.interrupted
+    assert len(fit.history) == 3
+    assert fit.validation_rmse_deg == min(look.validation_rmse_deg for look in fit.history)
+    assert torch.get_num_threads() == threads
+
+
+def test_trained_network_is_exported_and_predicts_as_its_history_says(tmp_path: Path) -> None:
+    trials = four_trials()
+    fit = fit_lstm(trials, SMALL)
+    export_onnx(lstm_bundle(fit, trials), tmp_path / "small.onnx")
+    model = load_onnx(tmp_path / "small.onnx")
+    (held_out,) = [trial for trial in trials if trial.source in fit.held_out]
+    assert evaluate(model, held_out).errors.rmse_deg == pytest.approx(fit.validation_rmse_deg, rel=1e-3)
+    facts = model.metadata
+    assert (facts.kind, facts.dt_s, facts.warmup_samples) == ("lstm", DT, 5)
+    assert facts.trained_command.upper == max(trial.command.max() for trial in trials)
+    assert facts.initial.offset == (0.0,) * 32
+    assert np.any(facts.conditioned.offset)
+    assert facts.training["validation_rmse_deg"] == fit.validation_rmse_deg
+    assert facts.training["preset"] == "best"
+
+
+def test_unusable_input_is_named() -> None:
+    trials = four_trials()
+    with pytest.raises(FitError, match="got no trials"):
+        fit_lstm([], SMALL)
+    with pytest.raises(FitError, match="1 held out and one to train on"):
+        fit_lstm(trials[:1], SMALL)
+    with pytest.raises(FitError, match="40 samples, expected at least 50"):
+        fit_lstm([*trials, trials[0].select(0, 40)], SMALL)
+    rest = Trial(trials[0].t, 0 * trials[0].t, trials[0].angle, source="rest")
+    with pytest.raises(FitError, match="rest: the command is constant"):
+        fit_lstm([*trials, rest], SMALL)
+    slow = Trial(2 * trials[0].t, trials[0].command, trials[0].angle, source="slow")
+    with pytest.raises(FitError, match=r"slow: sampled every 0\.08 s"):
+        fit_lstm([*trials, slow], SMALL)
+    windows = SMALL.model_copy(update={"training": WindowTraining(length=1000, epochs=1)})
+    with pytest.raises(FitError, match="the 1000 of a window"):
+        fit_lstm(trials, windows)
+
+
+@every_way
+def test_divergence_is_an_error(settings: LstmSettings) -> None:
+    with pytest.raises(FitError, match="diverged"):
+        fit_lstm(four_trials(), settings.model_copy(update={"learning_rate": 1e30}))
+
+
+def test_interrupting_before_the_first_look_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hystmpc.models.fit.lstm._run", interrupted)
+    with pytest.raises(FitError, match="before its first check"):
+        fit_lstm(four_trials(), SMALL)
+
+
+def test_without_held_out_trials_the_training_trials_judge() -> None:
+    fit = fit_lstm(four_trials(), SMALL.model_copy(update={"validation_trials": 0}))
+    assert fit.held_out == ()
+    assert np.isfinite(fit.validation_rmse_deg)
+
+
+def test_few_trials_keep_the_edges_in_training() -> None:
+    trials = four_trials()
+    above, below = (decaying_trial(0.57, baseline, "") for baseline in (True, False))
+    middle = Trial(above.t, 0.5 * (above.command + below.command), above.angle, source="middle")
+    training, held_out = hold_out([*trials, middle], 1, seed=5)
+    assert [trial.source for trial in held_out] == ["middle"]
+    assert [trial.source for trial in training] == [trial.source for trial in trials]
+
+
+def test_many_trials_are_drawn_by_seed() -> None:
+    trials = four_trials() * 3
+    parts = [hold_out(trials, 3, seed)[1] for seed in (1, 1, 2)]
+    assert [id(t) for t in parts[0]] == [id(t) for t in parts[1]] != [id(t) for t in parts[2]]
+
+
+def test_streams_hold_every_run_once_from_the_start_of_a_piece() -> None:
+    rng = np.random.default_rng(0)
+    runs = [Run(np.arange(n) + 1000.0 * n, -np.arange(n) - 1000.0 * n, np.full(n, 0.5)) for n in (7, 95, 120, 33, 60)]
+    streams = arrange(runs, 3, 20, 5, rng)
+    assert streams.fresh.sum() == len(runs)
+    lines = [part.swapaxes(0, 1).reshape(3, -1) for part in (streams.command, streams.angle, streams.weight)]
+    found = []
+    for n, k in np.argwhere(streams.fresh.T):
+        first = 20 * k + 5
+        length = int(lines[0][n, first] // 1000)
+        found.append(length)
+        span = slice(first, first + length)
+        np.testing.assert_array_equal(lines[0][n, span], np.arange(length) + 1000 * length)
+        np.testing.assert_array_equal(lines[1][n, span], -lines[0][n, span])
+        np.testing.assert_array_equal(lines[0][n, 20 * k : first], 1000 * length)
+        assert (lines[2][n, span] == 0.5).all()
+        assert not lines[2][n, 20 * k : first].any()
+    assert sorted(found) == [7, 33, 60, 95, 120]
+    assert lines[2].sum() == 0.5 * sum(found)
+
+
+def test_stretched_runs_are_the_same_motion_at_another_speed() -> None:
+    t = np.arange(500) * DT
+    run = Run(np.sin(t), np.cos(t), np.ones(500))
+    rng = np.random.default_rng(1)
+    for copy in stretch([run] * 20, 0.2, rng):
+        speed = 500 / copy.command.size
+        assert 1 / 1.21 < speed < 1.21
+        np.testing.assert_allclose(copy.command**2 + copy.angle**2, 1.0, atol=1e-3)
+
+
+def test_windows_are_pieces_of_runs() -> None:
+    ramps = np.arange(30.0), np.arange(50.0, 90.0)
+    runs = [Run(ramp, ramp + 100, np.ones(ramp.size)) for ramp in ramps]
+    command, angle, weight = draw_windows(runs, 200, 10, np.random.default_rng(0))
+    assert (np.diff(command, axis=1) == 1).all()
+    assert (angle == command + 100).all()
+    assert weight.all()
+    assert {0.0, 50.0} <= set(command[:, 0]) <= {*np.arange(21.0), *np.arange(50.0, 81.0)}
+
+
+def test_teacher_stays_within_what_the_trials_showed() -> None:
+    trials = four_trials()
+    teacher = Teacher(trials, plays=4)
+    runs = teacher.runs(12, 0.3, np.random.default_rng(0))
+    fastest = max(np.abs(np.diff(trial.command)).max() for trial in trials)
+    for run in runs:
+        assert run.command.min() >= min(trial.command.min() for trial in trials) - 1e-9
+        assert run.command.max() <= max(trial.command.max() for trial in trials) + 1e-9
+        assert (run.weight == 0.3).all()
+    for run in runs[1::3]:  # moves and holds
+        assert np.abs(np.diff(run.command)).max() <= fastest * (1 + 1e-9)
+    assert teacher.rmse_deg < 1.0
+
+
+def test_presets_are_the_papers_and_ours() -> None:
+    paper, best = LSTM_PRESETS["paper"], LSTM_PRESETS["best"]
+    assert isinstance(paper.training, WindowTraining)
+    assert (paper.training.length, paper.training.batch, paper.steps) == (50, 16, 100)
+    assert (paper.hidden, paper.layers, paper.seed, paper.learning_rate) == (64, 2, 1, 1e-3)
+    assert isinstance(best.training, StreamTraining)
+    assert LstmSettings.parse(best.model_dump()) == best

@@ -1,0 +1,204 @@
+"""One LSTM, five ways to run it: NumPy, PyTorch, the two ONNX graphs, the compiled kernels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystmpc.models.contract.bundle import ExportBundle
+from hystmpc.models.contract.export import export_onnx
+from hystmpc.models.contract.load import load_onnx
+from hystmpc.models.lstm.graph import lstm_rollout_graph, lstm_step_graph
+from hystmpc.models.lstm.reference import LstmStep
+from hystmpc.models.lstm.weights import LstmLayer, LstmScaling, LstmWeights
+from hystmpc.models.prediction.lstm import LstmPredictor
+from hystmpc.models.probe import probe_commands
+from hystmpc.trials.errors import ModelError
+
+from .lstm_examples import SIZES, facts, random_weights
+
+EXAMPLES = {name: random_weights(*size) for name, size in SIZES.items()}
+every_size = pytest.mark.parametrize("weights", EXAMPLES.values(), ids=EXAMPLES.keys())
+STEPS = 1000
+FREE_RUN_DEG = 1e-3
+
+
+def commands(count: int = STEPS) -> np.ndarray:
+    t = 0.04 * np.arange(count)
+    return 3 - 2 * np.cos(2 * np.pi * 0.3 * t) + 0.9 * np.sin(2 * np.pi * 0.07 * t)
+
+
+def reference_run(weights: LstmWeights, u: np.ndarray, state: np.ndarray | None = None) -> np.ndarray:
+    step, angles = LstmStep(weights), []
+    state = np.zeros((1, weights.state_size)) if state is None else state[None]
+    for value in u:
+        theta, state = step.advance(state, np.array([[value]]))
+        angles.append(theta[0, 0])
+    return np.array(angles)
+
+
+def some_state(weights: LstmWeights, seed: int = 3) -> np.ndarray:
+    """A state that a motion leads to, the numbers in single precision."""
+    step, state = LstmStep(weights), np.zeros((1, weights.state_size))
+    for u in np.random.default_rng(seed).uniform(0, 6, 30):
+        _, state = step.advance(state, np.array([[u]]))
+    return state[0].astype(np.float32).astype(float)
+
+
+def session(graph: onnx.GraphProto) -> ort.InferenceSession:
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)], ir_version=8)
+    onnx.checker.check_model(model, full_check=True)
+    return ort.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+
+
+def test_paper_size_has_the_papers_number_of_parameters() -> None:
+    assert EXAMPLES["two of 64"].parameter_count == 50_497
+
+
+@every_size
+def test_torch_agrees_over_a_long_run(weights: LstmWeights) -> None:
+    torch = pytest.importorskip("torch")
+    from hystmpc.models.lstm.torch_ import net_of, weights_of
+
+    net, scaling, u = net_of(weights), weights.scaling, commands()
+    with torch.no_grad():
+        y, _ = net(torch.tensor((u - scaling.u_offset) / scaling.u_scale, dtype=torch.float32)[None])
+    theta = scaling.theta_offset + scaling.theta_scale * y[0].double().numpy()
+    np.testing.assert_allclose(theta, reference_run(weights, u), rtol=0, atol=FREE_RUN_DEG)
+    back = weights_of(net, scaling).to_arrays()
+    for name, array in weights.to_arrays().items():
+        np.testing.assert_array_equal(back[name], array, err_msg=name)
+
+
+@every_size
+def test_rollout_graph_agrees_over_a_long_run(weights: LstmWeights) -> None:
+    u = np.stack([commands(), commands()[::-1]])
+    states = np.stack([np.zeros(weights.state_size), some_state(weights)])
+    feed = {"u": u.astype(np.float32), "state": states.astype(np.float32)}
+    (theta,) = session(lstm_rollout_graph(weights)).run(["theta"], feed)
+    for k in range(2):
+        expected = reference_run(weights, u[k], states[k])
+        np.testing.assert_allclose(theta[k], expected, rtol=0, atol=FREE_RUN_DEG)
+
+
+@every_size
+def test_exported_file_passes_the_gate_and_feeds_the_kernels(weights: LstmWeights, tmp_path: Path) -> None:
+    metadata = facts(weights)
+    bundle = ExportBundle(lstm_step_graph(weights), metadata, LstmStep(weights), probe_commands(metadata))
+    report = export_onnx(bundle, tmp_path / "lstm.onnx")
+    assert report.runtime_deg < FREE_RUN_DEG
+    assert report.casadi_deg < FREE_RUN_DEG
+    model = load_onnx(tmp_path / "lstm.onnx")
+    again = LstmWeights.from_graph(model.graph).to_arrays()
+    for name, array in weights.to_arrays().items():
+        np.testing.assert_array_equal(again[name], array, err_msg=name)
+    from_file, direct = LstmPredictor.of_model(model), LstmPredictor(weights, metadata)
+    start = direct.initial(45.0, 1.0)
+    np.testing.assert_array_equal(from_file.initial(45.0, 1.0), start)
+    plans = commands(40).reshape(4, 10)
+    np.testing.assert_array_equal(from_file.rollout(start, plans), direct.rollout(start, plans))
+
+
+@every_size
+def test_compiled_step_agrees_over_a_long_run(weights: LstmWeights) -> None:
+    predictor, u = LstmPredictor(weights, facts(weights)), commands()
+    state, angles = np.zeros(weights.state_size), []
+    for value in u:
+        theta, state = predictor.advance(state, value)
+        angles.append(theta)
+    np.testing.assert_allclose(angles, reference_run(weights, u), rtol=0, atol=FREE_RUN_DEG)
+
+
+@every_size
+@pytest.mark.parametrize("count", [1, 3, 64, 65, 200])
+def test_rollout_is_repeated_steps_for_any_number_of_plans(weights: LstmWeights, count: int) -> None:
+    predictor, state = LstmPredictor(weights, facts(weights)), some_state(weights)
+    plans = np.random.default_rng(count).uniform(0, 6, (count, 12))
+    theta = predictor.rollout(state, plans)
+    assert theta.shape == plans.shape
+    for k in {0, count // 2, count - 1}:
+        current, stepped = state, []
+        for u in plans[k]:
+            angle, current = predictor.advance(current, u)
+            stepped.append(angle)
+        np.testing.assert_allclose(theta[k], stepped, rtol=0, atol=2e-4)
+        np.testing.assert_allclose(theta[k], predictor.rollout(state, plans[k : k + 1])[0], rtol=0, atol=2e-4)
+
+
+@every_size
+def test_reference_jacobian_is_the_slope_of_the_step(weights: LstmWeights) -> None:
+    step, point = LstmStep(weights), np.append(some_state(weights), 2.5)
+
+    def at(values: np.ndarray) -> np.ndarray:
+        return np.hstack(step.advance(values[None, :-1], values[None, -1:]))[0]
+
+    nudges = 1e-6 * np.eye(point.size)
+    slope = np.stack([(at(point + d) - at(point - d)) / 2e-6 for d in nudges], axis=1)
+    np.testing.assert_allclose(step.jacobian(point[:-1], 2.5), slope, rtol=1e-6, atol=1e-7)
+
+
+@every_size
+@pytest.mark.parametrize("horizon", [1, 2, 13, 30])
+def test_compiled_jacobian_is_the_chain_of_reference_jacobians(weights: LstmWeights, horizon: int) -> None:
+    predictor, step, state = LstmPredictor(weights, facts(weights)), LstmStep(weights), some_state(weights)
+    plan = np.random.default_rng(horizon).uniform(0, 6, horizon)
+    theta, jacobian = predictor.linearise(state, plan)
+    expected, tangents, current = np.zeros((horizon, horizon)), np.zeros((state.size, horizon)), state
+    for k, u in enumerate(plan):
+        local = step.jacobian(current, u)
+        inner = np.vstack([tangents, np.eye(horizon)[k]])
+        expected[k], tangents = local[0] @ inner, local[1:] @ inner
+        current = step.advance(current[None], np.array([[u]]))[1][0]
+    np.testing.assert_allclose(theta, reference_run(weights, plan, state), rtol=0, atol=FREE_RUN_DEG)
+    np.testing.assert_allclose(jacobian, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
+    assert np.array_equal(jacobian, np.tril(jacobian))
+
+
+@settings(max_examples=30, deadline=None)
+@given(u=st.lists(st.floats(-100.0, 100.0), min_size=1, max_size=25), seed=st.integers(0, 100))
+def test_any_finite_plan_gives_finite_predictions_and_leaves_the_state_alone(u: list[float], seed: int) -> None:
+    weights = EXAMPLES["one layer of 5"]
+    predictor, state = LstmPredictor(weights, facts(weights)), some_state(weights, seed)
+    before = state.copy()
+    theta, jacobian = predictor.linearise(state, np.array(u))
+    assert np.isfinite(theta).all()
+    assert np.isfinite(jacobian).all()
+    np.testing.assert_allclose(predictor.rollout(state, np.array([u]))[0], theta, rtol=0, atol=1e-3)
+    np.testing.assert_array_equal(state, before)
+
+
+def test_start_follows_the_rule_and_the_warm_up() -> None:
+    weights = EXAMPLES["three of 7"]
+    metadata = facts(weights, warmup=4)
+    for start in ("initial", "conditioned"):
+        predictor = LstmPredictor(weights, metadata, start)
+        state = np.array(getattr(metadata, start).offset)
+        for _ in range(4):
+            _, state = predictor.advance(state, 1.5)
+        np.testing.assert_array_equal(predictor.initial(40.0, 1.5), state)
+
+
+def test_wrong_sizes_are_refused() -> None:
+    good = EXAMPLES["three of 7"]
+    with pytest.raises(ModelError, match=r"expected \[\(1, 7\), \(7, 7\)\]"):
+        LstmWeights((good.layers[1], good.layers[2]), good.head_weight, 0.0)
+    with pytest.raises(ModelError, match="head \\(3,\\)"):
+        LstmWeights(good.layers, np.zeros(3), 0.0)
+    with pytest.raises(ModelError, match="no layer"):
+        LstmWeights((), np.zeros(3), 0.0)
+    with pytest.raises(ModelError, match="bias \\(27,\\)"):
+        LstmLayer(good.layers[0].w_ih, good.layers[0].w_hh, np.zeros(27))
+    with pytest.raises(ModelError, match="not finite"):
+        LstmWeights(good.layers, good.head_weight * np.nan, 0.0)
+    with pytest.raises(ModelError, match="scales > 0"):
+        LstmScaling(u_scale=0.0)
+    arrays = good.to_arrays()
+    del arrays["lstm.1.w_hh"]
+    with pytest.raises(ModelError, match=r"no array lstm\.1\.w_hh"):
+        LstmWeights.from_arrays(arrays)
