@@ -25,7 +25,7 @@ def shadow_simulator(model: RunnableModel) -> Simulator:
     facts = model.metadata
     commands = probe_commands(facts)
     theta = free_run(model, commands, 0.5 * (facts.trained_angle.lower + facts.trained_angle.upper))
-    t = np.arange(commands.size) * facts.dt_s
+    t = np.arange(commands.size, dtype=np.float64) * facts.dt_s
     trial = Trial(t, commands, theta, units=Units(facts.command_unit), source="the model's own free run")
     fit = fit_chain(backlash_starts([trial]), [trial], OperatorFitSettings(skip_first_flexure=True))
     return Simulator(

@@ -1,8 +1,7 @@
-"""Compiled float32 kernels of a stacked LSTM: step, batched roll-out, Jacobian by forward sensitivity.
+"""Compiled float32 kernels of a stacked LSTM: samples one after another, and the Jacobian by forward sensitivity.
 
 The plain route: matrix products through BLAS (`np.dot`), everything between them in loops that LLVM vectorises
-(`lstm_gates`). Rows are plans in a roll-out; in a Jacobian row 0 is the motion itself and row 1 + j its derivative by
-command j. Callers check for not-a-number: the gates' clamp would hide it.
+(`lstm_gates`). Callers check for not-a-number: the gates' clamp would hide it.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from hystmpc.models.lstm.weights import LstmWeights
 from .lstm_gates import add_multiple, add_row, cell_row, derivative_row, differentiated_cell_row, dot_row
 
 Float32 = NDArray[np.float32]
-_ROWS = 64  # plans at a time: their gates (64 KB at 64 cells) stay in the second-level cache
 _BLOCK = 4  # rows that a BLAS kernel keeps in registers
 _FEW = 10  # rows up to which one product a row is faster
 
@@ -59,25 +57,21 @@ def pack_lstm(weights: LstmWeights) -> PackedLstm:
 
 
 @njit(cache=True, error_model="numpy")
-def advance(packed: Any, state: Any, plan: Any) -> Any:
+def advance(packed: Any, state: Any, plan: Any, angles: Any) -> None:
     """Scaled angles (K,) along the scaled `plan` (K,); `state` (2L, H) is moved on in place."""
-    angles = np.empty((1, plan.size), np.float32)
-    h, c = _start(state, 1)
-    _roll(packed, plan.reshape((1, plan.size)), angles, h, c)
-    for layer in range(len(h)):
-        for j in range(packed.head.size):
-            state[2 * layer, j] = h[layer, 0, j]
-            state[2 * layer + 1, j] = c[layer, 0, j]
-    return angles[0]
-
-
-@njit(cache=True, error_model="numpy")
-def rollout(packed: Any, state: Any, plans: Any, angles: Any) -> None:
-    """Scaled angles (N, K) of scaled plans (N, K), all from one `state` (2L, H)."""
-    for first in range(0, len(plans), _ROWS):
-        part = plans[first : first + _ROWS]
-        h, c = _start(state, len(part))
-        _roll(packed, part, angles[first : first + _ROWS], h, c)
+    z = np.empty(packed.entry.size, np.float32)
+    below = np.empty_like(z)
+    for k in range(plan.size):
+        for layer in range(len(packed.recurrent)):
+            h, c = state[2 * layer], state[2 * layer + 1]
+            np.dot(h, packed.recurrent[layer], z)
+            if layer:
+                np.dot(state[2 * layer - 2], packed.inputs[layer - 1], below)
+                add_row(z, below)
+            else:
+                add_multiple(z, plan[k], packed.entry)
+            cell_row(z, packed.bias[layer], c, h)
+        angles[k] = dot_row(packed.head, state[-2]) + packed.head_bias[0]
 
 
 @njit(cache=True, error_model="numpy")
@@ -146,38 +140,3 @@ def _product(rows: Any, weights: Any, out: Any, count: int) -> None:
     else:
         padded = -(-count // _BLOCK) * _BLOCK
         np.dot(rows[:padded], weights, out[:padded])
-
-
-@njit(cache=True, error_model="numpy")
-def _start(state: Any, rows: int) -> Any:
-    """Working arrays h and c (L, N, H), every row at `state` (2L, H)."""
-    layers, hidden = len(state) // 2, state.shape[1]
-    h = np.empty((layers, rows, hidden), np.float32)
-    c = np.empty((layers, rows, hidden), np.float32)
-    for layer in range(layers):
-        for r in range(rows):
-            for j in range(hidden):
-                h[layer, r, j] = state[2 * layer, j]
-                c[layer, r, j] = state[2 * layer + 1, j]
-    return h, c
-
-
-@njit(cache=True, error_model="numpy")
-def _roll(packed: Any, plans: Any, angles: Any, h: Any, c: Any) -> None:
-    """Move all rows through their plans; h and c end at the last sample."""
-    rows, hidden = h.shape[1:]
-    z = np.empty((rows, 4 * hidden), np.float32)
-    x = np.empty((rows, 4 * hidden), np.float32)
-    for k in range(plans.shape[1]):
-        for layer in range(len(h)):
-            np.dot(h[layer], packed.recurrent[layer], z)
-            if layer:
-                np.dot(h[layer - 1], packed.inputs[layer - 1], x)
-            for r in range(rows):
-                if layer:
-                    add_row(z[r], x[r])
-                else:
-                    add_multiple(z[r], plans[r, k], packed.entry)
-                cell_row(z[r], packed.bias[layer], c[layer, r], h[layer, r])
-        for r in range(rows):
-            angles[r, k] = dot_row(packed.head, h[-1, r]) + packed.head_bias[0]

@@ -71,7 +71,7 @@ class Backlash(Operator):
 
     def inverse(self, dead_zone: float = 0.0) -> InverseBacklash:
         """Angle to command by the same two lines; `dead_zone` [deg] of the wish counts as no change."""
-        return InverseBacklash(*self.values, dead_zone)
+        return InverseBacklash(self.m_lo, self.m_up, self.c_lo, self.c_up, dead_zone)
 
 
 @dataclass(frozen=True)

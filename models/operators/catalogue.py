@@ -40,11 +40,7 @@ def operator_from(spec: Any, where: str) -> Operator:
     for key in spec:
         if key not in ("operator", "parameters", *kind.shape):
             raise ModelError(f"{where}: unknown key {key!r}, {did_you_mean(key, ['parameters', *kind.shape])}")
-    sizes = {key: spec.get(key) for key in kind.shape}
-    for key, size in sizes.items():
-        if not isinstance(size, int) or not 1 <= size <= 1000:
-            raise ModelError(f"{where}: {name}.{key} is {size!r}, expected a whole number from 1 to 1000")
-    template = kind.template(**sizes)
+    template = kind.template(**{key: _size(spec.get(key), f"{where}: {name}.{key}") for key in kind.shape})
     given = spec.get("parameters")
     if not isinstance(given, dict) or not all(_is_number(v) for v in given.values()):
         raise ModelError(f"{where}: {name}.parameters is {given!r}, expected a mapping of numbers")
@@ -62,6 +58,12 @@ def operator_spec(operator: Operator) -> dict[str, Any]:
         **operator.structure,
         "parameters": dict(zip(names, operator.values, strict=True)),
     }
+
+
+def _size(value: Any, where: str) -> int:
+    if not isinstance(value, int) or not 1 <= value <= 1000:
+        raise ModelError(f"{where} is {value!r}, expected a whole number from 1 to 1000")
+    return value
 
 
 def _is_number(value: Any) -> bool:

@@ -57,7 +57,7 @@ class Delay(Operator):
         return tuple(f"u{j}" for j in range(1, self.samples + 1))
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
-        past = ca.vertcat(u, x)
+        past: Symbol = ca.vertcat(u, x)
         steps = p[0] / dt
         y = sum(maximum(0.0, 1 - ca.fabs(steps - j)) * past[j] for j in range(self.samples + 1))
         return past[: self.samples], y

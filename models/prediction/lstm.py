@@ -1,4 +1,4 @@
-"""Roll-outs of an LSTM by compiled float32 kernels."""
+"""Predictions of an LSTM in single precision: roll-outs by onnxruntime, steps and Jacobians by compiled kernels."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..contract.load import OnnxModel
 from ..contract.metadata import ModelMetadata
 from ..kernels import lstm_kernels
+from ..lstm.onnxruntime_ import RolloutSession
 from ..lstm.weights import LstmWeights
 from ..model import Array, Predictor
 
@@ -18,7 +19,7 @@ _Float32 = NDArray[np.float32]
 
 @final
 class LstmPredictor(Predictor):
-    """Compiled roll-out and linearisation of a stacked LSTM; state (S,) as in `LstmWeights`.
+    """The fastest route to each prediction of a stacked LSTM; state (S,) as in `LstmWeights`.
 
     Plans must be finite, as those within command limits are: the kernels' gates clamp, and would turn not-a-number into
     a plausible angle. The matrix products run on as many threads as the process gives BLAS; a control process sets one
@@ -30,7 +31,7 @@ class LstmPredictor(Predictor):
     ) -> None:
         self.dt = metadata.dt_s
         self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
-        self._packed = lstm_kernels.pack_lstm(weights)
+        self._packed, self._roll = lstm_kernels.pack_lstm(weights), RolloutSession(weights)
         self._scaling = weights.scaling
         self._shape = (2 * len(weights.layers), weights.hidden)
         self._rule = metadata.initial if start == "initial" else metadata.conditioned
@@ -52,15 +53,12 @@ class LstmPredictor(Predictor):
         return state
 
     def advance(self, state: Array, u: float) -> tuple[float, Array]:
-        following = self._layers(state)
-        y = lstm_kernels.advance(self._packed, following, self._scaled(np.array([u])))
+        following, y = self._layers(state), np.empty(1, np.float32)
+        lstm_kernels.advance(self._packed, following, self._scaled(np.array([u])), y)
         return float(self._angles(y)[0]), following.ravel().astype(np.float64)
 
     def rollout(self, state: Array, plans: Array) -> Array:
-        scaled = self._scaled(plans)
-        y = np.empty(scaled.shape, np.float32)
-        lstm_kernels.rollout(self._packed, self._layers(state), scaled, y)
-        return self._angles(y)
+        return self._roll(state.astype(np.float32), plans.astype(np.float32)).astype(np.float64)
 
     def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
         y, by_plan = np.empty(plan.size, np.float32), np.zeros((plan.size, plan.size), np.float32)

@@ -22,7 +22,7 @@ class TorchMppi:
     """MPPI with N samples over H steps, the same model, cost and limits.
 
     pytorch-mppi knows states and actions only, so that angle, command and its last change ride along in the state:
-    [LSTM state, theta, u, du]. Rate limits are kept by the dynamics, as its documentation suggests for any further limit.
+    [LSTM state, theta, u, du]. Its own limits are those of a box; the rate limit is kept by the dynamics.
 
     Args:
         network: weights.

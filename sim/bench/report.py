@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -49,6 +49,18 @@ class Row:
     limit_s: float | None = None
     facts: Mapping[str, float] = field(default_factory=dict)
     note: str = ""
+
+    def with_times(self, ours: Times | None, other: Times | None) -> Row:
+        """The row with the times of both sides, as far as there are any."""
+        return replace(self, times=ours, other_times=other)
+
+    def measured(self, ratio: float, **more: Any) -> Row:
+        """The row with its ratio, and values for further fields."""
+        return replace(self, ratio=ratio, state="measured", **more)
+
+    def without_peer(self) -> Row:
+        """The row of a peer that is not there."""
+        return replace(self, state="not installed")
 
     @property
     def reached(self) -> bool | None:

@@ -1,0 +1,88 @@
+"""All sections in one run."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Callable, Iterator
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from .kernels import kernel_rows
+from .linearised import linearised_rows
+from .programs import program_rows
+from .report import Report, Row
+from .sampling import sampling_rows
+from .settings import BenchSettings
+from .subjects import lstm_subject, operator_subjects
+from .timing import Clock
+
+Progress = Callable[[float, str, float], None]  # rounds done, what is being measured, rounds in all
+_PACKAGES = ("numpy", "numba", "casadi", "osqp", "onnxruntime", "daqp", "torch", "pytorch-mppi")
+_SECTIONS = 8
+
+
+def run_bench(settings: BenchSettings, progress: Progress | None = None) -> Report:
+    """Measure every section; after Ctrl-C the report holds what there is.
+
+    Args:
+        settings: sizes and effort.
+        progress: called before each section and after each round.
+    """
+    rows: list[Row] = []
+    models: dict[str, str] = {}
+    done, title = 0, ""
+
+    def show(rounds: int = 0) -> None:
+        nonlocal done
+        done += rounds
+        if progress is not None:
+            progress(done, title, _SECTIONS * settings.effort.rounds)
+
+    clock = Clock(settings.effort, lambda: show(1))
+    try:
+        for title, section in _sections(settings, clock, models):
+            show()
+            rows += section()
+            if clock.interrupted:
+                break
+    except KeyboardInterrupt:  # between two measurements
+        clock.interrupted = True
+    return Report(settings.plain(), machine(), models, rows, clock.interrupted)
+
+
+def _sections(
+    settings: BenchSettings, clock: Clock, models: dict[str, str]
+) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
+    """Titles and measurements; models are built when their turn comes."""
+    lstm = lstm_subject(settings.hidden)
+    models[lstm.name] = lstm.source
+    for threads in (1, 2):
+        yield f"kernels, threads: {threads}", partial(kernel_rows, lstm, settings, clock, threads)
+    yield "linearised MPC with the LSTM", partial(linearised_rows, lstm, settings, clock)
+    for threads in (1, 2):
+        yield f"sampling MPC, threads: {threads}", partial(sampling_rows, lstm, settings, clock, threads)
+    yield "quadratic programs", partial(program_rows, lstm, settings, clock)
+    for subject in operator_subjects():
+        models[subject.name] = subject.source
+        yield f"linearised MPC with the {subject.name}", partial(linearised_rows, subject, settings, clock)
+
+
+def machine() -> dict[str, Any]:
+    """Processor, cores and versions of what takes part."""
+    from llvmlite.binding import get_host_cpu_name
+
+    versions = {}
+    for package in _PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            versions[package] = "not installed"
+    return {
+        "processor": get_host_cpu_name(),
+        "architecture": platform.machine(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        "versions": versions,
+    }
