@@ -8,24 +8,29 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
+
 from hystmpc.sim.bench.report import Report, report_json
 from hystmpc.sim.bench.run import run_bench
 from hystmpc.sim.bench.settings import QUICK, BenchSettings
 from hystmpc.sim.bench.table import COLUMNS, table_rows
 from hystmpc.trials.files import write_atomically
-from rich.console import Console
 
 from .console import bar, errors, out, table
 
 _WIDTH = 220  # of the table in a file
+_TEXT = ("measured", "against", "ratio", "goal", "note")
 
 
 def bench(
-    folder: Annotated[Path | None, typer.Option("--out", help="Write bench.json and bench.txt into this folder.")] = None,
+    folder: Annotated[Path | None, typer.Option("--out", help="Folder for bench.json and bench.txt.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-bench/1 here.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="A few repetitions only: everything runs, ratios are rough.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Few repetitions: rough ratios.")] = False,
 ) -> int:
-    """Time the controllers in turns with CasADi, pytorch-mppi and the best matrix product; exit code 130 after Ctrl-C."""
+    """Time the controllers in turns with CasADi, pytorch-mppi and the best matrix product of this machine.
+
+    Ctrl-C ends with what has been measured, exit code 130.
+    """
     with bar("bench") as show:
         report = run_bench(QUICK if quick else BenchSettings(), show)
     _print(report, out)
@@ -43,12 +48,18 @@ def bench(
 def _print(report: Report, console: Console) -> None:
     for name, source in report.models.items():
         console.print(f"{name}: {source}", highlight=False)
-    console.print(table(_title(report), COLUMNS, table_rows(report)))
+    grid = table(_title(report), COLUMNS, table_rows(report))
+    for name, column in zip(COLUMNS, grid.columns, strict=True):
+        if name in _TEXT:
+            column.justify = "left"
+    console.print(grid)
 
 
 def _title(report: Report) -> str:
     machine = report.machine
-    return f"medians on {machine['processor']}, {machine['cores']} cores, Python {machine['python']}"
+    load, cores = machine["load_at_start"], machine["cores"]
+    busy = "" if load is None or load < 0.5 else f"; load {load:.1f} at the start: close other work for clean figures"
+    return f"medians on {machine['processor']}, {cores} cores, Python {machine['python']}{busy}"
 
 
 def _write_table(report: Report, path: Path) -> None:

@@ -54,6 +54,9 @@ class GuardedController(Generic[M]):
         limits: hard limits on command and command rate.
         dt: sample time [s].
         max_missing_samples: consecutive samples without usable measurement that are bridged by prediction.
+
+    Raises:
+        ControllerError: if `dt` is not above zero or `max_missing_samples` is negative.
     """
 
     def __init__(

@@ -19,7 +19,7 @@ class UnusableReferenceError(ValueError):
 def usable_angle(y: object) -> float:
     """The measured angle [deg], or not-a-number where it is missing, not a number or absurdly large."""
     try:
-        angle = float(y)  # type: ignore[arg-type]
+        angle = float(y)  # type: ignore[arg-type]  # anything may come from a device; what is no number is caught
     except (TypeError, ValueError, OverflowError):
         return math.nan
     return angle if abs(angle) <= ANGLE_BOUND_DEG else math.nan

@@ -85,7 +85,11 @@ class Rung:
 
 @final
 class Ladder:
-    """Chooses the rung; `rise` after a success, `descend` after a failure, `pause` where there is nothing to follow."""
+    """Chooses the rung; `rise` after a success, `descend` after a failure, `pause` where there is nothing to follow.
+
+    Raises:
+        ControllerError: if the safe command lies beyond the limits.
+    """
 
     def __init__(self, limits: CommandLimits, options: LadderOptions, inverse: Inverse | None) -> None:
         safe = options.safe_command

@@ -58,6 +58,9 @@ class Pid:
     """u = kp e + I - kd dy/dt with I' = ki e + (u_limited - u) / tracking_s.
 
     One dead zone, one filter, one anti-windup; stateless, so that `PidFeedback` and `InversePid` share it.
+
+    Raises:
+        ControllerError: if `tracking_s` is shorter than the sample time.
     """
 
     def __init__(self, gains: PidGains, limits: CommandLimits, dt: float) -> None:

@@ -45,7 +45,9 @@ class Plant(Protocol):
     """A device, simulated or real; the only place where state may be hidden."""
 
     @property
-    def dt(self) -> float: ...
+    def dt(self) -> float:
+        """Sample time [s]."""
+        ...
 
     def reset(self) -> float:
         """Bring the device to rest and return the measured tip angle [deg]."""

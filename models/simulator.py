@@ -1,4 +1,4 @@
-"""The simulator file: a chain of operators in readable YAML, with limits, trained range and what it left unexplained."""
+"""The simulator file: a chain of operators in readable YAML, with limits, trained range and unexplained remainder."""
 
 from __future__ import annotations
 

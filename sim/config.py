@@ -66,6 +66,8 @@ class SimulationConfig(Settings):
         limits: hard limits of command and rate; those of the model where left out.
         tune_pid: search the gains of every `pid` and `inverse_pid` on this plant and these motions first; where left
             out the gains stand as given.
+        tuned: controllers whose gains such a search has found; a run writes them here beside the gains, so that its
+            configuration repeats the run without the search.
         seed: of sensor noise and of the search.
     """
 
@@ -76,6 +78,7 @@ class SimulationConfig(Settings):
     controllers: dict[Name, Annotated[ControllerSettings, BeforeValidator(_known_controller)]] = Field(min_length=1)
     limits: LimitsSettings | None = None
     tune_pid: TuningSettings | None = None
+    tuned: tuple[Name, ...] = ()
     seed: Annotated[int, Field(ge=0)] = 0
 
 

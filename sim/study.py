@@ -17,7 +17,7 @@ from hystmpc.models.load import load_model
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse
 from hystmpc.models.simulator import load_simulator
-from hystmpc.trajectories import Trajectory
+from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .config import SimulationConfig
@@ -52,6 +52,10 @@ class Study:
             ControllerError: if the settings contradict each other or go beyond the limits.
         """
         return build_controller(settings, self.predictor, self.inverse, self.limits)
+
+    def steps(self, motion: str) -> int:
+        """Samples that a motion takes."""
+        return PreviewTable(self.motions[motion], self.plant.dt, 1).steps
 
 
 def prepare(config: SimulationConfig) -> Study:

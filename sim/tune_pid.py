@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,7 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
 
     Raises:
         ConfigError: if the study has no `tune_pid`.
+        KeyboardInterrupt: if the user ends the search; nothing is kept.
     """
     if study.config.tune_pid is None:
         raise ConfigError("tune_pid: got none, expected settings of the search")
@@ -84,20 +85,22 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
     return PidTuning(with_gains(settings, found.x), float(np.sqrt(found.fun)), float(np.sqrt(start)), int(found.nfev))
 
 
-def tuned(study: Study, progress: Progress | None = None) -> dict[str, PidTuning]:
-    """Search the gains of every `pid` and `inverse_pid` of a study, by name; empty where `tune_pid` is left out."""
+def tuned_study(study: Study, progress: Progress | None = None) -> Study:
+    """The study with the gains of every `pid` and `inverse_pid` found, and nothing left to tune."""
     if study.config.tune_pid is None:
-        return {}
+        return study
     chosen = {name: s for name, s in study.config.controllers.items() if isinstance(s, PidLike)}
-    results = {}
+    found: dict[str, AnyControllerSettings] = {}
     for k, (name, settings) in enumerate(chosen.items()):
 
         def overall(done: int, total: int, before: int = k) -> None:
             if progress is not None:
                 progress(before * total + done, len(chosen) * total)
 
-        results[name] = tuned_gains(study, settings, overall)
-    return results
+        found[name] = tuned_gains(study, settings, overall).settings
+    controllers = {**study.config.controllers, **found}
+    changes = {"controllers": controllers, "tune_pid": None, "tuned": tuple(found)}
+    return replace(study, config=study.config.model_copy(update=changes))
 
 
 def with_gains(settings: PidLike, x: Vec) -> PidLike:
@@ -129,4 +132,6 @@ def _population(bounds: Vec, given: Vec, seed: int) -> Vec:
 def _mean_square(study: Study, settings: AnyControllerSettings) -> float:
     controller = study.controller(settings)
     runs = [run_closed_loop(controller, study.plant, motion) for motion in study.motions.values()]
+    if any(run.log.interrupted for run in runs):
+        raise KeyboardInterrupt  # the loop ends quietly; the search must not go on with half a run
     return float(np.mean([np.mean(run.error_deg**2) for run in runs]))

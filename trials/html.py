@@ -127,7 +127,7 @@ def _cell(value: object) -> dict[str, object]:
 
 
 def _resource(name: str) -> str:
-    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return files("hystmpc.trials").joinpath(name).read_text(encoding="utf-8")
 
 
 @cache

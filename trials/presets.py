@@ -23,6 +23,9 @@ class Preset:
         delimiter: what separates the cells.
         columns: column names of a log without a header row, in order; empty where the log has a header row.
         command_range, angle_range: least and greatest plausible value, for the quality check.
+
+    Raises:
+        ConfigError: if `columns` lacks the time, the command or the angle.
     """
 
     name: str

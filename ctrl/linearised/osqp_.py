@@ -67,7 +67,7 @@ class OsqpSolver:
 
     def __init__(self, pattern: QpPattern, options: OsqpOptions) -> None:
         self._pattern, self._options = pattern, options
-        self._origin = np.zeros(pattern.hessian.shape[0])
+        self._origin = np.zeros(pattern.variables)
         # the last entry of every column of an upper triangle is the one on the diagonal
         self._diagonal = pattern.hessian.indptr[1:] - 1
         self._workspace: Any = self._build()
@@ -91,17 +91,18 @@ class OsqpSolver:
 
     def _staged(self, workspace: Any) -> tuple[Any, int]:
         """Iterate with one step size after the other, each from where the last one stopped."""
-        iterations = 0
-        for rho in self._options.rhos:
-            workspace.update_settings(rho=rho)
-            result = workspace.solve(raise_error=False)
-            iterations += int(result.info.iter)
+        first, *others = self._options.rhos
+        result = _iterated(workspace, first)
+        iterations = int(result.info.iter)
+        for rho in others:
             if str(result.info.status) != _UNFINISHED:
                 break
+            result = _iterated(workspace, rho)
+            iterations += int(result.info.iter)
         return result, iterations
 
     def _build(self) -> Any:
-        variables, rows = self._pattern.hessian.shape[0], self._pattern.constraints.shape[0]
+        variables, rows = self._pattern.variables, self._pattern.rows
         workspace = osqp.OSQP()
         workspace.setup(
             P=self._pattern.hessian,
@@ -121,3 +122,8 @@ class OsqpSolver:
             verbose=False,
         )
         return workspace
+
+
+def _iterated(workspace: Any, rho: float) -> Any:
+    workspace.update_settings(rho=rho)
+    return workspace.solve(raise_error=False)

@@ -30,6 +30,16 @@ class QpPattern:
     constraints: sparse.csc_matrix
     moving: NDArray[np.intp]
 
+    @property
+    def variables(self) -> int:
+        """Entries of z."""
+        return self.hessian.get_shape()[0]
+
+    @property
+    def rows(self) -> int:
+        """Rows of A."""
+        return self.constraints.get_shape()[0]
+
 
 @dataclass(frozen=True, eq=False)
 class QpData:
@@ -107,7 +117,7 @@ class TrackingQp:
         """The program with soft angle limits beside the hard limits."""
         low, high = problem.angle_limits
         none = np.zeros(self._horizon)
-        constraint_data = self.pattern.constraints.data.copy()
+        constraint_data = np.array(self.pattern.constraints.data, dtype=np.float64)
         constraint_data[self.pattern.moving] = jacobian.T[self._columns]
         return QpData(
             np.concatenate([hard.hessian_data, none + 2.0 * self._weights.soft_limit]),
@@ -123,10 +133,10 @@ class TrackingQp:
         hessian = sparse.csc_matrix(np.triu(np.ones((horizon, horizon))))
         rows = [sparse.eye(horizon), sparse.csc_matrix(self._difference)]
         if not self._weights.limits_angle:
-            return QpPattern(hessian, sparse.vstack(rows, format="csc"), np.empty(0, dtype=np.intp))
+            return QpPattern(hessian, sparse.csc_matrix(sparse.vstack(rows, format="csc")), np.empty(0, dtype=np.intp))
         marker = 2.0  # told apart from the ones of the other blocks
         triangle = sparse.csc_matrix(marker * np.tril(np.ones((horizon, horizon))))
         blocks = [[rows[0], None], [rows[1], None], [triangle, sparse.eye(horizon)]]
-        constraints = sparse.bmat(blocks, format="csc")
-        hessian = sparse.block_diag([hessian, sparse.eye(horizon)], format="csc")
+        constraints = sparse.csc_matrix(sparse.bmat(blocks, format="csc"))
+        hessian = sparse.csc_matrix(sparse.block_diag([hessian, sparse.eye(horizon)], format="csc"))
         return QpPattern(hessian, constraints, np.flatnonzero(constraints.data == marker))

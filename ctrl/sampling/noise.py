@@ -39,7 +39,7 @@ def coloured_noise(horizon: int, exponent: float) -> Mat:
     """
     if not exponent >= 0:
         raise ControllerError(f"coloured noise: got exponent {exponent}, expected >= 0")
-    cycles = np.arange(1, horizon + 1)
+    cycles = np.arange(1, horizon + 1, dtype=np.float64)
     phase = 2.0 * np.pi * np.outer(np.arange(horizon), cycles) / (2 * horizon)
     amplitude = cycles ** (-exponent / 2.0)
     return _unit_rows(np.hstack([amplitude * np.cos(phase), amplitude * np.sin(phase)]))

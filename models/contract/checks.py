@@ -6,7 +6,7 @@ import numpy as np
 import onnx
 import onnx.checker
 import onnx.numpy_helper
-from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
+from google.protobuf.message import DecodeError  # type: ignore[import-untyped]  # its types are a package of their own
 
 from hystmpc.trials.errors import ModelError
 

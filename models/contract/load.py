@@ -43,7 +43,11 @@ class OnnxModel:
     """
 
     def __init__(self, content: bytes, source: str = "<memory>", start: Start = "initial") -> None:
-        """Check the bytes of a model file and open it; see `load_onnx` for the errors."""
+        """Check the bytes of a model file and open it.
+
+        Raises:
+            ModelError: as `load_onnx` does, or if `start` is unknown.
+        """
         if start not in ("initial", "conditioned"):
             raise ModelError(f"{source}: start is {start!r}, available: conditioned, initial")
         proto = parse_model(content, source)
@@ -107,7 +111,7 @@ class OnnxModel:
             )
         feed = {"u": u.astype(self._dtype), "state": state.astype(self._dtype)}
         theta, following = self._run(_OUTPUTS, feed)
-        return theta.astype(np.float64), following.astype(np.float64)
+        return np.array(theta, dtype=np.float64), np.array(following, dtype=np.float64)
 
     def casadi_function(self) -> ca.Function:
         """The step as `casadi.Function`: state (S, 1), u (1, 1) -> theta (1, 1), next_state (S, 1).

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import onnxruntime as ort
-from onnxruntime.capi import onnxruntime_pybind11_state as state_
+import onnxruntime.capi.onnxruntime_pybind11_state as state_
 
 from hystmpc.trials.errors import ModelError
 
@@ -46,7 +46,7 @@ def open_session(content: bytes, state_size: int, dtype: np.dtype[np.generic], w
 
 def _check_batch(session: ort.InferenceSession, batch: int, state_size: int, dtype: np.dtype[Any], where: str) -> None:
     feed = {"u": np.zeros((batch, 1), dtype), "state": np.zeros((batch, state_size), dtype)}
-    shapes = [result.shape for result in session.run(["theta", "next_state"], feed)]
+    shapes = [np.asarray(result).shape for result in session.run(["theta", "next_state"], feed)]
     if shapes != [(batch, 1), (batch, state_size)]:
         raise ModelError(
             f"{where}: a batch of {batch} gives theta {shapes[0]} and next_state {shapes[1]}, "

@@ -69,7 +69,7 @@ class StreamTraining(Settings):
     Attributes:
         length: samples in a piece, over which gradients flow.
         streams: trials side by side, pieces in an update.
-        updates: number of updates; the learning rate falls to zero along a half cosine over them.
+        updates: number of updates; both rates fall to zero along a half cosine over them.
         rounds_between_checks: passes over the trials between two free runs over the held-out trials.
         copies: how often each recorded trial runs in a round.
         time_scaling: copies are stretched or compressed in time by up to this share, uniformly in the logarithm.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -141,7 +142,7 @@ def fit_chain(
             least_squares(
                 search.residuals,
                 np.clip(start, *bounds),
-                search.jacobian,
+                cast(Any, search.jacobian),  # SciPy is untyped: pyright takes `jac` for a string, as its default is
                 bounds=bounds,
                 x_scale="jac",
                 ftol=settings.tolerance,

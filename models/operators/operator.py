@@ -92,7 +92,7 @@ class Operator(ABC):
         return replace(self, **changes)  # type: ignore[type-var]  # every final operator is a dataclass
 
     def _value_fields(self) -> list[str]:
-        return [f.name for f in fields(self) if f.name not in self.shape]  # type: ignore[arg-type]
+        return [f.name for f in fields(self) if f.name not in self.shape]  # type: ignore[arg-type]  # as above
 
     @property
     def settling_samples(self) -> int:

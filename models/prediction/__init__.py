@@ -1,1 +1,1 @@
-"""Fast roll-outs and exact linearisations of a model for predictive control, and the reference they are held against."""
+"""Fast roll-outs and exact linearisations of a model for predictive control, and the reference to test them against."""

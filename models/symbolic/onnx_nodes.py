@@ -13,8 +13,17 @@ from .instructions import Instruction, instructions
 _BINARY = {"add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "and": "Mul", "pow": "Pow"}
 _COMPARE = {"lt": "Less", "le": "LessOrEqual", "eq": "Equal"}
 _UNARY = {
-    **{"neg": "Neg", "fabs": "Abs", "sign": "Sign", "sqrt": "Sqrt", "exp": "Exp", "log": "Log", "tanh": "Tanh"},
-    **{"sin": "Sin", "cos": "Cos", "floor": "Floor", "assign": "Identity"},
+    "neg": "Neg",
+    "fabs": "Abs",
+    "sign": "Sign",
+    "sqrt": "Sqrt",
+    "exp": "Exp",
+    "log": "Log",
+    "tanh": "Tanh",
+    "sin": "Sin",
+    "cos": "Cos",
+    "floor": "Floor",
+    "assign": "Identity",
 }
 
 

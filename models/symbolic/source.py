@@ -81,14 +81,11 @@ class Program:
 
 def scalar_program(function: Any, name: str) -> Program:
     """Return numba-ready source `name(i0, i1, ..., o0, o1, ..., k)` reading and writing flat float arrays."""
-    lines: list[str] = []
-    constants: list[float] = []
-    for step in instructions(function):
-        lines.append("    " + _statement(step, SCALAR, "i{0}[{1}]", "o{0}[{1}] = {2}", constants))
+    lines, constants = _body(function, SCALAR, "o{0}[{1}] = {2}")
     inputs = [f"i{j}" for j in range(function.n_in())]
     outputs = [f"o{j}" for j in range(function.n_out())]
     header = f"def {name}({', '.join([*inputs, *outputs, 'k'])}):"
-    return Program("\n".join([header, *lines]) + "\n", tuple(constants))
+    return Program("\n".join([header, *lines]) + "\n", constants)
 
 
 def array_program(function: Any, name: str, table: Mapping[str, str]) -> Program:
@@ -96,18 +93,23 @@ def array_program(function: Any, name: str, table: Mapping[str, str]) -> Program
 
     Elements broadcast against one another, so a batch is a leading axis of every element.
     """
-    lines: list[str] = [f"    out = [[None] * n for n in {[function.numel_out(j) for j in range(function.n_out())]}]"]
-    constants: list[float] = []
-    for step in instructions(function):
-        lines.append("    " + _statement(step, table, "i{0}[{1}]", "out[{0}][{1}] = {2}", constants))
+    lines, constants = _body(function, table, "out[{0}][{1}] = {2}")
+    allocation = f"    out = [[None] * n for n in {[function.numel_out(j) for j in range(function.n_out())]}]"
     header = f"def {name}({', '.join([*(f'i{j}' for j in range(function.n_in())), 'k'])}):"
-    return Program("\n".join([header, *lines, "    return out"]) + "\n", tuple(constants))
+    return Program("\n".join([header, allocation, *lines, "    return out"]) + "\n", constants)
 
 
-def _statement(step: Instruction, table: Mapping[str, str], read: str, write: str, constants: list[float]) -> str:
+def _body(function: Any, table: Mapping[str, str], write: str) -> tuple[list[str], tuple[float, ...]]:
+    """Indented statements and the constants they read."""
+    constants: list[float] = []
+    lines = ["    " + _statement(step, table, write, constants) for step in instructions(function)]
+    return lines, tuple(constants)
+
+
+def _statement(step: Instruction, table: Mapping[str, str], write: str, constants: list[float]) -> str:
     """One line of source; a new constant is appended to `constants`."""
     if step.name == "input":
-        return f"w{step.out[0]} = {read.format(*step.args)}"
+        return f"w{step.out[0]} = i{step.args[0]}[{step.args[1]}]"
     if step.name == "output":
         return write.format(*step.out, f"w{step.args[0]}")
     if step.name == "const":

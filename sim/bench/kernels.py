@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .limit import Product, best_rate, jacobian_flops, products, rollout_flops
+from .limit import best_rate, jacobian_flops, products, rollout_flops
 from .report import Reads, Row
 from .settings import BenchSettings
 from .subjects import Subject
@@ -17,11 +17,11 @@ _JACOBIAN, _ROLLOUT = "Jacobian", "roll-outs"
 def kernel_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads: int) -> list[Row]:
     """Jacobian (on one thread only: it has too few rows for two) and N roll-outs over the limit of this very section.
 
-    The limit is the job's unavoidable operations (`jacobian_flops`, `rollout_flops`) at the rate of the best matrix
-    product that NumPy's BLAS makes on as many threads.
+    The limit is the job's unavoidable operations (`jacobian_flops`, `rollout_flops`) at the rate of the best float32
+    matrix product that NumPy's BLAS or onnxruntime makes on as many threads.
     """
     shapes = products(settings.hidden, settings.samples, settings.horizon)
-    jobs = [*_jobs(subject, settings, threads), *(shape.job() for shape in shapes)]
+    jobs = [*_jobs(subject, settings, threads), *(shape.job(threads) for shape in shapes)]
     times = clock.measure(jobs, threads)
     best = best_rate(shapes, times)
     size = (settings.hidden, 2)
@@ -42,7 +42,7 @@ def kernel_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads
             times=times.get(job.name),
             note=notes[job.name],
         )
-        rows.append(_over_limit(row, flops[job.name], best, shapes))
+        rows.append(_over_limit(row, flops[job.name], best))
     return rows
 
 
@@ -57,13 +57,13 @@ def _jobs(subject: Subject, settings: BenchSettings, threads: int) -> list[Job]:
     return [Job(_JACOBIAN, lambda: subject.own.linearise(state, plans[0])), rollouts]
 
 
-def _over_limit(row: Row, flops: int, best: tuple[str, float] | None, shapes: list[Product]) -> Row:
+def _over_limit(row: Row, flops: int, best: tuple[str, float] | None) -> Row:
     if row.times is None or best is None:
         return row
     name, rate = best
     limit_s = flops / rate
-    facts = {"limit_gflop_per_s": rate / 1e9, "mflop": flops / 1e6, "shapes_tried": float(len(shapes))}
-    note = "; ".join(filter(None, (f"limit {rate / 1e9:.0f} GFLOP/s at {name}", row.note)))
+    facts = {"limit_gflop_per_s": rate / 1e9, "mflop": flops / 1e6}
+    note = "; ".join(filter(None, (f"{rate / 1e9:.0f} GFLOP/s by {name}", row.note)))
     return row.measured(row.times.median_s / limit_s, limit_s=limit_s, facts=facts, note=note)
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from .onnxruntime_ import product_call
 from .timing import Job, Times
 
 _RUN_FLOPS = 2e7  # a run of one job: long enough for the clock, short enough to be interrupted
@@ -37,8 +38,9 @@ def jacobian_flops(hidden: int, layers: int, horizon: int) -> int:
 
 @dataclass(frozen=True)
 class Product:
-    """A float32 matrix product (rows, inner) (inner, columns)."""
+    """A float32 matrix product (rows, inner) (inner, columns) by one library, `numpy` or `onnxruntime`."""
 
+    library: str
     rows: int
     inner: int
     columns: int
@@ -46,7 +48,7 @@ class Product:
     @property
     def name(self) -> str:
         """As jobs are called."""
-        return f"{self.rows}x{self.inner}x{self.columns}"
+        return f"{self.library} {self.rows}x{self.inner}x{self.columns}"
 
     @property
     def calls(self) -> int:
@@ -62,28 +64,29 @@ class Product:
     def _flops(self) -> int:
         return 2 * self.rows * self.inner * self.columns
 
-    def job(self) -> Job:
-        """The product, into memory that is already there, as often as one run needs."""
+    def job(self, threads: int) -> Job:
+        """The product, as often as one run needs."""
         rng = np.random.default_rng(0)
         a = rng.standard_normal((self.rows, self.inner)).astype(np.float32)
         b = rng.standard_normal((self.inner, self.columns)).astype(np.float32)
         out = np.empty((self.rows, self.columns), np.float32)
+        once = product_call(a, b, threads) if self.library == "onnxruntime" else lambda: np.matmul(a, b, out=out)
 
         def run() -> None:
             for _ in range(self.calls):
-                np.matmul(a, b, out=out)
+                once()
 
         return Job(self.name, run)
 
 
 def products(hidden: int, plans: int, horizon: int) -> list[Product]:
-    """Shapes of the work: batches of rows through the gates of one layer; and one square product, the friendliest."""
-    rows = sorted({horizon + 1, 32, 64, 128, plans})
-    gates = [Product(r, hidden, 4 * hidden) for r in rows]
-    return [*gates, Product(plans, 2 * hidden, 4 * hidden), Product(512, 512, 512)]
+    """Shapes of the work, batches of rows through the gates of one layer, and a square one, by both libraries."""
+    rows = sorted({horizon + 1, 64, plans})
+    shapes = [*((r, hidden, 4 * hidden) for r in rows), (plans, 2 * hidden, 4 * hidden), (512, 512, 512)]
+    return [Product(library, *shape) for library in ("numpy", "onnxruntime") for shape in shapes]
 
 
-def best_rate(shapes: list[Product], times: Mapping[str, Times]) -> tuple[str, float] | None:
-    """Shape with the greatest rate, and that rate [FLOP/s] by the median; None where none has been timed."""
-    rates = {shape.name: shape.run_flops / times[shape.name].median_s for shape in shapes if shape.name in times}
+def best_rate(candidates: Sequence[Product], times: Mapping[str, Times]) -> tuple[str, float] | None:
+    """Product with the greatest rate, and that rate [FLOP/s] by the median; None where none has been timed."""
+    rates = {p.name: p.run_flops / times[p.name].median_s for p in candidates if p.name in times}
     return max(rates.items(), key=lambda item: item[1]) if rates else None

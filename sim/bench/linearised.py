@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import LinearisedMpcSettings, WeightsSettings
 from hystmpc.ctrl.guarded import GuardedController
@@ -48,10 +49,17 @@ def linearised_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> 
 
         return Job(method.name, in_turn(instants, solve))
 
-    ours = Job(OURS, in_turn(instants, lambda _, i: controller.step(i.state, i.measured, i.reference)))
+    stages: dict[str, list[float]] = defaultdict(list)
+
+    def step(_: int, instant: Instant) -> None:
+        command, _after = controller.step(instant.state, instant.measured, instant.reference)
+        for stage, seconds in command.timing.stages.items():
+            stages[stage].append(seconds)
+
+    ours = Job(OURS, in_turn(instants, step))
     times = clock.measure([ours, *(peer_job(method) for method in METHODS)])
     goals = subject.weights is not None
-    rows = [_tail(subject, instants, times.get(OURS), _TAIL if goals else None)]
+    rows = [_tail(subject, stages, times.get(OURS), _TAIL if goals else None)]
     for method in METHODS:
         row = Row(
             section=_section(subject),
@@ -70,14 +78,13 @@ def _section(subject: Subject) -> str:
     return f"{subject.name}, linearised MPC, one thread"
 
 
-def _tail(subject: Subject, instants: Sequence[Instant], times: Times | None, goal: float | None) -> Row:
+def _tail(subject: Subject, stages: Mapping[str, Sequence[float]], times: Times | None, goal: float | None) -> Row:
     row = Row(_section(subject), OURS, "its own median", Reads.TAIL, goal, times=times)
     if times is None:
         return row
-    stages = instants[0].command.timing.stages
-    facts = {f"{name}_s": _median([i.command.timing.stages.get(name, 0.0) for i in instants]) for name in stages}
+    facts = {f"{name}_s": _median(seconds) for name, seconds in stages.items()}
     note = ", ".join(f"{name.removesuffix('_s')} {1e6 * value:.0f}" for name, value in facts.items() if value >= 5e-6)
-    return row.measured(times.p99_s / times.median_s, facts=facts, note=f"us: {note}")
+    return row.measured(times.p99_s / times.median_s, facts=facts, note=f"{note} us")
 
 
 def _compared(row: Row, instants: Sequence[Instant], answers: Sequence[tuple[int, Answer]]) -> Row:
@@ -94,7 +101,7 @@ def _compared(row: Row, instants: Sequence[Instant], answers: Sequence[tuple[int
     }
     note = (
         f"{facts['peer_iterations']:.0f} iterations, {100 * facts['peer_converged_share']:.0f} % converged, "
-        f"commands apart by {facts['command_difference_median']:.1g}, at most {facts['command_difference_greatest']:.1g}"
+        f"commands {facts['command_difference_median']:.0g} apart, at most {facts['command_difference_greatest']:.0g}"
     )
     return row.measured(row.other_times.median_s / row.times.median_s, facts=facts, note=note)
 

@@ -40,12 +40,12 @@ def lstm_model(hidden: int) -> tuple[OnnxModel, str]:
 def random_weights(hidden: int) -> LstmWeights:
     """Seeded weights whose angle rises with the command, from 29 deg at rest to 89 deg at 6 mm.
 
-    With the small gain of freshly drawn weights an optimiser's first step would be its last; positive weights along the
-    path of the cells make the gain sure, and the head scales it to that of a tendon catheter.
+    With the small gain of freshly drawn weights an optimiser's first step would be its last. Large input weights make
+    the network curved, positive ones along the path of the cells make it rise, and the head scales it to a catheter.
     """
     rng = np.random.default_rng(0)
     spread = 1.0 / np.sqrt(hidden)
-    layers = (_layer(rng, 1, hidden, 0.5), _layer(rng, hidden, hidden, spread))
+    layers = (_layer(rng, 1, hidden, 2.0), _layer(rng, hidden, hidden, 2.0 * spread))
     head = np.abs(rng.uniform(-spread, spread, hidden))
     raw = LstmWeights(layers, head, 0.0, LstmScaling(_COMMAND.lower, _COMMAND.upper, 0.0, 1.0))
     low, high = _settled(raw, _COMMAND.lower), _settled(raw, _COMMAND.upper)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
 from hystmpc.ctrl.linearised.problem import QpData, TrackingQp
 from hystmpc.ctrl.planning import Plan
-from numpy.typing import NDArray
 
 from . import daqp_
 from .linearised import linearised_controller
@@ -51,7 +53,7 @@ def _programs(subject: Subject, settings: BenchSettings) -> tuple[TrackingQp, li
     qp = TrackingQp(WEIGHTS, limits, settings.horizon, dt)
     instants = record_scan(linearised_controller(subject, settings), subject)
     programs = []
-    for before, now in zip(instants[:-1], instants[1:], strict=True):
+    for before, now in pairwise(instants):
         problem = now.problem
         shifted = np.append(before.command.plan[1:], before.command.plan[-1])
         plan = limits.clip_plans(shifted, problem.u_last, dt)

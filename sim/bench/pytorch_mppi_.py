@@ -6,10 +6,13 @@ from importlib.util import find_spec
 from typing import Any, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planning import PlanningProblem, Weights
 from hystmpc.models.lstm.weights import LstmWeights
+
+Vec = NDArray[np.float64]
 
 
 def installed() -> bool:
@@ -79,11 +82,23 @@ class TorchMppi:
     def solve(self, problem: PlanningProblem) -> float:
         """The next command, from the last plan shifted by one sample."""
         self._reference = problem.reference.tolist()
-        size = 2 * self._layers * self._hidden
-        start = np.concatenate([problem.state[:size], [0.0, problem.u_last, 0.0]])
         with self._torch.inference_mode():
-            wanted = float(self._mppi.command(self._torch.tensor(start, dtype=self._torch.float32)))
+            wanted = float(self._mppi.command(self._start(problem.state, problem.u_last)))
         return min(max(wanted, problem.u_last - self._reach), problem.u_last + self._reach)
+
+    def angles(self, state: Vec, u_last: float, plan: Vec) -> Vec:
+        """Angles (H,) [deg] of one plan (H,) as the peer's dynamics see it, its rate limited."""
+        angles = []
+        with self._torch.inference_mode():
+            rows = self._start(state, u_last)[None]
+            for u in plan.tolist():
+                rows = self._step(rows, self._torch.full((1, 1), u), 0)
+                angles.append(float(rows[0, -3]))
+        return np.array(angles)
+
+    def _start(self, state: Vec, u_last: float) -> Any:
+        size = 2 * self._layers * self._hidden
+        return self._torch.tensor(np.concatenate([state[:size], [0.0, u_last, 0.0]]), dtype=self._torch.float32)
 
     def _step(self, state: Any, action: Any, _: int) -> Any:
         torch, hidden = self._torch, self._hidden

@@ -6,6 +6,7 @@ import os
 import platform
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -16,7 +17,7 @@ from .report import Report, Row
 from .sampling import sampling_rows
 from .settings import BenchSettings
 from .subjects import lstm_subject, operator_subjects
-from .timing import Clock
+from .timing import Clock, thread_limit
 
 Progress = Callable[[float, str, float], None]  # rounds done, what is being measured, rounds in all
 _PACKAGES = ("numpy", "numba", "casadi", "osqp", "onnxruntime", "daqp", "torch", "pytorch-mppi")
@@ -34,22 +35,24 @@ def run_bench(settings: BenchSettings, progress: Progress | None = None) -> Repo
     models: dict[str, str] = {}
     done, title = 0, ""
 
-    def show(rounds: int = 0) -> None:
+    def show(rounds: int) -> None:
         nonlocal done
         done += rounds
         if progress is not None:
             progress(done, title, _SECTIONS * settings.effort.rounds)
 
-    clock = Clock(settings.effort, lambda: show(1))
+    clock, surroundings = Clock(settings.effort, show), machine()
     try:
-        for title, section in _sections(settings, clock, models):
-            show()
-            rows += section()
+        for name, section in _sections(settings, clock, models):
+            title = name
+            show(0)
+            with thread_limit(1):  # what a section prepares
+                rows += section()
             if clock.interrupted:
                 break
     except KeyboardInterrupt:  # between two measurements
         clock.interrupted = True
-    return Report(settings.plain(), machine(), models, rows, clock.interrupted)
+    return Report(settings.plain(), surroundings, models, rows, clock.interrupted)
 
 
 def _sections(
@@ -70,9 +73,7 @@ def _sections(
 
 
 def machine() -> dict[str, Any]:
-    """Processor, cores and versions of what takes part."""
-    from llvmlite.binding import get_host_cpu_name
-
+    """Processor, cores, their load over the last minute, and versions of what takes part."""
     versions = {}
     for package in _PACKAGES:
         try:
@@ -80,9 +81,10 @@ def machine() -> dict[str, Any]:
         except PackageNotFoundError:
             versions[package] = "not installed"
     return {
-        "processor": get_host_cpu_name(),
+        "processor": import_module("llvmlite.binding").get_host_cpu_name(),
         "architecture": platform.machine(),
         "cores": os.cpu_count(),
+        "load_at_start": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "python": platform.python_version(),
         "versions": versions,
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import SamplingMpcSettings, WeightsSettings
 

@@ -12,6 +12,8 @@ from .timing import Effort
 # Effort is measured from the inverse plan, which peers do not have: without it all solve the same problem.
 WEIGHTS = Weights(effort=0.0)
 
+THOROUGH = Effort(rounds=25, burst_s=0.04, burst_most=25)
+
 
 @dataclass(frozen=True)
 class BenchSettings:
@@ -27,7 +29,7 @@ class BenchSettings:
     hidden: int = 64
     horizon: int = 20
     samples: int = 256
-    effort: Effort = Effort(rounds=25, burst_s=0.04, burst_most=25)
+    effort: Effort = THOROUGH
 
     def plain(self) -> dict[str, Any]:
         """As numbers for the report."""

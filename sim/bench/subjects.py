@@ -81,7 +81,7 @@ def lstm_subject(hidden: int) -> Subject:
 
 
 def operator_subjects() -> list[Subject]:
-    """Backlash (RA-L 2024, PMC11633443 (S2), forward fit) and a rate-dependent Prandtl-Ishlinskii model of that size."""
+    """Backlash (forward fit of RA-L 2024, PMC11633443 (S2)), and a rate-dependent Prandtl-Ishlinskii model like it."""
     operators: dict[str, Operator] = {
         "backlash": Backlash(10.27, 10.70, 2.822, 2.003),
         "PI": PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, 22.0),

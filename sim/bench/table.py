@@ -4,25 +4,29 @@ from __future__ import annotations
 
 from .report import Reads, Report, Row
 
-COLUMNS = ("section", "ours", "against", "median", "p99", "against, median", "ratio", "", "goal", "note")
+COLUMNS = ("measured", "median", "p99", "against", "median", "ratio", "goal", "note")
 _DASH = "-"
 
 
 def table_rows(report: Report) -> list[list[str]]:
-    """One list of texts a row, in the order of `COLUMNS`; a section is named in its first row."""
+    """One list of texts a row, in the order of `COLUMNS`; what is measured is named in its first row."""
     rows, before = [], ""
     for row in report.rows:
-        rows.append([row.section if row.section != before else "", *_cells(row)])
-        before = row.section
+        name = f"{row.section}: {row.ours}"
+        rows.append([name, *_own(row)] if name != before else ["", "", ""])
+        rows[-1] += _against(row)
+        before = name
     return rows
 
 
-def _cells(row: Row) -> list[str]:
-    median = _duration(row.times.median_s if row.times else None)
-    p99 = _duration(row.times.p99_s if row.times else None)
+def _own(row: Row) -> list[str]:
+    return [_duration(row.times.median_s), _duration(row.times.p99_s)] if row.times else [_DASH, _DASH]
+
+
+def _against(row: Row) -> list[str]:
     other_s = row.limit_s if row.limit_s is not None else row.other_times.median_s if row.other_times else None
-    ratio = row.state if row.ratio is None else _ratio(row.ratio)
-    return [row.ours, row.other, median, p99, _duration(other_s), ratio, str(row.reads), _goal(row), row.note]
+    ratio = row.state if row.ratio is None else f"{_ratio(row.ratio)} {row.reads}"
+    return [row.other, _duration(other_s), ratio, _goal(row), row.note]
 
 
 def _goal(row: Row) -> str:
@@ -41,5 +45,6 @@ def _duration(seconds: float | None) -> str:
     """With a unit that fits: 173 us, 2.31 ms, 1.20 s."""
     if seconds is None:
         return _DASH
-    scale, unit = next((s, u) for s, u in ((1.0, "s"), (1e-3, "ms"), (0.0, "us")) if seconds >= s)
-    return f"{seconds / (scale or 1e-6):.3g} {unit}"
+    if seconds < 1e-3:
+        return f"{1e6 * seconds:.3g} us"
+    return f"{1e3 * seconds:.3g} ms" if seconds < 1.0 else f"{seconds:.3g} s"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from time import perf_counter
 from typing import final
@@ -30,6 +31,7 @@ class Effort:
         rounds: turns; in each, every job runs once or, where it is short, in a burst.
         burst_s: time of a burst [s].
         burst_most: most calls in a burst.
+        longest_s: a section ends after this time even if turns are left, as on a machine that is busy otherwise [s].
 
     Raises:
         ConfigError: if a value is not positive.
@@ -38,9 +40,10 @@ class Effort:
     rounds: int
     burst_s: float
     burst_most: int
+    longest_s: float = 30.0
 
     def __post_init__(self) -> None:
-        if not (self.rounds > 0 and self.burst_s > 0 and self.burst_most > 0):
+        if not (self.rounds > 0 and self.burst_s > 0 and self.burst_most > 0 and self.longest_s > 0):
             raise ConfigError(f"bench: got {self}, expected values > 0")
 
 
@@ -66,25 +69,29 @@ class Times:
         return float(np.min(self.seconds))
 
 
+def thread_limit(count: int) -> AbstractContextManager[object]:
+    """Threads of the BLAS and OpenMP libraries that are loaded by now, while the block lasts."""
+    return ThreadpoolController().limit(limits=count)
+
+
 @final
 class Clock:
     """Times jobs in turns and remembers whether the keyboard ended it.
 
     Args:
         effort: how long.
-        on_round: called after every turn.
+        on_round: called with the number of turns that are done or left out.
     """
 
-    def __init__(self, effort: Effort, on_round: Callable[[], None] | None = None) -> None:
+    def __init__(self, effort: Effort, on_round: Callable[[int], None] | None = None) -> None:
         self._effort = effort
         self._on_round = on_round
-        self._pools = ThreadpoolController()
         self.interrupted = False
 
     def measure(self, jobs: Sequence[Job], threads: int = 1) -> Mapping[str, Times]:
         """Times by name; after Ctrl-C those of the jobs that have run by then.
 
-        Every job is called twice before it counts: to compile and warm up, and to see how long it takes. The order
+        Every job is called before it counts: to compile and warm up, and to see how long it takes. The order
         moves on by one from turn to turn. The first call of a burst pays for the caches that the job before has filled
         and does not count; a job too long for bursts counts always.
 
@@ -93,21 +100,30 @@ class Clock:
             threads: of BLAS and OpenMP in this process.
         """
         samples: dict[str, list[float]] = {job.name: [] for job in jobs}
-        with self._pools.limit(limits=threads):
-            try:
-                bursts = [self._burst(job) for job in jobs]
-                for turn in range(self._effort.rounds):
-                    for k in np.roll(np.arange(len(jobs)), -turn):
-                        samples[jobs[k].name] += _timed(jobs[k], bursts[k])
-                    if self._on_round is not None:
-                        self._on_round()
-            except KeyboardInterrupt:
-                self.interrupted = True
+        try:
+            for job in jobs:
+                job.run()
+            with thread_limit(threads):  # by now every library is loaded
+                self._take_turns(jobs, samples)
+        except KeyboardInterrupt:
+            self.interrupted = True
         return {name: Times(np.array(seconds)) for name, seconds in samples.items() if seconds}
 
+    def _take_turns(self, jobs: Sequence[Job], samples: dict[str, list[float]]) -> None:
+        until = perf_counter() + self._effort.longest_s
+        bursts = [self._burst(job) for job in jobs]
+        for turn in range(self._effort.rounds):
+            for place in range(len(jobs)):
+                k = (place + turn) % len(jobs)
+                samples[jobs[k].name] += _timed(jobs[k], bursts[k])
+            last = perf_counter() > until
+            if self._on_round is not None:
+                self._on_round(self._effort.rounds - turn if last else 1)
+            if last:
+                break
+
     def _burst(self, job: Job) -> int:
-        job.run()
-        once = _once(job)
+        once = min(_once(job), _once(job))  # one of them may have been interrupted by other work
         return int(min(max(self._effort.burst_s / max(once, 1e-9), 1), self._effort.burst_most))
 
 

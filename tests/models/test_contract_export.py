@@ -2,210 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
-import onnx
 import pytest
-from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
+from onnx import TensorProto, numpy_helper
 
-from hystmpc.models.contract import ExportBundle, ModelMetadata, OnnxModel, export_onnx, load_onnx
+from hystmpc.models.contract import ExportBundle, OnnxModel, export_onnx, load_onnx
 from hystmpc.models.model import Array, StepFunction
 from hystmpc.trials.errors import ExportError
 
-DT_S = 0.04
-SLOPE, OFFSET, WIDTH, RATE_GAIN = 10.0, 30.0, 0.3, 0.05
-HIDDEN = 16
-PROBE = 3.0 - 2.9 * np.cos(2 * np.pi * 0.37 * DT_S * np.arange(700)) * np.linspace(1.0, 0.3, 700)
-
-
-class Play(StepFunction):
-    """z = max(u - r, min(u + r, z)), theta = a z + b."""
-
-    state_size = 1
-
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
-        z = np.maximum(u - WIDTH, np.minimum(u + WIDTH, state))
-        return SLOPE * z + OFFSET, z
-
-    def jacobian(self, state: Array, u: float) -> Array:
-        moves = u - WIDTH >= min(u + WIDTH, state[0]) or u + WIDTH <= state[0]
-        dz = [0.0, 1.0] if moves else [1.0, 0.0]
-        return np.array([[SLOPE * dz[0], SLOPE * dz[1]], dz])
-
-
-class RatePlay(StepFunction):
-    """A play whose half-width grows with speed, r = r0 + k |u - u_last| / dt; state (z, u_last)."""
-
-    state_size = 2
-
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
-        width = WIDTH + RATE_GAIN * np.abs(u - state[:, 1:]) / DT_S
-        z = np.maximum(u - width, np.minimum(u + width, state[:, :1]))
-        return SLOPE * z + OFFSET, np.hstack([z, u])
-
-    def jacobian(self, state: Array, u: float) -> Array:
-        growth = RATE_GAIN * np.sign(u - state[1]) / DT_S
-        width = WIDTH + RATE_GAIN * abs(u - state[1]) / DT_S
-        if u - width >= min(u + width, state[0]):
-            dz = [0.0, growth, 1.0 - growth]
-        else:
-            dz = [0.0, -growth, 1.0 + growth] if u + width <= state[0] else [1.0, 0.0, 0.0]
-        return np.array([[SLOPE * d for d in dz], dz, [0.0, 0.0, 1.0]])
-
-
-class Lstm(StepFunction):
-    """One LSTM layer and a linear head, gates in the order i, f, g, o."""
-
-    state_size = 2 * HIDDEN
-
-    def __init__(self) -> None:
-        rng = np.random.default_rng(3)
-        scale = 1 / np.sqrt(HIDDEN)
-        # rounded to float32, as the graph has them, but computed with in float64
-        self.w_x = np.float64(np.float32(rng.normal(0, 1, (1, 4 * HIDDEN))))
-        self.w_h = np.float64(np.float32(rng.normal(0, scale, (HIDDEN, 4 * HIDDEN))))
-        self.bias = np.float64(np.float32(rng.normal(0, 0.3, 4 * HIDDEN)))
-        self.head = np.float64(np.float32(rng.normal(0, 40 * scale, (HIDDEN, 1))))
-
-    def _gates(self, h: Array, u: Array) -> list[Array]:
-        z = (u - 3.0) / 3.0 @ self.w_x + h @ self.w_h + self.bias
-        return [np.tanh(p) if k == 2 else 1 / (1 + np.exp(-p)) for k, p in enumerate(np.split(z, 4, axis=1))]
-
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
-        h, c = np.split(state, 2, axis=1)
-        i, f, g, o = self._gates(h, u)
-        c = f * c + i * g
-        h = o * np.tanh(c)
-        return h @ self.head + 30.0, np.hstack([h, c])
-
-    def jacobian(self, state: Array, u: float) -> Array:
-        h, c = np.split(state[None], 2, axis=1)
-        i, f, g, o = (gate.T for gate in self._gates(h, np.array([[u]])))
-        dz = np.hstack([self.w_h.T, np.zeros((4 * HIDDEN, HIDDEN)), self.w_x.T / 3.0])
-        dz_i, dz_f, dz_g, dz_o = np.split(dz, 4)
-        kept = np.eye(HIDDEN, 2 * HIDDEN + 1, HIDDEN)
-        dc = f * kept + c.T * f * (1 - f) * dz_f + g * i * (1 - i) * dz_i + i * (1 - g**2) * dz_g
-        shown = np.tanh(f * c.T + i * g)
-        dh = shown * o * (1 - o) * dz_o + o * (1 - shown**2) * dc
-        return np.vstack([self.head.T @ dh, dh, dc])
-
-
-def graph_of(nodes: list[onnx.NodeProto], size: int, weights: dict[str, NDArray[np.generic]]) -> onnx.GraphProto:
-    kind = TensorProto.FLOAT if any(w.dtype == np.float32 for w in weights.values()) else TensorProto.DOUBLE
-    values = [
-        helper.make_tensor_value_info(name, kind, ["N", width])
-        for name, width in (("u", 1), ("state", size), ("theta", 1), ("next_state", size))
-    ]
-    tensors = [numpy_helper.from_array(w, name) for name, w in weights.items()]
-    return helper.make_graph(nodes, "step", values[:2], values[2:], tensors)
-
-
-def n(op: str, inputs: str, outputs: str, **attributes: int) -> onnx.NodeProto:
-    return helper.make_node(op, inputs.split(), outputs.split(), **attributes)
-
-
-def play_graph(slope: float = SLOPE) -> onnx.GraphProto:
-    nodes = [
-        n("Sub", "u r", "low"),
-        n("Add", "u r", "high"),
-        n("Min", "high state", "held"),
-        n("GreaterOrEqual", "low held", "pulls"),
-        n("Where", "pulls low held", "next_state"),
-        n("Mul", "next_state a", "scaled"),
-        n("Add", "scaled b", "theta"),
-    ]
-    return graph_of(nodes, 1, {"r": np.array(WIDTH), "a": np.array([slope]), "b": np.array([[OFFSET]])})
-
-
-def rate_graph() -> onnx.GraphProto:
-    nodes = [
-        n("Split", "state", "z u_last", axis=1, num_outputs=2),
-        n("Sub", "u u_last", "du"),
-        n("Abs", "du", "speed"),
-        n("Mul", "speed k", "growth"),
-        n("Add", "growth r", "width"),
-        n("Sub", "u width", "low"),
-        n("Add", "u width", "high"),
-        n("Min", "high z", "held"),
-        n("Max", "low held", "z_next"),
-        n("Concat", "z_next u", "next_state", axis=-1),
-        n("Gemm", "z_next a b", "theta", transB=1),
-    ]
-    k, a, b = np.array(RATE_GAIN / DT_S), np.array([[SLOPE]]), np.array([OFFSET])
-    return graph_of(nodes, 2, {"k": k, "r": np.array(WIDTH), "a": a, "b": b})
-
-
-def lstm_graph() -> onnx.GraphProto:
-    net = Lstm()
-    nodes = [
-        n("Sub", "u three", "centred"),
-        n("Div", "centred three", "x"),
-        n("Split", "state halves", "h c", axis=1),
-        n("MatMul", "x w_x", "zx"),
-        n("MatMul", "h w_h", "zh"),
-        n("Add", "zx zh", "zs"),
-        n("Add", "zs bias", "z"),
-        n("Split", "z", "zi zf zg zo", axis=1, num_outputs=4),
-        *(n("Sigmoid", f"z{gate}", gate) for gate in "ifo"),
-        n("Tanh", "zg", "g"),
-        n("Mul", "f c", "kept"),
-        n("Mul", "i g", "added"),
-        n("Add", "kept added", "c_next"),
-        n("Tanh", "c_next", "shown"),
-        n("Mul", "o shown", "h_next"),
-        n("Concat", "h_next c_next", "next_state", axis=1),
-        n("MatMul", "h_next head", "scaled"),
-        n("Add", "scaled thirty", "theta"),
-    ]
-    weights = {name: np.float32(getattr(net, name)) for name in ("w_x", "w_h", "bias", "head")}
-    numbers = {"three": np.float32([3.0]), "thirty": np.float32([30.0]), "halves": np.array([HIDDEN, HIDDEN])}
-    return graph_of(nodes, 2 * HIDDEN, weights | numbers)
-
-
-def metadata(size: int) -> ModelMetadata:
-    # A play in contact starts at z = (y - b) / a; entries beyond the first start at zero.
-    first = {"offset": [-OFFSET / SLOPE] + [0.0] * (size - 1), "slope": [1 / SLOPE] + [0.0] * (size - 1)}
-    resting = {"offset": [0.0] * size, "slope": [0.0] * size}
-    return ModelMetadata.parse(
-        {
-            "kind": "test",
-            "dt_s": DT_S,
-            "command_unit": "mm",
-            "command_limits": {"lower": 0.0, "upper": 6.0},
-            "command_rate": 6.0,
-            "trained_command": {"lower": 0.0, "upper": 6.0},
-            "trained_angle": {"lower": 20.0, "upper": 95.0},
-            "trained_rate": 4.0,
-            "initial": first,
-            "conditioned": resting,
-            "warmup_samples": 25,
-            "training_data_hash": "0123",
-            "training": {"preset": "test", "seed": 1, "rmse_deg": 0.5, "augmented": True},
-        }
-    )
-
-
-@dataclass(frozen=True)
-class System:
-    name: str
-    reference: Callable[[], StepFunction]
-    graph: Callable[[], onnx.GraphProto]
-
-    def bundle(self) -> ExportBundle:
-        reference = self.reference()
-        return ExportBundle(self.graph(), metadata(reference.state_size), reference, PROBE)
-
-
-SYSTEMS = [
-    System("play", Play, play_graph),
-    System("rate play", RatePlay, rate_graph),
-    System("lstm", Lstm, lstm_graph),
-]
+from .contract_examples import DT_S, PROBE, SLOPE, SYSTEMS, WIDTH, Play, RatePlay, metadata, node, play_graph
 
 
 @pytest.fixture(params=SYSTEMS, ids=lambda system: system.name)
@@ -358,9 +166,9 @@ def test_rounding_at_a_tie_counts_as_a_kink_and_passes(tmp_path: Path) -> None:
     graph.initializer.append(numpy_helper.from_array(np.array(3.0), "third"))
     graph.initializer.append(numpy_helper.from_array(np.array(WIDTH / 3.0), "r_third"))
     del graph.node[0]
-    graph.node.insert(0, n("Div", "u third", "u_third"))
-    graph.node.insert(1, n("Sub", "u_third r_third", "low_third"))
-    graph.node.insert(2, n("Mul", "low_third third", "low"))
+    graph.node.insert(0, node("Div", "u third", "u_third"))
+    graph.node.insert(1, node("Sub", "u_third r_third", "low_third"))
+    graph.node.insert(2, node("Mul", "low_third third", "low"))
     report = export_onnx(ExportBundle(graph, metadata(1), Play(), STAIRS), tmp_path / "model.onnx")
     assert 0 < report.kinks <= 25
     assert report.jacobian <= 1e-9
@@ -370,9 +178,9 @@ def test_graph_that_mixes_rows_of_a_batch_is_refused(tmp_path: Path) -> None:
     graph = play_graph()
     graph.initializer.append(numpy_helper.from_array(np.array([0]), "rows"))
     graph.node[-1].output[0] = "mixed"
-    graph.node.append(n("ReduceSum", "mixed rows", "total", keepdims=1))
-    graph.node.append(n("Sub", "total mixed", "rest"))  # zero in a batch of one
-    graph.node.append(n("Add", "rest mixed", "theta"))
+    graph.node.append(node("ReduceSum", "mixed rows", "total", keepdims=1))
+    graph.node.append(node("Sub", "total mixed", "rest"))  # zero in a batch of one
+    graph.node.append(node("Add", "rest mixed", "theta"))
     with pytest.raises(ExportError, match="onnxruntime in batches of 8"):
         export_onnx(ExportBundle(graph, metadata(1), Play(), PROBE), tmp_path / "model.onnx")
 

@@ -66,7 +66,7 @@ def report() -> Report:
             Paragraph("a < b <script>alert(1)</script>"),
             KeyValues({"rate [Hz]": 499.87654, "file": "a&b.csv"}),
             Heading("Over time", 3),
-            Plot(draw(), "Angle, \"measured\""),
+            Plot(draw(), 'Angle, "measured"'),
             Plot(draw()),
             Heading("Numbers"),
             Table(("name", "value"), [("<i>rmse</i>", 1.23456789), ("n", 3), ("good", True)], "Scores"),

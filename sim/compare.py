@@ -1,0 +1,95 @@
+"""Every controller of a study along every motion, with a run folder for each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from hystmpc.trials.config import dump_yaml
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.run_folder import RunFolder
+
+from .closed_loop import run_closed_loop
+from .config import SimulationConfig
+from .report import study_report
+from .results import Result, StudyResult, result_of
+from .run_log import log_columns
+from .study import Study, prepare
+from .tune_pid import tuned_study
+
+Progress = Callable[[int, int], None]
+
+
+def compare(
+    config: SimulationConfig, out: Path | str | None = None, progress: Progress | None = None
+) -> StudyResult:
+    """Run a study: prepare, tune where asked, run every controller along every motion, report.
+
+    Below `out` stand config.yaml, meta.json and report.html of the study, and `<motion>/<controller>/` with
+    config.yaml, meta.json and log.csv of every run. Ctrl-C during a run leaves out what was not finished.
+
+    Args:
+        config: the study.
+        out: a new or empty folder; nothing is written where left out.
+        progress: called with the steps done and their number, first for the tuning, then for the runs.
+
+    Raises:
+        HystmpcError: what `prepare` raises; ConfigError also if `out` is not vacant.
+        KeyboardInterrupt: if the user ends it before the first run is finished.
+    """
+    study = prepare(config)
+    folder = None if out is None else _folder(Path(out), study)
+    study = tuned_study(study, progress)
+    if folder is not None:
+        # Asked for and found are told apart: the settings left behind repeat the run without the search.
+        write_atomically(folder.path / "config.yaml", dump_yaml(study.config.model_dump(mode="json")))
+    results = []
+    for result in _runs(study, progress):
+        results.append(result)
+        if folder is not None:
+            _write(folder, study, result)
+    if not results:
+        raise KeyboardInterrupt
+    found = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta)
+    if folder is not None:
+        folder.write_report(study_report(found).html())
+    return found
+
+
+def _runs(study: Study, progress: Progress | None) -> Iterator[Result]:
+    """Run after run, until the last or until Ctrl-C."""
+    pairs = [(motion, name) for motion in study.motions for name in study.config.controllers]
+    lengths = {name: study.steps(name) for name in study.motions}
+    total, done = sum(lengths[motion] for motion, _ in pairs), 0
+
+    def step(_: object) -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, total)
+
+    for motion, name in pairs:
+        controller = study.controller(study.config.controllers[name])
+        run = run_closed_loop(controller, study.plant, study.motions[motion], step)
+        if run.log.interrupted:
+            return
+        yield result_of(study.config, motion, name, run)
+
+
+def _folder(path: Path, study: Study) -> RunFolder:
+    return RunFolder.create(path, study.config, seed=study.config.seed, models=study.files)
+
+
+def _write(folder: RunFolder, study: Study, result: Result) -> None:
+    """The folder of one run; its settings are the study's, narrowed to it."""
+    config = study.config
+    alone = config.model_copy(
+        update={
+            "motions": {result.motion: config.motions[result.motion]},
+            "controllers": {result.controller: config.controllers[result.controller]},
+            "tuned": tuple(name for name in config.tuned if name == result.controller),
+        }
+    )
+    path = folder.path / result.motion / result.controller
+    run = RunFolder.create(path, alone, seed=config.seed, models=study.files)
+    run.write_log(log_columns(result.run))

@@ -1,0 +1,159 @@
+"""The verbs as a user calls them: on good logs, on bad input, and stopped half way."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hystmpc.cli.main import main
+from hystmpc.models.chain_model import ChainModel
+from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.trial import Trial
+
+from ..models.zoo import CHAINS, simulator
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of one call."""
+    before = sys.argv
+    sys.argv = ["hystmpc", *map(str, arguments)]
+    try:
+        main()
+    except SystemExit as end:
+        code = int(end.code or 0)
+    else:
+        code = 0
+    finally:
+        sys.argv = before
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two decaying sinusoids of a simulated device, recorded at 100 Hz with noise."""
+    folder = tmp_path_factory.mktemp("logs")
+    model = ChainModel(simulator(CHAINS["pi"], dt=0.01))
+    rng, paths = np.random.default_rng(0), []
+    for frequency in (0.2, 0.4):
+        t = np.arange(0, 7 / frequency, 0.01)
+        decay = np.exp(-frequency / 6 * np.log(7) * t)
+        u = 3 * decay * (np.sin(2 * np.pi * frequency * t - np.pi / 2) + 1)
+        trial = Trial(t, u, model.run(u, 23.0) + rng.normal(0, 0.1, t.size))
+        paths.append(write_csv(trial, folder / f"sinusoid_{frequency}.csv"))
+    return paths
+
+
+def test_from_logs_to_an_exported_model(
+    logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """check, fit, evaluate and export, one after the other, as the README has them."""
+    assert run(capsys, "check", *logs)[0] == 0
+    code, out, _ = run(capsys, "fit", "backlash", *logs, "--out", tmp_path / "sim.yaml", "--command-limits", 0, 6)
+    assert code == 0
+    assert "mean" in out
+    code, out, _ = run(capsys, "export", tmp_path / "sim.yaml", "--out", tmp_path / "model.onnx")
+    assert code == 0
+    assert "1000 steps" in out
+    figures = {}
+    for model in ("sim.yaml", "model.onnx"):
+        code, _, _ = run(capsys, "evaluate", tmp_path / model, *logs, "--json", tmp_path / "e.json")
+        assert code == 0
+        figures[model] = json.loads((tmp_path / "e.json").read_text())
+    assert figures["sim.yaml"]["format"] == "hystmpc-evaluation/1"
+    assert [row["file"] for row in figures["sim.yaml"]["trials"]] == [log.name for log in logs]
+    assert figures["sim.yaml"]["mean"]["rmse_deg"] == pytest.approx(figures["model.onnx"]["mean"]["rmse_deg"], abs=1e-9)
+    assert 0.05 < figures["sim.yaml"]["mean"]["rmse_deg"] < 2.0
+
+
+def test_a_folder_of_logs_and_both_ways_to_count(
+    logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, _ = run(capsys, "fit", "pi", logs[0].parent, "--plays", 3, "--out", tmp_path / "pi.yaml")
+    assert code == 0
+    for extra in ([], ["--skip-first-flexure"]):
+        code, out, _ = run(capsys, "evaluate", tmp_path / "pi.yaml", logs[0].parent, *extra)
+        assert code == 0
+        assert "offset-free" in out
+
+
+NO_LOG = "missing.csv"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["check", NO_LOG], NO_LOG),
+        (["fit", "backlash", NO_LOG, "--out", "sim.yaml"], NO_LOG),
+        (["fit", "backlash", "{log}", "--out", "sim.onnx"], "expected a file ending in .yaml"),
+        (["fit", "lstm", "{log}", "--out", "net.yaml"], "expected a file ending in .onnx"),
+        (["fit", "lstm", "{log}", "--training", "papers", "--out", "net.onnx"], "did you mean 'paper'"),
+        (["fit", "backlash", "{log}", "--preset", "tendon", "--out", "sim.yaml"], "tendon-catheter"),
+        (["fit", "backlash", "{log}", "--rate-hz", "5000", "--out", "sim.yaml"], "rate_hz 5000"),
+        (["fit", "backlash", "{log}", "--command-limits", "6", "0", "--out", "sim.yaml"], "--command-limits"),
+        (["evaluate", "model.pkl", "{log}"], "expected a model file"),
+        (["evaluate", "absent.onnx", "{log}"], "absent.onnx"),
+        (["export", "{log}", "--out", "model.onnx"], "expected"),
+        (["report", "nowhere"], "nowhere"),
+        (["simulate", "nowhere.yaml", "--out", "run"], "nowhere.yaml"),
+    ],
+)
+def test_unusable_input_is_one_line_and_exit_code_2(
+    arguments: list[str],
+    message: str,
+    logs: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(capsys, *(word.replace("{log}", str(logs[0])) for word in arguments))
+    errors = [line for line in err.splitlines() if line.startswith("error: ")]
+    if arguments[0] == "check":  # a check reports what is wrong with a log and goes on to the next
+        assert code in (1, 2)
+    else:
+        assert code == 2
+        assert len(errors) == 1
+        assert message in errors[0]
+    assert list(tmp_path.iterdir()) == [], "nothing may stay behind"
+
+
+def test_an_unknown_verb_or_option_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "fitt")[0] == 2
+    assert run(capsys, "fit", "spline", "log.csv", "--out", "x.yaml")[0] == 2
+
+
+def test_help_names_every_verb(capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = run(capsys, "--help")
+    for verb in ("check", "fit", "evaluate", "export", "simulate", "report", "demo", "bench"):
+        assert verb in out
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="signals are those of POSIX")
+def test_ctrl_c_during_training_keeps_the_best_so_far(logs: list[Path], tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="torch is an extra")
+    target = tmp_path / "net.onnx"
+    arguments = ["fit", "lstm", *map(str, logs), "--out", str(target), "--epochs", "100000"]
+    program = "import sys; from hystmpc.cli.main import main; sys.argv = ['hystmpc', *sys.argv[1:]]; main()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr is not None
+    seen = ""
+    deadline = time.monotonic() + 300
+    while "held out" not in seen and process.poll() is None and time.monotonic() < deadline:
+        seen += process.stderr.readline()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
+    assert "interrupted" in err
+    assert target.exists()
+    assert "mean" in out
