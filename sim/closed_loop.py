@@ -27,12 +27,14 @@ class ClosedLoopRun:
         true_deg: angles without sensor noise at the ends of the samples (N,) [deg].
         rest_command: the command that the plant held before the first sample.
         dt: sample time [s].
+        unit: of the command.
     """
 
     log: LoopLog
     true_deg: Vec
     rest_command: float
     dt: float
+    unit: str
 
     @property
     def error_deg(self) -> Vec:
@@ -60,4 +62,4 @@ def run_closed_loop(
             on_sample(sample)
 
     log = run_loop(controller, plant, preview.at, preview.steps, u_start=plant.rest_command, on_sample=note)
-    return ClosedLoopRun(log, np.array(angles), plant.rest_command, plant.dt)
+    return ClosedLoopRun(log, np.array(angles), plant.rest_command, plant.dt, plant.simulator.command_unit)

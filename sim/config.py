@@ -60,7 +60,9 @@ class SimulationConfig(Settings):
     Attributes:
         plant: the device.
         model: what controllers know of it: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
-        inverse: simulator that is inverted in the model's place; for networks, which have no inverse of their own.
+        inverse: simulator that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else, predictive
+            controllers take their first guess from it. For networks, which have no inverse of their own; where left
+            out, a backlash fitted to the network's free run.
         motions: references by name.
         controllers: controllers by name.
         limits: hard limits of command and rate; those of the model where left out.

@@ -13,6 +13,7 @@ from hystmpc.models.contract.metadata import Range
 from hystmpc.models.lstm.initial import initialisation_flexure
 from hystmpc.models.operators.delay import Delay
 from hystmpc.models.operators.lag import Lag
+from hystmpc.models.operators.operator import Operator
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import ConfigError, did_you_mean
@@ -56,14 +57,19 @@ def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simu
         ModelError: if a factor takes a parameter out of its bounds.
     """
     chain = mismatched(simulator.chain, effects.mismatch)
-    # A store made for another sample time would be too short, or longer than need be.
-    before = [Delay.at_rate(o.delay_s, dt_s) if isinstance(o, Delay) else o for o in chain.before]
-    after = [Delay.at_rate(o.delay_s, dt_s) if isinstance(o, Delay) else o for o in chain.after]
-    if effects.lag_s > 0:
-        before.insert(0, Lag(effects.lag_s))
-    if effects.delay_s > 0:
-        before.insert(0, Delay.at_rate(effects.delay_s, dt_s))
-    return replace(simulator, chain=replace(chain, before=tuple(before), after=tuple(after)), dt_s=dt_s)
+    lag = (Lag(effects.lag_s),) if effects.lag_s > 0 else ()
+    delay = (Delay(effects.delay_s, samples=1),) if effects.delay_s > 0 else ()
+    return at_sample_time(replace(simulator, chain=replace(chain, before=(*delay, *lag, *chain.before))), dt_s)
+
+
+def at_sample_time(simulator: Simulator, dt_s: float) -> Simulator:
+    """The same simulator at sample time `dt_s` [s]: delays get the store that they need at it."""
+
+    def stored(operators: tuple[Operator, ...]) -> tuple[Operator, ...]:
+        return tuple(Delay.at_rate(o.delay_s, dt_s) if isinstance(o, Delay) else o for o in operators)
+
+    chain = simulator.chain
+    return replace(simulator, chain=replace(chain, before=stored(chain.before), after=stored(chain.after)), dt_s=dt_s)
 
 
 def mismatched(chain: Chain, factors: Mapping[str, float]) -> Chain:

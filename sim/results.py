@@ -35,13 +35,18 @@ class StudyResult:
 
     Attributes:
         config: the settings as they ran: files, limits and tuned gains.
-        results: motion by motion, in the order of the settings; without those that were not reached.
+        results: motion by motion, in the order of the settings; without those that were not reached; at least one.
         meta: versions, host, start and model hashes; empty where no folder was written.
     """
 
     config: SimulationConfig
     results: tuple[Result, ...]
     meta: Mapping[str, Any]
+
+    @property
+    def unit(self) -> str:
+        """Unit of the command."""
+        return self.results[0].run.unit
 
     def of_motion(self, motion: str) -> tuple[Result, ...]:
         """The runs along one motion."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.trials.errors import LogError
+from hystmpc.trials.presets import CANONICAL
 from numpy.typing import NDArray
 
 from .closed_loop import ClosedLoopRun
@@ -17,7 +18,6 @@ Column = Vec | tuple[str, ...]
 _STAGE = "stage_"
 _LOOP = {
     "time_s": "time_s",
-    "command": "command",
     "angle_deg": "measured_deg",
     "reference_deg": "reference_deg",
     "predicted_deg": "predicted_deg",
@@ -31,7 +31,8 @@ def log_columns(run: ClosedLoopRun) -> dict[str, Sequence[str] | Vec]:
     log = run.log
     numbers = {column: getattr(log, field) for column, field in _LOOP.items()}
     stages = {f"{_STAGE}{name.replace(' ', '_')}_s": seconds for name, seconds in log.stage_s.items()}
-    return {**numbers, _TRUE: run.true_deg, **stages, "source": log.source, "status": log.status}
+    command = {f"command_{run.unit}": log.command}
+    return {**command, **numbers, _TRUE: run.true_deg, **stages, "source": log.source, "status": log.status}
 
 
 def run_from(columns: Mapping[str, Column], rest_command: float, where: str) -> ClosedLoopRun:
@@ -46,8 +47,10 @@ def run_from(columns: Mapping[str, Column], rest_command: float, where: str) -> 
         LogError: if a column is missing.
     """
     wanted = (*_LOOP, _TRUE, "source", "status")
-    if gone := [name for name in wanted if name not in columns]:
+    gone = CANONICAL.missing(list(columns)) + [name for name in wanted if name not in columns]
+    if gone:
         raise LogError(f"{where}: lacks {', '.join(gone)}, expected the log of a simulation; got {', '.join(columns)}")
+    command = CANONICAL.command_column(list(columns))
     numbers = {field: _numbers(columns[column]) for column, field in _LOOP.items()}
     stages = {
         name.removeprefix(_STAGE).removesuffix("_s").replace("_", " "): _numbers(values)
@@ -55,9 +58,16 @@ def run_from(columns: Mapping[str, Column], rest_command: float, where: str) -> 
         if name.startswith(_STAGE)
     }
     source, status = (tuple(str(text) for text in columns[name]) for name in ("source", "status"))
-    log = LoopLog(**numbers, source=source, status=status, stage_s=stages, interrupted=False)
+    log = LoopLog(
+        **numbers,
+        command=_numbers(columns[command]),
+        source=source,
+        status=status,
+        stage_s=stages,
+        interrupted=False,
+    )
     # The first sample ends one sample time after the start.
-    return ClosedLoopRun(log, _numbers(columns[_TRUE]), rest_command, float(log.time_s[0]))
+    return ClosedLoopRun(log, _numbers(columns[_TRUE]), rest_command, float(log.time_s[0]), CANONICAL.command[command])
 
 
 def _numbers(column: Column) -> Vec:

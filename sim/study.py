@@ -8,20 +8,23 @@ from pathlib import Path
 from typing import Any
 
 from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.config import AnyControllerSettings, LimitsSettings
+from hystmpc.ctrl.config import AnyControllerSettings, LimitsSettings, LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.library import model_path
-from hystmpc.models.load import load_model
+from hystmpc.models.inverse.shadow import shadow_simulator
+from hystmpc.models.load import AnyModel, load_model
 from hystmpc.models.model import Inverse, Predictor
-from hystmpc.models.prediction.build import predictor_and_inverse
-from hystmpc.models.simulator import load_simulator
+from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
+from hystmpc.models.prediction.compiled import CompiledPredictor
+from hystmpc.models.simulator import Simulator, load_simulator
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .config import SimulationConfig
-from .plant import Effects, SimulatedPlant
+from .plant import Effects, SimulatedPlant, at_sample_time
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +34,10 @@ class Study:
     Attributes:
         config: the settings, with the limits that hold.
         plant: the device.
-        predictor, inverse: what controllers know of it.
+        predictor, inverse: what predictive controllers know of it.
+        feedforward: predictor and inverse of the controllers that only invert: the same for a model that has an
+            inverse, else the operator that stands in for it. Corrected by the network at every sample, as predictive
+            controllers want it for their first guess, that inverse would go back and forth across the dead band.
         limits: hard limits of the device.
         motions: references by name.
         files: model files that were opened.
@@ -41,6 +47,7 @@ class Study:
     plant: SimulatedPlant
     predictor: Predictor
     inverse: Inverse
+    feedforward: tuple[Predictor, Inverse]
     limits: CommandLimits
     motions: Mapping[str, Trajectory]
     files: tuple[Path, ...]
@@ -51,7 +58,9 @@ class Study:
         Raises:
             ControllerError: if the settings contradict each other or go beyond the limits.
         """
-        return build_controller(settings, self.predictor, self.inverse, self.limits)
+        predictive = isinstance(settings, LinearisedMpcSettings | SamplingMpcSettings)
+        predictor, inverse = (self.predictor, self.inverse) if predictive else self.feedforward
+        return build_controller(settings, predictor, inverse, self.limits)
 
     def steps(self, motion: str) -> int:
         """Samples that a motion takes."""
@@ -81,12 +90,14 @@ def prepare(config: SimulationConfig) -> Study:
     )
     effects = Effects(**config.plant.model_dump(exclude={"simulator"}))
     flexure = Range(lower=limits.lower, upper=limits.upper)
-    predictor, inverse = predictor_and_inverse(model, load_simulator(files[2]) if config.inverse else None)
+    companion = at_sample_time(load_simulator(files[2]), facts.dt_s) if config.inverse else _companion(model)
+    predictor, inverse = predictor_and_inverse(model, companion)
     study = Study(
         config=config.model_copy(update={"limits": limits}),
         plant=SimulatedPlant(device, effects, predictor.dt, flexure, config.seed),
         predictor=predictor,
         inverse=inverse,
+        feedforward=predictor_and_inverse(ChainModel(companion)) if companion else (predictor, inverse),
         limits=CommandLimits(limits.lower, limits.upper, limits.rate_per_s),
         motions={name: motion.build() for name, motion in config.motions.items()},
         files=tuple(files),
@@ -94,6 +105,11 @@ def prepare(config: SimulationConfig) -> Study:
     for name, settings in config.controllers.items():
         _check_controller(study, name, settings)
     return study
+
+
+def _companion(model: AnyModel) -> Simulator | None:
+    """A backlash that stands in where the model has no inverse of its own."""
+    return None if isinstance(predictor_for(model), CompiledPredictor) else shadow_simulator(model)
 
 
 def _check_controller(study: Study, name: str, settings: AnyControllerSettings) -> None:

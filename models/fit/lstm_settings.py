@@ -57,7 +57,7 @@ class TeacherSettings(Settings):
 
     plays: Count = 10
     runs: Count = 10
-    weight: tuple[Share, Share] = (1.0, 0.3)
+    weight: tuple[Share, Share] = (1.0, 1.0)
     level_trials: bool = True
 
 
@@ -69,6 +69,7 @@ class StreamTraining(Settings):
     Attributes:
         length: samples in a piece, over which gradients flow.
         streams: trials side by side, pieces in an update.
+        matrix_learning_rate: of Muon, for the gate matrices; `learning_rate` is for the rest.
         updates: number of updates; both rates fall to zero along a half cosine over them.
         rounds_between_checks: passes over the trials between two free runs over the held-out trials.
         copies: how often each recorded trial runs in a round.
@@ -80,8 +81,9 @@ class StreamTraining(Settings):
 
     scheme: Literal["streams"] = "streams"
     length: Annotated[int, Field(ge=2)] = 100
-    streams: Count = 16
-    updates: Count = 8000
+    streams: Count = 8
+    matrix_learning_rate: Positive = 0.02
+    updates: Count = 4000
     rounds_between_checks: Count = 10
     copies: Count = 2
     time_scaling: Annotated[float, Field(ge=0, le=0.5)] = 0.2

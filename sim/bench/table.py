@@ -6,6 +6,7 @@ from .report import Reads, Report, Row
 
 COLUMNS = ("measured", "median", "p99", "against", "median", "ratio", "goal", "note")
 _DASH = "-"
+_DISTURBED = 1.3
 
 
 def table_rows(report: Report) -> list[list[str]]:
@@ -26,7 +27,16 @@ def _own(row: Row) -> list[str]:
 def _against(row: Row) -> list[str]:
     other_s = row.limit_s if row.limit_s is not None else row.other_times.median_s if row.other_times else None
     ratio = row.state if row.ratio is None else f"{_ratio(row.ratio)} {row.reads}"
-    return [row.other, _duration(other_s), ratio, _goal(row), row.note]
+    note = "; ".join(filter(None, (_disturbed(row), row.note)))
+    return [row.other, _duration(other_s), ratio, _goal(row), note]
+
+
+def _disturbed(row: Row) -> str:
+    """The ratio of the shortest calls where it is far from that of the medians: other work has taken part."""
+    least = row.least_ratio
+    if row.ratio is None or least is None or 1 / _DISTURBED < row.ratio / least < _DISTURBED:
+        return ""
+    return f"{_ratio(least)} by the shortest calls"
 
 
 def _goal(row: Row) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from hystmpc.cli.main import main
 from hystmpc.models.chain_model import ChainModel
 from hystmpc.trials.csv_ import write_csv
@@ -51,9 +52,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return paths
 
 
-def test_from_logs_to_an_exported_model(
-    logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_from_logs_to_an_exported_model(logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """check, fit, evaluate and export, one after the other, as the README has them."""
     assert run(capsys, "check", *logs)[0] == 0
     code, out, _ = run(capsys, "fit", "backlash", *logs, "--out", tmp_path / "sim.yaml", "--command-limits", 0, 6)

@@ -26,8 +26,11 @@ def wrong_way(root: Path) -> Iterator[str]:
 
 
 def may_need_torch(module: Module) -> bool:
-    """Training and the one wrapper of torch."""
-    return module.name.startswith("hystmpc.models.fit.") or module.name == "hystmpc.models.lstm.torch_"
+    """Training, the one wrapper of torch, and the benchmark's rival that runs on torch."""
+    return module.name.startswith("hystmpc.models.fit.") or module.name in (
+        "hystmpc.models.lstm.torch_",
+        "hystmpc.sim.bench.pytorch_mppi_",
+    )
 
 
 def test_imports_run_one_way() -> None:

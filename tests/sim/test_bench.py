@@ -214,6 +214,15 @@ def test_goals_are_judged_by_what_the_ratio_says(
     assert Row("s", "ours", "other", reads, goal, ratio=ratio).reached is reached
 
 
+def test_a_goal_that_only_stalls_have_reached_is_not_reached() -> None:
+    ours, stalled = Times(np.array([1.0, 1.0, 1.0])), Times(np.array([2.0, 9.0, 9.0]))
+    row = Row("s", "ours", "peer", Reads.FASTER, 5.0).with_times(ours, stalled).measured(9.0)
+    assert row.least_ratio == 2.0
+    assert row.reached is False
+    (cells,) = table_rows(Report({}, {}, {}, [row], interrupted=False))
+    assert cells[-2:] == ["≥ 5 no", "2.00 by the shortest calls"]
+
+
 def test_durations_and_missing_values_are_readable() -> None:
     times = Times(np.array([173e-6]))
     rows = [

@@ -1,0 +1,128 @@
+"""The report of a closed-loop study: tables and figures on one page that opens offline."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from hystmpc.ctrl.config import InversePidControllerSettings, PidControllerSettings
+from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
+from hystmpc.trials.files import write_atomically
+
+from .figures import colours, error_figure, histogram_figure, loop_figure, timing_figure, tracking_figure
+from .results import Result, StudyResult, load_results
+
+_COLUMNS = (
+    "controller",
+    "RMSE [deg]",
+    "max abs [deg]",
+    "hold error [deg]",
+    "hold command range [{unit}]",
+    "command travel [{unit}]",
+    "limit violations",
+    "step mean [ms]",
+    "step p99 [ms]",
+)
+
+
+def study_report(result: StudyResult) -> Report:
+    """The page of a study."""
+    colour = colours(result.controllers)
+    pieces: list[Piece] = [*_summary(result), *_set_up(result)]
+    for motion in result.motions:
+        runs = result.of_motion(motion)
+        pieces += [
+            Heading(f"Motion: {motion}"),
+            _metrics_table(runs, result.unit),
+            Plot(tracking_figure(runs, colour, result.unit), "Tip angle without sensor noise; dashed: command limits."),
+            Plot(error_figure(runs, colour), "Error: tip angle without sensor noise less reference."),
+            Plot(loop_figure(runs, colour, result.unit), "Tip angle over command."),
+            Plot(histogram_figure(runs, colour), "Distribution of the error; the outermost bins hold all beyond them."),
+        ]
+    pieces += _timing(result, colour)
+    plant = result.config.plant
+    subtitle = f"plant {_short(plant.simulator)}, model {_short(result.config.model)}"
+    return Report("Closed loop in simulation", tuple(pieces), subtitle)
+
+
+def report_from_folder(path: Path | str) -> Path:
+    """Write `report.html` of a simulation's run folder anew, from nothing but the folder.
+
+    Raises:
+        LogError: if it holds no run of a simulation.
+        ConfigError: if its settings are not those of a simulation.
+    """
+    return write_atomically(Path(path) / "report.html", study_report(load_results(path)).html())
+
+
+def _summary(result: StudyResult) -> Iterator[Piece]:
+    by_pair = {(r.motion, r.controller): r.metrics.rmse_deg for r in result.results}
+    rows = [
+        (controller, *(by_pair.get((motion, controller), math.nan) for motion in result.motions))
+        for controller in result.controllers
+    ]
+    yield Heading("Tracking error")
+    yield Table(("controller", *result.motions), rows, "RMSE of the tip angle without sensor noise [deg].")
+    violations = sum(r.metrics.limit_violations for r in result.results)
+    yield Paragraph(f"Commands beyond their limits in {len(result.results)} runs: {violations}.")
+
+
+def _set_up(result: StudyResult) -> Iterator[Piece]:
+    config, limits, unit = result.config, result.config.limits, result.unit
+    plant = {name: value for name, value in config.plant.model_dump().items() if value and name != "simulator"}
+    yield Heading("Set-up")
+    rows: dict[str, object] = {
+        "plant": _short(config.plant.simulator),
+        "effects": ", ".join(f"{name} {value}" for name, value in plant.items()) or "none",
+        "model": _short(config.model),
+        "inverse": _short(config.inverse) if config.inverse else "that of the model",
+        "sample time": f"{result.results[0].run.dt:g} s",
+        "seed": config.seed,
+    }
+    if limits is not None:
+        rows["command limits"] = f"{limits.lower:g} to {limits.upper:g} {unit}, {limits.rate_per_s:.4g} {unit}/s"
+    if result.meta:
+        rows["hystmpc"] = result.meta["versions"].get("hystmpc")
+        rows["started"] = result.meta["start"]
+    yield KeyValues(rows)
+    gains = [_gains(name, s) for name, s in config.controllers.items() if isinstance(s, _WITH_GAINS)]
+    if gains:
+        found = ", ".join(config.tuned)
+        note = f" Found by search on this plant and these motions: {found}." if found else ""
+        columns = ("controller", f"kp [{unit}/deg]", f"ki [{unit}/(deg s)]", f"kd [{unit} s/deg]", "dead zone [deg]")
+        yield Table(columns, gains, f"PID gains.{note}")
+
+
+_WITH_GAINS = (PidControllerSettings, InversePidControllerSettings)
+
+
+def _gains(name: str, settings: PidControllerSettings | InversePidControllerSettings) -> tuple[object, ...]:
+    gains = settings.gains
+    return name, gains.kp_per_deg, gains.ki_per_deg_s, gains.kd_s_per_deg, gains.dead_zone_deg
+
+
+def _metrics_table(runs: tuple[Result, ...], unit: str) -> Table:
+    rows = []
+    for run in runs:
+        m = run.metrics
+        held = [value if math.isfinite(value) else "no hold" for value in (m.hold_error_deg, m.hold_command_range)]
+        times = 1e3 * m.step_mean_s, 1e3 * m.step_p99_s
+        rows.append((run.controller, m.rmse_deg, m.max_abs_deg, *held, m.command_travel, m.limit_violations, *times))
+    caption = "Errors of the tip angle without sensor noise; hold figures over the last half of every hold."
+    return Table([column.format(unit=unit) for column in _COLUMNS], rows, caption)
+
+
+def _timing(result: StudyResult, colour: dict[str, str]) -> Iterator[Piece]:
+    dt = result.results[0].run.dt
+    yield Heading("Execution time and fallbacks")
+    caption = "Time per stage over all motions: bar to the median, line to the 99th percentile; dashed: sample time."
+    yield Plot(timing_figure(result.results, colour, dt), caption)
+    sources = tuple(dict.fromkeys(source for r in result.results for source in r.metrics.ladder))
+    rows = [(r.motion, r.controller, *(r.metrics.ladder.get(s, 0) for s in sources)) for r in result.results]
+    yield Table(("motion", "controller", *sources), rows, "Samples by the rung of the ladder that gave the command.")
+
+
+def _short(file: str) -> str:
+    """A built-in name, or a file without its folder."""
+    return file if file.startswith("builtin:") else Path(file).name
