@@ -1,4 +1,4 @@
-"""Make the identified models that ship with the package anew: `models/library/backlash.yaml` and `lstm.onnx`.
+"""Make the identified models that ship with the package anew: `backlash.yaml`, `pi.yaml` and `lstm.onnx`.
 
     python benchmarks/make_library.py [--out FOLDER] [--updates 4000]
 
@@ -69,9 +69,10 @@ def main() -> None:
     trials = [recorded(name, motion, seed) for seed, (name, motion) in enumerate(excitations().items())]
     device = load_simulator(library_file("tendon-catheter"))
     limits = DeviceLimits(Range(lower=0.0, upper=6.0), device.command_rate_per_s)
-    simulator, fit = identify("backlash", trials, limits=limits)
-    save_simulator(simulator, arguments.out / "backlash.yaml")
-    print(f"backlash: {fit.rmse_deg:.3f} deg on {len(trials)} trials")
+    for kind in ("backlash", "pi"):
+        simulator, fit = identify(kind, trials, limits=limits)
+        save_simulator(simulator, arguments.out / f"{kind}.yaml")
+        print(f"{kind}: {fit.rmse_deg:.3f} deg on {len(trials)} trials")
     chosen = settings(arguments.updates)
     with Progress() as bar:
         task = bar.add_task("lstm", total=chosen.steps)

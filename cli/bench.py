@@ -18,6 +18,7 @@ from hystmpc.trials.files import write_atomically
 
 from .console import bar, errors, out, table
 
+INTERRUPTED = 130
 _WIDTH = 220  # of the table in a file
 _TEXT = ("measured", "against", "ratio", "goal", "note")
 
@@ -26,7 +27,7 @@ def bench(
     folder: Annotated[Path | None, typer.Option("--out", help="Folder for bench.json and bench.txt.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-bench/1 here.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few repetitions: rough ratios.")] = False,
-) -> int:
+) -> None:
     """Time the controllers in turns with CasADi, pytorch-mppi and the best matrix product of this machine.
 
     Ctrl-C ends with what has been measured, exit code 130.
@@ -42,7 +43,7 @@ def bench(
         _write_table(report, folder / "bench.txt")
     if report.interrupted:
         errors.print("interrupted: what was measured by then is above", style="yellow")
-    return 130 if report.interrupted else 0
+        raise typer.Exit(INTERRUPTED)
 
 
 def _print(report: Report, console: Console) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -45,11 +47,11 @@ def bar(title: str, total: float | None = None) -> Iterator[Bar]:
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], last_apart: bool = False) -> Table:
     """A table whose first column is text and whose others are numbers; the last row may stand apart."""
-    grid = Table(title=title, title_justify="left")
+    grid = Table(title=escape(title), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for k, name in enumerate(columns):
-        grid.add_column(name, justify="left" if k == 0 else "right", overflow="fold")
+        grid.add_column(name, justify="left" if k == 0 else "right", no_wrap=k == 0)
     for k, row in enumerate(rows):
         if last_apart and k == len(rows) - 1:
             grid.add_section()
-        grid.add_row(*row)
+        grid.add_row(*map(escape, row))
     return grid

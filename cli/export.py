@@ -25,5 +25,6 @@ def export(
     out.print(
         f"{path}: {gate.steps} steps within {max(gate.runtime_deg, gate.casadi_deg):.2g} deg of the reference "
         f"(onnxruntime {gate.runtime_deg:.2g}, CasADi {gate.casadi_deg:.2g}), Jacobians within {gate.jacobian:.2g}; "
-        f"sha256 {load_onnx(path).hash[:12]}"
+        f"sha256 {load_onnx(path).hash[:12]}",
+        soft_wrap=True,
     )

@@ -9,21 +9,11 @@ import typer
 
 from hystmpc.sim.compare import compare
 from hystmpc.sim.config import load_simulation
-from hystmpc.sim.results import StudyResult
+from hystmpc.sim.results import Result, StudyResult
 
 from .console import bar, out, table
 
-_COLUMNS = (
-    "motion, controller",
-    "RMSE",
-    "max abs",
-    "hold error",
-    "hold p-p cmd",
-    "travel cmd",
-    "step ms",
-    "p99 ms",
-    "beyond limits",
-)
+_COLUMNS = ("controller", "RMSE", "max", "hold", "hold p-p", "travel", "step ms", "p99 ms", "beyond")
 
 
 def simulate(
@@ -42,12 +32,19 @@ def simulate(
 
 
 def print_study(result: StudyResult) -> None:
-    """The metrics of every run, in degrees, command units and milliseconds."""
-    rows = []
-    for run in result.results:
-        m = run.metrics
-        angles = (m.rmse_deg, m.max_abs_deg, m.hold_error_deg, m.hold_command_range, m.command_travel)
-        times = (1e3 * m.step_mean_s, 1e3 * m.step_p99_s)
-        figures = [f"{value:.3f}" for value in angles] + [f"{value:.2f}" for value in times]
-        rows.append([f"{run.motion}, {run.controller}", *figures, str(m.limit_violations)])
-    out.print(table("true tip angle against reference [deg]", _COLUMNS, rows))
+    """A table a motion.
+
+    Angles in degrees, commands in their unit, times in milliseconds: error over the run, over the last halves of holds,
+    greatest command range over one of those, command travel, time of a step, samples beyond a limit.
+    """
+    for motion in result.motions:
+        rows = [_row(run) for run in result.of_motion(motion)]
+        out.print(table(f"{motion}: true tip angle less reference [deg], command [{result.unit}]", _COLUMNS, rows))
+
+
+def _row(run: Result) -> list[str]:
+    m = run.metrics
+    angles = (m.rmse_deg, m.max_abs_deg, m.hold_error_deg)
+    commands, times = (m.hold_command_range, m.command_travel), (1e3 * m.step_mean_s, 1e3 * m.step_p99_s)
+    figures = [f"{v:.3f}" for v in (*angles, *commands)] + [f"{v:.1f}" for v in times]
+    return [run.controller, *("-" if text == "nan" else text for text in figures), str(m.limit_violations)]

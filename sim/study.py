@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import AnyControllerSettings, LimitsSettings, LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.ctrl.guarded import GuardedController
@@ -103,7 +104,7 @@ def prepare(config: SimulationConfig) -> Study:
         files=tuple(files),
     )
     for name, settings in config.controllers.items():
-        _check_controller(study, name, settings)
+        _warm_up(study, name, settings)
     return study
 
 
@@ -112,9 +113,11 @@ def _companion(model: AnyModel) -> Simulator | None:
     return None if isinstance(predictor_for(model), CompiledPredictor) else shadow_simulator(model)
 
 
-def _check_controller(study: Study, name: str, settings: AnyControllerSettings) -> None:
-    """Build it once, so that a wrong one is found before the others have run for a minute."""
+def _warm_up(study: Study, name: str, settings: AnyControllerSettings) -> None:
+    """Build it and take a step: a wrong one is found before the others have run, and kernels are compiled by then."""
     try:
-        study.controller(settings)
+        controller, y = study.controller(settings), study.plant.reset()
+        state = controller.init(y, study.plant.rest_command)
+        controller.step(state, y, np.full(controller.horizon, y + 1.0))  # a reference at rest would plan nothing
     except ControllerError as error:
         raise ControllerError(f"controllers.{name}: {error}") from None
