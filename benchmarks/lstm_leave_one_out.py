@@ -69,8 +69,11 @@ def lstm(settings: LstmSettings, folder: Path) -> Build:
         with Progress(transient=True) as bar:
             task = bar.add_task("training", total=settings.steps)
             fit = fit_lstm(trials, settings, lambda done, best: bar.update(task, completed=done))
-        print(f"  validation {fit.validation_rmse_deg:.3f} deg at step {fit.best_step}, "
-              f"training {fit.history[-1].training_rmse_deg:.3f} deg", flush=True)
+        print(
+            f"  validation {fit.validation_rmse_deg:.3f} deg at step {fit.best_step}, "
+            f"training {fit.history[-1].training_rmse_deg:.3f} deg",
+            flush=True,
+        )
         export_onnx(lstm_bundle(fit, trials), folder / "lstm.onnx")
         return load_onnx(folder / "lstm.onnx")
 

@@ -115,11 +115,6 @@ def _looks(
     except ModuleNotFoundError as error:
         raise FitError(f"training needs {error.name}, expected it installed: pip install hystmpc[train]") from None
     runs = [_run(trial, scaling, settings) for trial in training]
-    import os
-    if isinstance(settings.training, StreamTraining) and settings.training.teacher and settings.training.teacher.level_trials:
-        off = Teacher(training, settings.training.teacher.plays).offsets()
-        print("offsets", np.round(off, 2))
-        runs = [Run(r.command, r.angle - o / scaling.theta_scale, r.weight) for r, o in zip(runs, off)]
     judged = [_run(trial, scaling, settings) for trial in judges]
     way = settings.training
     with torch_session(settings.seed, settings.threads):

@@ -51,14 +51,12 @@ class TeacherSettings(Settings):
     Attributes:
         plays: number of plays of the operator.
         runs: motions of 10 to 60 s drawn anew for each round.
-        level_trials: take each trial's own offset from the operator out before it is learned.
         weight: weight of a teacher's sample against a recorded one, at the start of training and at its end.
     """
 
     plays: Count = 10
     runs: Count = 10
-    weight: tuple[Share, Share] = (1.0, 1.0)
-    level_trials: bool = True
+    weight: tuple[Share, Share] = (1.0, 0.1)
 
 
 class StreamTraining(Settings):

@@ -35,17 +35,8 @@ class Teacher:
         simulator, fit = identify("pi", trials, plays=plays)
         self.rmse_deg = fit.rmse_deg
         self._model = ChainModel(simulator)
-        self._trials = tuple(trials)
         self._starts = [(float(t.command[0]), float(t.angle[0])) for t in trials]
         self._range, self._rate, self._dt = command_range(trials), fastest_command(trials), check_trial_set(trials)
-
-    def offsets(self) -> list[float]:
-        """Mean difference of each trial from the operator less that of all trials [deg].
-
-        Trials of one device differ by an offset, from mounting and pretension. A network would learn them by heart.
-        """
-        own = [float(np.mean(trial.angle - self._model.run(trial.command, trial.angle[0]))) for trial in self._trials]
-        return [offset - float(np.mean(own)) for offset in own]
 
     def runs(self, count: int, weight: float, rng: Rng) -> list[Run]:
         """Random motions in equal parts of each kind, in the units of the trials."""

@@ -105,7 +105,7 @@ def linearise(packed: Any, state: Any, plan: Any, angles: Any, jacobian: Any) ->
 
 @njit(cache=True, error_model="numpy")
 def _differentiate_layer(recurrent: Any, bias: Any, start: Any, z: Any, h: Any) -> None:
-    """Outputs h of one layer and their derivatives at all samples, from the input part z of its gates; rows as above."""
+    """Outputs h of a layer and their derivatives at all samples, from the input part z of its gates; rows as above."""
     hidden = h.shape[1]
     factors = np.empty((6, hidden), np.float32)
     before = np.zeros((_BLOCK, hidden), np.float32)
