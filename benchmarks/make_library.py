@@ -12,6 +12,8 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from rich.progress import Progress
+
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.fit.identify import DeviceLimits, identify
@@ -24,7 +26,6 @@ from hystmpc.sim.plant import Effects, SimulatedPlant
 from hystmpc.trajectories import Trajectory, sample
 from hystmpc.trajectories.excitation import s2_point_to_point, s2_sinusoid
 from hystmpc.trials.trial import Trial, Units
-from rich.progress import Progress
 
 LIBRARY = Path(__file__).resolve().parent.parent / "models" / "library"
 FREQUENCIES_HZ = (0.1, 0.2, 0.4, 0.5)

@@ -13,7 +13,7 @@ from hystmpc.sim.results import Result, StudyResult
 
 from .console import bar, out, table
 
-_COLUMNS = ("controller", "RMSE", "max", "hold", "hold p-p", "travel", "step ms", "p99 ms", "beyond")
+_COLUMNS = ("controller", "RMSE", "max", "hold", "hold p-p", "step ms", "p99 ms", "beyond")
 
 
 def simulate(
@@ -35,7 +35,7 @@ def print_study(result: StudyResult) -> None:
     """A table a motion.
 
     Angles in degrees, commands in their unit, times in milliseconds: error over the run, over the last halves of holds,
-    greatest command range over one of those, command travel, time of a step, samples beyond a limit.
+    greatest command range over one of those, time of a step, samples beyond a limit.
     """
     for motion in result.motions:
         rows = [_row(run) for run in result.of_motion(motion)]
@@ -45,6 +45,6 @@ def print_study(result: StudyResult) -> None:
 def _row(run: Result) -> list[str]:
     m = run.metrics
     angles = (m.rmse_deg, m.max_abs_deg, m.hold_error_deg)
-    commands, times = (m.hold_command_range, m.command_travel), (1e3 * m.step_mean_s, 1e3 * m.step_p99_s)
-    figures = [f"{v:.3f}" for v in (*angles, *commands)] + [f"{v:.1f}" for v in times]
+    times = (1e3 * m.step_mean_s, 1e3 * m.step_p99_s)
+    figures = [f"{v:.3f}" for v in (*angles, m.hold_command_range)] + [f"{v:.1f}" for v in times]
     return [run.controller, *("-" if text == "nan" else text for text in figures), str(m.limit_violations)]

@@ -20,9 +20,7 @@ from .tune_pid import tuned_study
 Progress = Callable[[int, int], None]
 
 
-def compare(
-    config: SimulationConfig, out: Path | str | None = None, progress: Progress | None = None
-) -> StudyResult:
+def compare(config: SimulationConfig, out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
     """Run a study: prepare, tune where asked, run every controller along every motion, report.
 
     Below `out` stand config.yaml, meta.json and report.html of the study, and `<motion>/<controller>/` with

@@ -31,7 +31,7 @@ class PlantSettings(Settings):
     delay_s: NotNegative = 0.0
     noise_deg: NotNegative = 0.0
     quantisation_deg: NotNegative = 0.0
-    mismatch: dict[str, float] = {}
+    mismatch: dict[str, float] = Field(default_factory=dict)
 
 
 class TuningSettings(Settings):
@@ -41,7 +41,7 @@ class TuningSettings(Settings):
         evaluations: closed-loop runs over all motions, about, for each controller.
     """
 
-    evaluations: Annotated[int, Field(ge=10)] = 150
+    evaluations: Annotated[int, Field(ge=10)] = 300
 
 
 def _known_controller(data: Any) -> Any:
@@ -60,9 +60,9 @@ class SimulationConfig(Settings):
     Attributes:
         plant: the device.
         model: what controllers know of it: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
-        inverse: simulator that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else, predictive
-            controllers take their first guess from it. For networks, which have no inverse of their own; where left
-            out, a backlash fitted to the network's free run.
+        inverse: simulator that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else,
+            predictive controllers take their first guess from it. For networks, which have no inverse of their own;
+            where left out, a backlash fitted to the network's free run.
         motions: references by name.
         controllers: controllers by name.
         limits: hard limits of command and rate; those of the model where left out.
@@ -110,7 +110,9 @@ def located(config: SimulationConfig, folder: Path) -> SimulationConfig:
         return text if text.startswith("builtin:") else str(path)
 
     motions = {
-        name: motion.model_copy(update={"file": folder / motion.file}) if isinstance(motion, SampledSettings) else motion
+        name: motion.model_copy(update={"file": folder / motion.file})
+        if isinstance(motion, SampledSettings)
+        else motion
         for name, motion in config.motions.items()
     }
     return config.model_copy(

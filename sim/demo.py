@@ -12,7 +12,7 @@ from .results import StudyResult
 
 def demo_config() -> SimulationConfig:
     """The study that `demo` runs; `sim/demo.yaml`."""
-    return load_simulation(Path(str(files(__package__).joinpath("demo.yaml"))))
+    return load_simulation(Path(str(files("hystmpc.sim").joinpath("demo.yaml"))))
 
 
 def demo(out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:

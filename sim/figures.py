@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from hystmpc.trials.plot_style import PALETTE, REFERENCE, new_figure
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
+from hystmpc.trials.plot_style import PALETTE, REFERENCE, new_figure
 
 from .results import Result
 

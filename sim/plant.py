@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, final
+from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
@@ -17,6 +18,8 @@ from hystmpc.models.operators.operator import Operator
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import ConfigError, did_you_mean
+
+Vec = NDArray[np.float64]
 
 _SETTLED_LAGS = 20.0  # time constants after which nothing is left of a step: e^-20 of 100 deg is 2e-7 deg
 
@@ -119,7 +122,8 @@ class SimulatedPlant:
         self.rest_command = commands.lower
         self._model = CompiledPredictor.of_simulator(self.simulator)
         self._rest = self._flexed(commands)
-        self._restart()
+        self._angle, self._state = self._rest
+        self._random = np.random.default_rng(seed)
 
     @property
     def dt(self) -> float:
@@ -133,7 +137,8 @@ class SimulatedPlant:
 
     def reset(self) -> float:
         """Bring the device to rest at its lowest command and return the measured tip angle [deg]."""
-        self._restart()
+        self._angle, self._state = self._rest
+        self._random = np.random.default_rng(self._seed)
         return self._measured()
 
     def apply(self, u: float) -> float:
@@ -144,11 +149,7 @@ class SimulatedPlant:
     def stop(self) -> None:
         """Nothing to do: a computed device is safe as it stands."""
 
-    def _restart(self) -> None:
-        self._angle, self._state = self._rest
-        self._random = np.random.default_rng(self._seed)
-
-    def _flexed(self, commands: Range) -> tuple[float, Any]:
+    def _flexed(self, commands: Range) -> tuple[float, Vec]:
         """Angle and state of the device at rest after its initialisation flexure."""
         settling = _SETTLED_LAGS * self._effects.lag_s + self._effects.delay_s
         flexure = initialisation_flexure(commands, self._dt, warmup_samples=1)

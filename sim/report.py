@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hystmpc.ctrl.config import InversePidControllerSettings, PidControllerSettings
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 
 from .figures import colours, error_figure, histogram_figure, loop_figure, timing_figure, tracking_figure
 from .results import Result, StudyResult, load_results

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.presets import CANONICAL
-from numpy.typing import NDArray
 
 from .closed_loop import ClosedLoopRun
 

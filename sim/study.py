@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import AnyControllerSettings, LimitsSettings, LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.library import model_path
 from hystmpc.models.inverse.shadow import shadow_simulator
+from hystmpc.models.library import model_path
 from hystmpc.models.load import AnyModel, load_model
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for

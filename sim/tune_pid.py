@@ -19,7 +19,7 @@ Vec = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 PidLike = PidControllerSettings | InversePidControllerSettings
 
-POPULATION = 10
+_PER_PARAMETER = 3
 _KP_KI = ((1e-4, 1.0), (1e-2, 10.0))  # [cmd/deg], [cmd/(deg s)], searched by their logarithms
 _KD = (0.0, 0.05)  # [cmd s/deg]
 _DEAD_ZONE_DEG = (0.0, 0.5)
@@ -60,9 +60,11 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
     """
     if study.config.tune_pid is None:
         raise ConfigError("tune_pid: got none, expected settings of the search")
+    bounds = np.array([*np.log(_KP_KI), _KD, _DEAD_ZONE_DEG])
+    population = _PER_PARAMETER * len(bounds)
     # scipy counts generations after the first population
-    generations = max(1, study.config.tune_pid.evaluations // POPULATION - 1)
-    total, done = POPULATION * (generations + 1), 0
+    generations = max(1, study.config.tune_pid.evaluations // population - 1)
+    total, done = population * (generations + 1), 0
 
     def cost(x: Vec) -> float:
         nonlocal done
@@ -71,11 +73,11 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
             progress(min(done, total), total)
         return _mean_square(study, with_gains(settings, x))
 
-    bounds = np.array([*np.log(_KP_KI), _KD, _DEAD_ZONE_DEG])
     found: OptimizeResult = differential_evolution(
         cost,
         bounds,
-        init=_population(bounds, _point(settings), study.config.seed),
+        x0=np.clip(_point(settings), *bounds.T),
+        popsize=_PER_PARAMETER,
         maxiter=generations,
         polish=False,
         tol=1e-4,
@@ -117,16 +119,6 @@ def _point(settings: PidLike) -> Vec:
     least = [low for low, _ in _KP_KI]
     kp_ki = np.log(np.maximum([gains.kp_per_deg, gains.ki_per_deg_s], least))
     return np.array([*kp_ki, gains.kd_s_per_deg, gains.dead_zone_deg])
-
-
-def _population(bounds: Vec, given: Vec, seed: int) -> Vec:
-    """The given point and others spread over the box, one in each of as many slices of every axis."""
-    random = np.random.default_rng(seed)
-    slices = np.stack([random.permutation(POPULATION) for _ in bounds], axis=1)
-    unit = (slices + random.random(slices.shape)) / POPULATION
-    points = bounds[:, 0] + unit * (bounds[:, 1] - bounds[:, 0])
-    points[0] = np.clip(given, bounds[:, 0], bounds[:, 1])
-    return points
 
 
 def _mean_square(study: Study, settings: AnyControllerSettings) -> float:

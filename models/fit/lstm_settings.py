@@ -72,6 +72,9 @@ class StreamTraining(Settings):
         rounds_between_checks: passes over the trials between two free runs over the held-out trials.
         copies: how often each recorded trial runs in a round.
         time_scaling: copies are stretched or compressed in time by up to this share, uniformly in the logarithm.
+        longest_pause: copies pause once for up to this many samples, the angle held; 0 for none. That a device holds
+            under constant command is an assumption (no creep), without which a network drifts where the trials have
+            no holds.
         clip_norm: greatest norm of a gradient.
         averaging: decay per update of the running mean of the weights, which is what is judged and returned.
         teacher: None to learn from the recorded trials alone.
@@ -85,6 +88,7 @@ class StreamTraining(Settings):
     rounds_between_checks: Count = 10
     copies: Count = 2
     time_scaling: Annotated[float, Field(ge=0, le=0.5)] = 0.2
+    longest_pause: Annotated[int, Field(ge=0)] = 0
     clip_norm: Positive = 1.0
     averaging: Annotated[float, Field(ge=0, lt=1)] = 0.98
     teacher: TeacherSettings | None = TeacherSettings()
@@ -111,7 +115,7 @@ class LstmSettings(Settings):
     """
 
     preset: str = "best"
-    hidden: Count = 64
+    hidden: Annotated[int, Field(ge=2)] = 64
     layers: Count = 2
     scaling: ScalingSettings | None = None
     memory_samples: Annotated[int, Field(ge=0)] = 300

@@ -14,7 +14,7 @@ from hystmpc.trials.errors import FitError
 
 from ..lstm.torch_ import LstmNet
 from .lstm_settings import LstmSettings, StreamTraining, WindowTraining
-from .streams import Rng, Run, Streams, arrange, stretch
+from .streams import Rng, Run, Streams, arrange, pause, stretch
 from .windows import draw_windows
 
 _EPSILON = 1e-4  # of S2 eq. (12)
@@ -114,6 +114,7 @@ def stream_checks(
     squares = samples = 0.0
     while step < way.updates:
         runs = stretch([run for run in training for _ in range(way.copies)], way.time_scaling, rng)
+        runs = pause(runs, way.longest_pause, rng)
         if teacher is not None and way.teacher is not None:
             start, end = way.teacher.weight
             runs += teacher(start + (end - start) * step / way.updates, rng)

@@ -33,6 +33,11 @@ class Run:
         parts = (np.interp(at, own, signal) for signal in (self.command, self.angle, self.weight))
         return type(self)(*parts)
 
+    def paused(self, at: int, samples: int) -> Self:
+        """The same motion with command and angle held for `samples` after sample `at`, as hysteresis would hold."""
+        index = np.concatenate([np.arange(at + 1), np.full(samples, at), np.arange(at + 1, self.command.size)])
+        return type(self)(self.command[index], self.angle[index], self.weight[index])
+
 
 @dataclass(frozen=True)
 class Streams:
@@ -53,6 +58,11 @@ def stretch(runs: Sequence[Run], share: float, rng: Rng) -> list[Run]:
     """Each run at a speed of its own, up to `1 + share` times faster or slower."""
     reach = np.log1p(share)
     return [run.stretched(float(np.exp(rng.uniform(-reach, reach)))) for run in runs]
+
+
+def pause(runs: Sequence[Run], longest: int, rng: Rng) -> list[Run]:
+    """Each run with a pause of up to `longest` samples after a random one of its samples."""
+    return [run.paused(int(rng.integers(run.command.size)), int(rng.integers(longest + 1))) for run in runs]
 
 
 def arrange(runs: Sequence[Run], streams: int, length: int, warmup: int, rng: Rng) -> Streams:

@@ -12,8 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hystmpc.models.lstm.weights import LstmWeights
-
+from ..lstm.weights import LstmWeights
 from .lstm_gates import add_multiple, add_row, cell_row, derivative_row, differentiated_cell_row, dot_row
 
 Float32 = NDArray[np.float32]

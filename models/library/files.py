@@ -41,5 +41,5 @@ def model_path(text: str, folder: Path | str = ".") -> Path:
 
 def _shipped() -> dict[str, Path]:
     # A wheel is always unpacked, so that the folder of a resource is a real one.
-    entries = (Path(str(entry)) for entry in files(__package__).iterdir())
+    entries = (Path(str(entry)) for entry in files("hystmpc.models.library").iterdir())
     return {path.stem.replace("_", "-"): path for path in entries if path.suffix in _ENDINGS}

@@ -6,7 +6,7 @@ import ast
 import importlib.util
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -56,9 +56,10 @@ class Module:
                 yield from ((node.lineno, f"{base}.{alias.name}") for alias in node.names)
 
 
-def modules(root: Path = ROOT) -> list[Module]:
+@lru_cache
+def modules(root: Path = ROOT) -> tuple[Module, ...]:
     """Every module of every room."""
-    return [Module(root, path) for room in ROOMS for path in sorted((root / room).rglob("*.py"))]
+    return tuple(Module(root, path) for room in ROOMS for path in sorted((root / room).rglob("*.py")))
 
 
 def functions(tree: ast.AST) -> Iterator[Function]:

@@ -15,7 +15,7 @@ from hystmpc.models.fit.lstm_bundle import lstm_bundle
 from hystmpc.models.fit.lstm_settings import LSTM_PRESETS, LstmSettings, StreamTraining, TeacherSettings, WindowTraining
 from hystmpc.models.fit.lstm_teacher import Teacher
 from hystmpc.models.fit.split import hold_out
-from hystmpc.models.fit.streams import Run, arrange, stretch
+from hystmpc.models.fit.streams import Run, arrange, pause, stretch
 from hystmpc.models.fit.windows import draw_windows
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
@@ -184,6 +184,19 @@ def test_stretched_runs_are_the_same_motion_at_another_speed() -> None:
         speed = 500 / copy.command.size
         assert 1 / 1.21 < speed < 1.21
         np.testing.assert_allclose(copy.command**2 + copy.angle**2, 1.0, atol=1e-3)
+
+
+def test_paused_runs_hold_and_go_on() -> None:
+    run = Run(np.arange(40.0), np.arange(40.0) + 7, np.ones(40))
+    copies = pause([run] * 50, 30, np.random.default_rng(2))
+    assert {copy.command.size for copy in copies} <= set(range(40, 71))
+    assert len({copy.command.size for copy in copies}) > 10
+    for copy in copies:
+        np.testing.assert_array_equal(copy.angle, copy.command + 7)
+        np.testing.assert_array_equal(np.unique(copy.command), run.command)
+        assert np.count_nonzero(np.diff(copy.command) == 0) == copy.command.size - 40
+        assert (np.diff(copy.command) >= 0).all()
+        assert copy.weight.all()
 
 
 def test_windows_are_pieces_of_runs() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from hystmpc.models.chain import Chain
 from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.operators.backlash import Backlash

@@ -1,0 +1,102 @@
+"""A wrong study is answered in one line that names the key, what was got and what there is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hystmpc.models.library import library_file, library_names, model_path
+from hystmpc.models.load import load_model
+from hystmpc.sim.config import SimulationConfig, load_simulation
+from hystmpc.sim.demo import demo_config
+from hystmpc.sim.study import prepare
+from hystmpc.trials.config import dump_yaml
+from hystmpc.trials.errors import ConfigError, ControllerError, HystmpcError, ModelError
+
+from .small import MOVE, study, study_data
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"plnat": {}}, r"unknown key 'plnat'.*did you mean 'plant'"),
+        ({"plant": {"simulator": "x.yaml", "lag": 0.1}}, r"plant.*unknown key 'lag'.*did you mean 'lag_s'"),
+        ({"plant": {"simulator": "x.yaml", "lag_s": -1}}, r"plant\.lag_s.*greater than or equal to 0.*-1"),
+        ({"controllers": {"a": {"kind": "mpc"}}}, r"controllers\.a.*unknown kind 'mpc'.*linearised_mpc"),
+        ({"controllers": {"a": {}}}, r"controllers\.a.*no key 'kind'.*available: inverse"),
+        ({"controllers": {"a b": {"kind": "pid"}}}, r"controllers\.a b.*pattern"),
+        ({"controllers": {}}, r"controllers.*at least 1"),
+        ({"motions": {"m": {"kind": "walk"}}}, r"motions\.m.*unknown kind 'walk'"),
+        ({"motions": {"../m": MOVE}}, r"motions.*pattern"),
+        ({"limits": {"lower": 2, "upper": 1, "rate_per_s": 1}}, r"limits.*lower < upper"),
+    ],
+)
+def test_wrong_settings(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as error:
+        SimulationConfig.parse(study_data(**changes))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "message"),
+    [
+        ({"model": "builtin:lsmt"}, ModelError, "'lsmt', available: .*did you mean 'lstm'"),
+        ({"plant": {"simulator": "nowhere.yaml"}}, ModelError, r"nowhere\.yaml: cannot be read"),
+        ({"plant": {"simulator": "builtin:pi", "mismatch": {"lag.tau": 2}}}, ConfigError, r"mismatch.*'lag\.tau'"),
+        (
+            {"controllers": {"pid": {"kind": "pid", "limits": {"lower": -1, "upper": 6, "rate_per_s": 1}}}},
+            ControllerError,
+            r"controllers\.pid: limits: got -1",
+        ),
+        (
+            {"controllers": {"pid": {"kind": "pid", "limits": {"lower": 1, "upper": 6, "rate_per_s": 1}}}},
+            ControllerError,
+            r"controllers\.pid: .*start at",
+        ),
+    ],
+)
+def test_what_cannot_be_prepared(changes: dict[str, Any], kind: type[HystmpcError], message: str) -> None:
+    with pytest.raises(kind, match=message):
+        prepare(study(**changes))
+
+
+def test_relative_files_start_at_the_folder_of_the_settings(tmp_path: Path) -> None:
+    (tmp_path / "motion.csv").write_text("time_s,angle_deg\n0,29\n1,40\n")
+    motions = {"recorded": {"kind": "sampled", "file": "motion.csv"}}
+    plant = {"simulator": "../device.yaml"}
+    file = tmp_path / "below" / "study.yaml"
+    file.parent.mkdir()
+    file.write_text(dump_yaml(study_data(plant=plant, motions=motions, inverse="own.yaml")))
+    config = load_simulation(file, ["plant.lag_s=0.1", "motions.recorded.file=../motion.csv"])
+    assert Path(config.plant.simulator).resolve() == tmp_path / "device.yaml"
+    assert config.inverse == str(file.parent / "own.yaml")
+    assert config.model == "builtin:pi"
+    assert config.plant.lag_s == 0.1
+    assert config.motions["recorded"].build().duration_s == 1.0
+
+
+def test_settings_of_a_run_are_settings_again() -> None:
+    config = demo_config()
+    assert SimulationConfig.parse(config.model_dump(mode="json")) == config
+
+
+@pytest.mark.parametrize("name", library_names())
+def test_every_model_that_ships_opens(name: str) -> None:
+    assert load_model(library_file(name)).metadata.command_unit == "mm"
+
+
+def test_a_path_is_no_built_in_name() -> None:
+    assert model_path("lstm.onnx", "there") == Path("there/lstm.onnx")
+    assert model_path("builtin:lstm", "there") == library_file("lstm")
+
+
+@pytest.mark.parametrize("file", sorted(EXAMPLES.glob("simulate*.yaml")), ids=lambda file: file.name)
+def test_examples_are_valid(file: Path) -> None:
+    config = load_simulation(file)
+    assert {s.kind for s in config.controllers.values()} >= {"inverse", "pid", "linearised_mpc", "sampling_mpc"}
+    for motion in config.motions.values():
+        assert motion.build().duration_s > 0
