@@ -44,6 +44,9 @@ def fit(
     plays: Annotated[int, typer.Option(min=1, max=50, help="Plays of a pi.")] = 4,
     training: Annotated[str, typer.Option(help=f"How an lstm is trained: {', '.join(LSTM_PRESETS)}.")] = "best",
     epochs: Annotated[int | None, typer.Option(min=1, help="Epochs (paper) or updates (best) of an lstm.")] = None,
+    hold_out: Annotated[
+        int | None, typer.Option(min=0, help="Whole trials by which an lstm is stopped early; else the preset's.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of everything drawn at random.")] = 1,
     command_limits: Annotated[
         tuple[float, float] | None, typer.Option(help="Least and greatest command of the device; else those seen.")
@@ -62,7 +65,7 @@ def fit(
     )
     limits = DeviceLimits(box, command_rate or None)
     if kind is Kind.LSTM:
-        _fit_network(trials, _lstm_settings(training, epochs, seed, skip_first_flexure), limits, path)
+        _fit_network(trials, _lstm_settings(training, epochs, hold_out, seed, skip_first_flexure), limits, path)
     else:
         _fit_operator(kind, trials, OperatorFitSettings(skip_first_flexure, seed=seed), plays, limits, path)
     model = load_model(path)
@@ -86,18 +89,21 @@ def _fit_operator(
 def _fit_network(trials: list[Trial], settings: LstmSettings, limits: DeviceLimits, path: Path) -> None:
     with bar("fit lstm", settings.steps) as show:
         show(0, "first check")
-        result = fit_lstm(trials, settings, lambda done, rmse: show(done, f"held out {rmse:.3f} deg"))
+        result = fit_lstm(trials, settings, lambda done, rmse: show(done, f"best {rmse:.3f} deg"))
     if result.interrupted:
         errors.print("interrupted: the best so far is kept", style="yellow")
     gate = export_onnx(lstm_bundle(result, trials, limits), path)
-    held = ", ".join(Path(source).name for source in result.held_out) or "none"
+    judges = ", ".join(Path(source).name for source in result.held_out) or "the training trials"
     out.print(
-        f"stopped at step {result.best_step} of {settings.steps} by {held}; exported within "
-        f"{max(gate.runtime_deg, gate.casadi_deg):.2g} deg of the reference over {gate.steps} steps"
+        f"weights of step {result.best_step} of {settings.steps}, judged by {judges} "
+        f"({result.validation_rmse_deg:.3f} deg); exported within {max(gate.runtime_deg, gate.casadi_deg):.2g} deg of "
+        f"the reference over {gate.steps} steps"
     )
 
 
-def _lstm_settings(training: str, epochs: int | None, seed: int, skip_first_flexure: bool) -> LstmSettings:
+def _lstm_settings(
+    training: str, epochs: int | None, hold_out: int | None, seed: int, skip_first_flexure: bool
+) -> LstmSettings:
     if training not in LSTM_PRESETS:
         raise ConfigError(f"--training {training}: {did_you_mean(training, LSTM_PRESETS)}")
     chosen = LSTM_PRESETS[training]
@@ -105,7 +111,10 @@ def _lstm_settings(training: str, epochs: int | None, seed: int, skip_first_flex
     if epochs is not None:
         way = way.model_copy(update={"epochs" if isinstance(way, WindowTraining) else "updates": epochs})
     weight = 0.0 if skip_first_flexure else chosen.first_flexure_weight
-    return chosen.model_copy(update={"seed": seed, "training": way, "first_flexure_weight": weight})
+    changes = {"seed": seed, "training": way, "first_flexure_weight": weight}
+    if hold_out is not None:
+        changes["validation_trials"] = hold_out
+    return chosen.model_copy(update=changes)
 
 
 def _check_ending(kind: Kind, path: Path) -> None:

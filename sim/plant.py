@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import final
 
@@ -145,6 +146,13 @@ class SimulatedPlant:
         """Apply command `u` for one sample and return the tip angle measured at its end [deg]."""
         self._angle, self._state = self._model.advance(self._state, u)
         return self._measured()
+
+    def reseeded(self, seed: int) -> SimulatedPlant:
+        """The same device with another realisation of its sensor noise."""
+        other = copy(self)
+        other._seed = seed
+        other.reset()
+        return other
 
     def stop(self) -> None:
         """Nothing to do: a computed device is safe as it stands."""

@@ -28,7 +28,7 @@ Progress = Callable[[int, float], None]
 
 @dataclass(frozen=True)
 class LstmCheck:
-    """One look during training: epochs or updates done, error in training and on the held-out trials [deg]."""
+    """One look during training: epochs or updates done, error in training (teacher's runs included), held out [deg]."""
 
     step: int
     training_rmse_deg: float
@@ -131,13 +131,14 @@ def _looks(
             yield LstmCheck(check.step, *in_degrees), weights_of(check.net, scaling)
 
 
-def _teacher(training: Sequence[Trial], scaling: LstmScaling, way: StreamTraining) -> TeacherRuns | None:
+def _teacher(training: Sequence[Trial], scaling: LstmScaling, way: StreamTraining) -> TeacherRuns:
     if way.teacher is None:
-        return None
+        return lambda done, rng: []
     teacher, count = Teacher(training, way.teacher.plays), way.teacher.runs
+    first, last = way.teacher.weight
 
-    def runs(weight: float, rng: Rng) -> list[Run]:
-        return [_scaled(run, scaling) for run in teacher.runs(count, weight, rng)]
+    def runs(done: float, rng: Rng) -> list[Run]:
+        return [_scaled(run, scaling) for run in teacher.runs(count, first + (last - first) * done, rng)]
 
     return runs
 

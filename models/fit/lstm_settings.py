@@ -83,12 +83,12 @@ class StreamTraining(Settings):
     scheme: Literal["streams"] = "streams"
     length: Annotated[int, Field(ge=2)] = 100
     streams: Count = 8
-    matrix_learning_rate: Positive = 0.02
+    matrix_learning_rate: Positive = 0.01
     updates: Count = 4000
     rounds_between_checks: Count = 10
     copies: Count = 2
     time_scaling: Annotated[float, Field(ge=0, le=0.5)] = 0.2
-    longest_pause: Annotated[int, Field(ge=0)] = 0
+    longest_pause: Annotated[int, Field(ge=0)] = 250
     clip_norm: Positive = 1.0
     averaging: Annotated[float, Field(ge=0, lt=1)] = 0.98
     teacher: TeacherSettings | None = TeacherSettings()
@@ -107,7 +107,9 @@ class LstmSettings(Settings):
             sample, a hundredth of its range; louder from the start, hysteresis is found sooner.
         first_flexure_weight: weight of samples before the first reversal of the command, 0 to leave them out; the
             network runs through them in any case.
-        validation_trials: whole trials held out to choose the best weights; with 0 the training trials judge.
+        validation_trials: whole trials held out to choose the best weights. With 0 the training trials judge: the rates
+            of `streams` end at zero and the last weights are nearly always the best, so that a handful of trials is
+            better spent on training.
         learning_rate: of Adam.
         seed: of weights, order and augmentation.
         threads: of torch.
@@ -122,7 +124,7 @@ class LstmSettings(Settings):
     warmup_samples: Annotated[int, Field(ge=0)] = 25
     command_gain: Positive = 4.0
     first_flexure_weight: Share = 1.0
-    validation_trials: Annotated[int, Field(ge=0)] = 1
+    validation_trials: Annotated[int, Field(ge=0)] = 0
     learning_rate: Positive = 3e-3
     seed: int = 1
     threads: Count = 1
@@ -141,6 +143,7 @@ LSTM_PRESETS = {
         scaling=ScalingSettings(),
         memory_samples=0,
         command_gain=1.0,
+        validation_trials=1,
         warmup_samples=0,
         learning_rate=1e-3,
         training=WindowTraining(),

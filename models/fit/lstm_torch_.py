@@ -39,7 +39,7 @@ class Check:
 
 
 TeacherRuns = Callable[[float, Rng], list[Run]]
-"""Scaled runs of a teacher with the given weight of a sample, drawn anew at every call."""
+"""Scaled runs of a teacher, drawn anew at every call; the first argument is the share of training that is done."""
 
 
 @contextmanager
@@ -98,7 +98,7 @@ def stream_checks(
     net: LstmNet,
     training: Sequence[Run],
     held_out: Sequence[Run],
-    teacher: TeacherRuns | None,
+    teacher: TeacherRuns,
     settings: LstmSettings,
     way: StreamTraining,
 ) -> Iterator[Check]:
@@ -115,9 +115,7 @@ def stream_checks(
     while step < way.updates:
         runs = stretch([run for run in training for _ in range(way.copies)], way.time_scaling, rng)
         runs = pause(runs, way.longest_pause, rng)
-        if teacher is not None and way.teacher is not None:
-            start, end = way.teacher.weight
-            runs += teacher(start + (end - start) * step / way.updates, rng)
+        runs += teacher(step / way.updates, rng)
         state = None
         streams = arrange(runs, way.streams, way.length, settings.warmup_samples, rng)
         for command, angle, weight, fresh in _pieces(streams):

@@ -14,7 +14,7 @@ from .graph import lstm_rollout_graph
 from .weights import LstmWeights
 
 Float32 = NDArray[np.float32]
-_CHUNK = 64  # plans at a time: their gates stay in the second-level cache
+_CHUNK = 32  # plans at a time: their gates stay in the second-level cache
 _ERRORS_ONLY = 3
 
 

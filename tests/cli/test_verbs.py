@@ -160,7 +160,7 @@ def test_ctrl_c_during_training_keeps_the_best_so_far(logs: list[Path], tmp_path
         [sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, stderr=terminal, text=True
     )
     os.close(terminal)
-    seen = shown_until(screen, "held out")
+    seen = shown_until(screen, "best ")
     process.send_signal(signal.SIGINT)
     seen += shown_until(screen, "interrupted")
     out, _ = process.communicate(timeout=120)

@@ -102,6 +102,15 @@ def test_equal_seeds_give_equal_noise_after_every_reset() -> None:
     assert first != [other.reset(), *(other.apply(1.0) for _ in range(20))]
 
 
+def test_reseeded_plant_is_the_same_device_with_other_noise() -> None:
+    plant = SimulatedPlant(catheter(), Effects(lag_s=0.1, noise_deg=0.15), seed=7)
+    other = plant.reseeded(8)
+    measured = plant.reset()
+    assert other.reset() != measured
+    assert plant.reset() == measured
+    np.testing.assert_array_equal(run(other), run(plant))
+
+
 def test_noise_has_the_given_deviation_and_leaves_the_true_angle_alone() -> None:
     quiet, noisy = SimulatedPlant(catheter()), SimulatedPlant(catheter(), Effects(noise_deg=0.15), seed=3)
     noisy.reset()
