@@ -60,6 +60,7 @@ class SimulationConfig(Settings):
     Attributes:
         plant: the device.
         model: what controllers know of it: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
+        actuator_lag_s: first-order lag of the command that the model does not contain and controllers are told of.
         inverse: simulator that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else,
             predictive controllers take their first guess from it. For networks, which have no inverse of their own;
             where left out, a backlash fitted to the network's free run.
@@ -76,6 +77,7 @@ class SimulationConfig(Settings):
     plant: PlantSettings
     model: str
     inverse: str | None = None
+    actuator_lag_s: NotNegative = 0.0
     motions: dict[Name, Motion] = Field(min_length=1)
     controllers: dict[Name, Annotated[ControllerSettings, BeforeValidator(_known_controller)]] = Field(min_length=1)
     limits: LimitsSettings | None = None

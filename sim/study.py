@@ -19,6 +19,7 @@ from hystmpc.models.inverse.shadow import shadow_simulator
 from hystmpc.models.library import model_path
 from hystmpc.models.load import AnyModel, load_model
 from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.prediction.actuated import ActuatedInverse, ActuatedPredictor
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import Simulator, load_simulator
@@ -93,13 +94,15 @@ def prepare(config: SimulationConfig) -> Study:
     effects = Effects(**config.plant.model_dump(exclude={"simulator"}))
     flexure = Range(lower=limits.lower, upper=limits.upper)
     companion = at_sample_time(load_simulator(files[2]), facts.dt_s) if config.inverse else _companion(model)
-    predictor, inverse = predictor_and_inverse(model, companion)
+    known = predictor_and_inverse(model, companion)
+    feedforward = predictor_and_inverse(ChainModel(companion)) if companion else known
+    predictor, inverse = _actuated(known, config.actuator_lag_s)
     study = Study(
         config=config.model_copy(update={"limits": limits}),
         plant=SimulatedPlant(device, effects, predictor.dt, flexure, config.seed),
         predictor=predictor,
         inverse=inverse,
-        feedforward=predictor_and_inverse(ChainModel(companion)) if companion else (predictor, inverse),
+        feedforward=_actuated(feedforward, config.actuator_lag_s),
         limits=CommandLimits(limits.lower, limits.upper, limits.rate_per_s),
         motions={name: motion.build() for name, motion in config.motions.items()},
         files=tuple(files),
@@ -107,6 +110,14 @@ def prepare(config: SimulationConfig) -> Study:
     for name, settings in config.controllers.items():
         _warm_up(study, name, settings)
     return study
+
+
+def _actuated(model: tuple[Predictor, Inverse], lag_s: float) -> tuple[Predictor, Inverse]:
+    """The model behind an actuator of known lag; the model itself where that is zero."""
+    if lag_s == 0:
+        return model
+    predictor = ActuatedPredictor(model[0], lag_s)
+    return predictor, ActuatedInverse(predictor, model[1])
 
 
 def _companion(model: AnyModel) -> Simulator | None:

@@ -59,13 +59,14 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
         ConfigError: if the study has no `tune_pid`.
         KeyboardInterrupt: if the user ends the search; nothing is kept.
     """
-    if study.config.tune_pid is None:
+    search = study.config.tune_pid
+    if search is None:
         raise ConfigError("tune_pid: got none, expected settings of the search")
     study = replace(study, plant=study.plant.reseeded(study.config.seed + 1))
     bounds = np.array([*np.log(_KP_KI), _KD, _DEAD_ZONE_DEG])
     population = _PER_PARAMETER * len(bounds)
     # scipy counts generations after the first population
-    generations = max(1, study.config.tune_pid.evaluations // population - 1)
+    generations = max(1, search.evaluations // population - 1)
     total, done = population * (generations + 1), 0
 
     def cost(x: Vec) -> float:
