@@ -18,7 +18,7 @@ from hystmpc.trials.files import write_atomically
 from .console import bar, out, table
 from .options import Layout, Logs, SkipFirstFlexure, trials_at
 
-_COLUMNS = ("trial", "RMSE", "bias", "offset-free", "max abs", "NRMSE %", "hold drift")
+_COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
 
 
 def evaluate(
@@ -42,7 +42,7 @@ def evaluate(
 
 
 def errors_table(title: str, results: Sequence[TrialEvaluation]) -> Table:
-    """Errors a trial and their mean [deg]."""
+    """Errors a trial and their mean [deg]; `no bias` is the offset-free RMSE."""
     rows = [_row(Path(result.trial.source).name, result.errors) for result in results]
     return table(title, _COLUMNS, [*rows, _row("mean", mean_errors(results))], last_apart=True)
 
