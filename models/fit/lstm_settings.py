@@ -107,9 +107,8 @@ class LstmSettings(Settings):
             sample, a hundredth of its range; louder from the start, hysteresis is found sooner.
         first_flexure_weight: weight of samples before the first reversal of the command, 0 to leave them out; the
             network runs through them in any case.
-        validation_trials: whole trials held out to choose the best weights. With 0 the training trials judge: the rates
-            of `streams` end at zero and the last weights are nearly always the best, so that a handful of trials is
-            better spent on training.
+        validation_trials: whole trials held out to choose the best weights. With 0 the training trials judge; the rates
+            of `streams` end at zero, and of a handful of trials each is better spent on training.
         learning_rate: of Adam.
         seed: of weights, order and augmentation.
         threads: of torch.

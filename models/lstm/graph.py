@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
@@ -75,7 +77,7 @@ def lstm_rollout_graph(weights: LstmWeights) -> onnx.GraphProto:
 def _layer_nodes(k: int, x: str) -> list[onnx.NodeProto]:
     """c' = f c + i g, h' = o tanh(c') of layer k with input `x`."""
 
-    def node(kind: str, inputs: list[str], output: str, **attributes: int) -> onnx.NodeProto:
+    def node(kind: str, inputs: list[str], output: str, **attributes: Any) -> onnx.NodeProto:
         return helper.make_node(kind, inputs, [output], name=f"layer_{k}_{output}", **attributes)
 
     gates = [f"{gate}_{k}" for gate in ("zi", "zf", "zg", "zo")]

@@ -39,5 +39,6 @@ class RolloutSession:
         angles = np.empty_like(plans)
         for first in range(0, len(plans), _CHUNK):
             part = plans[first : first + _CHUNK]
-            (angles[first : first + _CHUNK],) = self._run(["theta"], {"u": part, "state": states[: len(part)]})
+            (theta,) = self._run(["theta"], {"u": part, "state": states[: len(part)]})
+            angles[first : first + _CHUNK] = np.asarray(theta)
         return angles

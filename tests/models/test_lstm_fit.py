@@ -23,6 +23,7 @@ from hystmpc.trials.trial import Trial
 from .lstm_examples import DT, decaying_trial, four_trials
 
 torch = pytest.importorskip("torch")
+pytestmark = pytest.mark.slow
 
 STREAMS = StreamTraining(length=25, streams=4, updates=240, rounds_between_checks=1, averaging=0.9, teacher=None)
 SMALL = LstmSettings(hidden=8, layers=2, warmup_samples=5, learning_rate=1e-2, validation_trials=1, training=STREAMS)
