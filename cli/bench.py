@@ -51,6 +51,7 @@ def _print(report: Report, console: Console) -> None:
         console.print(f"{name}: {source}", highlight=False)
     grid = table(_title(report), COLUMNS, table_rows(report))
     for name, column in zip(COLUMNS, grid.columns, strict=True):
+        column.no_wrap = False  # its texts are longer than a terminal leaves them
         if name in _TEXT:
             column.justify = "left"
     console.print(grid)
