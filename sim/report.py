@@ -76,7 +76,8 @@ def _set_up(result: StudyResult) -> Iterator[Piece]:
         "plant": _short(config.plant.simulator),
         "effects": ", ".join(f"{name} {value}" for name, value in plant.items()) or "none",
         "model": _short(config.model),
-        "inverse": _short(config.inverse) if config.inverse else "that of the model",
+        "inverse": _short(config.inverse) if config.inverse else "the model's own, or a backlash fitted to a network",
+        "actuator lag told to controllers": f"{config.actuator_lag_s:g} s" if config.actuator_lag_s else "none",
         "sample time": f"{result.results[0].run.dt:g} s",
         "seed": config.seed,
     }
