@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.segments import first_flexure_end, segment
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.trial import Trial, Units
 
 from .contract.metadata import ModelMetadata
 from .model import Model
@@ -86,18 +86,20 @@ def free_run(model: RunnableModel, commands: Vec, y: float) -> Vec:
 
 
 def evaluate(model: RunnableModel, trial: Trial, skip_first_flexure: bool = False) -> TrialEvaluation:
-    """Score a free run over one trial that is sampled at the model's sample time.
+    """Score a free run over one trial that is sampled at the model's sample time; an inverse map runs over it swapped.
 
     Raises:
         ModelError: if sample times or units differ, or the model's angle is not finite.
         LogError: if the first flexure is to be skipped and the command never turns.
     """
     metadata = model.metadata
+    trial = trial.swapped() if metadata.inverted and not trial.inverted else trial
     if abs(trial.dt - metadata.dt_s) > 1e-3 * metadata.dt_s:
         raise ModelError(f"{trial.source}: sampled every {trial.dt:.6g} s, expected {metadata.dt_s:.6g} s; resample it")
-    if trial.units.command != metadata.command_unit:
+    if trial.units != Units(metadata.command_unit, metadata.angle_unit):
         raise ModelError(
-            f"{trial.source}: command in {trial.units.command}, expected {metadata.command_unit} as the model takes"
+            f"{trial.source}: {trial.units.command} in and {trial.units.angle} out, expected {metadata.command_unit} "
+            f"and {metadata.angle_unit} as the model has them"
         )
     held = round(HOLD_S / trial.dt)
     commands = np.concatenate([trial.command, np.full(held, trial.command[-1])])

@@ -60,6 +60,7 @@ class SimulatorFile(Settings):
     trained_command: Range
     trained_angle_deg: Range
     trained_rate_per_s: Positive
+    angle_unit: str = "deg"
     chain: dict[Literal["before", "core", "after"], Any]
     identification: Identification
 
@@ -72,6 +73,7 @@ class Simulator:
         chain: the operators.
         dt_s: sample time at which it was identified [s]; the operators themselves hold at any.
         command_unit: mm or bar.
+        angle_unit: deg; an inverse map takes deg and gives mm or bar.
         command_limits, command_rate_per_s: what the device may be sent.
         trained_command, trained_angle_deg, trained_rate_per_s: what identification saw.
         identification: method, data and residuals.
@@ -86,6 +88,7 @@ class Simulator:
     trained_angle_deg: Range
     trained_rate_per_s: float
     identification: Identification
+    angle_unit: str = "deg"
 
     def metadata(self) -> ModelMetadata:
         """The facts of the model contract.
@@ -101,6 +104,7 @@ class Simulator:
             kind=self.chain.core.name if single else "chain",
             dt_s=self.dt_s,
             command_unit=self.command_unit,
+            angle_unit=self.angle_unit,
             command_limits=self.command_limits,
             command_rate=self.command_rate_per_s,
             trained_command=self.trained_command,
@@ -121,6 +125,7 @@ def save_simulator(simulator: Simulator, path: Path | str) -> Path:
         "format": FORMAT,
         "dt_s": simulator.dt_s,
         "command_unit": simulator.command_unit,
+        "angle_unit": simulator.angle_unit,
         "command_limits": simulator.command_limits.model_dump(),
         "command_rate_per_s": simulator.command_rate_per_s,
         "trained_command": simulator.trained_command.model_dump(),

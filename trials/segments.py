@@ -77,19 +77,21 @@ DEFAULT_RULE = SegmentRule()
 def segment(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> Segments:
     """Label every sample of a uniformly sampled trial.
 
-    A sample belongs to the motion that led to it; a command that never moves is one hold.
+    A sample belongs to the motion that led to it; a command that never moves is one hold. In a trial whose command and
+    angle have changed places it is still the device's command that is looked at.
 
     Raises:
         LogError: if the sampling is not uniform.
     """
     dt = require_uniform(trial)
-    span = float(np.ptp(trial.command))
-    direction, reversals = _turning_points(trial.command, rule.reversal * span)
+    command = _device_command(trial)
+    span = float(np.ptp(command))
+    direction, reversals = _turning_points(command, rule.reversal * span)
     labels = np.zeros(len(trial), dtype=np.int8)
     if direction:
         pieces = np.diff(np.concatenate(([0], reversals + 1, [len(trial)])))
         labels = np.repeat(direction * (-1) ** np.arange(pieces.size), pieces).astype(np.int8)
-    labels[_held(trial.command, round(rule.hold_s / dt) + 1, rule.hold_band * span)] = Motion.HOLD
+    labels[_held(command, round(rule.hold_s / dt) + 1, rule.hold_band * span)] = Motion.HOLD
     return Segments(labels, reversals)
 
 
@@ -100,13 +102,19 @@ def first_flexure_end(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> int:
         LogError: if the command never turns, or the sampling is not uniform.
     """
     require_uniform(trial)
-    _, reversals = _turning_points(trial.command, rule.reversal * float(np.ptp(trial.command)))
+    command = _device_command(trial)
+    _, reversals = _turning_points(command, rule.reversal * float(np.ptp(command)))
     if not reversals.size:
+        unit = trial.units.angle if trial.inverted else trial.units.command
         raise LogError(
-            f"{trial.source}: the command never turns back (it runs from {trial.command[0]:g} to "
-            f"{trial.command[-1]:g} {trial.units.command}), expected a reversal that ends the first flexure"
+            f"{trial.source}: the command never turns back (it runs from {command[0]:g} to "
+            f"{command[-1]:g} {unit}), expected a reversal that ends the first flexure"
         )
     return int(reversals[0])
+
+
+def _device_command(trial: Trial) -> Vec:
+    return trial.angle if trial.inverted else trial.command
 
 
 def _turning_points(command: Vec, threshold: float) -> tuple[int, Index]:

@@ -73,6 +73,16 @@ class Trial:
         return Trial, (self.t, self.command, self.angle, dict(self.channels), self.units, self.source)
 
     @property
+    def inverted(self) -> bool:
+        """Whether command and angle have changed places: what an inverse map is identified from."""
+        return self.units.command == "deg"
+
+    def swapped(self) -> Trial:
+        """The trial with command and angle exchanged, so that a model of it maps angle to command; twice is once."""
+        units = Units(self.units.angle, self.units.command)
+        return Trial(self.t, self.angle, self.command, self.channels, units, self.source)
+
+    @property
     def duration_s(self) -> float:
         """Time from the first to the last sample [s]."""
         return float(self.t[-1] - self.t[0])

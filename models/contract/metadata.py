@@ -66,7 +66,8 @@ class ModelMetadata(Settings):
         format: layout of graph and metadata; another version is refused.
         kind: what the model is, for messages and reports ("backlash", "prandtl_ishlinskii", "chain", "lstm", ...).
         dt_s: sample time of one step [s].
-        command_unit, angle_unit: units of `u` (mm or bar) and `theta`.
+        command_unit, angle_unit: units of `u` and `theta`: mm or bar and deg. An inverse map has them exchanged: its
+            input `u` is an angle [deg], its output `theta` a command, and "command" and "angle" below mean these.
         command_limits: what the device may be sent [command unit].
         command_rate: greatest change of the command [command unit/s].
         trained_command, trained_angle: ranges seen in identification [command unit], [deg].
@@ -98,14 +99,22 @@ class ModelMetadata(Settings):
     def _consistent(self) -> Self:
         if self.format != FORMAT:
             raise ValueError(f"format is {self.format!r}, this version of hystmpc reads {FORMAT!r}")
-        if self.angle_unit != "deg":
-            raise ValueError(f"angle_unit is {self.angle_unit!r}, expected 'deg'")
+        if (self.angle_unit == "deg") == (self.command_unit == "deg"):
+            raise ValueError(
+                f"command_unit is {self.command_unit!r} and angle_unit is {self.angle_unit!r}, expected 'deg' for one: "
+                "the angle of a forward model, the command of an inverse map"
+            )
         if len(self.initial.offset) != len(self.conditioned.offset):
             raise ValueError(
                 f"initial has {len(self.initial.offset)} state entries, conditioned "
                 f"{len(self.conditioned.offset)}, expected as many"
             )
         return self
+
+    @property
+    def inverted(self) -> bool:
+        """Whether this is an inverse map, angle in and command out."""
+        return self.command_unit == "deg"
 
     @property
     def state_size(self) -> int:

@@ -78,6 +78,7 @@ def _simulator(chain: Chain, trials: Sequence[Trial], settings: OperatorFitSetti
             chain=chain,
             dt_s=check_trial_set(trials),
             command_unit=trials[0].units.command,
+            angle_unit=trials[0].units.angle,
             command_limits=limits.command or command_range(trials),
             command_rate_per_s=limits.rate_per_s or fastest_command(trials),
             trained_command=command_range(trials),

@@ -13,6 +13,7 @@ from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 
+from ..contract.gate import TOLERANCE_DEG
 from ..lstm.weights import LstmScaling, LstmWeights
 from .lstm_settings import LstmSettings, StreamTraining
 from .lstm_teacher import Teacher
@@ -28,11 +29,24 @@ Progress = Callable[[int, float], None]
 
 @dataclass(frozen=True)
 class LstmCheck:
-    """One look during training: epochs or updates done, error in training (teacher's runs included), held out [deg]."""
+    """One look during training.
+
+    Attributes:
+        step: epochs or updates done.
+        training_rmse_deg: error in training, the teacher's runs included [deg].
+        validation_rmse_deg: error on what is held out [deg].
+        rounding_deg: what single precision does to a free run over what is held out [deg].
+    """
 
     step: int
     training_rmse_deg: float
     validation_rmse_deg: float
+    rounding_deg: float
+
+    @property
+    def exportable(self) -> bool:
+        """Whether a free run in single precision stays well within the tolerance of the export."""
+        return self.rounding_deg <= 0.5 * TOLERANCE_DEG
 
 
 @dataclass(frozen=True)
@@ -40,7 +54,7 @@ class LstmFit:
     """Result of a training.
 
     Attributes:
-        weights: those with the lowest validation error.
+        weights: those with the lowest validation error among the exportable ones.
         settings: what it was trained with.
         history: every look.
         best_step: epoch or update of `weights`.
@@ -59,7 +73,10 @@ class LstmFit:
 
 
 def fit_lstm(
-    trials: Sequence[Trial], settings: LstmSettings | None = None, progress: Progress | None = None
+    trials: Sequence[Trial],
+    settings: LstmSettings | None = None,
+    progress: Progress | None = None,
+    validation: Sequence[Trial] = (),
 ) -> LstmFit:
     """Train an LSTM; the weights that do best on held-out trials are kept. Same trials, settings, machine: same result.
 
@@ -68,14 +85,16 @@ def fit_lstm(
         settings: see `LstmSettings`; `LSTM_PRESETS` has two.
         progress: called at every look with the epochs or updates so far, of `settings.steps`, and the best validation
             error [deg]; KeyboardInterrupt ends the training and keeps the best so far.
+        validation: trials that only judge, beside those held out of `trials`.
 
     Raises:
         FitError: on unusable trials, if too few are left to train on, if the loss diverges, if training is
             interrupted before the first look, or if torch is not installed.
     """
     settings = settings or LstmSettings()
-    check_trial_set(trials)
+    check_trial_set([*trials, *validation])
     training, held_out = hold_out(trials, settings.validation_trials, settings.seed)
+    held_out += validation
     scaling = lstm_scaling(trials, settings)
     history: list[LstmCheck] = []
     best: tuple[LstmCheck, LstmWeights] | None = None
@@ -83,17 +102,27 @@ def fit_lstm(
     try:
         for look, weights in _looks(training, held_out or training, scaling, settings):
             history.append(look)
-            if best is None or look.validation_rmse_deg < best[0].validation_rmse_deg:
+            if look.exportable and (best is None or look.validation_rmse_deg < best[0].validation_rmse_deg):
                 best = look, weights
             if progress:
-                progress(look.step, best[0].validation_rmse_deg)
+                progress(look.step, best[0].validation_rmse_deg if best else math.inf)
     except KeyboardInterrupt:
         interrupted = True
     if best is None:
-        raise FitError("training was interrupted before its first check, there is nothing to keep")
+        raise FitError(_nothing_to_keep(history))
     sources = tuple(trial.source for trial in held_out)
     chosen, weights = best
     return LstmFit(weights, settings, tuple(history), chosen.step, chosen.validation_rmse_deg, sources, interrupted)
+
+
+def _nothing_to_keep(history: Sequence[LstmCheck]) -> str:
+    if not history:
+        return "training was interrupted before its first check, there is nothing to keep"
+    least = min(look.rounding_deg for look in history)
+    return (
+        f"the network amplifies rounding: single and double precision differ by at least {least:.2g} deg in all "
+        f"{len(history)} checks, expected at most {0.5 * TOLERANCE_DEG:g}; another seed or a lower learning_rate helps"
+    )
 
 
 def lstm_scaling(trials: Sequence[Trial], settings: LstmSettings) -> LstmScaling:
@@ -125,7 +154,7 @@ def _looks(
         else:
             checks = window_checks(net, runs, judged, settings, way)
         for check in checks:
-            in_degrees = (scaling.theta_scale * check.training, scaling.theta_scale * check.judged)
+            in_degrees = tuple(scaling.theta_scale * part for part in (check.training, check.judged, check.rounding))
             if not math.isfinite(in_degrees[1]):
                 raise FitError(f"training diverged: free run not finite at step {check.step}; lower learning_rate")
             yield LstmCheck(check.step, *in_degrees), weights_of(check.net, scaling)

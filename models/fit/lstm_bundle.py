@@ -36,6 +36,7 @@ def lstm_bundle(fit: LstmFit, trials: Sequence[Trial], limits: DeviceLimits | No
         kind="lstm",
         dt_s=dt,
         command_unit=trials[0].units.command,
+        angle_unit=trials[0].units.angle,
         command_limits=limits.command or trained,
         command_rate=limits.rate_per_s or fastest_command(trials),
         trained_command=trained,

@@ -45,8 +45,9 @@ class WindowTraining(Settings):
 class TeacherSettings(Settings):
     """A Prandtl-Ishlinskii model, fitted to the training trials, from which the network learns beside them.
 
-    A few decaying sinusoids say nothing of ramps, holds and other amplitudes. The operator fills them in as hysteresis
-    would; the trials then correct what the operator gets wrong. This is ours, not in the papers.
+    A few decaying sinusoids say nothing of ramps, holds and other amplitudes, nor of what a controller sends. The
+    operator fills them in as hysteresis would; the trials then correct what the operator gets wrong. This is ours, not
+    in the papers.
 
     Attributes:
         plays: number of plays of the operator.
@@ -55,8 +56,8 @@ class TeacherSettings(Settings):
     """
 
     plays: Count = 10
-    runs: Count = 10
-    weight: tuple[Share, Share] = (1.0, 0.1)
+    runs: Count = 16
+    weight: tuple[Share, Share] = (1.0, 0.7)
 
 
 class StreamTraining(Settings):
@@ -84,7 +85,7 @@ class StreamTraining(Settings):
     length: Annotated[int, Field(ge=2)] = 100
     streams: Count = 8
     matrix_learning_rate: Positive = 0.01
-    updates: Count = 4000
+    updates: Count = 6000
     rounds_between_checks: Count = 10
     copies: Count = 2
     time_scaling: Annotated[float, Field(ge=0, le=0.5)] = 0.2

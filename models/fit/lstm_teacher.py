@@ -21,17 +21,24 @@ _DURATION_S = (12.0, 40.0)
 _FREQUENCY_HZ = (0.08, 0.6)  # of the tip motions of S1 and S2, a little beyond at both ends
 _HOLD_S = (0.1, 10.0)
 _SINES = 4
+_PAUSE_S = (0.1, 3.0)
+_JUMP, _JITTER = 0.15, 0.005  # shares of the command range
+_CROSSING = 5
 
 
 @final
 class Teacher:
     """A Prandtl-Ishlinskii model fitted to `trials`, run over random motions from the start of a trial.
 
+    For an inverse map, from swapped trials, the operator is fitted and run forward all the same; its runs are swapped.
+
     Raises:
         FitError: as `identify` does.
     """
 
     def __init__(self, trials: Sequence[Trial], plays: int) -> None:
+        self._inverted = trials[0].inverted
+        trials = [trial.swapped() for trial in trials] if self._inverted else trials
         simulator, fit = identify("pi", trials, plays=plays)
         self.rmse_deg = fit.rmse_deg
         self._model = ChainModel(simulator)
@@ -47,7 +54,8 @@ class Teacher:
         motion = kind(self._range, self._rate, self._dt, rng)
         approach = abs(motion[0] - rest) / (self._rate * self._dt)
         command = np.concatenate([np.linspace(rest, motion[0], 1 + math.ceil(approach), endpoint=False), motion])
-        return Run(command, self._model.run(command, angle), np.full(command.size, weight))
+        answer, weights = self._model.run(command, angle), np.full(command.size, weight)
+        return Run(answer, command, weights) if self._inverted else Run(command, answer, weights)
 
 
 def _decaying_sine(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
@@ -86,7 +94,30 @@ def _sum_of_sines(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
     return rng.uniform(commands.lower, commands.upper - swing) + swing * unit
 
 
-_KINDS = (_decaying_sine, _moves_and_holds, _sum_of_sines)
+def _controlled_moves(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:
+    """What a controller that compensates hysteresis sends: smooth moves, jumps across the dead band, some jitter.
+
+    The moves are those of least jerk; each reversal adds a jump of one random width, over a few samples.
+    """
+    samples, span = round(rng.uniform(*_DURATION_S) / dt), commands.upper - commands.lower
+    jump, jitter = rng.uniform(0.0, _JUMP) * span, rng.uniform(0.0, _JITTER) * span
+    crossing = 1 + rng.integers(_CROSSING)
+    parts, last, total = [], commands.lower, 0
+    while total < samples:
+        target, peak = rng.uniform(commands.lower, commands.upper), _log_uniform(0.1 * rate, rate, rng)
+        s = np.linspace(0.0, 1.0, 2 + math.ceil(1.875 * abs(target - last) / (peak * dt)))
+        hold = np.full(math.ceil(_log_uniform(*_PAUSE_S, rng) / dt), target)
+        parts += [last + (target - last) * s**3 * (10 - 15 * s + 6 * s**2), hold]
+        last, total = target, total + s.size + hold.size
+    smooth = np.concatenate(parts)[:samples]
+    moves = np.diff(smooth, prepend=smooth[0])
+    moving = np.maximum.accumulate(np.where(moves != 0, np.arange(samples), 0))
+    direction = np.convolve(np.sign(moves[moving]), np.full(crossing, 1.0 / crossing))[:samples]
+    noise = jitter * rng.standard_normal(samples) * (moves != 0)
+    return np.clip(smooth + 0.5 * jump * direction + noise, commands.lower, commands.upper)
+
+
+_KINDS = (_decaying_sine, _moves_and_holds, _sum_of_sines, _controlled_moves)
 
 
 def _log_uniform(low: float, high: float, rng: Rng) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -30,12 +31,14 @@ class Check:
         step: epochs or updates done.
         training: root mean square error since the last look, scaled.
         judged: root mean square error of `net` on what is held out, scaled.
+        rounding: largest difference between `net` in single and in double precision on what is held out, scaled.
         net: the network that was judged; it goes on changing.
     """
 
     step: int
     training: float
     judged: float
+    rounding: float
     net: LstmNet
 
 
@@ -90,9 +93,10 @@ def window_checks(
             loss = error + way.constancy_weight * _constancy(output, command)
             _update(optimisers, net, loss, math.inf, epoch)
             squares, samples = squares + used * error.item(), samples + used
-        with torch.no_grad():
-            judged_error, _ = _weighted_error(net(judged[0])[0], judged[1], judged[2])
-        yield Check(epoch, math.sqrt(squares / samples), math.sqrt(judged_error.item()), net)
+        output = judged_output(net, judged[0])
+        error, _ = _weighted_error(output, judged[1], judged[2])
+        rounding = rounding_error(net, judged[0], output)
+        yield Check(epoch, math.sqrt(squares / samples), math.sqrt(error.item()), rounding, net)
 
 
 def stream_checks(
@@ -136,7 +140,9 @@ def stream_checks(
         rounds += 1
         if rounds % way.rounds_between_checks == 0 or step == way.updates:
             mean = cast(LstmNet, averaged.module)
-            yield Check(step, math.sqrt(squares / samples), _free_run_error(mean, judged), mean)
+            output = judged_output(mean, judged[0])
+            rounding = rounding_error(mean, judged[0], output)
+            yield Check(step, math.sqrt(squares / samples), _mean_run_error(output, judged), rounding, mean)
             squares = samples = 0.0
 
 
@@ -193,9 +199,18 @@ def _as_one_batch(runs: Sequence[Run], warmup: int) -> tuple[torch.Tensor, ...]:
     return tuple(torch.from_numpy(part[0]) for part in (streams.command, streams.angle, streams.weight))
 
 
-def _free_run_error(net: LstmNet, batch: tuple[torch.Tensor, ...]) -> float:
-    """Root of the mean over runs of their mean square errors, so that a long trial counts as much as a short one."""
+def judged_output(net: LstmNet, command: torch.Tensor) -> torch.Tensor:
     with torch.no_grad():
-        output, _ = net(batch[0])
+        return net(command)[0]
+
+
+def rounding_error(net: LstmNet, command: torch.Tensor, output: torch.Tensor) -> float:
+    """What single precision does to a free run. A network that amplifies it is chaotic and cannot be exported."""
+    exact = judged_output(copy.deepcopy(net).double(), command.double())
+    return float((exact - output).abs().max())
+
+
+def _mean_run_error(output: torch.Tensor, batch: tuple[torch.Tensor, ...]) -> float:
+    """Root of the mean over runs of their mean square errors, so that a long trial counts as much as a short one."""
     each = (batch[2] * (output - batch[1]) ** 2).sum(dim=1) / torch.count_nonzero(batch[2], dim=1)
     return math.sqrt(each.mean().item())

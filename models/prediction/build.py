@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from hystmpc.trials.errors import ModelError
+
 from ..chain_model import ChainModel
 from ..contract.metadata import ModelMetadata
 from ..inverse.companion import AccompaniedPredictor, CompanionInverse
@@ -19,7 +21,15 @@ def predictor_for(model: AnyModel) -> Predictor:
 
     Compiled for operator chains and exported graphs of elementwise operations, the LSTM kernels for networks of kind
     `lstm`, CasADi's own evaluation for anything else.
+
+    Raises:
+        ModelError: if the model is an inverse map.
     """
+    if model.metadata.inverted:
+        raise ModelError(
+            f"the model maps {model.metadata.command_unit} to {model.metadata.angle_unit}, expected a forward model; "
+            "an inverse map is given as `inverse`"
+        )
     if isinstance(model, ChainModel):
         return CompiledPredictor.of_simulator(model.simulator)
     if model.metadata.kind == "lstm":

@@ -92,7 +92,7 @@ NO_LOG = "missing.csv"
     [
         (["check", NO_LOG], NO_LOG),
         (["fit", "backlash", NO_LOG, "--out", "sim.yaml"], NO_LOG),
-        (["fit", "backlash", "{log}", "--out", "sim.onnx"], "expected a file ending in .yaml"),
+        (["fit", "backlash", "{log}", "--out", "sim.txt"], "expected a file ending in .onnx or .yaml"),
         (["fit", "lstm", "{log}", "--out", "net.yaml"], "expected a file ending in .onnx"),
         (["fit", "lstm", "{log}", "--training", "papers", "--out", "net.onnx"], "did you mean 'paper'"),
         (["fit", "backlash", "{log}", "--preset", "tendon", "--out", "sim.yaml"], "tendon-catheter"),

@@ -143,7 +143,7 @@ BESIDE: list[tuple[str, Callable[[onnx.ModelProto], None], str]] = [
     ("unknown key", lambda m: set_property(m, "dts", "1"), r"unknown key 'dts'.*did you mean 'dt_s'"),
     ("empty range", lambda m: set_property(m, "trained_angle", '{"lower": 2, "upper": 1}'), "not below upper"),
     ("no training facts", drop_training, "metadata lacks training; the file is cut off or was edited"),
-    ("unit", lambda m: set_property(m, "angle_unit", '"rad"'), "angle_unit is 'rad', expected 'deg'"),
+    ("unit", lambda m: set_property(m, "angle_unit", '"rad"'), "angle_unit is 'rad', expected 'deg' for one"),
     ("loop", loop_node, "node 'again' uses operator 'Loop', which is not on the list, available: Abs, Add"),
     ("custom", custom_node, r"node 'join' uses operator 'com\.example\.Concat'"),
     ("function", local_function, "1 functions, expected"),

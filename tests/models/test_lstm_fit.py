@@ -10,7 +10,7 @@ import pytest
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate
-from hystmpc.models.fit.lstm import LstmFit, fit_lstm
+from hystmpc.models.fit.lstm import LstmCheck, LstmFit, fit_lstm
 from hystmpc.models.fit.lstm_bundle import lstm_bundle
 from hystmpc.models.fit.lstm_settings import LSTM_PRESETS, LstmSettings, StreamTraining, TeacherSettings, WindowTraining
 from hystmpc.models.fit.lstm_teacher import Teacher
@@ -219,7 +219,7 @@ def test_teacher_stays_within_what_the_trials_showed() -> None:
         assert run.command.min() >= min(trial.command.min() for trial in trials) - 1e-9
         assert run.command.max() <= max(trial.command.max() for trial in trials) + 1e-9
         assert (run.weight == 0.3).all()
-    for run in runs[1::3]:  # moves and holds
+    for run in runs[1::4]:  # moves and holds
         assert np.abs(np.diff(run.command)).max() <= fastest * (1 + 1e-9)
     assert teacher.rmse_deg < 1.0
 
@@ -231,3 +231,28 @@ def test_presets_are_the_papers_and_ours() -> None:
     assert (paper.hidden, paper.layers, paper.seed, paper.learning_rate) == (64, 2, 1, 1e-3)
     assert isinstance(best.training, StreamTraining)
     assert LstmSettings.parse(best.model_dump()) == best
+
+
+def test_a_network_that_amplifies_rounding_is_noticed() -> None:
+    from hystmpc.models.fit.lstm_torch_ import judged_output, rounding_error
+    from hystmpc.models.lstm.torch_ import LstmNet
+
+    command = torch.linspace(-1, 1, 400).repeat(2, 1)
+    torch.manual_seed(0)
+    calm, chaotic = LstmNet(32, 1), LstmNet(32, 1)
+    with torch.no_grad():
+        chaotic.get_parameter("lstm.weight_hh_l0").mul_(60.0)
+    found = [rounding_error(net, command, judged_output(net, command)) for net in (calm, chaotic)]
+    assert found[0] < 1e-5
+    assert found[1] > 1e-3
+    assert LstmCheck(1, 0.1, 0.1, found[0]).exportable
+    assert not LstmCheck(1, 0.1, 0.1, found[1]).exportable
+
+
+def test_an_inverse_map_learns_from_swapped_runs_of_a_forward_teacher() -> None:
+    trials = four_trials()
+    forward, inverse = Teacher(trials, plays=3), Teacher([t.swapped() for t in trials], plays=3)
+    pairs = [teacher.runs(4, 0.5, np.random.default_rng(3)) for teacher in (forward, inverse)]
+    for one, other in zip(*pairs, strict=True):
+        np.testing.assert_array_equal(one.command, other.angle)
+        np.testing.assert_array_equal(one.angle, other.command)

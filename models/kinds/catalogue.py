@@ -1,0 +1,28 @@
+"""The one list of model kinds: the command line, the studies and the tests read it."""
+
+from __future__ import annotations
+
+from hystmpc.trials.errors import FitError, did_you_mean
+
+from .backlash import BacklashKind
+from .kind import ModelKind
+from .lstm import LstmKind
+from .prandtl_ishlinskii import PrandtlIshlinskiiKind
+
+KINDS: tuple[ModelKind, ...] = (
+    BacklashKind(),
+    PrandtlIshlinskiiKind(),
+    LstmKind(),
+)
+
+
+def kind_named(name: str) -> ModelKind:
+    """The kind of that name.
+
+    Raises:
+        FitError: if there is none; says what is available.
+    """
+    kinds = {kind.name: kind for kind in KINDS}
+    if name not in kinds:
+        raise FitError(f"no kind of model {name!r}, {did_you_mean(name, kinds)}")
+    return kinds[name]

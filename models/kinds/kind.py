@@ -1,0 +1,110 @@
+"""What a kind of model is: identified from trials, forward or inverse, always into an exportable bundle."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from hystmpc.trials.errors import FitError, did_you_mean
+from hystmpc.trials.trial import Trial
+
+from ..contract.bundle import ExportBundle
+from ..fit.identify import DeviceLimits
+from ..simulator import Simulator
+
+Progress = Callable[[int, float], None]
+
+
+@dataclass(frozen=True)
+class FitRequest:
+    """What an identification is asked for; a kind ignores what it has no use for.
+
+    Attributes:
+        preset: `best`, or `paper` for the papers' training settings; for operators the method, see each kind.
+        seed: of everything drawn at random.
+        steps: greatest number of steps (epochs, updates, iterations); None for the preset's.
+        hold_out: whole trials held out of those given to stop early; None for the preset's.
+        validation: trials that only judge, in place of held-out ones.
+        constancy_weight: beta of the constant-in, constant-out term, S2 eq. (12); None for the preset's.
+        plays: number of plays of a Prandtl-Ishlinskii model.
+        skip_first_flexure: score each trial from the first reversal of its command on.
+        limits: what the device may be sent.
+    """
+
+    preset: str = "best"
+    seed: int = 1
+    steps: int | None = None
+    hold_out: int | None = None
+    validation: tuple[Trial, ...] = ()
+    constancy_weight: float | None = None
+    plays: int = 4
+    skip_first_flexure: bool = False
+    limits: DeviceLimits = field(default_factory=DeviceLimits)
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """What an identification found.
+
+    Attributes:
+        bundle: graph, facts and reference, ready for `export_onnx`; `open_bundle` runs it.
+        simulator: the readable form of an operator; None for networks.
+        history: step and best error so far, in the unit of the output.
+        report: one line on how it went.
+        interrupted: stopped by the user; this is the best so far.
+    """
+
+    bundle: ExportBundle
+    simulator: Simulator | None
+    history: tuple[tuple[int, float], ...]
+    report: str
+    interrupted: bool = False
+
+
+class ModelKind(ABC):
+    """One kind of model. Implementations are final, have no state, and are listed in `catalogue.KINDS`.
+
+    Trials whose command and angle have changed places (`Trial.swapped`) ask for the inverse map.
+
+    Attributes:
+        name: on the command line and in reports.
+        title: in tables.
+        presets: names that `FitRequest.preset` may have, the default first.
+        readable: whether the result also has a readable form, a simulator in YAML.
+        invertible: whether inverse maps can be identified.
+        recurrent: whether its angle depends on more than the present command.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    presets: ClassVar[tuple[str, ...]] = ("best", "paper")
+    readable: ClassVar[bool] = False
+    invertible: ClassVar[bool] = True
+    recurrent: ClassVar[bool] = True
+
+    @abstractmethod
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
+        """Identify from uniformly sampled trials of one rate and one pair of units.
+
+        `progress` gets the steps so far and the best error; KeyboardInterrupt keeps the best so far.
+
+        Raises:
+            FitError: on unusable trials, an unknown preset, a diverging fit, or a missing extra.
+        """
+
+    @abstractmethod
+    def steps(self, request: FitRequest) -> int | None:
+        """What progress counts up to; None where it is not known beforehand."""
+
+    def check(self, trials: Sequence[Trial], request: FitRequest) -> None:
+        """Refuse what this kind cannot do, before any work.
+
+        Raises:
+            FitError: on an unknown preset, or an inverse map of a kind that has none.
+        """
+        if request.preset not in self.presets:
+            raise FitError(f"{self.name}: no preset {request.preset!r}, {did_you_mean(request.preset, self.presets)}")
+        if trials and trials[0].inverted and not self.invertible:
+            raise FitError(f"{self.name} has no inverse map; its inverse can be searched, or another kind identified")
