@@ -15,6 +15,9 @@ from .limits import CommandLimits
 Vec = NDArray[np.float64]
 
 HOLD, INVERSE = 0, 1  # rows of the candidates that callers refer to
+# Shares of the greatest step. Inside what a network has for a dead band its slope may have the wrong sign: the little
+# step that ends an error in a hold is found by trying it, not by a gradient.
+_STEPS = (0.125, 0.1875, 0.25, 0.375, 0.5, 0.625, 0.75)
 
 
 @final
@@ -23,7 +26,8 @@ class Candidates:
 
     hold; inverse, as fast as the rate limit allows once the reference asks for it; inverse ahead of time, so that
     a dead band is crossed before the reference turns; inverse half ahead, so that the crossing has its middle at
-    the turn; the last plan, shifted; reversals, m samples at the greatest rate in either direction and then rest.
+    the turn; the last plan, shifted; steps and reversals: a share of a sample, or m samples, at the greatest rate in
+    either direction and then rest.
 
     Args:
         predictor: the model, with the sample time.
@@ -100,8 +104,10 @@ class Candidates:
         return postponed
 
     def _reversal_ramps(self) -> Vec:
-        """Offsets (M, H) from the last command: m = 1, 2, 4, ... samples at the greatest rate, up and down."""
+        """Offsets (M, H) from the last command: a step, or m = 2, 4, ... samples at the greatest rate, up and down."""
         samples = np.arange(1, self._horizon + 1)
         lengths = [2**i for i in range(self._horizon.bit_length()) if 2**i <= max(self._horizon // 2, 1)]
-        ramps = np.array([self._reach * np.minimum(samples, length) for length in lengths])
-        return np.concatenate([ramps, -ramps])
+        ramps = [self._reach * np.minimum(samples, length) for length in lengths]
+        steps = [np.full(self._horizon, share * self._reach) for share in _STEPS]
+        offsets = np.array([*steps, *ramps])
+        return np.concatenate([offsets, -offsets])

@@ -1,0 +1,40 @@
+"""`hystmpc data make`: the papers' data sets on the simulated devices."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .console import bar, out, table
+
+data = typer.Typer(no_args_is_help=True, help="Data sets of the papers, recorded on simulated devices.")
+
+
+@data.callback()
+def _group() -> None:
+    """Data sets of the papers, recorded on simulated devices."""
+
+
+@data.command()
+def make(
+    name: Annotated[str, typer.Argument(metavar="s1|s2", help="s1: muscle catheter; s2: tendon catheter.")],
+    folder: Annotated[Path, typer.Option("--out", help="Folder to make; new or empty.")],
+    seed: Annotated[int, typer.Option("--seed", help="Of devices, motions and noise.", min=0)] = 0,
+) -> None:
+    """Record a whole data set and write it as canonical CSV files with a manifest; all of it or nothing."""
+    from hystmpc.sim.devices.dataset_files import require_vacant, write_dataset
+    from hystmpc.sim.devices.make import make_dataset
+
+    require_vacant(folder)
+    with bar("record") as show:
+        made = make_dataset(name, seed, progress=lambda done, total: show(done, total=total))
+    with bar("write") as show:
+        write_dataset(made, folder, lambda done, total: show(done, total=total))
+    rows = [
+        [split, str(len(trials)), str(made.samples[split]), f"{sum(t.duration_s for t in trials):.0f}"]
+        for split, trials in made.splits.items()
+    ]
+    out.print(table(f"data set {name}, simulated, seed {seed}", ("split", "trials", "samples", "seconds"), rows))
+    out.print(f"manifest: {folder / 'manifest.yaml'}")

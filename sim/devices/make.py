@@ -1,0 +1,56 @@
+"""Recording the papers' data sets on the simulated devices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from hystmpc.trajectories.trajectory import Trajectory
+from hystmpc.trials.errors import ConfigError, did_you_mean
+
+from .dataset import Dataset, Progress
+from .quantities import to_plain
+from .s1_data import S1Settings, s1_motions
+from .s2_data import S2Settings, s2_motions
+
+DATASETS = ("s1", "s2")
+
+
+def make_dataset(
+    name: str, seed: int = 0, settings: S1Settings | S2Settings | None = None, progress: Progress | None = None
+) -> Dataset:
+    """Record a whole data set; equal arguments give equal trials.
+
+    Every trial has its own device (see `TendonVariation`, `MuscleVariation`) and its own noise, drawn from `seed` and
+    its name, so that a trial does not change when others are added.
+
+    Args:
+        name: `s1` (splits train, test_a to test_d) or `s2` (sin/..., p2p/... with train, val, test; repeatability;
+            frequency).
+        seed: zero or above.
+        settings: `S1Settings` or `S2Settings`; defaults where left out.
+        progress: called with the trials done and their number.
+
+    Raises:
+        ConfigError: on an unknown name, settings of the other set, or a negative seed.
+    """
+    if name not in DATASETS:
+        raise ConfigError(f"no data set {name!r}, {did_you_mean(name, DATASETS)}")
+    if seed < 0:
+        raise ConfigError(f"seed: got {seed}, expected 0 or above")
+    settings = settings or (S1Settings() if name == "s1" else S2Settings())
+    if isinstance(settings, S1Settings) != (name == "s1"):
+        raise ConfigError(f"data set {name}: got {type(settings).__name__}, expected {name.upper()}Settings")
+    motions: Mapping[str, Mapping[str, Trajectory]]
+    motions = s1_motions(settings, seed) if isinstance(settings, S1Settings) else s2_motions(settings, seed)
+    total, done = sum(map(len, motions.values())), 0
+    splits = {}
+    for split, excitations in motions.items():
+        group = name if name == "s1" else f"{name}/{split.partition('/')[0]}"
+        trials = []
+        for trial, excitation in excitations.items():
+            trials.append(settings.recorder.record(excitation, seed, f"{group}/{trial}"))
+            done += 1
+            if progress:
+                progress(done, total)
+        splits[split] = tuple(trials)
+    return Dataset(name, seed, to_plain(settings), splits)

@@ -1,0 +1,134 @@
+"""The catheter of S1 as a simulated device: valve, bladder, braid friction and a segment that stiffens."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from . import muscle_kernel
+from .device import Motion, Vec
+from .muscle_kernel import STATES, MuscleNumbers
+from .quantities import check_quantities, quantity
+
+_STEP_S = 1e-3  # longest step of the recursion
+
+
+@dataclass(frozen=True)
+class MuscleParameters:
+    """Numbers of the muscle-driven catheter; S1 prints none of them, docs/devices.md says how they were set.
+
+    Raises:
+        ConfigError: if a number is out of its bounds.
+    """
+
+    greatest_bar: float = quantity(3.0, "bar", 0.1, 20.0, "greatest pressure (S1)")
+    supply_bar: float = quantity(5.0, "bar", 0.2, 30.0, "supply of the valve")
+    valve_s: float = quantity(0.025, "s", 2e-3, 10.0, "time constant of the valve's pressure control")
+    fill_s: float = quantity(0.30, "s", 1e-3, 10.0, "filling through the open valve, towards the supply")
+    vent_s: float = quantity(0.20, "s", 1e-3, 10.0, "venting through the open valve, towards 0 bar")
+    slack_bar: float = quantity(0.65, "bar", 0.0, 5.0, "pressure at which the bladder meets the braid")
+    slack_width_bar: float = quantity(0.08, "bar", 1e-3, 2.0, "how gradually it does")
+    friction: float = quantity(0.12, "1", 0.0, 0.9, "braid and cable friction over pull, each way")
+    presliding_bar: float = quantity(0.15, "bar", 1e-3, 5.0, "pressure over which friction turns its side")
+    greatest_deg: float = quantity(45.0, "deg", 1.0, 360.0, "angle that no pressure exceeds")
+    half_bar: float = quantity(0.9, "bar", 0.01, 100.0, "pull that gives half of it")
+    late: float = quantity(0.05, "1", 0.0, 1.0, "share of the angle that follows late")
+    late_s: float = quantity(0.4, "s", 1e-3, 100.0, "time constant of that share")
+    bend_lag_s: float = quantity(0.01, "s", 0.0, 10.0, "first-order lag of the segment")
+
+    def __post_init__(self) -> None:
+        check_quantities(self)
+
+
+@dataclass(frozen=True)
+class MuscleVariation:
+    """How one recording's device differs from the next: standard deviations of normal draws.
+
+    Raises:
+        ConfigError: if a number is out of its bounds.
+    """
+
+    gain: float = quantity(0.005, "1", 0.0, 0.2, "relative change of the greatest angle")
+    friction: float = quantity(0.03, "1", 0.0, 0.3, "relative change of the friction")
+    slack_bar: float = quantity(0.005, "bar", 0.0, 0.5, "shift of the slack")
+
+    def __post_init__(self) -> None:
+        check_quantities(self)
+
+    def __call__(self, parameters: MuscleParameters, random: np.random.Generator) -> MuscleParameters:
+        """The device of one recording."""
+        gain, friction, slack = random.standard_normal(3)
+        return replace(
+            parameters,
+            greatest_deg=parameters.greatest_deg * (1 + self.gain * gain),
+            friction=parameters.friction * (1 + self.friction * friction),
+            slack_bar=parameters.slack_bar + self.slack_bar * slack,
+        )
+
+
+@final
+class MuscleCatheter:
+    """Pressure command [bar] to tip angle [deg] of a catheter bent by a pneumatic artificial muscle.
+
+        p'     = (u - p) / valve, within [-p / vent, (supply - p) / fill]      valve: fills faster than it vents
+        b      = s ln(1 + e^((p - slack) / s)), shifted to be 0 at p = 0        bladder slack: dead band at the bottom
+        z'     = (sign(b') - z) |b'| / presliding                               Dahl friction, -1 <= z <= 1
+        q      = b (1 - friction z)                                             pull at the tip
+        theta* = greatest q / (q + half)                                        k theta = g q (1 - theta / greatest)
+        theta  = theta* through a late share of the angle and the segment's lag
+
+    The valve makes the loop wider with frequency; venting grows slow towards 0 bar, so that fast loops do not reach
+    their bottom. Saturation comes from the muscle, whose force falls as it shortens.
+
+    State (5,): pressure [bar], b [bar], z, late angle [deg], angle [deg]. Sources of the effects: S1 sec. II-B, III.
+    """
+
+    command_unit = "bar"
+
+    def __init__(self, parameters: MuscleParameters | None = None) -> None:
+        self.parameters = parameters or MuscleParameters()
+
+    @property
+    def commands(self) -> tuple[float, float]:
+        """Least and greatest command [bar]."""
+        return 0.0, self.parameters.greatest_bar
+
+    @property
+    def state_size(self) -> int:
+        """S = 5."""
+        return STATES
+
+    def virgin(self) -> Vec:
+        """State (5,) of the straight, vented catheter."""
+        return np.array([0.0, 0.0, -1.0, 0.0, 0.0])
+
+    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> Motion:
+        """Run commands (T,) [bar], each held for `dt_s` [s]; see `Device.advance`. Draws nothing from `random`."""
+        del random
+        after = np.array(state, dtype=np.float64)
+        clipped = np.clip(np.asarray(commands, dtype=np.float64), *self.commands)
+        angle, drive = np.empty(clipped.size), np.empty(clipped.size)
+        parts = max(math.ceil(dt_s / _STEP_S - 1e-9), 1)
+        muscle_kernel.advance(after, clipped, self._numbers(dt_s / parts), dt_s, parts, angle, drive)
+        return Motion(angle, drive, np.full(clipped.size, np.nan), after)
+
+    def _numbers(self, step_s: float) -> MuscleNumbers:
+        p = self.parameters
+        return MuscleNumbers(
+            supply_bar=p.supply_bar,
+            valve_s=p.valve_s,
+            fill_s=p.fill_s,
+            vent_s=p.vent_s,
+            slack_bar=p.slack_bar,
+            slack_width_bar=p.slack_width_bar,
+            friction=p.friction,
+            presliding_bar=p.presliding_bar,
+            greatest_deg=p.greatest_deg,
+            half_bar=p.half_bar,
+            late=p.late,
+            late_share=1 - math.exp(-step_s / p.late_s),
+            bend_share=1 - math.exp(-step_s / p.bend_lag_s) if p.bend_lag_s > 0 else 1.0,
+        )

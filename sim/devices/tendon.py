@@ -1,0 +1,184 @@
+"""The tendon catheter of S2 as a simulated device: distributed friction between two lines."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from hystmpc.trials.errors import ConfigError
+
+from . import tendon_kernel
+from .device import Motion, Vec
+from .quantities import check_quantities, quantity
+from .tendon_kernel import EXTRA_STATES, TendonNumbers
+
+
+@dataclass(frozen=True)
+class TendonParameters:
+    """Numbers of the tendon catheter; `friction`, widths and noise were set as docs/devices.md says.
+
+    Raises:
+        ConfigError: if a number is out of its bounds, or the lines cross within the travel.
+    """
+
+    travel_mm: float = quantity(6.0, "mm", 0.1, 100.0, "greatest tendon displacement (S2)")
+    loading_slope: float = quantity(10.70, "deg/mm", 0.1, 100.0, "slope of the loading line (S2's code)")
+    loading_deg: float = quantity(21.43, "deg", -90.0, 180.0, "loading line at 0 mm (S2's code)")
+    unloading_slope: float = quantity(10.27, "deg/mm", 0.1, 100.0, "slope of the unloading line (S2's code)")
+    unloading_deg: float = quantity(28.98, "deg", -90.0, 180.0, "unloading line at 0 mm (S2's code)")
+    friction: float = quantity(0.85, "1", 0.0, 3.0, "mean half gap of the elements over that of the two lines")
+    core_share: float = quantity(0.6, "1", 0.01, 0.99, "share of the elements in the narrow band of widths")
+    core_from: float = quantity(0.45, "1", 0.0, 1.0, "least width over the mean width")
+    core_to: float = quantity(0.60, "1", 0.0, 1.0, "width at which the tail of widths begins, over the mean width")
+    end_deg: float = quantity(1.0, "deg", 0.0, 20.0, "rise of both lines at 0 mm, where the tube's own set takes over")
+    end_mm: float = quantity(0.4, "mm", 0.01, 10.0, "travel over which that rise fades")
+    viscous_s_per_mm: float = quantity(0.01, "s/mm", 0.0, 1.0, "growth of the friction with tendon speed")
+    roughness: float = quantity(0.15, "1", 0.0, 1.0, "standard deviation of the friction along the travel")
+    roughness_mm: float = quantity(2.0, "mm", 0.01, 100.0, "travel over which the friction forgets")
+    viscoelastic: float = quantity(0.04, "1", 0.0, 1.0, "share of the angle that follows late")
+    viscoelastic_s: float = quantity(0.3, "s", 1e-3, 100.0, "time constant of that share")
+    creep: float = quantity(0.0, "1", 0.0, 1.0, "share of the angle that creeps (S2 shows none)")
+    creep_s: float = quantity(10.0, "s", 1e-2, 1e4, "time constant of the creep")
+    drive_lag_s: float = quantity(0.02, "s", 0.0, 10.0, "first-order lag of the servo drive")
+    set_deg: float = quantity(3.0, "deg", 0.0, 90.0, "what the first flexure adds for good")
+    offset_deg: float = quantity(0.0, "deg", -20.0, 20.0, "shift of all angles, for variation between trials")
+    pretension_n: float = quantity(4.92, "N", 0.0, 100.0, "tendon tension of the virgin catheter at 0 mm (S2)")
+    stiffness_n_per_mm: float = quantity(3.3, "N/mm", 0.0, 100.0, "rise of the tension while loading")
+    friction_tension: float = quantity(0.2, "1", 0.0, 0.5, "friction over tension, each way")
+    elements: int = quantity(40, "1", 2, 1000, "friction elements")
+
+    def __post_init__(self) -> None:
+        check_quantities(self)
+        if min(self.gap(0.0), self.gap(self.travel_mm)) <= 0:
+            raise ConfigError("TendonParameters: the lines cross within the travel, expected unloading above loading")
+        if not self.core_from <= self.core_to:
+            raise ConfigError(f"core_from: got {self.core_from}, expected at most core_to = {self.core_to}")
+
+    def gap(self, x_mm: float) -> float:
+        """Unloading line less loading line at `x_mm` [deg]."""
+        return self.unloading_deg - self.loading_deg + (self.unloading_slope - self.loading_slope) * x_mm
+
+    @property
+    def widths(self) -> Vec:
+        """Widths of the elements over their mean (N,): a narrow band, then a tail that makes the mean 1."""
+        core = min(max(round(self.core_share * self.elements), 1), self.elements - 1)
+        band = np.linspace(self.core_from, self.core_to, core)
+        rest = self.elements - core
+        tail_mean = (self.elements - band.sum()) / rest
+        return np.concatenate([band, self.core_to + 2 * (tail_mean - self.core_to) * (np.arange(rest) + 0.5) / rest])
+
+
+@dataclass(frozen=True)
+class TendonVariation:
+    """How one trial's device differs from the next: standard deviations of normal draws.
+
+    S2 accepts a pretension when the standard deviation over trials is below 0.5 deg.
+
+    Raises:
+        ConfigError: if a number is out of its bounds.
+    """
+
+    offset_deg: float = quantity(0.3, "deg", 0.0, 10.0, "shift of all angles")
+    slope: float = quantity(0.004, "1", 0.0, 0.2, "relative change of both slopes")
+    friction: float = quantity(0.04, "1", 0.0, 0.3, "relative change of the friction")
+
+    def __post_init__(self) -> None:
+        check_quantities(self)
+
+    def __call__(self, parameters: TendonParameters, random: np.random.Generator) -> TendonParameters:
+        """The device of one trial."""
+        offset, slope, friction = random.standard_normal(3)
+        return replace(
+            parameters,
+            offset_deg=parameters.offset_deg + self.offset_deg * offset,
+            loading_slope=parameters.loading_slope * (1 + self.slope * slope),
+            unloading_slope=parameters.unloading_slope * (1 + self.slope * slope),
+            friction=parameters.friction * (1 + self.friction * friction),
+        )
+
+
+@final
+class TendonCatheter:
+    """Tendon displacement [mm] to tip angle [deg] through N friction elements between two lines.
+
+    With x the drive's displacement, x' = (u - x) / drive_lag, and its speed v = x':
+
+        M(x) = (loading(x) + unloading(x)) / 2 + end_deg exp(-x / end_mm)          middle of the loop
+        h    = friction (unloading(x) - loading(x)) / 2 (1 + viscous |v|) (1 + r)     mean half gap
+        z_i  = max(M - w_i h, min(M + w_i h, z_i)),  mean of w_i = 1                element i, i = 1..N
+        dr   = -r |dx| / roughness_mm + roughness sqrt(2 / roughness_mm) dW(|dx|)        friction along the travel
+        theta = mean(z_i), less the late shares (viscoelastic, creep), less the set that the first flexure leaves
+
+    Elements of equal width would be the 4-parameter backlash; spread widths (a Preisach density of generalised plays)
+    make a reversal first flat, then smooth. The friction r is random along the travel and stands still in a hold,
+    so a hold holds. A virgin catheter lies on the loading line at 0 mm and below it by `set_deg`; after a flexure it
+    comes back to the unloading line: 20 deg once, about 30 deg ever after (S2 sec. III).
+
+    State (N + 5,): z, drive x [mm], r, viscoelastic and creep angle [deg], greatest x so far [mm].
+    """
+
+    command_unit = "mm"
+
+    def __init__(self, parameters: TendonParameters | None = None) -> None:
+        self.parameters = parameters or TendonParameters()
+        self._widths = self.parameters.widths
+
+    @property
+    def commands(self) -> tuple[float, float]:
+        """Least and greatest command [mm]."""
+        return 0.0, self.parameters.travel_mm
+
+    def virgin(self) -> Vec:
+        """State (N + 5,) at the pretension, before any flexure."""
+        p = self._numbers(1.0)
+        elements = p.middle_deg + p.end_deg - self._widths * p.half_gap_deg
+        bend = float(elements.mean())
+        return np.concatenate([elements, [0.0, 0.0, bend, bend, 0.0]])
+
+    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> Motion:
+        """Run commands (T,) [mm], each held for `dt_s` [s]; see `Device.advance`."""
+        after = np.array(state, dtype=np.float64)
+        clipped = np.clip(np.asarray(commands, dtype=np.float64), *self.commands)
+        angle, drive, tension = (np.empty(clipped.size) for _ in range(3))
+        bumps = random.standard_normal(clipped.size)
+        numbers = self._numbers(dt_s)
+        tendon_kernel.advance(after, self._widths, clipped, bumps, numbers, dt_s, angle, drive, tension)
+        return Motion(angle, drive, tension, after)
+
+    @property
+    def state_size(self) -> int:
+        """S = N + 5."""
+        return self._widths.size + EXTRA_STATES
+
+    def _numbers(self, dt_s: float) -> TendonNumbers:
+        p = self.parameters
+        return TendonNumbers(
+            drive_share=_share(dt_s, p.drive_lag_s),
+            middle_slope=(p.loading_slope + p.unloading_slope) / 2,
+            middle_deg=(p.loading_deg + p.unloading_deg) / 2,
+            half_gap_slope=p.friction * (p.unloading_slope - p.loading_slope) / 2,
+            half_gap_deg=p.friction * (p.unloading_deg - p.loading_deg) / 2,
+            end_deg=p.end_deg,
+            end_mm=p.end_mm,
+            viscous_s_per_mm=p.viscous_s_per_mm,
+            roughness=p.roughness,
+            roughness_mm=p.roughness_mm,
+            viscoelastic=p.viscoelastic,
+            viscoelastic_share=_share(dt_s, p.viscoelastic_s),
+            creep=p.creep,
+            creep_share=_share(dt_s, p.creep_s),
+            set_deg=p.set_deg,
+            set_mm=p.travel_mm,
+            offset_deg=p.offset_deg,
+            pretension_n=p.pretension_n,
+            stiffness_n_per_mm=p.stiffness_n_per_mm,
+            friction_tension=p.friction_tension,
+        )
+
+
+def _share(dt_s: float, lag_s: float) -> float:
+    """Share of a step that a first-order lag has made after one sample, exact for a held input."""
+    return 1 - math.exp(-dt_s / lag_s) if lag_s > 0 else 1.0
