@@ -32,12 +32,14 @@ from .inverse_pid import InversePid
 from .ladder import Ladder, LadderOptions
 from .law import Law
 from .limits import CommandLimits
+from .linearised.daqp_ import DaqpOptions
 from .linearised.osqp_ import OsqpOptions
 from .linearised.planner import LinearisedPlanner
 from .mpc import HoldRule, PredictiveLaw
 from .observer import Observer, WithoutModel
 from .pid import Pid, PidFeedback, PidGains
 from .planning import Planner, Weights
+from .sampling.cem import CrossEntropyOptions, CrossEntropyPlanner
 from .sampling.noise import coloured_noise, spline_noise
 from .sampling.planner import SamplingOptions, SamplingPlanner
 
@@ -67,7 +69,7 @@ def build_controller(
         ladder = Ladder(limits, ladder_options, inverse=None)
     else:
         observer = OutputEstimator(predictor, _estimator_options(settings.estimator))
-        law = _model_law(settings, predictor, inverse, limits, observer.noise_deg)
+        law = _model_law(settings, predictor, inverse, limits)
         ladder = Ladder(limits, ladder_options, inverse)
     return GuardedController(law, observer, ladder, limits, predictor.dt, settings.ladder.max_missing_samples)
 
@@ -77,7 +79,6 @@ def _model_law(
     predictor: Predictor,
     inverse: Inverse,
     limits: CommandLimits,
-    noise_deg: float,
 ) -> Law[Any]:
     if isinstance(settings, InverseControllerSettings):
         return InverseFeedforward(inverse, settings.reference_dead_zone_deg)
@@ -91,7 +92,7 @@ def _model_law(
         _planner(settings, predictor, weights, limits),
         weights,
         settings.horizon,
-        HoldRule(settings.hold_tolerance_deg, noise_deg, patience=settings.horizon // 2),
+        HoldRule(settings.hold_tolerance_deg, patience=settings.horizon // 2),
     )
 
 
@@ -103,13 +104,18 @@ def _planner(
 ) -> Planner[Any]:
     horizon = settings.horizon
     if isinstance(settings, LinearisedMpcSettings):
-        options = OsqpOptions(eps=settings.solver_eps)
+        options = DaqpOptions() if settings.solver == "daqp" else OsqpOptions(eps=settings.solver_eps)
         return LinearisedPlanner(predictor, weights, limits, horizon, settings.iterations, options)
+    noise = _noise(settings)
+    if settings.method == "cem":
+        shared = ("samples", "iterations", "sigma", "finest", "elites", "seed")
+        cem = CrossEntropyOptions(**{name: getattr(settings, name) for name in shared})
+        return CrossEntropyPlanner(predictor, weights, limits, noise, cem)
     return SamplingPlanner(
         predictor,
         weights,
         limits,
-        _noise(settings),
+        noise,
         SamplingOptions(
             samples=settings.samples,
             iterations=settings.iterations,
@@ -143,6 +149,7 @@ def _estimator_options(settings: EstimatorSettings) -> EstimatorOptions:
     return EstimatorOptions(
         sensor_sigma_deg=settings.sensor_sigma_deg,
         drift_sigma_deg=settings.drift_sigma_deg_per_sqrt_s,
+        motion_sigma_deg=settings.motion_sigma_deg_per_sqrt_unit,
         delay_samples=settings.delay_samples,
         outlier_deg=settings.outlier_deg,
         dead_band_gain=settings.dead_band_gain_deg_per_unit,
@@ -162,8 +169,9 @@ def _weights(settings: WeightsSettings) -> Weights:
     )
 
 
-def _pid(settings: PidSettings, limits: CommandLimits, dt: float) -> Pid:
-    gains = PidGains(
+def pid_gains(settings: PidSettings) -> PidGains:
+    """The gains that the settings name."""
+    return PidGains(
         kp=settings.kp_per_deg,
         ki=settings.ki_per_deg_s,
         kd=settings.kd_s_per_deg,
@@ -171,4 +179,7 @@ def _pid(settings: PidSettings, limits: CommandLimits, dt: float) -> Pid:
         tracking_s=settings.tracking_s,
         dead_zone_deg=settings.dead_zone_deg,
     )
-    return Pid(gains, limits, dt)
+
+
+def _pid(settings: PidSettings, limits: CommandLimits, dt: float) -> Pid:
+    return Pid(pid_gains(settings), limits, dt)

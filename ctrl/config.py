@@ -33,6 +33,7 @@ class EstimatorSettings(Settings):
 
     sensor_sigma_deg: Positive = 0.15
     drift_sigma_deg_per_sqrt_s: Positive = 0.4
+    motion_sigma_deg_per_sqrt_unit: NotNegative = 0.0
     delay_samples: Annotated[int, Field(ge=0)] = 0
     outlier_deg: Positive = 15.0
     dead_band_gain_deg_per_unit: NotNegative = 1.0
@@ -111,10 +112,11 @@ class _Predictive(_Common):
 
 
 class LinearisedMpcSettings(_Predictive):
-    """Real-time iteration with OSQP."""
+    """Real-time iteration; `solver_eps` is the tolerance of OSQP, DAQP is exact."""
 
     kind: Literal["linearised_mpc"] = "linearised_mpc"
     iterations: Count = 1
+    solver: Literal["osqp", "daqp"] = "osqp"
     solver_eps: Annotated[float, Field(gt=0, le=1e-4)] = 1e-5
 
 
@@ -133,14 +135,19 @@ class ColouredNoiseSettings(Settings):
 
 
 class SamplingMpcSettings(_Predictive):
-    """MPPI; see `SamplingOptions`."""
+    """MPPI or CEM; see `SamplingOptions` and `CrossEntropyOptions`.
+
+    `temperature` is MPPI's alone, `elites` is CEM's.
+    """
 
     kind: Literal["sampling_mpc"] = "sampling_mpc"
+    method: Literal["mppi", "cem"] = "mppi"
     samples: Count = 256
     iterations: Count = 2
     sigma: Positive = 0.3
     finest: Annotated[float, Field(gt=0, le=1)] = 0.01
     temperature: Positive = 0.02
+    elites: Annotated[float, Field(gt=0, le=0.5)] = 0.1
     seed: Annotated[int, Field(ge=0)] = 0
     noise: Annotated[SplineNoiseSettings | ColouredNoiseSettings, Field(discriminator="kind")] = SplineNoiseSettings()
 

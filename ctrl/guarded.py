@@ -105,6 +105,10 @@ class GuardedController(Generic[M]):
         except Exception as error:
             raise ControllerError(f"controller: the model fails at rest ({y} deg, command {u}): {error}") from error
 
+    def stop(self, state: GuardedState[M], cause: str) -> GuardedState[M]:
+        """The state after which every step stops: towards the safe command, or stay; only a new `init` releases it."""
+        return replace(state, ladder=self._ladder.halt(cause))
+
     def step(self, state: GuardedState[M], y: float, reference: Vec) -> tuple[Command, GuardedState[M]]:
         """One sample; see `Controller.step`. Any `y` and any `reference` are answered."""
         watch = Stopwatch()
@@ -132,7 +136,7 @@ class GuardedController(Generic[M]):
         ladder, missing = state.ladder, state.estimate.missing
         waiting = self._situation(state, np.full(self.horizon, state.due))
         if ladder.stopped:
-            return self._ladder.stop(waiting, "latched after repeated failures"), state
+            return self._ladder.stop(waiting, f"latched {ladder.cause}"), state
         try:
             wanted = usable_reference(reference, self.horizon)
         except UnusableReferenceError as error:
@@ -170,6 +174,7 @@ class GuardedController(Generic[M]):
         return Situation(
             state=estimate.state,
             disturbance=estimate.disturbance,
+            disturbance_sigma=math.sqrt(estimate.variance),
             measured=estimate.measured,
             u_last=estimate.command,
             due=state.due,

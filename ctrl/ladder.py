@@ -64,12 +64,14 @@ class LadderState:
         stopped: whether the stop is latched; only a new `init` releases it.
         plan: remaining planned commands.
         predicted: the angles that belong to them [deg], without disturbance.
+        cause: why the stop is latched.
     """
 
     failures: int = 0
     stopped: bool = False
     plan: Vec = field(default_factory=lambda: EMPTY)
     predicted: Vec = field(default_factory=lambda: EMPTY)
+    cause: str = "after repeated failures"
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +134,10 @@ class Ladder:
         if u is not None:
             return Rung(u, Source.INVERSE, reason), state
         return Rung(situation.u_last, Source.HOLD, f"{reason}; {more}" if more else reason), state
+
+    def halt(self, cause: str) -> LadderState:
+        """The latched state of a stop that was asked for."""
+        return LadderState(stopped=True, cause=cause)
 
     def stop(self, situation: Situation, reason: str) -> Rung:
         """The last rung: towards the safe command, or stay."""

@@ -23,6 +23,7 @@ class Situation:
     Attributes:
         state: predictor state (S,) at the instant at which the next command starts to act.
         disturbance: estimated output disturbance [deg].
+        disturbance_sigma: standard deviation of its error [deg].
         measured: last accepted measurement [deg].
         u_last: the command really sent last [mm or bar].
         due: the angle that was wanted now [deg].
@@ -33,6 +34,7 @@ class Situation:
 
     state: Vec
     disturbance: float
+    disturbance_sigma: float
     measured: float
     u_last: float
     due: float

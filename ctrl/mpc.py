@@ -42,7 +42,6 @@ class HoldRule:
 
     Attributes:
         tolerance_deg: closeness that is always good enough [deg].
-        noise_deg: standard deviation of the disturbance estimate that sensor noise alone causes [deg].
         patience: samples of constant preview after which noise is allowed for.
 
     Raises:
@@ -50,21 +49,23 @@ class HoldRule:
     """
 
     tolerance_deg: float = 0.03
-    noise_deg: float = 0.0
     patience: int = 10
 
     def __post_init__(self) -> None:
-        if not (self.tolerance_deg >= 0 and self.noise_deg >= 0 and self.patience >= 0):
+        if not (self.tolerance_deg >= 0 and self.patience >= 0):
             raise ControllerError(f"hold: got {self}, expected values >= 0")
 
-    def judge(self, before: Hold, reference: Vec, held_angles: Vec) -> Hold:
-        """Whether to hold now, from the preview (H,) [deg] and the held command's angles (H,) [deg]."""
+    def judge(self, before: Hold, reference: Vec, held_angles: Vec, sigma: float) -> Hold:
+        """Whether to hold now, from the preview (H,) [deg] and the held command's angles (H,) [deg].
+
+        `sigma` is the standard deviation of the disturbance estimate's error [deg].
+        """
         if np.ptp(reference) > self.tolerance_deg:
             return Hold()
         constant = before.constant + 1
         sigmas = _LEAVE_SIGMAS if before.holding else _ENTER_SIGMAS if constant > self.patience else 0.0
         error = float(np.max(np.abs(held_angles - reference)))
-        return Hold(error <= self.tolerance_deg + sigmas * self.noise_deg, constant)
+        return Hold(error <= self.tolerance_deg + sigmas * sigma, constant)
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
             angle_limits=(low - situation.disturbance, high - situation.disturbance),
         )
         angles = self._predictor.rollout(situation.state, plans)
-        hold = self._hold.judge(memory.hold, wanted, angles[HOLD])
+        hold = self._hold.judge(memory.hold, wanted, angles[HOLD], situation.disturbance_sigma)
         chosen = plans[HOLD : HOLD + 1] if hold.holding else plans
         start = self._cost.best(chosen, angles[: len(chosen)], problem)
         watch.lap("rollout")

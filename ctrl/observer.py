@@ -26,7 +26,9 @@ class Estimate:
         angles: predicted angles [deg] without disturbance: now, then at the ends of the samples whose commands
             are still on their way; `delay_samples + 1` entries, none without a model.
         responsive: for each of these angles, whether it answers to the command (False: dead band of a play).
+        moves: command travel of the sample that led to each of these angles [command unit].
         disturbance: estimated output disturbance [deg].
+        variance: of its error [deg^2].
         measured: the last accepted measurement [deg].
         missing: number of samples since the last accepted measurement.
         stalled: number of samples since the model was last advanced; above zero it has failed.
@@ -36,7 +38,9 @@ class Estimate:
     command: float
     angles: tuple[float, ...]
     responsive: tuple[bool, ...]
+    moves: tuple[float, ...]
     disturbance: float
+    variance: float
     measured: float
     missing: int = 0
     stalled: int = 0
@@ -46,7 +50,6 @@ class Observer(ABC):
     """Estimate in, estimate out: `correct` with a measurement, `advance` with the command really sent."""
 
     delay_samples: int  # transport delay between command and angle, beyond the one sample of every discrete loop
-    noise_deg: float  # standard deviation of the estimated disturbance that sensor noise alone causes
 
     @abstractmethod
     def init(self, y: float, u: float) -> Estimate:
@@ -70,10 +73,9 @@ class WithoutModel(Observer):
     """The observer of a controller that has no model: keeps the last usable measurement."""
 
     delay_samples = 0
-    noise_deg = 0.0
 
     def init(self, y: float, u: float) -> Estimate:
-        return Estimate(EMPTY, u, (), (), 0.0, y)
+        return Estimate(EMPTY, u, (), (), (), 0.0, 0.0, y)
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:
         angle = usable_angle(y)

@@ -6,12 +6,20 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+from hystmpc.ctrl.build import pid_gains
 from hystmpc.ctrl.config import InversePidControllerSettings, PidControllerSettings
+from hystmpc.ctrl.describing import LoopAnalysis, analyse_pid
+from hystmpc.models.library import model_path
+from hystmpc.models.load import load_model
+from hystmpc.models.model import Predictor
+from hystmpc.models.prediction.actuated import ActuatedPredictor
+from hystmpc.models.prediction.build import predictor_for
+from hystmpc.trials.errors import ModelError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 
 from .figures import colours, error_figure, histogram_figure, loop_figure, timing_figure, tracking_figure
-from .results import Result, StudyResult, load_results
+from .results import Result, StudyResult, limits_of, load_results
 
 _COLUMNS = (
     "controller",
@@ -40,7 +48,7 @@ def study_report(result: StudyResult) -> Report:
             Plot(loop_figure(runs, colour, result.unit), "Tip angle over command."),
             Plot(histogram_figure(runs, colour), "Distribution of the error; the outermost bins hold all beyond them."),
         ]
-    pieces += _timing(result, colour)
+    pieces += [*_stability(result), *_timing(result, colour)]
     plant = result.config.plant
     subtitle = f"plant {_short(plant.simulator)}, model {_short(result.config.model)}"
     return Report("Closed loop in simulation", tuple(pieces), subtitle)
@@ -112,6 +120,51 @@ def _metrics_table(runs: tuple[Result, ...], unit: str) -> Table:
         rows.append((run.controller, m.rmse_deg, m.max_abs_deg, *held, m.command_travel, m.limit_violations, *times))
     caption = "Errors of the tip angle without sensor noise; hold figures over the last half of every hold."
     return Table([column.format(unit=unit) for column in _COLUMNS], rows, caption)
+
+
+def _stability(result: StudyResult) -> Iterator[Piece]:
+    """What the describing function of the identified model says about every loop with a PID in it."""
+    config, unit = result.config, result.unit
+    loops = {name: config.controllers[name] for name in result.controllers}
+    delay = max(
+        (s.estimator.delay_samples for s in loops.values() if not isinstance(s, PidControllerSettings)), default=0
+    )
+    with_gains = {name: s for name, s in loops.items() if isinstance(s, _WITH_GAINS)}
+    if not with_gains:
+        return
+    yield Heading("Limit cycles of the PID loops")
+    try:
+        model = _identified(result)
+    except ModelError as error:
+        yield Paragraph(f"Not analysed: {error}")
+        return
+    found = [
+        (name, analyse_pid(model, pid_gains(s.gains), limits_of(config, name), delay)) for name, s in with_gains.items()
+    ]
+    columns = ("controller", "prediction", "frequency [Hz]", "angle [deg]", f"command [{unit}]", "greatest loop gain")
+    caption = (
+        "By harmonic balance of the controller with the describing function of the identified model, the lag and delay "
+        "that controllers are told of included; amplitudes about the middle of the command. Below a loop gain of 1 at "
+        "-180 degrees nothing oscillates; near 1 the method is uncertain."
+    )
+    yield Table(columns, [_loop_row(name, analysis) for name, analysis in found], caption)
+
+
+def _identified(result: StudyResult) -> Predictor:
+    """The model that the controllers were given, behind the lag that they were told of.
+
+    Raises:
+        ModelError: if its file is not there any more.
+    """
+    model = predictor_for(load_model(model_path(result.config.model), start="conditioned"))
+    lag = result.config.actuator_lag_s
+    return ActuatedPredictor(model, lag) if lag > 0 else model
+
+
+def _loop_row(name: str, analysis: LoopAnalysis) -> tuple[object, ...]:
+    cycle = analysis.cycle
+    values = ("none",) * 3 if cycle is None else (cycle.frequency_hz, cycle.angle_deg, cycle.command)
+    return name, str(analysis), *values, analysis.gain
 
 
 def _timing(result: StudyResult, colour: dict[str, str]) -> Iterator[Piece]:

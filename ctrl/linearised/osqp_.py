@@ -10,6 +10,7 @@ import osqp
 from numpy.typing import NDArray
 
 from .problem import QpData, QpPattern
+from .solver import QpSolution, QpSolver
 
 Vec = NDArray[np.float64]
 
@@ -34,36 +35,16 @@ class OsqpOptions:
     iterations: int = 60
 
 
-@dataclass(frozen=True, eq=False)
-class QpSolution:
-    """What the solver found.
-
-    Attributes:
-        primal: z, shape (n,).
-        usable: whether `primal` is a step worth trying: solved, or finite when the iterations ran out.
-        status: the solver's own words.
-        iterations: taken.
-    """
-
-    primal: Vec
-    usable: bool
-    status: str
-    iterations: int
-
-    @property
-    def unfinished(self) -> bool:
-        """Whether the iterations ran out."""
-        return self.status == _UNFINISHED
-
-
 @final
-class OsqpSolver:
+class OsqpSolver(QpSolver):
     """Solves one family of quadratic programs.
 
     The workspace only saves time: every solve starts from z = 0, the first step size and the multipliers that come
     with the data, and the cost is scaled here and not by the solver, whose scaling leaves rounding errors behind.
     So equal data give equal answers, to the last bit.
     """
+
+    name = "OSQP"
 
     def __init__(self, pattern: QpPattern, options: OsqpOptions) -> None:
         self._pattern, self._options = pattern, options
@@ -73,10 +54,8 @@ class OsqpSolver:
         self._workspace: Any = self._build()
 
     def solve(self, data: QpData) -> QpSolution:
-        """Solve one program of the family; a failure shows in the solution, not as an exception."""
-        if self._workspace is None:
-            self._workspace = self._build()
-        workspace = self._workspace
+        workspace = self._build() if self._workspace is None else self._workspace
+        self._workspace = None  # a failed workspace may keep what made it fail
         scale = 1.0 / float(np.mean(data.hessian_data[self._diagonal]))
         moving = {} if data.constraint_data is None else {"Ax": data.constraint_data}
         workspace.update(Px=scale * data.hessian_data, q=scale * data.gradient, l=data.lower, u=data.upper, **moving)
@@ -85,9 +64,9 @@ class OsqpSolver:
         finite = bool(np.all(np.isfinite(result.x)))
         status = str(result.info.status) if finite else "solution not finite"
         usable = finite and status in _USABLE
-        if not usable:
-            self._workspace = None  # a failed workspace may keep what made it fail
-        return QpSolution(result.x, usable, status, iterations)
+        if usable:
+            self._workspace = workspace
+        return QpSolution(result.x, usable, status, iterations, status == _UNFINISHED)
 
     def _staged(self, workspace: Any) -> tuple[Any, int]:
         """Iterate with one step size after the other, each from where the last one stopped."""
@@ -104,10 +83,11 @@ class OsqpSolver:
     def _build(self) -> Any:
         variables, rows = self._pattern.variables, self._pattern.rows
         workspace = osqp.OSQP()
+        # copies: an update writes into the matrices of the set-up, and one that is not finite would stay in the pattern
         workspace.setup(
-            P=self._pattern.hessian,
+            P=self._pattern.hessian.copy(),
             q=np.zeros(variables),
-            A=self._pattern.constraints,
+            A=self._pattern.constraints.copy(),
             l=np.full(rows, -1.0),
             u=np.full(rows, 1.0),
             eps_abs=self._options.eps,

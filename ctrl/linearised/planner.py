@@ -13,8 +13,10 @@ from hystmpc.trials.errors import ControllerError
 from ..limits import CommandLimits
 from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
 from ..stopwatch import Stopwatch
+from .daqp_ import DaqpOptions, DaqpSolver
 from .osqp_ import OsqpOptions, OsqpSolver
-from .problem import TrackingQp
+from .problem import QpPattern, TrackingQp
+from .solver import QpSolver
 
 Vec = NDArray[np.float64]
 
@@ -34,7 +36,7 @@ class LinearisedPlanner(Planner[None]):
         limits: hard limits.
         horizon: H.
         iterations: linearisations per step.
-        options: solver tolerances.
+        options: of the solver, which their class chooses; OSQP where left out.
 
     Raises:
         ControllerError: if `iterations` is less than 1.
@@ -47,14 +49,14 @@ class LinearisedPlanner(Planner[None]):
         limits: CommandLimits,
         horizon: int,
         iterations: int = 1,
-        options: OsqpOptions | None = None,
+        options: OsqpOptions | DaqpOptions | None = None,
     ) -> None:
         if iterations < 1:
             raise ControllerError(f"linearised MPC: got iterations {iterations}, expected at least 1")
         self._predictor, self._limits, self._iterations = predictor, limits, iterations
         self._cost = PlanCost(weights, horizon)
         self._qp = TrackingQp(weights, limits, horizon, predictor.dt)
-        self._solver = OsqpSolver(self._qp.pattern, options or OsqpOptions())
+        self._solver = _solver(self._qp.pattern, options)
 
     def init(self) -> None:
         return None
@@ -71,13 +73,16 @@ class LinearisedPlanner(Planner[None]):
         watch.lap("linearise")
         if not np.all(np.isfinite(jacobian)):
             raise PlanningError("the model's Jacobian is not finite")
-        solution = self._solver.solve(self._qp.data(problem, start, jacobian))
+        data = self._qp.data(problem, start, jacobian)
+        if not (np.all(np.isfinite(data.hessian_data)) and np.all(np.isfinite(data.gradient))):
+            raise PlanningError("the quadratic program is not finite")
+        solution = self._solver.solve(data)
         watch.lap("solve")
         if not solution.usable:
-            raise PlanningError(f"OSQP: {solution.status} after {solution.iterations} iterations")
+            raise PlanningError(f"{self._solver.name}: {solution.status} after {solution.iterations} iterations")
         plan = self._search(problem, start, solution.primal[: start.commands.size])
         watch.lap("search")
-        return plan, f"OSQP: {solution.status}, its best step used" if solution.unfinished else "ok"
+        return plan, f"{self._solver.name}: {solution.status}, its best step used" if solution.unfinished else "ok"
 
     def _search(self, problem: PlanningProblem, start: Plan, step: Vec) -> Plan:
         """The cheapest of the start plan and parts of the step, by nonlinear cost."""
@@ -86,3 +91,9 @@ class LinearisedPlanner(Planner[None]):
         plans = start.commands + _STEPS[:, None] * (target - start.commands)
         found = self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)
         return found if found.cost < start.cost else start
+
+
+def _solver(pattern: QpPattern, options: OsqpOptions | DaqpOptions | None) -> QpSolver:
+    if isinstance(options, DaqpOptions):
+        return DaqpSolver(pattern, options)
+    return OsqpSolver(pattern, options or OsqpOptions())

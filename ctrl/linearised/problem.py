@@ -24,11 +24,13 @@ class QpPattern:
         hessian: P, upper triangle in CSC order, with placeholder values.
         constraints: A in CSC order.
         moving: positions of the Jacobian's entries in the data of `constraints`; empty without soft limits.
+        bounds: leading rows of A that are those of the identity: bounds on the first entries of z.
     """
 
     hessian: sparse.csc_matrix
     constraints: sparse.csc_matrix
     moving: NDArray[np.intp]
+    bounds: int
 
     @property
     def variables(self) -> int:
@@ -133,10 +135,12 @@ class TrackingQp:
         hessian = sparse.csc_matrix(np.triu(np.ones((horizon, horizon))))
         rows = [sparse.eye(horizon), sparse.csc_matrix(self._difference)]
         if not self._weights.limits_angle:
-            return QpPattern(hessian, sparse.csc_matrix(sparse.vstack(rows, format="csc")), np.empty(0, dtype=np.intp))
+            return QpPattern(
+                hessian, sparse.csc_matrix(sparse.vstack(rows, format="csc")), np.empty(0, dtype=np.intp), horizon
+            )
         marker = 2.0  # told apart from the ones of the other blocks
         triangle = sparse.csc_matrix(marker * np.tril(np.ones((horizon, horizon))))
         blocks = [[rows[0], None], [rows[1], None], [triangle, sparse.eye(horizon)]]
         constraints = sparse.csc_matrix(sparse.bmat(blocks, format="csc"))
         hessian = sparse.csc_matrix(sparse.block_diag([hessian, sparse.eye(horizon)], format="csc"))
-        return QpPattern(hessian, constraints, np.flatnonzero(constraints.data == marker))
+        return QpPattern(hessian, constraints, np.flatnonzero(constraints.data == marker), horizon)

@@ -1,1 +1,1 @@
-"""The sampling controller: smooth noise, and path integral control with it."""
+"""The sampling controller: smooth noise, and path integral control or the cross-entropy method with it."""

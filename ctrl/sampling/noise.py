@@ -45,5 +45,11 @@ def coloured_noise(horizon: int, exponent: float) -> Mat:
     return _unit_rows(np.hstack([amplitude * np.cos(phase), amplitude * np.sin(phase)]))
 
 
+def random_numbers(seed: int, step: int) -> np.random.Generator:
+    """The generator of one step, fixed by seed and step alone."""
+    # a counter-based generator: the third word counts steps, the lower two what one step draws
+    return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, step, 0]))
+
+
 def _unit_rows(factor: Mat) -> Mat:
     return factor / np.linalg.norm(factor, axis=1, keepdims=True)

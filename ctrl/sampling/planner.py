@@ -14,6 +14,7 @@ from hystmpc.trials.errors import ControllerError
 from ..limits import CommandLimits
 from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
 from ..stopwatch import Stopwatch
+from .noise import random_numbers
 
 Vec = NDArray[np.float64]
 Mat = NDArray[np.float64]
@@ -85,9 +86,7 @@ class SamplingPlanner(Planner[SampleCounter]):
     def improve(
         self, problem: PlanningProblem, start: Plan, memory: SampleCounter, watch: Stopwatch
     ) -> tuple[Plan, str, SampleCounter]:
-        # a counter-based generator: the third word counts steps, the lower two what one step draws
-        bits = np.random.Philox(key=self._options.seed, counter=[0, 0, memory.step, 0])
-        generator = np.random.Generator(bits)
+        generator = random_numbers(self._options.seed, memory.step)
         for _ in range(self._options.iterations):
             start = self._iterate(problem, start, generator, watch)
         return start, "ok", SampleCounter(memory.step + 1)

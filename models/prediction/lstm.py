@@ -1,39 +1,43 @@
-"""Predictions of an LSTM in single precision: roll-outs by onnxruntime, steps and Jacobians by compiled kernels."""
+"""Predictions of an LSTM in single precision by compiled kernels."""
 
 from __future__ import annotations
 
 from typing import Literal, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..contract.load import OnnxModel
 from ..contract.metadata import ModelMetadata
-from ..kernels import lstm_kernels
-from ..lstm.onnxruntime_ import RolloutSession
+from ..kernels.lstm_choice import chosen_route
+from ..kernels.lstm_route import LstmRoute
 from ..lstm.weights import LstmWeights
 from ..model import Array, Predictor
-
-_Float32 = NDArray[np.float32]
 
 
 @final
 class LstmPredictor(Predictor):
     """The fastest route to each prediction of a stacked LSTM; state (S,) as in `LstmWeights`.
 
-    Plans must be finite, as those within command limits are: the kernels' gates clamp, and would turn not-a-number into
-    a plausible angle. The matrix products run on as many threads as the process gives BLAS; a control process sets one
-    (threadpoolctl), since a second one stalls beside a busy neighbour.
+    What follows from a command or a state that is not finite is not-a-number. Roll-outs run on as many threads as the
+    process gives BLAS; a control process sets one (threadpoolctl), since a second one stalls beside a busy neighbour.
+
+    Args:
+        weights: of the network.
+        metadata: facts of the model file.
+        start: rule that makes the initial state.
+        route: how to compute; None for the fastest on this processor, see `chosen_route`.
     """
 
     def __init__(
-        self, weights: LstmWeights, metadata: ModelMetadata, start: Literal["initial", "conditioned"] = "conditioned"
+        self,
+        weights: LstmWeights,
+        metadata: ModelMetadata,
+        start: Literal["initial", "conditioned"] = "conditioned",
+        route: LstmRoute | None = None,
     ) -> None:
         self.dt = metadata.dt_s
         self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
-        self._packed, self._roll = lstm_kernels.pack_lstm(weights), RolloutSession(weights)
-        self._scaling = weights.scaling
-        self._shape = (2 * len(weights.layers), weights.hidden)
+        self.route = chosen_route(weights) if route is None else route
         self._rule = metadata.initial if start == "initial" else metadata.conditioned
         self._warmup = metadata.warmup_samples
 
@@ -43,35 +47,37 @@ class LstmPredictor(Predictor):
 
         Raises:
             ModelError: if the initializers are not those of an exported LSTM.
+            ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
         """
         return cls(LstmWeights.from_arrays(model.initializers), model.metadata, start)
 
     def initial(self, y: float, u: float) -> Array:
         state = self._rule.state(np.array([[y]]))[0]
-        for _ in range(self._warmup):
-            _, state = self.advance(state, u)
-        return state
+        return self._along(state, np.full(self._warmup, u))[1] if self._warmup else state
 
     def advance(self, state: Array, u: float) -> tuple[float, Array]:
-        following, y = self._layers(state), np.empty(1, np.float32)
-        lstm_kernels.advance(self._packed, following, self._scaled(np.array([u])), y)
-        return float(self._angles(y)[0]), following.ravel().astype(np.float64)
+        angles, following = self._along(state, np.array([u]))
+        return float(angles[0]), following
 
     def rollout(self, state: Array, plans: Array) -> Array:
-        return self._roll(state.astype(np.float32), plans.astype(np.float32)).astype(np.float64)
+        if _finite(state, plans):
+            return self.route.rollout(state, plans)
+        usable = np.isfinite(plans).all(axis=1) & np.isfinite(state).all()
+        angles = np.full(plans.shape, np.nan)
+        if usable.any():
+            angles[usable] = self.route.rollout(state, plans[usable])
+        return angles
 
     def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
-        y, by_plan = np.empty(plan.size, np.float32), np.zeros((plan.size, plan.size), np.float32)
-        lstm_kernels.linearise(self._packed, self._layers(state), self._scaled(plan), y, by_plan)
-        gain = self._scaling.theta_scale / self._scaling.u_scale
-        return self._angles(y), gain * by_plan.astype(np.float64)
+        if not _finite(state, plan):
+            return np.full(plan.size, np.nan), np.tril(np.full((plan.size, plan.size), np.nan))
+        return self.route.linearise(state, plan)
 
-    def _layers(self, state: Array) -> _Float32:
-        """A float32 copy (2L, H) of the state for a kernel to work on."""
-        return np.array(state, dtype=np.float32).reshape(self._shape)
+    def _along(self, state: Array, plan: Array) -> tuple[Array, Array]:
+        if not _finite(state, plan):
+            return np.full(plan.size, np.nan), np.full(state.size, np.nan)
+        return self.route.advance(state, plan)
 
-    def _scaled(self, u: Array) -> _Float32:
-        return np.ascontiguousarray((u - self._scaling.u_offset) / self._scaling.u_scale, dtype=np.float32)
 
-    def _angles(self, y: _Float32) -> Array:
-        return self._scaling.theta_offset + self._scaling.theta_scale * y.astype(np.float64)
+def _finite(state: Array, plans: Array) -> bool:
+    return bool(np.isfinite(state).all() and np.isfinite(plans).all())

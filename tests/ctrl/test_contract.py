@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,11 @@ from .plays import BROKEN, PLAY, SOUND, Case
 
 LIMITS = [CommandLimits(0.0, 6.0, 12.0), CommandLimits(-1.0, 2.5, 0.7), CommandLimits(0.0, 0.01, 500.0)]
 CASES = {case.name: case for case in [*SOUND, *BROKEN]}
-KINDS = list(CONTROLLERS)
+VARIANTS: dict[str, dict[str, Any]] = {
+    "linearised_mpc, DAQP": {"kind": "linearised_mpc", "solver": "daqp"},
+    "sampling_mpc, CEM": {"kind": "sampling_mpc", "method": "cem"},
+}
+KINDS = [*CONTROLLERS, *(name for name in VARIANTS if "DAQP" not in name or find_spec("daqp"))]
 QUICK: dict[str, dict[str, Any]] = {
     "linearised_mpc": {"horizon": 6, "weights": {"angle_upper_deg": 60.0}},
     "sampling_mpc": {"horizon": 6, "samples": 16, "noise": {"kind": "coloured"}},
@@ -30,11 +35,12 @@ QUICK: dict[str, dict[str, Any]] = {
 
 @cache
 def controller_for(kind: str, name: str, limits: CommandLimits, delay: int = 0) -> GuardedController[Any]:
-    case, options = CASES[name], dict(QUICK.get(kind, {}))
+    case, variant = CASES[name], VARIANTS.get(kind, {"kind": kind})
+    options = {**QUICK.get(variant["kind"], {}), **variant}
     if kind != "pid":
         options["estimator"] = {"delay_samples": delay}
     options["ladder"] = {"stop_after_failures": 5, "max_missing_samples": 3, "safe_command": limits.lower}
-    return build_controller(CONTROLLERS[kind].parse({"kind": kind, **options}), case.predictor, case.inverse, limits)
+    return build_controller(CONTROLLERS[variant["kind"]].parse(options), case.predictor, case.inverse, limits)
 
 
 any_float = st.floats(allow_nan=True, allow_infinity=True)

@@ -21,19 +21,52 @@ OPTIONS = EstimatorOptions()
 
 @given(st.floats(0.01, 2.0), st.floats(0.01, 5.0), st.floats(0.004, 0.1))
 def test_gain_is_the_scalar_riccati_solution(sensor: float, drift: float, dt: float) -> None:
-    q, r = drift**2 * dt, sensor**2
-    covariance = 0.5 * (q + math.sqrt(q * q + 4 * q * r))  # P = P - P^2 / (P + r) + q
-    assert kalman_gain(sensor, drift, dt) == pytest.approx(covariance / (covariance + r), rel=1e-6)
+    gain, q, r = kalman_gain(sensor, drift, dt), drift**2 * dt, sensor**2
+    covariance = r * gain / (1.0 - gain)
+    assert covariance == pytest.approx(covariance - covariance**2 / (covariance + r) + q, rel=1e-6)
 
 
-def test_noise_of_the_estimate_is_the_predicted_one() -> None:
+@pytest.mark.parametrize(("sensor", "drift", "dt"), [(0.15, 0.4, 0.04), (0.15, 1.5, 0.004), (2.0, 0.01, 0.04)])
+def test_gain_is_that_of_control(sensor: float, drift: float, dt: float) -> None:
+    from control import dlqe
+
+    one = np.eye(1)
+    gain, _, _ = dlqe(one, one, one, drift**2 * dt * one, sensor**2 * one, method="scipy")
+    assert kalman_gain(sensor, drift, dt) == pytest.approx(float(np.asarray(gain).item()), rel=1e-12)
+
+
+def test_the_error_of_the_estimate_has_the_predicted_variance() -> None:
+    """The disturbance walks as assumed, faster while the command moves; both kinds of sample are judged apart."""
+    options = replace(OPTIONS, motion_sigma_deg=1.5, dead_band_gain=0.0, disturbance_limit_deg=1e3, outlier_deg=1e3)
+    model, random = Lag(), np.random.default_rng(0)
+    estimator = OutputEstimator(model, options)
+    estimate, state = estimator.init(20.0, 0.0), model.initial(20.0, 0.0)
+    offset, u, squares = 0.0, 0.0, {True: [], False: []}
+    angle, state = model.advance(state, 0.0)
+    for k in range(20_000):
+        estimate = estimator.correct(estimate, angle + offset + 0.15 * random.standard_normal())
+        moving = (k // 50) % 2 == 0
+        if k % 50 > 40:  # settled in either
+            squares[moving].append(((offset - estimate.disturbance) ** 2, estimate.variance))
+        move = 0.1 * (-1) ** k if moving else 0.0
+        u += move
+        estimate = estimator.advance(estimate, u)
+        angle, state = model.advance(state, u)
+        offset += math.sqrt(0.4**2 * DT + 1.5**2 * abs(move)) * random.standard_normal()
+    means = {moving: np.mean(pairs, axis=0) for moving, pairs in squares.items()}
+    for error, variance in means.values():
+        assert error == pytest.approx(variance, rel=0.1)
+    assert means[True][1] > 1.5 * means[False][1]
+
+
+def test_without_motion_the_variance_is_that_of_the_riccati_equation() -> None:
     estimator = OutputEstimator(Lag(), OPTIONS)
-    estimate, random = estimator.init(20.0, 0.0), np.random.default_rng(0)
-    disturbances = []
-    for _ in range(20_000):
-        estimate = estimator.advance(estimator.correct(estimate, 20.0 + 0.15 * random.standard_normal()), 0.0)
-        disturbances.append(estimate.disturbance)
-    assert np.std(disturbances) == pytest.approx(estimator.noise_deg, rel=0.05)
+    estimate = estimator.init(20.0, 0.0)
+    for _ in range(50):
+        prior = estimate.variance
+        estimate = estimator.correct(estimate, 20.0)
+        assert 1 - estimate.variance / prior == pytest.approx(estimator.gain, rel=1e-9)
+        estimate = estimator.advance(estimate, 0.0)
 
 
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
@@ -95,7 +128,13 @@ def test_what_the_model_cannot_explain_at_rest_is_the_first_disturbance() -> Non
 
 @pytest.mark.parametrize(
     "change",
-    [{"sensor_sigma_deg": 0.0}, {"drift_sigma_deg": math.nan}, {"delay_samples": -1}, {"dead_band_gain": -1.0}],
+    [
+        {"sensor_sigma_deg": 0.0},
+        {"drift_sigma_deg": math.nan},
+        {"delay_samples": -1},
+        {"dead_band_gain": -1.0},
+        {"motion_sigma_deg": -0.1},
+    ],
 )
 def test_impossible_options_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(ControllerError, match="estimator: got"):

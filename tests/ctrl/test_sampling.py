@@ -1,4 +1,4 @@
-"""Laws of the sampling planner and its noise."""
+"""Laws of both sampling planners and their noise."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.planning import Plan, PlanCost, Weights
+from hystmpc.ctrl.linearised.osqp_ import OsqpOptions
+from hystmpc.ctrl.linearised.planner import LinearisedPlanner
+from hystmpc.ctrl.planning import Plan, PlanCost, Planner, PlanningError, Weights
+from hystmpc.ctrl.sampling.cem import CrossEntropyOptions, CrossEntropyPlanner
 from hystmpc.ctrl.sampling.noise import coloured_noise, spline_noise
 from hystmpc.ctrl.sampling.planner import SampleCounter, SamplingOptions, SamplingPlanner
 from hystmpc.ctrl.stopwatch import Stopwatch
 from hystmpc.trials.errors import ControllerError
 
-from .plays import DT, LINEAR, PLAY, SOUND, Case
+from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, not_a_number
 from .test_linearised import LIMITS, posed
 
 H = 20
@@ -22,8 +25,15 @@ WEIGHTS = Weights()
 NOISES = {"spline": spline_noise(H, 6), "red": coloured_noise(H, 2.0), "white": coloured_noise(H, 0.0)}
 
 
-def planner_for(case: Case, noise: str = "spline", **options: Any) -> SamplingPlanner:
-    return SamplingPlanner(case.predictor, WEIGHTS, LIMITS, NOISES[noise], SamplingOptions(**options))
+METHODS: dict[str, tuple[Any, Any]] = {
+    "mppi": (SamplingPlanner, SamplingOptions),
+    "cem": (CrossEntropyPlanner, CrossEntropyOptions),
+}
+
+
+def planner_for(case: Case, noise: str = "spline", method: str = "mppi", **options: Any) -> Planner[SampleCounter]:
+    planner, kind = METHODS[method]
+    return planner(case.predictor, WEIGHTS, LIMITS, NOISES[noise], kind(**options))
 
 
 def started(case: Case, seed: int) -> tuple[Any, Plan]:
@@ -44,10 +54,11 @@ def test_white_noise_is_white_and_red_noise_is_smooth() -> None:
     assert neighbours["spline"] > 0.8
 
 
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
-def test_result_is_admissible_and_never_worse_than_the_start(case: Case, noise: str) -> None:
-    planner = planner_for(case, noise, samples=64)
+def test_result_is_admissible_and_never_worse_than_the_start(case: Case, noise: str, method: str) -> None:
+    planner = planner_for(case, noise, method, samples=64)
     better = 0
     for seed in range(10):
         problem, start = started(case, seed)
@@ -59,16 +70,17 @@ def test_result_is_admissible_and_never_worse_than_the_start(case: Case, noise: 
     assert better == 10  # a random start is far from the optimum
 
 
-def test_random_numbers_depend_on_seed_and_step_alone() -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_random_numbers_depend_on_seed_and_step_alone(method: str) -> None:
     case = PLAY
     problem, start = started(case, 0)
-    planner = planner_for(case, samples=32)
+    planner = planner_for(case, method=method, samples=32)
     first, _, after = planner.improve(problem, start, SampleCounter(7), Stopwatch())
     planner.improve(problem, start, after, Stopwatch())
-    again, _, _ = planner_for(case, samples=32).improve(problem, start, SampleCounter(7), Stopwatch())
+    again, _, _ = planner_for(case, method=method, samples=32).improve(problem, start, SampleCounter(7), Stopwatch())
     np.testing.assert_array_equal(first.commands, again.commands)
     assert after == SampleCounter(8)
-    for other, counter in ((planner_for(case, samples=32, seed=1), 7), (planner, 8)):
+    for other, counter in ((planner_for(case, method=method, samples=32, seed=1), 7), (planner, 8)):
         different, _, _ = other.improve(problem, start, SampleCounter(counter), Stopwatch())
         assert not np.array_equal(first.commands, different.commands)
 
@@ -82,10 +94,36 @@ def test_more_iterations_do_not_cost_more() -> None:
     assert costs == sorted(costs, reverse=True)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_many_iterations_find_the_optimum_of_a_linear_model(method: str) -> None:
+    problem, start = started(LINEAR, 1)
+    exact = LinearisedPlanner(LINEAR.predictor, WEIGHTS, LIMITS, H, 3, OsqpOptions(eps=1e-8, iterations=20_000))
+    optimum, _, _ = exact.improve(problem, start, None, Stopwatch())
+    planner = planner_for(LINEAR, "red", method, iterations=40)
+    plan, _, _ = planner.improve(problem, start, planner.init(), Stopwatch())
+    assert plan.cost <= optimum.cost + 0.05 * (start.cost - optimum.cost)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_predictions_that_are_not_finite_are_a_planning_error(method: str) -> None:
+    problem, start = started(PLAY, 0)
+    planner = planner_for(
+        replace(PLAY, build=lambda: (Faulty(PLAY.predictor, not_a_number, -1.0), PLAY.inverse)), method=method
+    )
+    with pytest.raises(PlanningError, match="has a finite prediction"):
+        planner.improve(problem, start, planner.init(), Stopwatch())
+
+
 @pytest.mark.parametrize("change", [{"samples": 0}, {"sigma": -1.0}, {"finest": 2.0}, {"seed": -1}])
 def test_impossible_options_are_refused(change: dict[str, Any]) -> None:
     with pytest.raises(ControllerError, match="sampling MPC: got"):
         replace(SamplingOptions(), **change)
+
+
+@pytest.mark.parametrize("change", [{"samples": 0}, {"elites": 0.6}, {"finest": 2.0}, {"seed": -1}])
+def test_impossible_options_of_the_elites_are_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(ControllerError, match="cross-entropy MPC: got"):
+        replace(CrossEntropyOptions(), **change)
 
 
 def test_impossible_noise_is_refused() -> None:

@@ -26,10 +26,16 @@ def wrong_way(root: Path) -> Iterator[str]:
 
 
 def may_need_torch(module: Module) -> bool:
-    """Training, the one wrapper of torch, and the benchmark's rival that runs on torch."""
-    return module.name.startswith("hystmpc.models.fit.") or module.name in (
-        "hystmpc.models.lstm.torch_",
-        "hystmpc.sim.bench.pytorch_mppi_",
+    """Training, the definitions of networks, and the benchmark's rival that runs on torch."""
+    networks = module.name.startswith("hystmpc.models.networks.") and module.name.endswith("_")
+    return (
+        networks
+        or module.name.startswith("hystmpc.models.fit.")
+        or module.name
+        in (
+            "hystmpc.models.lstm.torch_",
+            "hystmpc.sim.bench.pytorch_mppi_",
+        )
     )
 
 

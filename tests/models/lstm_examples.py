@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+import pytest
 
 from hystmpc.models.contract.metadata import ModelMetadata, Range
+from hystmpc.models.kernels.lstm_plain import PlainRoute
+from hystmpc.models.kernels.lstm_route import LstmRoute
+from hystmpc.models.kernels.lstm_vector import VectorRoute
+from hystmpc.models.kernels.threads import allowed_threads
+from hystmpc.models.kernels.vector_shape import SHAPES, host_shape
 from hystmpc.models.lstm.initial import conditioned_rule, zero_state_rule
 from hystmpc.models.lstm.reference import LstmStep
-from hystmpc.models.lstm.weights import LstmLayer, LstmScaling, LstmWeights
+from hystmpc.models.lstm.weights import LstmLayer, LstmWeights
+from hystmpc.models.networks.scaling import Scaling
 from hystmpc.trials.trial import Trial
 
 DT = 0.04
 SIZES = {"one layer of 5": (5, 1), "two of 64": (64, 2), "three of 7": (7, 3)}
+ROUTES = ("plain", *SHAPES)
 
 
 def random_weights(hidden: int, layers: int, seed: int = 0) -> LstmWeights:
@@ -29,8 +39,17 @@ def random_weights(hidden: int, layers: int, seed: int = 0) -> LstmWeights:
         inputs = 1 if k == 0 else hidden
         stack.append(LstmLayer(draw(4 * hidden, inputs) / inputs**0.5, draw(4 * hidden, hidden) / hidden**0.5, bias))
     head = draw(hidden) / hidden**0.5
-    rounded = LstmWeights(tuple(stack), head, 0.25, LstmScaling(3.0, 3.0, 60.0, 32.0)).to_arrays()
+    rounded = LstmWeights(tuple(stack), head, 0.25, Scaling(3.0, 3.0, 60.0, 32.0)).to_arrays()
     return LstmWeights.from_arrays({name: a.astype(np.float32) for name, a in rounded.items()})
+
+
+def make_route(weights: LstmWeights, name: str, threads: Callable[[], int] = allowed_threads) -> LstmRoute:
+    """The plain route, or vectors of any shape: LLVM splits those that are too long for the processor."""
+    if name == "plain":
+        return PlainRoute(weights)
+    if host_shape() is None:
+        pytest.skip("the processor has neither AVX-512 nor AVX2, or numba compiles for another")
+    return VectorRoute(weights, SHAPES[name], threads)
 
 
 def facts(weights: LstmWeights, warmup: int = 5) -> ModelMetadata:

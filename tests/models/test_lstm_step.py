@@ -1,4 +1,4 @@
-"""One LSTM, five ways to run it: NumPy, PyTorch, the two ONNX graphs, the compiled kernels."""
+"""One LSTM, many ways to run it: NumPy, PyTorch, the two ONNX graphs, the routes of compiled kernels."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.lstm.graph import lstm_rollout_graph, lstm_step_graph
 from hystmpc.models.lstm.reference import LstmStep
-from hystmpc.models.lstm.weights import LstmLayer, LstmScaling, LstmWeights
+from hystmpc.models.lstm.weights import LstmLayer, LstmWeights
+from hystmpc.models.networks.scaling import Scaling
 from hystmpc.models.prediction.lstm import LstmPredictor
 from hystmpc.models.probe import probe_commands
 from hystmpc.trials.errors import ModelError
 
-from .lstm_examples import SIZES, facts, random_weights
+from .lstm_examples import ROUTES, SIZES, facts, make_route, random_weights
 
 EXAMPLES = {name: random_weights(*size) for name, size in SIZES.items()}
 every_size = pytest.mark.parametrize("weights", EXAMPLES.values(), ids=EXAMPLES.keys())
+every_route = pytest.mark.parametrize("route", ROUTES)
 STEPS = 1000
 FREE_RUN_DEG = 1e-3
 
@@ -51,6 +53,10 @@ def some_state(weights: LstmWeights, seed: int = 3) -> np.ndarray:
     return state[0].astype(np.float32).astype(float)
 
 
+def predictor_of(weights: LstmWeights, route: str) -> LstmPredictor:
+    return LstmPredictor(weights, facts(weights), route=make_route(weights, route))
+
+
 def session(graph: onnx.GraphProto) -> ort.InferenceSession:
     model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)], ir_version=8)
     onnx.checker.check_model(model, full_check=True)
@@ -68,7 +74,8 @@ def test_torch_agrees_over_a_long_run(weights: LstmWeights) -> None:
 
     net, scaling, u = net_of(weights), weights.scaling, commands()
     with torch.no_grad():
-        y, _ = net(torch.tensor((u - scaling.u_offset) / scaling.u_scale, dtype=torch.float32)[None])
+        v = torch.tensor(scaling.scale_in(u), dtype=torch.float32)[None]
+        y, _ = net(v, net.start(v[:, 0]))
     theta = scaling.theta_offset + scaling.theta_scale * y[0].double().numpy()
     np.testing.assert_allclose(theta, reference_run(weights, u), rtol=0, atol=FREE_RUN_DEG)
     back = weights_of(net, scaling).to_arrays()
@@ -105,9 +112,10 @@ def test_exported_file_passes_the_gate_and_feeds_the_kernels(weights: LstmWeight
     np.testing.assert_array_equal(from_file.rollout(start, plans), direct.rollout(start, plans))
 
 
+@every_route
 @every_size
-def test_compiled_step_agrees_over_a_long_run(weights: LstmWeights) -> None:
-    predictor, u = LstmPredictor(weights, facts(weights)), commands()
+def test_compiled_step_agrees_over_a_long_run(weights: LstmWeights, route: str) -> None:
+    predictor, u = predictor_of(weights, route), commands()
     state, angles = np.zeros(weights.state_size), []
     for value in u:
         theta, state = predictor.advance(state, value)
@@ -115,10 +123,11 @@ def test_compiled_step_agrees_over_a_long_run(weights: LstmWeights) -> None:
     np.testing.assert_allclose(angles, reference_run(weights, u), rtol=0, atol=FREE_RUN_DEG)
 
 
+@every_route
 @every_size
 @pytest.mark.parametrize("count", [1, 3, 64, 65, 200])
-def test_rollout_is_repeated_steps_for_any_number_of_plans(weights: LstmWeights, count: int) -> None:
-    predictor, state = LstmPredictor(weights, facts(weights)), some_state(weights)
+def test_rollout_is_repeated_steps_for_any_number_of_plans(weights: LstmWeights, count: int, route: str) -> None:
+    predictor, state = predictor_of(weights, route), some_state(weights)
     plans = np.random.default_rng(count).uniform(0, 6, (count, 12))
     theta = predictor.rollout(state, plans)
     assert theta.shape == plans.shape
@@ -143,10 +152,11 @@ def test_reference_jacobian_is_the_slope_of_the_step(weights: LstmWeights) -> No
     np.testing.assert_allclose(step.jacobian(point[:-1], 2.5), slope, rtol=1e-6, atol=1e-7)
 
 
+@every_route
 @every_size
 @pytest.mark.parametrize("horizon", [1, 2, 13, 30])
-def test_compiled_jacobian_is_the_chain_of_reference_jacobians(weights: LstmWeights, horizon: int) -> None:
-    predictor, step, state = LstmPredictor(weights, facts(weights)), LstmStep(weights), some_state(weights)
+def test_compiled_jacobian_is_the_chain_of_reference_jacobians(weights: LstmWeights, horizon: int, route: str) -> None:
+    predictor, step, state = predictor_of(weights, route), LstmStep(weights), some_state(weights)
     plan = np.random.default_rng(horizon).uniform(0, 6, horizon)
     theta, jacobian = predictor.linearise(state, plan)
     expected, tangents, current = np.zeros((horizon, horizon)), np.zeros((state.size, horizon)), state
@@ -160,11 +170,14 @@ def test_compiled_jacobian_is_the_chain_of_reference_jacobians(weights: LstmWeig
     assert np.array_equal(jacobian, np.tril(jacobian))
 
 
+@every_route
 @settings(max_examples=30, deadline=None)
 @given(u=st.lists(st.floats(-100.0, 100.0), min_size=1, max_size=25), seed=st.integers(0, 100))
-def test_any_finite_plan_gives_finite_predictions_and_leaves_the_state_alone(u: list[float], seed: int) -> None:
+def test_any_finite_plan_gives_finite_predictions_and_leaves_the_state_alone(
+    route: str, u: list[float], seed: int
+) -> None:
     weights = EXAMPLES["one layer of 5"]
-    predictor, state = LstmPredictor(weights, facts(weights)), some_state(weights, seed)
+    predictor, state = predictor_of(weights, route), some_state(weights, seed)
     before = state.copy()
     theta, jacobian = predictor.linearise(state, np.array(u))
     assert np.isfinite(theta).all()
@@ -197,7 +210,7 @@ def test_wrong_sizes_are_refused() -> None:
     with pytest.raises(ModelError, match="not finite"):
         LstmWeights(good.layers, good.head_weight * np.nan, 0.0)
     with pytest.raises(ModelError, match="scales > 0"):
-        LstmScaling(u_scale=0.0)
+        Scaling(u_scale=0.0)
     arrays = good.to_arrays()
     del arrays["lstm.1.w_hh"]
     with pytest.raises(ModelError, match=r"no array lstm\.1\.w_hh"):

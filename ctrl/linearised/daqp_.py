@@ -1,0 +1,98 @@
+"""DAQP: a dual active-set method, dense and exact up to rounding."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hystmpc.trials.errors import ControllerError
+
+from .problem import QpData, QpPattern
+from .solver import QpSolution, QpSolver
+
+Vec = NDArray[np.float64]
+
+_STATUS = {
+    1: "solved",
+    -1: "primal infeasible",
+    -2: "cycling",
+    -3: "unbounded",
+    -4: "maximum iterations reached",
+    -5: "not convex",
+    -6: "start overdetermined",
+}
+_SOLVED, _UNFINISHED = 1, -4
+
+
+@dataclass(frozen=True)
+class DaqpOptions:
+    """Bound on the time of one solve: changes of the active set."""
+
+    iterations: int = 1000
+
+
+@final
+class DaqpSolver(QpSolver):
+    """Solves every program from a cold start, so that nothing of the one before is left (Arnström et al., TAC 2022).
+
+    The identity rows of the pattern are handed over as simple bounds. Memory for one program is kept and filled anew;
+    it is made anew after a failure.
+
+    Raises:
+        ControllerError: if daqp is not installed.
+    """
+
+    name = "DAQP"
+
+    def __init__(self, pattern: QpPattern, options: DaqpOptions) -> None:
+        if find_spec("daqp") is None:
+            raise ControllerError("solver: daqp is not installed, expected osqp, or pip install daqp")
+        self._pattern, self._options = pattern, options
+        self._upper = _positions(pattern.hessian)
+        self._rows = _positions(pattern.constraints)
+        self._memory: tuple[Vec, Vec] | None = None
+
+    def solve(self, data: QpData) -> QpSolution:
+        import daqp  # optional
+
+        hessian, rows = self._filled(data)
+        answer: Any = daqp.solve(
+            hessian,
+            data.gradient,
+            rows[self._pattern.bounds :],
+            data.upper,
+            data.lower,
+            iter_limit=self._options.iterations,
+        )
+        primal, _, flag, info = answer
+        primal = np.array(primal, dtype=np.float64)
+        finite = bool(np.all(np.isfinite(primal)))
+        status = _STATUS.get(flag, f"exit flag {flag}") if finite else "solution not finite"
+        usable = finite and flag == _SOLVED
+        if not usable:
+            self._memory = None
+        return QpSolution(primal, usable, status, int(info["iterations"]), flag == _UNFINISHED)
+
+    def _filled(self, data: QpData) -> tuple[Vec, Vec]:
+        """Hessian (n, n) and constraint rows (m, n), dense."""
+        if self._memory is None:
+            n, m = self._pattern.variables, self._pattern.rows
+            self._memory = np.zeros((n, n)), np.zeros((m, n))
+            self._memory[1][self._rows] = self._pattern.constraints.data
+        hessian, rows = self._memory
+        across, down = self._upper
+        hessian[across, down] = data.hessian_data
+        hessian[down, across] = data.hessian_data
+        if data.constraint_data is not None:
+            rows[self._rows] = data.constraint_data
+        return hessian, rows
+
+
+def _positions(matrix: Any) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Row and column of every entry of a matrix in CSC order."""
+    columns = np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))
+    return np.asarray(matrix.indices, dtype=np.intp), columns.astype(np.intp)

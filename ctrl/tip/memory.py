@@ -1,0 +1,110 @@
+"""The memory of a `TipController` and how it changes: pure functions from one snapshot to the next."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+from hystmpc.trials.errors import ControllerError
+
+from ..command import Command, Source
+from ..guarded import GuardedController, GuardedState
+from ..inputs import usable_angle
+from ..ladder import attempt
+from .reference import Reference, Wish, rest_at
+from .ruckig_ import Kinematics
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """Everything a `TipController` remembers; restoring it restores the future.
+
+    Attributes:
+        command: the last answer; at first the command that the device holds.
+        steps: steps taken since the start.
+        control: the controller's own state; None before the first usable measurement.
+        reference: what is followed; None before that.
+        wish: what will be followed from the first usable measurement on.
+        halted: whether `stop` was called.
+    """
+
+    command: Command
+    steps: int = 0
+    control: GuardedState[Any] | None = None
+    reference: Reference | None = None
+    wish: Wish | None = None
+    halted: bool = False
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the stop is latched."""
+        return self.halted or (self.control is not None and self.control.ladder.stopped)
+
+    @property
+    def disturbance_deg(self) -> float:
+        """By how much the device is off the model, as estimated [deg]."""
+        return 0.0 if self.control is None else self.control.estimate.disturbance
+
+    @property
+    def measured_deg(self) -> float:
+        """Last accepted measurement [deg]; not-a-number before the first."""
+        return math.nan if self.control is None else self.control.estimate.measured
+
+    def motion(self, t: float) -> Kinematics:
+        """The reference's state of motion at `t` [s]; not-a-number where there is none or a user's function fails."""
+        reference = self.reference
+        found = None if reference is None else attempt(lambda: reference.motion(t))[0]
+        return found if found is not None and math.isfinite(found.theta_deg) else Kinematics(math.nan)
+
+
+def fresh(command: float) -> Snapshot:
+    """Before the start, the device holding `command`."""
+    return Snapshot(Command(command, Source.HOLD, "not started"))
+
+
+def started(memory: Snapshot, controller: GuardedController[Any], y: float) -> Snapshot:
+    """At rest at the measured angle `y` [deg], with the wish, if there is one, turned into a reference.
+
+    Raises:
+        ControllerError: if the controller cannot start from there.
+    """
+    control = controller.init(y, memory.command.u)
+    if memory.halted:
+        control = controller.stop(control, "by stop()")
+    wish, start = memory.wish, Kinematics(float(y))
+    reference = rest_at(float(y), 0.0) if wish is None else wish(start, 0.0)
+    return replace(memory, steps=0, control=control, reference=reference, wish=None)
+
+
+def tried_to_start(memory: Snapshot, controller: GuardedController[Any], y: object) -> Snapshot:
+    """Started where `y` allows it; otherwise the command is held, and its status says why."""
+    angle = usable_angle(y)
+    after, reason = attempt(lambda: started(memory, controller, angle))
+    if math.isnan(angle):
+        reason = "no usable measurement yet"
+    return after or replace(memory, command=Command(memory.command.u, Source.HOLD, f"not started: {reason}"))
+
+
+def wished(memory: Snapshot, wish: Wish, dt: float) -> Snapshot:
+    """With the reference that the wish makes of the present state of motion; kept for later before the start.
+
+    Raises:
+        ControllerError: if the stop is latched.
+        TrajectoryError: if no motion is found.
+    """
+    if memory.stopped:
+        raise ControllerError("the stop is latched: got a new reference, expected reset() first")
+    if memory.control is None:
+        return replace(memory, wish=wish)
+    now = memory.steps * dt
+    start = memory.motion(now)
+    if math.isnan(start.theta_deg):  # the reference so far fails: start from where the tip is
+        start = Kinematics(memory.measured_deg)
+    return replace(memory, reference=wish(start, now))
+
+
+def halted(memory: Snapshot, controller: GuardedController[Any]) -> Snapshot:
+    """With the stop latched."""
+    control = None if memory.control is None else controller.stop(memory.control, "by stop()")
+    return replace(memory, control=control, halted=True)

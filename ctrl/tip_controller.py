@@ -1,0 +1,208 @@
+"""The planner's side of hystmpc: set a target or a preview, step, read the state and the plan, stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from threading import RLock
+from typing import TYPE_CHECKING, Any, Self, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hystmpc.trials.errors import ControllerError
+
+from .command import Command
+from .ladder import attempt
+from .tip.memory import Snapshot, fresh, halted, started, tried_to_start, wished
+from .tip.reach import Reach
+from .tip.reference import Wish, given, waypoints
+from .tip.settings import TipSettings, read_settings
+from .tip.views import TipPlan, TipState, plan_of, predicted_angles, state_of
+
+if TYPE_CHECKING:
+    from .tip.assemble import Assembly
+
+Vec = NDArray[np.float64]
+
+
+@final
+class TipController:
+    """A controller with its clock and its reference: one call a sample, targets at any time.
+
+        tip = TipController.from_config("tip.yaml")
+        tip.set_target(60.0)
+        while not tip.state().settled:
+            device.send(tip.step(device.measure()).u)
+
+    `step` never raises and never leaves the limits, whatever the measurement; everything else raises
+    `ControllerError` with one line. Time is the number of steps times the sample time. All methods may be called from
+    any thread while one thread steps; each waits for at most one step. All memory is one frozen `Snapshot`.
+
+    Args:
+        assembly: controller, model and limits.
+        settings: limits of motion, start command and tolerance.
+
+    Raises:
+        ControllerError: if the start command is beyond the limits.
+    """
+
+    def __init__(self, assembly: Assembly, settings: TipSettings) -> None:
+        limits, start = assembly.limits, settings.start_command
+        start = limits.lower if start is None else start
+        if not limits.lower <= start <= limits.upper:
+            raise ControllerError(f"start_command: got {start}, expected {limits.lower} to {limits.upper}")
+        self._assembly, self._settings, self._lock = assembly, settings, RLock()
+        self._nothing = np.empty(0)  # a reference that is too short: the controller holds
+        self._ahead: Vec = assembly.controller.dt * np.arange(1, assembly.controller.horizon + 1, dtype=np.float64)
+        self._memory = fresh(start)
+
+    @classmethod
+    def from_config(cls, source: Path | str | Mapping[str, Any] | TipSettings) -> Self:
+        """A controller that is ready to step: files opened, kernels compiled, one step taken for warmth.
+
+        Args:
+            source: a YAML file or the same as a mapping, see `TipSettings`; relative file names start at the file's
+                folder.
+
+        Raises:
+            ConfigError: on an unknown key (with the nearest right one) or a value out of bounds.
+            ModelError: if a model file is missing or unusable.
+            ControllerError: if the settings contradict each other or the model.
+            FitError: if a network has no `inverse` and none can be fitted.
+        """
+        from .tip.assemble import assemble  # CasADi, onnxruntime and numba take longer than a second to import
+
+        settings, folder = read_settings(source)
+        return cls(assemble(settings, folder), settings)
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self._assembly.controller.dt
+
+    def step(self, measured_theta_deg: float) -> Command:
+        """One sample: the command to send now.
+
+        Args:
+            measured_theta_deg: tip angle now [deg]; NaN where there is none. The first usable one starts the
+                controller at rest there; until then the start command is held.
+        """
+        controller = self._assembly.controller
+        with self._lock:
+            memory = self._memory
+            if memory.control is None:
+                self._memory = memory = tried_to_start(memory, controller, measured_theta_deg)
+            control, reference = memory.control, memory.reference
+            if control is None or reference is None:
+                return memory.command
+            ahead: Vec = memory.steps * self.dt + self._ahead
+            wanted, fault = attempt(lambda: reference.at(ahead))
+            command, control = controller.step(control, measured_theta_deg, self._nothing if wanted is None else wanted)
+            if fault:
+                command = replace(command, status=f"reference: {fault}")
+            self._memory = replace(memory, steps=memory.steps + 1, control=control, command=command)
+            return command
+
+    def set_target(self, theta_deg: float) -> Reach:
+        """Move to `theta_deg` [deg] and stay: the fastest motion within the limits, from the present state of motion.
+
+        Position, velocity and acceleration of the reference are continuous, in the middle of another motion too.
+
+        Returns:
+            Whether the target can be reached; out of reach, the controller goes as far as it can.
+
+        Raises:
+            ControllerError: if it is not a finite angle, or the stop is latched.
+        """
+        self._wish(waypoints([theta_deg], [0.0], self._settings.motion))
+        return self.reachable(theta_deg)
+
+    def set_waypoints(self, angles_deg: Sequence[float], holds_s: Sequence[float]) -> None:
+        """Move through angles [deg] one after another and rest at each for its hold [s]; then stay at the last.
+
+        Raises:
+            ControllerError: if the counts differ, a number makes no sense, or the stop is latched.
+        """
+        self._wish(waypoints(angles_deg, holds_s, self._settings.motion))
+
+    def set_reference(self, source: Callable[[Any], Any] | ArrayLike) -> None:
+        """Follow a preview exactly as given, from the next sample on.
+
+        Args:
+            source: a function of the seconds since this call, such as a trajectory; or wanted angles (T,) [deg] at
+                the ends of the coming samples, the last of which is held. A function has to be pure.
+
+        Raises:
+            ControllerError: if it is neither or does not answer with finite angles, or the stop is latched.
+        """
+        self._wish(given(source, self.dt, self._settings.motion))
+
+    def state(self) -> TipState:
+        """Where the controller is."""
+        return state_of(self._memory, self.dt, self._settings.tolerance_deg)
+
+    def plan(self) -> TipPlan:
+        """What the last step means to do over its horizon."""
+        return plan_of(self._memory, self.dt)
+
+    def predict(self, commands: ArrayLike) -> Vec:
+        """Angles [deg] at the ends of the coming samples under `commands`, disturbance included; nothing is sent.
+
+        Args:
+            commands: one plan (N,) or several (K, N) [mm or bar], the first to be sent next.
+
+        Returns:
+            Angles of the same shape.
+
+        Raises:
+            ControllerError: if the controller has not started or has no model, or a plan is not finite or beyond
+                the limits on value or rate.
+        """
+        with self._lock:
+            control, assembly = self._memory.control, self._assembly
+            estimate = None if control is None else control.estimate
+            return predicted_angles(assembly.predictor, assembly.limits, estimate, commands)
+
+    def reachable(self, theta_deg: float) -> Reach:
+        """Whether the model can be held at `theta_deg` [deg] within command and soft angle limits, and why not."""
+        return self._assembly.workspace.judge(float(theta_deg), self._memory.disturbance_deg)
+
+    def stop(self) -> None:
+        """Hold, or ramp to the configured `safe_command`, from the next step on; latched until `reset`."""
+        with self._lock:
+            self._memory = halted(self._memory, self._assembly.controller)
+
+    def reset(self, measured_theta_deg: float | None = None, command: float | None = None) -> None:
+        """Forget everything, a latched stop included, and rest: at time 0, with no target.
+
+        Args:
+            measured_theta_deg: start at this angle [deg] now; None to start with the first usable measurement.
+            command: the command that the device holds; None for the one sent last.
+
+        Raises:
+            ControllerError: if the command is beyond the limits, or the controller cannot start from the angle.
+        """
+        limits = self._assembly.limits
+        with self._lock:
+            held = self._memory.command.u if command is None else command
+            if not limits.lower <= held <= limits.upper:
+                raise ControllerError(f"reset: got command {held}, expected {limits.lower} to {limits.upper}")
+            memory = fresh(held)
+            if measured_theta_deg is not None:
+                memory = started(memory, self._assembly.controller, measured_theta_deg)
+            self._memory = memory
+
+    def snapshot(self) -> Snapshot:
+        """Everything remembered; equal futures follow from it."""
+        return self._memory
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Be as at the moment of `snapshot`, which has to come from a controller of the same settings."""
+        with self._lock:
+            self._memory = snapshot
+
+    def _wish(self, wish: Wish) -> None:
+        with self._lock:
+            self._memory = wished(self._memory, wish, self.dt)

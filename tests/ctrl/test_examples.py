@@ -1,0 +1,70 @@
+"""The examples and the fault injection, in their smallest honest versions."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from hystmpc.ctrl import CommandLimits, Source
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def script(path: str) -> ModuleType:
+    """A script as a module, found by its path."""
+    file = ROOT / path
+    spec = importlib.util.spec_from_file_location(f"script_{file.stem}", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.slow
+def test_ring_of_targets_is_visited_and_every_pause_rests() -> None:
+    visits = script("examples/ring_of_targets.py").run(3, 0.4)
+    assert [round(v.target_deg) for v in visits] == [73, 52, 52]
+    assert visits[1].roll_deg == pytest.approx(-visits[2].roll_deg)
+    for visit in visits:
+        assert visit.settled_s < 3.0
+        assert visit.error_deg < 1.5
+
+
+@pytest.mark.slow
+def test_scan_is_followed() -> None:
+    rmse, worst = script("examples/scan.py").run(1.0, 0.25)
+    assert rmse < 0.8
+    assert worst < 3.0
+
+
+@pytest.mark.slow
+def test_ipopt_with_the_same_model_file_finds_the_same_commands() -> None:
+    compared = script("examples/casadi_ipopt.py").run("builtin:lstm", 5, 8)
+    assert compared[-1].mpc > compared[0].mpc + 0.3  # there is something to compare
+    for sample in compared:
+        assert sample.mpc == pytest.approx(sample.ipopt, abs=2e-3)
+
+
+@pytest.mark.slow
+def test_faults_neither_raise_nor_leave_the_limits() -> None:
+    faults = script("benchmarks/faults.py")
+    tallies = faults.run(2100, seed=3)
+    for name, tally in tallies.items():
+        assert (name, tally.exceptions, tally.violations) == (name, 0, 0), tally.first_exception
+        assert tally.steps == 300
+    assert {source for tally in tallies.values() for source in tally.sources} == set(map(str, Source))
+
+
+@pytest.mark.parametrize("u", [math.nan, math.inf, -0.1, 6.1, 3.9, 2.1])
+def test_commands_beyond_the_limits_are_counted(u: float) -> None:
+    violates = script("benchmarks/faults.py").violates
+    limits = CommandLimits(0.0, 6.0, 20.0)
+    assert violates(limits, u, 3.0, 0.04)
+    assert not violates(limits, 3.0 + 20.0 * 0.04, 3.0, 0.04)
