@@ -17,9 +17,10 @@ from rich.progress import Progress
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.fit.identify import DeviceLimits, identify
-from hystmpc.models.fit.lstm import fit_lstm
-from hystmpc.models.fit.lstm_bundle import lstm_bundle
-from hystmpc.models.fit.lstm_settings import LSTM_PRESETS, LstmSettings, StreamTraining
+from hystmpc.models.fit.network_bundle import network_bundle
+from hystmpc.models.fit.network_presets import NETWORK_PRESETS
+from hystmpc.models.fit.network_settings import NetworkSettings, StreamTraining
+from hystmpc.models.fit.networks import fit_network
 from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.sim.plant import Effects, SimulatedPlant
@@ -51,9 +52,9 @@ def recorded(name: str, excitation: Trajectory, seed: int) -> Trial:
     return Trial(t, sent, np.array(angle), units=Units(device.command_unit), source=name)
 
 
-def settings(updates: int) -> LstmSettings:
+def settings(updates: int) -> NetworkSettings:
     """Those of the preset `best`; without a teacher, since these trials already hold and repeat."""
-    best = LSTM_PRESETS["best"]
+    best = NETWORK_PRESETS["lstm"]["best"]
     way = best.training
     if not isinstance(way, StreamTraining):
         raise TypeError(f"preset best trains by {way.scheme}, expected streams")
@@ -77,8 +78,8 @@ def main() -> None:
     chosen = settings(arguments.updates)
     with Progress() as bar:
         task = bar.add_task("lstm", total=chosen.steps)
-        trained = fit_lstm(trials, chosen, lambda done, _: bar.update(task, completed=done))
-    report = export_onnx(lstm_bundle(trained, trials, limits), arguments.out / "lstm.onnx")
+        trained = fit_network(trials, chosen, lambda done, _: bar.update(task, completed=done))
+    report = export_onnx(network_bundle(trained, trials, limits), arguments.out / "lstm.onnx")
     print(f"lstm: {trained.validation_rmse_deg:.3f} deg on held-out trials; {report}")
 
 

@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.markup import escape
 from rich.table import Table
 
+from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.evaluate import Errors, TrialEvaluation, evaluation_json, mean_errors
 from hystmpc.models.evaluate import evaluate as score
 from hystmpc.models.load import load_model
 from hystmpc.trials.files import write_atomically
 
-from .console import bar, out, table
+from .console import bar, errors, out, table
 from .options import Layout, Logs, SkipFirstFlexure, trials_at
 
 _COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
@@ -37,8 +39,22 @@ def evaluate(
             results.append(score(opened, trial, skip_first_flexure))
             show(len(results))
     out.print(errors_table(f"{model}: free run{', from the first reversal on' if skip_first_flexure else ''}", results))
+    warn_outside(results, opened.metadata)
     if json_file is not None:
         write_atomically(json_file, json.dumps(evaluation_json(results), indent=2) + "\n")
+
+
+def warn_outside(results: Sequence[TrialEvaluation], facts: ModelMetadata) -> None:
+    """One line on standard error where commands leave the range that the model was identified on."""
+    beyond = [result for result in results if result.outside > 0]
+    if beyond:
+        worst, trained = max(beyond, key=lambda result: result.outside), facts.trained_command
+        errors.print(
+            f"{len(beyond)} of {len(results)} trials leave the identified range of {trained.lower:.4g} to "
+            f"{trained.upper:.4g} {facts.command_unit}, where the model guesses: {100 * worst.outside:.1f} % of the "
+            f"samples of {escape(Path(worst.trial.source).name)}",
+            style="yellow",
+        )
 
 
 def errors_table(title: str, results: Sequence[TrialEvaluation]) -> Table:

@@ -45,10 +45,13 @@ def fit(
     skip_first_flexure: SkipFirstFlexure = False,
     direction: Annotated[Direction, typer.Option(help="Command to angle, or the inverse map.")] = Direction.FORWARD,
     plays: Annotated[int, typer.Option(min=1, max=50, help="Plays of a pi.")] = 4,
-    training: Annotated[str | None, typer.Option(help="Preset of the training: best, or paper.")] = None,
+    training: Annotated[str | None, typer.Option(help="Preset of the training: best, paper, ...")] = None,
     epochs: Annotated[int | None, typer.Option(min=1, help="Epochs (paper) or updates (best) of a network.")] = None,
     hold_out: Annotated[
         int | None, typer.Option(min=0, help="Whole trials by which a network is stopped early; else the preset's.")
+    ] = None,
+    constancy: Annotated[
+        float | None, typer.Option(min=0.0, help="Weight of a network's constant-in, constant-out term; S2 has 1e-4.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of everything drawn at random.")] = 1,
     command_limits: Annotated[
@@ -71,6 +74,7 @@ def fit(
         seed=seed,
         steps=epochs,
         hold_out=hold_out,
+        constancy_weight=constancy,
         plays=plays,
         skip_first_flexure=skip_first_flexure,
         limits=DeviceLimits(box, command_rate or None),
@@ -85,6 +89,9 @@ def fit(
 
 def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: Path) -> None:
     unit, steps = trials[0].units.angle, kind.steps(request)
+    seconds = kind.estimate(trials, request)
+    if seconds is not None:
+        errors.print(f"{kind.name}, preset {request.preset}: about {_duration(seconds)} on this machine")
     with bar(f"fit {kind.name}", steps) as show:
         show(0, "first look")
         found = kind.fit(trials, request, lambda done, rmse: show(done, f"best {rmse:.4f} {unit}"))
@@ -102,6 +109,10 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
         f"{found.report}; exported within {max(gate.runtime_deg, gate.casadi_deg):.2g} {unit} of the reference "
         f"over {gate.steps} steps"
     )
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
 def _check_ending(kind: ModelKind, path: Path) -> None:

@@ -11,12 +11,14 @@ from hystmpc.trials.errors import HystmpcError
 from .bench import bench
 from .check import check
 from .console import errors
+from .data import data
 from .demo import demo
 from .evaluate import evaluate
 from .export import export
 from .fit import fit
 from .report import report
 from .simulate import simulate
+from .study import study
 
 UNUSABLE = 2
 
@@ -29,8 +31,9 @@ app = typer.Typer(
     help="Inverse-model predictive control for actuators with hysteresis: check and fit recorded trials, export "
     "models to ONNX, track tip angles in simulation, compare controllers.",
 )
-for verb in (check, fit, evaluate, export, simulate, report, demo, bench):
+for verb in (check, fit, evaluate, export, simulate, report, demo, bench, study):
     app.command()(verb)
+app.add_typer(data, name="data")
 
 
 def main() -> None:

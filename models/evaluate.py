@@ -21,6 +21,7 @@ from .model import Model
 Vec = NDArray[np.float64]
 FORMAT = "hystmpc-evaluation/1"
 HOLD_S, SETTLING_S = 10.0, 1.0
+RANGE_SLACK = 1e-3  # of the trained range: a sample that touches its end lies inside
 
 
 class RunnableModel(Model, Protocol):
@@ -63,12 +64,15 @@ class TrialEvaluation:
         theta: the model's angle [deg], shape (T,).
         start: first sample that counts.
         errors: over samples `start` on.
+        outside: share of the trial's samples whose command lies outside the range that the model was identified on,
+            where its angle is a guess.
     """
 
     trial: Trial
     theta: Vec
     start: int
     errors: Errors
+    outside: float = 0.0
 
 
 def free_run(model: RunnableModel, commands: Vec, y: float) -> Vec:
@@ -110,7 +114,8 @@ def evaluate(model: RunnableModel, trial: Trial, skip_first_flexure: bool = Fals
         )
     start = first_flexure_end(trial) if skip_first_flexure else 0
     holds = [(a, b) for a, b in segment(trial).holds if a >= start] + [(len(trial), commands.size)]
-    return TrialEvaluation(trial, theta[: len(trial)], start, _errors(trial, theta, start, holds))
+    errors = _errors(trial, theta, start, holds)
+    return TrialEvaluation(trial, theta[: len(trial)], start, errors, _outside(trial, metadata))
 
 
 def mean_errors(evaluations: Sequence[TrialEvaluation]) -> Errors:
@@ -123,6 +128,13 @@ def evaluation_json(evaluations: Sequence[TrialEvaluation]) -> dict[str, Any]:
     """Plain data in the format `hystmpc-evaluation/1`."""
     rows = [{"file": Path(e.trial.source).name, **vars(e.errors)} for e in evaluations]
     return {"format": FORMAT, "trials": rows, "mean": vars(mean_errors(evaluations))}
+
+
+def _outside(trial: Trial, metadata: ModelMetadata) -> float:
+    trained = metadata.trained_command
+    slack = RANGE_SLACK * (trained.upper - trained.lower)
+    beyond = np.maximum(trained.lower - trial.command, trial.command - trained.upper)
+    return float(np.mean(beyond > slack))
 
 
 def _errors(trial: Trial, theta: Vec, start: int, holds: list[tuple[int, int]]) -> Errors:

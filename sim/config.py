@@ -61,9 +61,10 @@ class SimulationConfig(Settings):
         plant: the device.
         model: what controllers know of it: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
         actuator_lag_s: first-order lag of the command that the model does not contain and controllers are told of.
-        inverse: simulator that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else,
+        inverse: simulator (.yaml) that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else,
             predictive controllers take their first guess from it. For networks, which have no inverse of their own;
-            where left out, a backlash fitted to the network's free run.
+            where left out, a backlash fitted to the network's free run. Or an inverse map (.onnx, or .yaml for
+            an operator), which is asked for the command and runs beside the model.
         motions: references by name.
         controllers: controllers by name.
         limits: hard limits of command and rate; those of the model where left out.

@@ -14,6 +14,7 @@ from hystmpc.ctrl.config import AnyControllerSettings, LimitsSettings, Linearise
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.models.chain_model import ChainModel
+from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.inverse.shadow import shadow_simulator
 from hystmpc.models.library import model_path
@@ -21,7 +22,7 @@ from hystmpc.models.load import AnyModel, load_model
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.prediction.actuated import ActuatedInverse, ActuatedPredictor
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
-from hystmpc.models.prediction.compiled import CompiledPredictor
+from hystmpc.models.prediction.invertible import InvertiblePredictor
 from hystmpc.models.simulator import Simulator, load_simulator
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, ControllerError
@@ -39,8 +40,9 @@ class Study:
         plant: the device.
         predictor, inverse: what predictive controllers know of it.
         feedforward: predictor and inverse of the controllers that only invert: the same for a model that has an
-            inverse, else the operator that stands in for it. Corrected by the network at every sample, as predictive
-            controllers want it for their first guess, that inverse would go back and forth across the dead band.
+            inverse and for an inverse map, else the operator that stands in for it. Corrected by the network at every
+            sample, as predictive controllers want it for their first guess, that inverse would go back and forth across
+            the dead band.
         limits: hard limits of the device.
         motions: references by name.
         files: model files that were opened.
@@ -74,7 +76,7 @@ def prepare(config: SimulationConfig) -> Study:
     """Open and build everything that a study needs; whatever is wrong is found here.
 
     Raises:
-        ModelError: if a model file is missing or unusable.
+        ModelError: if a model file is missing or unusable, or `inverse` is a forward model or of another unit.
         ConfigError: if plant and model differ in the command's unit, or a mismatch names an unknown parameter.
         TrajectoryError: if a motion cannot be built.
         ControllerError: if a controller is misconfigured.
@@ -93,9 +95,7 @@ def prepare(config: SimulationConfig) -> Study:
     )
     effects = Effects(**config.plant.model_dump(exclude={"simulator"}))
     flexure = Range(lower=limits.lower, upper=limits.upper)
-    companion = at_sample_time(load_simulator(files[2]), facts.dt_s) if config.inverse else _companion(model)
-    known = predictor_and_inverse(model, companion)
-    feedforward = predictor_and_inverse(ChainModel(companion)) if companion else known
+    known, feedforward = _known(model, files[2] if config.inverse else None)
     predictor, inverse = _actuated(known, config.actuator_lag_s)
     study = Study(
         config=config.model_copy(update={"limits": limits}),
@@ -120,9 +120,35 @@ def _actuated(model: tuple[Predictor, Inverse], lag_s: float) -> tuple[Predictor
     return predictor, ActuatedInverse(predictor, model[1])
 
 
+def _known(model: AnyModel, inverse: Path | None) -> tuple[tuple[Predictor, Inverse], tuple[Predictor, Inverse]]:
+    """What predictive controllers know, and what controllers know that only invert.
+
+    Raises:
+        ModelError: if the file of the inverse cannot be used.
+    """
+    companion = _companion(model) if inverse is None else _given_inverse(inverse, model.metadata.dt_s)
+    known = predictor_and_inverse(model, companion)
+    if isinstance(companion, Simulator):
+        return known, predictor_and_inverse(ChainModel(companion))
+    return known, known
+
+
+def _given_inverse(file: Path, dt_s: float) -> Simulator | AnyModel:
+    """A simulator to invert, or an inverse map.
+
+    Raises:
+        ModelError: if the file cannot be used.
+    """
+    given = load_model(file)
+    if isinstance(given, OnnxModel):
+        return given
+    simulator = at_sample_time(given.simulator, dt_s)
+    return ChainModel(simulator) if given.metadata.inverted else simulator
+
+
 def _companion(model: AnyModel) -> Simulator | None:
     """A backlash that stands in where the model has no inverse of its own."""
-    return None if isinstance(predictor_for(model), CompiledPredictor) else shadow_simulator(model)
+    return None if isinstance(predictor_for(model), InvertiblePredictor) else shadow_simulator(model)
 
 
 def _warm_up(study: Study, name: str, settings: AnyControllerSettings) -> None:

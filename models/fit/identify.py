@@ -66,12 +66,35 @@ def identify(
         raise FitError(f"no operator kind {kind!r}, {did_you_mean(kind, OPERATOR_KINDS)}")
     starts = backlash_starts(trials) if kind == "backlash" else prandtl_ishlinskii_starts(trials, plays)
     fit = fit_chain(starts, trials, settings, progress)
-    _check_lines(fit.chain, command_range(trials))
-    return _simulator(fit.chain, trials, settings, limits or DeviceLimits()), fit
+    method = "bounded least squares on free runs"
+    return (
+        simulator_of(fit.chain, trials, limits or DeviceLimits(), method, settings.seed, settings.skip_first_flexure),
+        fit,
+    )
 
 
-def _simulator(chain: Chain, trials: Sequence[Trial], settings: OperatorFitSettings, limits: DeviceLimits) -> Simulator:
-    """The chain with the facts of its trials; residuals are found by running it."""
+def simulator_of(
+    chain: Chain,
+    trials: Sequence[Trial],
+    limits: DeviceLimits,
+    method: str,
+    seed: int = 0,
+    skip_first_flexure: bool = False,
+) -> Simulator:
+    """An identified chain with the facts of its trials; the residuals are found by running it.
+
+    Args:
+        chain: what was identified.
+        trials: from which.
+        limits: what the device may be sent.
+        method: how, in words.
+        seed: of what was drawn at random.
+        skip_first_flexure: whether each trial counted from the first reversal of its command on.
+
+    Raises:
+        FitError: on unusable trials, or a backlash whose lines cross within the trained range.
+    """
+    _check_lines(chain, command_range(trials))
 
     def build(residuals: tuple[Residual, ...]) -> Simulator:
         return Simulator(
@@ -85,16 +108,16 @@ def _simulator(chain: Chain, trials: Sequence[Trial], settings: OperatorFitSetti
             trained_angle_deg=angle_range(trials),
             trained_rate_per_s=fastest_command(trials),
             identification=Identification(
-                method="bounded least squares on free runs",
-                seed=settings.seed,
-                skip_first_flexure=settings.skip_first_flexure,
+                method=method,
+                seed=seed,
+                skip_first_flexure=skip_first_flexure,
                 training_data_hash=fingerprint(trials),
                 residuals=residuals,
             ),
         )
 
     model = ChainModel(build(()))
-    return build(tuple(_residual(model, trial, settings.skip_first_flexure) for trial in trials))
+    return build(tuple(_residual(model, trial, skip_first_flexure) for trial in trials))
 
 
 def _residual(model: ChainModel, trial: Trial, skip_first_flexure: bool) -> Residual:

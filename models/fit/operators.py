@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from hystmpc.trials.errors import FitError, ModelError
-from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 
 from ..chain import Chain
 from ..kernels.chain_kernels import compile_step
 from ..symbolic.instructions import dense
+from .free_parameters import FreeParameters
+from .free_run import scored_runs
 from .trial_set import check_trial_set
 
 Vec = NDArray[np.float64]
@@ -78,35 +79,30 @@ class FreeRunResiduals:
         self._dt = np.array([check_trial_set(trials)])
         self._kernels = compile_step(chain.transition)
         self._settings = settings
-        self._warmup = chain.settling_samples
-        self._rest = _rest_with_slope(chain)
-        self._runs = []
-        for trial in trials:
-            start = first_flexure_end(trial) if settings.skip_first_flexure else 0
-            commands = np.concatenate([np.full(self._warmup, trial.command[0]), trial.command])
-            scale = 1 / np.sqrt((len(trial) - start) * len(trials))
-            self._runs.append((commands, trial.command[0], trial.angle, start, scale))
+        self._rest = rest_with_slope(chain)
+        self._runs = scored_runs(chain, trials, settings.skip_first_flexure)
 
     def __call__(self, p: Vec) -> tuple[Vec, Vec]:
         """Residuals (R,) and Jacobian (R, P) at parameters p (P,)."""
         residuals, jacobians = [], []
-        for commands, rest_u, angle, start, scale in self._runs:
-            state, slope = self._rest(angle[0], rest_u, p)
-            theta, gradient = np.empty(commands.size), np.empty((commands.size, p.size))
+        for run in self._runs:
+            state, slope = self._rest(run.angle[0], run.commands[0], p)
+            theta, gradient = np.empty(run.commands.size), np.empty((run.commands.size, p.size))
             self._kernels.differentiate(
                 np.asarray(state).ravel(),
                 np.ascontiguousarray(slope),
-                commands,
+                run.commands,
                 p,
                 self._dt,
                 self._kernels.sensitivity_constants,
                 theta,
                 gradient,
             )
-            first = self._warmup + start
-            error, by_p = theta[first:] - angle[start:], gradient[first:]
+            error = run.error(theta, self._settings.offset_free)
+            by_p = gradient[-error.size :]
             if self._settings.offset_free:
-                error, by_p = error - error.mean(), by_p - by_p.mean(axis=0)
+                by_p = by_p - by_p.mean(axis=0)
+            scale = 1 / np.sqrt(error.size * len(self._runs))
             residuals.append(error * scale)
             jacobians.append(by_p * scale)
         return np.concatenate(residuals), np.vstack(jacobians)
@@ -117,6 +113,7 @@ def fit_chain(
     trials: Sequence[Trial],
     settings: OperatorFitSettings | None = None,
     progress: Progress | None = None,
+    fixed: Sequence[str] = (),
 ) -> OperatorFit:
     """Fit the parameters of a chain from several starts; the best wins.
 
@@ -128,20 +125,22 @@ def fit_chain(
         settings: see `OperatorFitSettings`.
         progress: called with the evaluations so far and the best rmse [deg]; KeyboardInterrupt ends the fit and
             keeps the best so far.
+        fixed: names of parameters that stay as they are in the first start.
 
     Raises:
-        FitError: on unusable trials, or if no start leads to a finite error.
+        FitError: on unusable trials, an unknown name, or if no start leads to a finite error.
     """
     settings = settings or OperatorFitSettings()
-    search = _Search(FreeRunResiduals(starts[0], trials, settings), progress)
-    bounds = (np.array([p.lower for p in starts[0].parameters]), np.array([p.upper for p in starts[0].parameters]))
+    free = FreeParameters.of(starts[0], fixed)
+    search = _Search(FreeRunResiduals(starts[0], trials, settings), free, progress)
+    bounds = free.bounds
     reached, interrupted = [], False
     try:
         for start in _points(starts, search, settings):
             search.begin()
             least_squares(
                 search.residuals,
-                np.clip(start, *bounds),
+                np.clip(free.part(start), *bounds),
                 cast(Any, search.jacobian),  # SciPy is untyped: pyright takes `jac` for a string, as its default is
                 bounds=bounds,
                 x_scale="jac",
@@ -171,10 +170,13 @@ def _points(starts: Sequence[Chain], search: _Search, settings: OperatorFitSetti
 
 
 class _Search:
-    """The objective as scipy wants it: residuals and Jacobian apart, computed once; remembers the best point."""
+    """The objective as scipy wants it: residuals and Jacobian apart, computed once; remembers the best point.
 
-    def __init__(self, problem: FreeRunResiduals, progress: Progress | None) -> None:
-        self._problem, self._progress = problem, progress
+    Its arguments are the free parameters, `best` has all of them.
+    """
+
+    def __init__(self, problem: FreeRunResiduals, free: FreeParameters, progress: Progress | None) -> None:
+        self._problem, self._free, self._progress = problem, free, progress
         self._at: Vec | None = None
         self._jacobian: Vec = np.empty((0, 0))
         self.best: Vec | None = None
@@ -185,26 +187,27 @@ class _Search:
         """Forget what the last start reached."""
         self.reached = np.inf
 
-    def residuals(self, p: Vec) -> Vec:
-        self._at = p.copy()
-        residuals, self._jacobian = self._problem(p)
+    def residuals(self, q: Vec) -> Vec:
+        self._at, p = q.copy(), self._free.full(q)
+        residuals, jacobian = self._problem(p)
+        self._jacobian = jacobian[:, self._free.index]
         self.evaluations += 1
         rmse = float(np.sqrt(np.sum(residuals**2)))
         if np.isfinite(rmse):
             self.reached = min(self.reached, rmse)
             if rmse < self.best_rmse:
-                self.best, self.best_rmse = p.copy(), rmse
+                self.best, self.best_rmse = p, rmse
         if self._progress:
             self._progress(self.evaluations, self.best_rmse)
         return np.nan_to_num(residuals, nan=1e6, posinf=1e6, neginf=-1e6)
 
-    def jacobian(self, p: Vec) -> Vec:
-        if self._at is None or not np.array_equal(p, self._at):
-            self.residuals(p)
+    def jacobian(self, q: Vec) -> Vec:
+        if self._at is None or not np.array_equal(q, self._at):
+            self.residuals(q)
         return np.nan_to_num(self._jacobian)
 
 
-def _rest_with_slope(chain: Chain) -> ca.Function:
+def rest_with_slope(chain: Chain) -> Any:
     """CasADi function (y, u, p) -> initial state (S,1) and its derivative by p (S, P)."""
     y, u, p = ca.SX.sym("y"), ca.SX.sym("u"), ca.SX.sym("p", len(chain.parameters))
     state = chain.rest(y, u, p)

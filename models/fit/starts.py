@@ -24,7 +24,7 @@ def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:
     Raises:
         FitError: if the angle does not rise with the command, or a branch is missing.
     """
-    loading, unloading = _branch(trials, Motion.LOADING), _branch(trials, Motion.UNLOADING)
+    loading, unloading = branch(trials, Motion.LOADING), branch(trials, Motion.UNLOADING)
     slope = 0.5 * (loading[0] + unloading[0])
     middle = 0.5 * (loading[1] + unloading[1])
     widths = (0.5, 2.0)  # in degrees either side, small and large for a catheter of tens of degrees
@@ -40,7 +40,7 @@ def prandtl_ishlinskii_starts(trials: Sequence[Trial], plays: int) -> list[Chain
     Raises:
         FitError: if the angle does not rise with the command, or a branch is missing.
     """
-    loading, unloading = _branch(trials, Motion.LOADING), _branch(trials, Motion.UNLOADING)
+    loading, unloading = branch(trials, Motion.LOADING), branch(trials, Motion.UNLOADING)
     slope, offset = 0.5 * (loading + unloading)
     span = max(float(np.ptp(trial.command)) for trial in trials)
     share = slope / (plays + 1)
@@ -50,8 +50,12 @@ def prandtl_ishlinskii_starts(trials: Sequence[Trial], plays: int) -> list[Chain
     ]
 
 
-def _branch(trials: Sequence[Trial], motion: Motion) -> Vec:
-    """Slope [deg/cmd] and offset [deg] of the line through one branch after the first flexure."""
+def branch(trials: Sequence[Trial], motion: Motion) -> Vec:
+    """Slope [deg/cmd] and offset [deg] of the line through one branch after the first flexure.
+
+    Raises:
+        FitError: if too few samples move that way, or the angle falls as the command rises.
+    """
     commands, angles = [], []
     for trial in trials:
         labels = segment(trial).labels

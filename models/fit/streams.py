@@ -19,13 +19,18 @@ class Run:
     """One motion to learn from, from the start of a trial.
 
     Attributes:
-        command, angle: (T,), in units or scaled.
+        command, angle: (T,), in units or scaled; exchanged for an inverse map.
         weight: weight of each sample in the loss (T,).
     """
 
     command: Vec
     angle: Vec
     weight: Vec
+
+    def padded(self, samples: int, command: float, angle: float, weight: float) -> Self:
+        """The same motion after `samples` of rest."""
+        values = ((self.command, command), (self.angle, angle), (self.weight, weight))
+        return type(self)(*(np.concatenate([np.full(samples, value), signal]) for signal, value in values))
 
     def stretched(self, factor: float) -> Self:
         """The same motion `factor` times as fast, interpolated linearly."""
@@ -44,7 +49,8 @@ class Streams:
     """P pieces of L samples in N streams.
 
     Attributes:
-        command, angle, weight: (P, N, L) float32; weight 0 where nothing is to be learned (warm-up, filling).
+        command, angle, weight: (P, N, L) float32; weight 0 where nothing is to be learned (warm-up, filling). The
+            angle of a warm-up is the run's first, from which the state starts.
         fresh: (P, N), whether a run begins with this piece, so that the state goes back to the start.
     """
 
@@ -91,7 +97,7 @@ def arrange(runs: Sequence[Run], streams: int, length: int, warmup: int, rng: Rn
                 run.command,
                 run.command[-1],
             )
-            angle[n, first:last], weight[n, first:last] = run.angle, run.weight
+            angle[n, at:first], angle[n, first:last], weight[n, first:last] = run.angle[0], run.angle, run.weight
             at = end
     cut = [np.ascontiguousarray(a.reshape(streams, -1, length).swapaxes(0, 1)) for a in (command, angle, weight)]
     return Streams(cut[0], cut[1], cut[2], fresh.T)

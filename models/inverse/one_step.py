@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import final
 
 from ..model import Array, Inverse
-from ..prediction.compiled import CompiledPredictor
+from ..prediction.invertible import InvertiblePredictor
 
 
 @final
@@ -17,7 +17,7 @@ class CompiledInverse(Inverse):
     is S2 eq. (3), for a Prandtl-Ishlinskii model the analytic inverse with the true rate of the command.
     """
 
-    def __init__(self, predictor: CompiledPredictor, low: float, high: float) -> None:
+    def __init__(self, predictor: InvertiblePredictor, low: float, high: float) -> None:
         self._predictor, self._low, self._high = predictor, low, high
 
     def command(self, state: Array, theta: float, u_last: float) -> float:

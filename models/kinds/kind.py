@@ -98,6 +98,15 @@ class ModelKind(ABC):
     def steps(self, request: FitRequest) -> int | None:
         """What progress counts up to; None where it is not known beforehand."""
 
+    def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
+        """Seconds that `fit` will take, measured on a few of its steps; None where that cannot be said beforehand.
+
+        Raises:
+            FitError: on unusable trials or a missing extra.
+        """
+        del trials, request
+        return None
+
     def check(self, trials: Sequence[Trial], request: FitRequest) -> None:
         """Refuse what this kind cannot do, before any work.
 

@@ -1,30 +1,78 @@
-"""What the kinds that are operators share: bounded least squares into a simulator and its bundle."""
+"""What the kinds that are operators share: the identification methods as presets, into a simulator and its bundle."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 from hystmpc.trials.trial import Trial
 
 from ..export_simulator import simulator_bundle
-from ..fit.identify import identify
+from ..fit.adam import AdamSettings
+from ..fit.chain_tasks import Structure
+from ..fit.global_search import GlobalSettings
+from ..fit.identify import DeviceLimits, simulator_of
+from ..fit.iterated import IteratedSettings
+from ..fit.methods import MethodSettings, identify_chain
 from ..fit.operators import OperatorFitSettings
 from .kind import FitRequest, Identified, Progress
 
+Method = tuple[str, Callable[[FitRequest], MethodSettings]]
+
+METHODS: Mapping[str, Method] = MappingProxyType(
+    {
+        "least_squares": (
+            "least_squares",
+            lambda r: OperatorFitSettings(r.skip_first_flexure, evaluations=r.steps or 200, seed=r.seed),
+        ),
+        "adam": (
+            "adam",
+            lambda r: AdamSettings(r.steps or 300, skip_first_flexure=r.skip_first_flexure, seed=r.seed),
+        ),
+        "iterated": ("iterated", lambda r: IteratedSettings(r.steps or 20, skip_first_flexure=r.skip_first_flexure)),
+        "global": (
+            "global",
+            lambda r: GlobalSettings(r.steps or 1000, skip_first_flexure=r.skip_first_flexure, seed=r.seed),
+        ),
+        "cmaes": (
+            "cmaes",
+            lambda r: GlobalSettings(r.steps or 1000, skip_first_flexure=r.skip_first_flexure, seed=r.seed),
+        ),
+    }
+)
+"""Identification methods by name, with their settings for a request."""
+
 
 def identify_operator(
-    kind: str, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None
+    kind: str,
+    trials: Sequence[Trial],
+    request: FitRequest,
+    presets: Mapping[str, str],
+    progress: Progress | None = None,
+    structure: Structure | None = None,
 ) -> Identified:
-    """Identify an operator by `identify` and wrap what it found."""
-    history: list[tuple[int, float]] = []
+    """Identify an operator by the method that the request's preset stands for.
 
-    def show(done: int, rmse: float) -> None:
-        history.append((done, rmse))
-        if progress:
-            progress(done, rmse)
+    Args:
+        kind: of chain, see `identify_chain`; its inverse form is taken for swapped trials.
+        trials: uniformly sampled at one rate, in one pair of units.
+        request: what is asked for.
+        presets: methods by preset.
+        progress: gets the iterations so far and the best error.
+        structure: sizes of the chain; the request's plays where left out.
 
-    settings = OperatorFitSettings(request.skip_first_flexure, seed=request.seed)
-    simulator, fit = identify(kind, trials, settings, request.plays, request.limits, show)
-    unit = trials[0].units.angle
-    report = f"{fit.evaluations} free runs over all trials, {fit.rmse_deg:.4f} {unit}"
-    return Identified(simulator_bundle(simulator), simulator, tuple(history), report, fit.interrupted)
+    Raises:
+        FitError: as `identify_chain` and `simulator_of` do.
+    """
+    inverted = bool(trials) and trials[0].inverted
+    method, settings = METHODS[presets[request.preset]]
+    sizes = structure or Structure(plays=request.plays)
+    name = f"inverse_{kind}" if inverted else kind
+    chain, fit = identify_chain(name, trials, method, settings(request), progress=progress, structure=sizes)
+    # The limits of the request are those of the device's command, which an inverse map gives and does not take.
+    limits = DeviceLimits() if inverted else request.limits
+    words = f"{method}, preset {request.preset}"
+    simulator = simulator_of(chain, trials, limits, words, request.seed, request.skip_first_flexure)
+    history = tuple((k + 1, loss**0.5) for k, loss in enumerate(fit.report.losses))
+    report = f"{fit.report.line()}; {fit.rmse:.4f} {trials[0].units.angle} free run"
+    return Identified(simulator_bundle(simulator), simulator, history, report, fit.interrupted)

@@ -2,40 +2,77 @@
 
 from __future__ import annotations
 
+from typing import final
+
 import numpy as np
 import torch
 
-from .weights import LstmLayer, LstmScaling, LstmWeights
+from ..networks.network_ import Network, numbers
+from ..networks.nodes import GraphWriter
+from ..networks.scaling import Scaling
+from .graph import write_layers
+from .weights import LstmLayer, LstmWeights
 
-State = tuple[torch.Tensor, torch.Tensor]
 
+@final
+class LstmNet(Network):
+    """Stacked LSTM and linear head on scaled signals, equations in `LstmWeights`.
 
-class LstmNet(torch.nn.Module):
-    """Stacked LSTM and linear head on scaled signals: v (N, T) -> y (N, T), state (h, c) of (L, N, H) each."""
+    The state is [h_1, c_1, h_2, c_2, ...], zero at the start.
 
-    def __init__(self, hidden: int, layers: int) -> None:
+    Args:
+        hidden: cells in a layer.
+        layers: number of layers.
+        outputs: numbers that the head gives a sample; more than one for a network inside another.
+    """
+
+    def __init__(self, hidden: int, layers: int, outputs: int = 1) -> None:
         super().__init__()
         self.lstm = torch.nn.LSTM(1, hidden, layers, batch_first=True)
-        self.head = torch.nn.Linear(hidden, 1)
+        self.head = torch.nn.Linear(hidden, outputs)
+        self.state_size = 2 * layers * hidden
 
-    def forward(self, v: torch.Tensor, state: State | None = None) -> tuple[torch.Tensor, State]:
-        """Scaled angles (N, T) and the state after the last sample; zero state where none is given."""
-        outputs, following = self.lstm(v[..., None], state)
-        return self.head(outputs)[..., 0], following
+    def start(self, y: torch.Tensor) -> torch.Tensor:
+        return y.new_zeros(len(y), self.state_size)
+
+    def begin(self, past: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        del past
+        return self.start(y)
+
+    def forward(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        outputs, following = self.outputs(v, state)
+        return outputs[..., 0], following
+
+    def outputs(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """All outputs (N, T, outputs) of the head and the states after the last sample."""
+        rows, layers = len(v), self.lstm.num_layers
+        h, c = state.reshape(rows, layers, 2, -1).permute(2, 1, 0, 3).contiguous()
+        hidden, following = self.lstm(v[..., None], (h, c))
+        return self.head(hidden), torch.stack(following).permute(2, 1, 0, 3).reshape(rows, -1)
+
+    def shown(self, v: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        del v
+        return y
+
+    def write(self, writer: GraphWriter, v: str, state: str) -> tuple[str, list[str]]:
+        hidden, following = write_layers(writer, lstm_layers(self), v, state)
+        return writer.affine(hidden, "head", numbers(self.head.weight), numbers(self.head.bias), "y"), following
 
 
-def weights_of(net: LstmNet, scaling: LstmScaling) -> LstmWeights:
-    """Copy the numbers out of `net`; its two biases a layer, which only ever act together, are added."""
-    values = {name: tensor.detach().numpy().astype(np.float64) for name, tensor in net.state_dict().items()}
-    layers = [
+def lstm_layers(net: LstmNet) -> tuple[LstmLayer, ...]:
+    """The layers' numbers; the two biases of a layer, which only ever act together, are added."""
+    values = {name: numbers(tensor) for name, tensor in net.lstm.state_dict().items()}
+    return tuple(
         LstmLayer(
-            values[f"lstm.weight_ih_l{k}"],
-            values[f"lstm.weight_hh_l{k}"],
-            values[f"lstm.bias_ih_l{k}"] + values[f"lstm.bias_hh_l{k}"],
+            values[f"weight_ih_l{k}"], values[f"weight_hh_l{k}"], values[f"bias_ih_l{k}"] + values[f"bias_hh_l{k}"]
         )
         for k in range(net.lstm.num_layers)
-    ]
-    return LstmWeights(tuple(layers), values["head.weight"][0], float(values["head.bias"][0]), scaling)
+    )
+
+
+def weights_of(net: LstmNet, scaling: Scaling) -> LstmWeights:
+    """Copy the numbers out of a network with one output."""
+    return LstmWeights(lstm_layers(net), numbers(net.head.weight)[0], float(numbers(net.head.bias)[0]), scaling)
 
 
 def net_of(weights: LstmWeights) -> LstmNet:

@@ -14,29 +14,7 @@ from onnx import numpy_helper
 from hystmpc.trials.errors import ModelError
 
 from ..model import Array
-
-
-@dataclass(frozen=True)
-class LstmScaling:
-    """Units in, units out: v = (u - u_offset) / u_scale, theta = theta_offset + theta_scale * y.
-
-    Attributes:
-        u_offset, u_scale: in the unit of the command [mm or bar].
-        theta_offset, theta_scale: [deg].
-
-    Raises:
-        ModelError: if a number is not finite or a scale not positive.
-    """
-
-    u_offset: float = 0.0
-    u_scale: float = 6.0
-    theta_offset: float = 0.0
-    theta_scale: float = 90.0
-
-    def __post_init__(self) -> None:
-        values = [getattr(self, f.name) for f in fields(self)]
-        if not np.isfinite(values).all() or self.u_scale <= 0 or self.theta_scale <= 0:
-            raise ModelError(f"LSTM scaling: got {values}, expected finite numbers and scales > 0")
+from ..networks.scaling import Scaling
 
 
 @dataclass(frozen=True)
@@ -101,7 +79,7 @@ class LstmWeights:
     layers: tuple[LstmLayer, ...]
     head_weight: Array
     head_bias: float
-    scaling: LstmScaling = field(default_factory=LstmScaling)
+    scaling: Scaling = field(default_factory=Scaling)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "head_weight", _frozen(self.head_weight, "head_weight"))
@@ -152,13 +130,13 @@ class LstmWeights:
         while f"lstm.{count}.w_ih" in arrays:
             count += 1
         parts = [f"lstm.{k}.{part.name}" for k in range(count) for part in fields(LstmLayer)]
-        scaling = [f"scaling.{part.name}" for part in fields(LstmScaling)]
+        scaling = [f"scaling.{part.name}" for part in fields(Scaling)]
         missing = [name for name in (*parts, "head.weight", "head.bias", *scaling) if name not in arrays]
         if missing:
             raise ModelError(f"LSTM: no array {', '.join(missing)}, available: {', '.join(sorted(arrays))}")
         layers = [LstmLayer(*(np.asarray(arrays[n]) for n in parts[3 * k : 3 * k + 3])) for k in range(count)]
         numbers = [float(np.asarray(arrays[name]).item()) for name in ("head.bias", *scaling)]
-        return cls(tuple(layers), np.ravel(arrays["head.weight"]), numbers[0], LstmScaling(*numbers[1:]))
+        return cls(tuple(layers), np.ravel(arrays["head.weight"]), numbers[0], Scaling(*numbers[1:]))
 
     @classmethod
     def from_graph(cls, graph: onnx.GraphProto) -> Self:

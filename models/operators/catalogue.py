@@ -7,7 +7,10 @@ from typing import Any
 from hystmpc.trials.errors import ModelError, did_you_mean
 
 from .backlash import Backlash, InverseBacklash
+from .bouc_wen import BoucWen
+from .deadband import Deadband
 from .delay import Delay
+from .drdpi import Drdpi, InverseDrdpi
 from .lag import Lag
 from .operator import Operator, values_from
 from .play import Play
@@ -19,6 +22,10 @@ OPERATORS: tuple[type[Operator], ...] = (
     InverseBacklash,
     PrandtlIshlinskii,
     InversePrandtlIshlinskii,
+    Deadband,
+    Drdpi,
+    InverseDrdpi,
+    BoucWen,
     Lag,
     Delay,
 )

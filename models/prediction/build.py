@@ -5,22 +5,28 @@ from __future__ import annotations
 from hystmpc.trials.errors import ModelError
 
 from ..chain_model import ChainModel
+from ..contract.load import OnnxModel
 from ..contract.metadata import ModelMetadata
 from ..inverse.companion import AccompaniedPredictor, CompanionInverse
 from ..inverse.one_step import CompiledInverse
 from ..inverse.shadow import shadow_simulator
+from ..inverse.trained import MappedPredictor, TrainedInverse, check_inverse_map
 from ..load import AnyModel
 from ..model import Inverse, Predictor
 from ..simulator import Simulator
-from .casadi_ import CasadiPredictor
 from .compiled import CompiledPredictor
+from .invertible import InvertiblePredictor
+from .onnx_ import OnnxPredictor
+
+# A step unrolled to more scalar operations than this takes numba minutes to compile; a chain of operators has tens.
+_COMPILED_INSTRUCTIONS = 500
 
 
 def predictor_for(model: AnyModel) -> Predictor:
     """The fastest predictor that there is for a model.
 
-    Compiled for operator chains and exported graphs of elementwise operations, the LSTM kernels for networks of kind
-    `lstm`, CasADi's own evaluation for anything else.
+    Compiled for operator chains and exported graphs of few elementwise operations, kernels of their own for models of
+    kind `lstm` and `play_kernel`, onnxruntime and CasADi's derivatives for anything else.
 
     Raises:
         ModelError: if the model is an inverse map.
@@ -36,24 +42,34 @@ def predictor_for(model: AnyModel) -> Predictor:
         from .lstm import LstmPredictor  # its kernels take a moment to load, which operators need not wait for
 
         return LstmPredictor.of_model(model)
+    if model.metadata.kind == "play_kernel":
+        from .play_kernel import PlayKernelPredictor  # as above
+
+        return PlayKernelPredictor.of_model(model)
     function = model.casadi_function()
-    if function.is_a("SXFunction"):
+    if function.is_a("SXFunction") and function.n_instructions() <= _COMPILED_INSTRUCTIONS:
         return CompiledPredictor.of_function(function, model.metadata)
-    return CasadiPredictor(function, model.metadata)
+    return OnnxPredictor(model)
 
 
-def predictor_and_inverse(model: AnyModel, companion: Simulator | None = None) -> tuple[Predictor, Inverse]:
+def predictor_and_inverse(model: AnyModel, companion: Simulator | AnyModel | None = None) -> tuple[Predictor, Inverse]:
     """Predictor and inverse that share one memory.
 
     A compiled model is inverted exactly. Any other gets a companion whose inverse is asked instead: the given
-    simulator, or a backlash fitted to the model's own free run.
+    simulator, or a backlash fitted to the model's own free run. A model given instead has to be an inverse map, which
+    runs beside the model and is asked itself.
 
     Raises:
         FitError: if no companion is given and none can be fitted.
+        ModelError: if the inverse map is a forward model, or of another unit or sample time.
     """
     predictor = predictor_for(model)
     low, high = _inverse_range(model.metadata)
-    if isinstance(predictor, CompiledPredictor) and companion is None:
+    if isinstance(companion, ChainModel | OnnxModel):
+        check_inverse_map(companion.metadata, model.metadata)
+        mapped = MappedPredictor(predictor, companion)
+        return mapped, TrainedInverse(mapped, low, high)
+    if isinstance(predictor, InvertiblePredictor) and companion is None:
         return predictor, CompiledInverse(predictor, low, high)
     beside = CompiledPredictor.of_simulator(companion or shadow_simulator(model))
     both = AccompaniedPredictor(predictor, beside)

@@ -9,13 +9,14 @@ import numpy as np
 
 from ..contract.metadata import InitialRule, ModelMetadata
 from ..kernels.chain_kernels import compile_step
-from ..model import Array, Predictor
+from ..model import Array
 from ..simulator import Simulator
 from ..symbolic.instructions import dense
+from .invertible import InvertiblePredictor
 
 
 @final
-class CompiledPredictor(Predictor):
+class CompiledPredictor(InvertiblePredictor):
     """Compiled roll-out and linearisation of a symbolic step (state, u, p, dt) -> (theta, next state)."""
 
     def __init__(self, transition: Any, p: Array, metadata: ModelMetadata, rule: InitialRule) -> None:
@@ -63,7 +64,6 @@ class CompiledPredictor(Predictor):
         return theta, jacobian
 
     def command_for(self, state: Array, theta: float, low: float, high: float, last: float) -> float:
-        """Command in [low, high] after which the angle is `theta`, exact to 1e-11; see `CompiledInverse`."""
         return float(
             self._kernels.command_for(state, theta, low, high, last, self._p, self._dt, self._kernels.tangent_constants)
         )

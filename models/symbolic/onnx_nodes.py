@@ -1,7 +1,9 @@
-"""ONNX nodes from an instruction list: the step graph of any operator chain."""
+"""ONNX nodes from an instruction list: the step graph of any operator chain, or an operator within a network."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,25 +30,26 @@ _UNARY = {
 
 
 class _Writer:
-    """Collects nodes and constants of one graph; registers become columns (N, 1)."""
+    """Collects nodes and constants of one program; registers become columns (N, 1)."""
 
-    def __init__(self) -> None:
+    def __init__(self, prefix: str = "", element: int = TensorProto.DOUBLE) -> None:
+        self.prefix, self.element = prefix, element
         self.nodes: list[onnx.NodeProto] = []
         self.constants: dict[float, str] = {}
         self.count = 0
 
     def node(self, kind: str, inputs: list[str], **attributes: Any) -> str:
         self.count += 1
-        out = f"{kind.lower()}_{self.count}"
+        out = f"{self.prefix}{kind.lower()}_{self.count}"
         self.nodes.append(helper.make_node(kind, inputs, [out], name=out, **attributes))
         return out
 
     def constant(self, value: float) -> str:
-        return self.constants.setdefault(value, f"constant_{len(self.constants)}")
+        return self.constants.setdefault(value, f"{self.prefix}constant_{len(self.constants)}")
 
     def number(self, condition: str) -> str:
         """Turn a truth column into 1.0 or 0.0."""
-        return self.node("Cast", [condition], to=TensorProto.DOUBLE)
+        return self.node("Cast", [condition], to=self.element)
 
     def operation(self, step: Instruction, w: dict[int, str]) -> str:
         a = [w[i] for i in step.args]
@@ -73,41 +76,71 @@ class _Writer:
         return self.node({"sq": "Mul", "twice": "Add"}[step.name], [a[0], a[0]])
 
 
+@dataclass(frozen=True)
+class OperatorNodes:
+    """Nodes of one program inside a larger graph.
+
+    Attributes:
+        nodes: in order.
+        constants: names and values of the numbers, to become initializers of shape (1, 1).
+        outputs: name of the column (N, 1) of every element of every output.
+    """
+
+    nodes: list[onnx.NodeProto]
+    constants: dict[str, float]
+    outputs: list[list[str]]
+
+
+def operator_nodes(
+    function: Any, inputs: Sequence[Sequence[str]], prefix: str = "", element: int = TensorProto.DOUBLE
+) -> OperatorNodes:
+    """Translate a dense CasADi function whose inputs' elements stand in the named columns (N, 1).
+
+    Args:
+        function: any number of inputs and outputs.
+        inputs: column of every element of every input.
+        prefix: of all names made here.
+        element: number type of the columns, a `TensorProto` type.
+    """
+    writer = _Writer(prefix, element)
+    registers: dict[int, str] = {}
+    outputs = [[""] * function.numel_out(j) for j in range(function.n_out())]
+    for step in instructions(function):
+        if step.name == "input":
+            registers[step.out[0]] = inputs[step.args[0]][step.args[1]]
+        elif step.name == "output":
+            outputs[step.out[0]][step.out[1]] = registers[step.args[0]]
+        elif step.name == "const":
+            registers[step.out[0]] = writer.constant(step.value)
+        else:
+            registers[step.out[0]] = writer.operation(step, registers)
+    return OperatorNodes(writer.nodes, {label: value for value, label in writer.constants.items()}, outputs)
+
+
 def step_graph(function: Any, name: str) -> onnx.GraphProto:
     """Translate (state (S, 1), u) -> (theta, next state) into the step graph of the ONNX contract, in double.
 
     Inputs `u [N,1]`, `state [N,S]`; outputs `theta [N,1]`, `next_state [N,S]`.
     """
     size = function.numel_in(0)
-    writer = _Writer()
     columns = [f"state_{i}" for i in range(size)]
     if size > 1:
         split = helper.make_node("Split", ["state"], columns, name="split_state", axis=1, num_outputs=size)
     else:
         split = helper.make_node("Identity", ["state"], columns, name="split_state")
-    writer.nodes.append(split)
-    sources = {0: columns, 1: ["u"]}
-    registers: dict[int, str] = {}
-    results: dict[tuple[int, ...], str] = {}
-    for step in instructions(function):
-        if step.name == "input":
-            registers[step.out[0]] = sources[step.args[0]][step.args[1]]
-        elif step.name == "output":
-            results[step.out] = registers[step.args[0]]
-        elif step.name == "const":
-            registers[step.out[0]] = writer.constant(step.value)
-        else:
-            registers[step.out[0]] = writer.operation(step, registers)
-    writer.nodes.append(helper.make_node("Identity", [results[0, 0]], ["theta"], name="theta"))
-    following = [results[1, i] for i in range(size)]
-    writer.nodes.append(helper.make_node("Concat", following, ["next_state"], name="next_state", axis=1))
+    program = operator_nodes(function, [columns, ["u"]])
+    (theta,), following = program.outputs
+    last = [
+        helper.make_node("Identity", [theta], ["theta"], name="theta"),
+        helper.make_node("Concat", following, ["next_state"], name="next_state", axis=1),
+    ]
     return helper.make_graph(
-        writer.nodes,
+        [split, *program.nodes, *last],
         name,
         [_value("u", 1), _value("state", size)],
         [_value("theta", 1), _value("next_state", size)],
         initializer=[
-            numpy_helper.from_array(np.full((1, 1), value), name=label) for value, label in writer.constants.items()
+            numpy_helper.from_array(np.full((1, 1), value), name=label) for label, value in program.constants.items()
         ],
     )
 

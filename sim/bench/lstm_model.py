@@ -16,7 +16,8 @@ from hystmpc.models.library import library_file, library_names
 from hystmpc.models.lstm.graph import lstm_step_graph
 from hystmpc.models.lstm.initial import conditioned_rule, zero_state_rule
 from hystmpc.models.lstm.reference import LstmStep
-from hystmpc.models.lstm.weights import LstmLayer, LstmScaling, LstmWeights
+from hystmpc.models.lstm.weights import LstmLayer, LstmWeights
+from hystmpc.models.networks.scaling import Scaling
 from hystmpc.models.probe import probe_commands
 
 _COMMAND = Range(lower=0.0, upper=6.0)  # tendon [mm]
@@ -47,10 +48,10 @@ def random_weights(hidden: int) -> LstmWeights:
     spread = 1.0 / np.sqrt(hidden)
     layers = (_layer(rng, 1, hidden, 2.0), _layer(rng, hidden, hidden, 2.0 * spread))
     head = np.abs(rng.uniform(-spread, spread, hidden))
-    raw = LstmWeights(layers, head, 0.0, LstmScaling(_COMMAND.lower, _COMMAND.upper, 0.0, 1.0))
+    raw = LstmWeights(layers, head, 0.0, Scaling(_COMMAND.lower, _COMMAND.upper, 0.0, 1.0))
     low, high = _settled(raw, _COMMAND.lower), _settled(raw, _COMMAND.upper)
     gain = (_ANGLE.upper - _ANGLE.lower) / (high - low)
-    return LstmWeights(layers, head, -low, LstmScaling(_COMMAND.lower, _COMMAND.upper, _ANGLE.lower, gain))
+    return LstmWeights(layers, head, -low, Scaling(_COMMAND.lower, _COMMAND.upper, _ANGLE.lower, gain))
 
 
 def _random_model(hidden: int) -> OnnxModel:

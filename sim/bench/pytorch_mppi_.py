@@ -54,7 +54,7 @@ class TorchMppi:
 
         self._torch = torch
         self._net = net_of(network).requires_grad_(False)
-        self._layers, self._hidden = len(network.layers), network.hidden
+        self._size = network.state_size
         self._scaling, self._reach, self._rate = network.scaling, limits.rate * dt, weights.rate
         self._tracking = [float(q) for q in weights.over(horizon)]
         self._reference = [0.0] * horizon
@@ -97,18 +97,15 @@ class TorchMppi:
         return np.array(angles)
 
     def _start(self, state: Vec, u_last: float) -> Any:
-        size = 2 * self._layers * self._hidden
-        return self._torch.tensor(np.concatenate([state[:size], [0.0, u_last, 0.0]]), dtype=self._torch.float32)
+        return self._torch.tensor(np.concatenate([state[: self._size], [0.0, u_last, 0.0]]), dtype=self._torch.float32)
 
     def _step(self, state: Any, action: Any, _: int) -> Any:
-        torch, hidden = self._torch, self._hidden
+        torch = self._torch
         last = state[:, -2:-1]
         command = torch.minimum(torch.maximum(action, last - self._reach), last + self._reach)
-        parts = state[:, :-3].reshape(-1, self._layers, 2, hidden).permute(2, 1, 0, 3).contiguous()
         scaled = (command - self._scaling.u_offset) / self._scaling.u_scale
-        y, (h, c) = self._net(scaled, (parts[0], parts[1]))
+        y, following = self._net(scaled, state[:, :-3])
         theta = self._scaling.theta_offset + self._scaling.theta_scale * y
-        following = torch.stack([h, c]).permute(2, 1, 0, 3).reshape(len(state), -1)
         return torch.cat([following, theta, command, command - last], dim=1)
 
     def _cost(self, state: Any, action: Any, step: int) -> Any:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.operators.backlash import Backlash, InverseBacklash
+from hystmpc.models.operators.bouc_wen import BoucWen
+from hystmpc.models.operators.deadband import Deadband
 from hystmpc.models.operators.delay import Delay
+from hystmpc.models.operators.drdpi import Drdpi
 from hystmpc.models.operators.lag import Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.play import Play
@@ -16,6 +19,10 @@ DT = 0.04
 BACKLASH = Backlash(10.27, 10.70, 2.822, 2.003)  # S2's forward fit in mm and degrees
 STATIC_PI = PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.0, 22.0)
 RATE_PI = PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, 22.0)
+# Dead at the bottom, saturating at the top: bends at 30 and 40, 60 and 75 deg of 22 to 83 before the dead zones.
+DEADBAND = Deadband(1.1, (0.5, 0.08), (0.6, 0.1), (15.0, 10.0), (15.0, 15.0), 50.0, 48.0)
+DRDPI = Drdpi(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, -28.0, (0.5, 0.08), (0.6, 0.1), (12.0, 8.0), (12.0, 12.0), 48.0)
+BOUC_WEN = BoucWen(-9.0, 0.8, 2.2, 10.7, 10.2, 0.04 / 6, 25.0)
 
 # Every operator of the catalogue appears at least once; a test holds this list against the catalogue.
 EXAMPLES: tuple[Operator, ...] = (
@@ -25,6 +32,10 @@ EXAMPLES: tuple[Operator, ...] = (
     STATIC_PI,
     RATE_PI,
     InversePrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, 22.0),
+    DEADBAND,
+    DRDPI,
+    DRDPI.inverse(),
+    BOUC_WEN,
     Lag(0.08),
     Delay(0.1, 4),
 )

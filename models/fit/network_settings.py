@@ -1,45 +1,80 @@
-"""Settings of LSTM training and its two presets: as in S2, and the best that we know."""
+"""Settings of network training: on short windows as in the papers, and on streams of whole trials."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from hystmpc.trials.config import Settings
+
+from ..networks.settings import NetworkForm, RecurrentSettings
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Weight = Annotated[float, Field(ge=0)]
 
 
 class ScalingSettings(Settings):
-    """v = (u - u_offset) / u_scale and theta = theta_offset + theta_scale y; see `LstmScaling`."""
+    """Scaling of devices of one command unit; for others the ranges of the trials are mapped to [-1, 1].
 
-    u_offset: float = 0.0
-    u_scale: Positive = 6.0
-    theta_offset: float = 0.0
-    theta_scale: Positive = 90.0
+    Attributes:
+        unit: of the command.
+        command_offset, command_scale: scaled command (u - offset) / scale.
+        angle_offset, angle_scale: likewise for the angle [deg]; an inverse map has the two pairs exchanged.
+    """
+
+    unit: str = "mm"
+    command_offset: float = 0.0
+    command_scale: Positive = 6.0
+    angle_offset: float = 0.0
+    angle_scale: Positive = 90.0
+
+
+class RestSettings(Settings):
+    """Rest of a device of one command unit: what stands before a trial where a network looks further back.
+
+    Attributes:
+        unit: of the command; for another unit a trial's first sample is its rest.
+        command: command at rest.
+        angle: angle at rest [deg].
+    """
+
+    unit: str = "mm"
+    command: float = 0.0
+    angle: float = 30.0
 
 
 class WindowTraining(Settings):
-    """Training on short windows, the state zero at the start of each (S1 section II-C, S2 section III).
+    """Training on short windows, a recurrent state zero at the start of each (S1 section II-C, S2 section III).
 
     Attributes:
-        length: samples in a window; 50 are 2 s at 25 Hz.
+        length: samples in a window, all of them scored; 50 are 2 s at 25 Hz. A feed-forward network sees the samples
+            before them as well, as many as it looks back on; one scored sample is what S2 trains it with.
         batch: windows in an update.
         epochs: greatest number of epochs; the one with the lowest validation error is kept.
+        keep_after: epochs that are only kept if training ends before a later one (the code of S2 has 10).
         windows_per_epoch: windows drawn in an epoch, at any sample of any trial; None draws one per training sample.
+        padding_samples: samples of rest before each trial, scored as all others; S2 has 50.
         constancy_weight: beta of the constant-in, constant-out term, S2 eq. (12); the paper trains with 0 and 1e-4
-            and keeps the better.
+            and keeps the better. It needs windows of two samples or more.
     """
 
     scheme: Literal["windows"] = "windows"
-    length: Annotated[int, Field(ge=2)] = 50
+    length: Count = 50
     batch: Count = 16
     epochs: Count = 100
+    keep_after: Annotated[int, Field(ge=0)] = 0
     windows_per_epoch: Count | None = None
-    constancy_weight: Annotated[float, Field(ge=0)] = 0.0
+    padding_samples: Annotated[int, Field(ge=0)] = 0
+    constancy_weight: Weight = 0.0
+
+    @model_validator(mode="after")
+    def _long_enough(self) -> Self:
+        if self.constancy_weight and self.length < 2:
+            raise ValueError(f"constancy_weight is {self.constancy_weight:g} with length 1, expected length >= 2")
+        return self
 
 
 class TeacherSettings(Settings):
@@ -68,7 +103,7 @@ class StreamTraining(Settings):
     Attributes:
         length: samples in a piece, over which gradients flow.
         streams: trials side by side, pieces in an update.
-        matrix_learning_rate: of Muon, for the gate matrices; `learning_rate` is for the rest.
+        matrix_learning_rate: of Muon, for the matrices between hidden layers; `learning_rate` is for the rest.
         updates: number of updates; both rates fall to zero along a half cosine over them.
         rounds_between_checks: passes over the trials between two free runs over the held-out trials.
         copies: how often each recorded trial runs in a round.
@@ -78,6 +113,7 @@ class StreamTraining(Settings):
             no holds.
         clip_norm: greatest norm of a gradient.
         averaging: decay per update of the running mean of the weights, which is what is judged and returned.
+        constancy_weight: beta of the constant-in, constant-out term, S2 eq. (12), over pieces.
         teacher: None to learn from the recorded trials alone.
     """
 
@@ -92,20 +128,20 @@ class StreamTraining(Settings):
     longest_pause: Annotated[int, Field(ge=0)] = 250
     clip_norm: Positive = 1.0
     averaging: Annotated[float, Field(ge=0, lt=1)] = 0.98
+    constancy_weight: Weight = 0.0
     teacher: TeacherSettings | None = TeacherSettings()
 
 
-class LstmSettings(Settings):
-    """What `fit_lstm` needs to know.
+class NetworkSettings(Settings):
+    """What `fit_network` needs to know.
 
     Attributes:
+        kind: name in model files and reports.
         preset: name for reports.
-        hidden, layers: size; the papers have two layers of 64.
+        network: what it is made of.
         scaling: None maps the ranges of the trials to [-1, 1], as S1 does.
-        memory_samples: longest memory of the gates before anything is learned; 0 for PyTorch's own initial weights.
+        rest: None takes the first sample of each trial, and the least input of all for the start of a buffer.
         warmup_samples: samples of the first command, held and unscored, before a trial's first sample.
-        command_gain: factor on the initial weights of the command. Direction shows only in its change from sample to
-            sample, a hundredth of its range; louder from the start, hysteresis is found sooner.
         first_flexure_weight: weight of samples before the first reversal of the command, 0 to leave them out; the
             network runs through them in any case.
         validation_trials: whole trials held out to choose the best weights. With 0 the training trials judge; the rates
@@ -116,13 +152,12 @@ class LstmSettings(Settings):
         training: `windows` or `streams`.
     """
 
+    kind: str = "lstm"
     preset: str = "best"
-    hidden: Annotated[int, Field(ge=2)] = 64
-    layers: Count = 2
+    network: NetworkForm = RecurrentSettings()
     scaling: ScalingSettings | None = None
-    memory_samples: Annotated[int, Field(ge=0)] = 300
+    rest: RestSettings | None = None
     warmup_samples: Annotated[int, Field(ge=0)] = 25
-    command_gain: Positive = 4.0
     first_flexure_weight: Share = 1.0
     validation_trials: Annotated[int, Field(ge=0)] = 0
     learning_rate: Positive = 3e-3
@@ -134,19 +169,3 @@ class LstmSettings(Settings):
     def steps(self) -> int:
         """What `progress` counts up to: epochs of windows or updates of streams."""
         return self.training.epochs if isinstance(self.training, WindowTraining) else self.training.updates
-
-
-LSTM_PRESETS = {
-    "best": LstmSettings(),
-    "paper": LstmSettings(
-        preset="paper",
-        scaling=ScalingSettings(),
-        memory_samples=0,
-        command_gain=1.0,
-        validation_trials=1,
-        warmup_samples=0,
-        learning_rate=1e-3,
-        training=WindowTraining(),
-    ),
-}
-"""`paper`: S2 section III-D (windows of 50 at 25 Hz, Adam 1e-3, batch 16, at most 100 epochs, u/6 and theta/90)."""

@@ -10,13 +10,15 @@ import pytest
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate
-from hystmpc.models.fit.lstm import LstmCheck, LstmFit, fit_lstm
-from hystmpc.models.fit.lstm_bundle import lstm_bundle
-from hystmpc.models.fit.lstm_settings import LSTM_PRESETS, LstmSettings, StreamTraining, TeacherSettings, WindowTraining
-from hystmpc.models.fit.lstm_teacher import Teacher
+from hystmpc.models.fit.network_bundle import network_bundle
+from hystmpc.models.fit.network_presets import NETWORK_PRESETS
+from hystmpc.models.fit.network_settings import NetworkSettings, StreamTraining, TeacherSettings, WindowTraining
+from hystmpc.models.fit.networks import NetworkCheck, NetworkFit, fit_network
 from hystmpc.models.fit.split import hold_out
 from hystmpc.models.fit.streams import Run, arrange, pause, stretch
+from hystmpc.models.fit.teacher import Teacher
 from hystmpc.models.fit.windows import draw_windows
+from hystmpc.models.networks.settings import RecurrentSettings
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 
@@ -26,7 +28,13 @@ torch = pytest.importorskip("torch")
 pytestmark = pytest.mark.slow
 
 STREAMS = StreamTraining(length=25, streams=4, updates=240, rounds_between_checks=1, averaging=0.9, teacher=None)
-SMALL = LstmSettings(hidden=8, layers=2, warmup_samples=5, learning_rate=1e-2, validation_trials=1, training=STREAMS)
+SMALL = NetworkSettings(
+    network=RecurrentSettings(hidden=8),
+    warmup_samples=5,
+    learning_rate=1e-2,
+    validation_trials=1,
+    training=STREAMS,
+)
 WAYS = {
     "streams": SMALL,
     "streams with teacher": SMALL.model_copy(
@@ -40,15 +48,15 @@ WAYS = {
 every_way = pytest.mark.parametrize("settings", WAYS.values(), ids=WAYS.keys())
 
 
-def same(a: LstmFit, b: LstmFit) -> bool:
-    pairs = zip(a.weights.to_arrays().values(), b.weights.to_arrays().values(), strict=True)
-    return a.history == b.history and all(np.array_equal(x, y) for x, y in pairs)
+def same(a: NetworkFit, b: NetworkFit) -> bool:
+    pairs = zip(a.net.state_dict().values(), b.net.state_dict().values(), strict=True)
+    return a.history == b.history and all(torch.equal(x, y) for x, y in pairs)
 
 
 @every_way
-def test_error_falls_and_the_best_look_is_kept(settings: LstmSettings) -> None:
+def test_error_falls_and_the_best_look_is_kept(settings: NetworkSettings) -> None:
     seen: list[tuple[int, float]] = []
-    fit = fit_lstm(four_trials(), settings, lambda done, best: seen.append((done, best)))
+    fit = fit_network(four_trials(), settings, lambda done, best: seen.append((done, best)))
     errors = [look.validation_rmse_deg for look in fit.history]
     assert fit.validation_rmse_deg == min(errors) < 0.7 * errors[0]
     assert fit.history[[look.step for look in fit.history].index(fit.best_step)].validation_rmse_deg == min(errors)
@@ -58,17 +66,17 @@ def test_error_falls_and_the_best_look_is_kept(settings: LstmSettings) -> None:
 
 
 @every_way
-def test_same_seed_same_network_and_another_seed_another(settings: LstmSettings) -> None:
+def test_same_seed_same_network_and_another_seed_another(settings: NetworkSettings) -> None:
     trials = four_trials()
     state = torch.random.get_rng_state()
-    first = fit_lstm(trials, settings)
+    first = fit_network(trials, settings)
     assert torch.equal(torch.random.get_rng_state(), state)  # the caller's random numbers are his own
-    assert same(first, fit_lstm(trials, settings))
-    assert not same(first, fit_lstm(trials, settings.model_copy(update={"seed": 2})))
+    assert same(first, fit_network(trials, settings))
+    assert not same(first, fit_network(trials, settings.model_copy(update={"seed": 2})))
 
 
 @every_way
-def test_interrupting_keeps_the_best_so_far(settings: LstmSettings) -> None:
+def test_interrupting_keeps_the_best_so_far(settings: NetworkSettings) -> None:
     looks = 0
 
     def stop_at_third(done: int, best: float) -> None:
@@ -78,7 +86,7 @@ def test_interrupting_keeps_the_best_so_far(settings: LstmSettings) -> None:
             raise KeyboardInterrupt
 
     threads = torch.get_num_threads()
-    fit = fit_lstm(four_trials(), settings, stop_at_third)
+    fit = fit_network(four_trials(), settings, stop_at_third)
     assert fit.interrupted
     assert len(fit.history) == 3
     assert fit.validation_rmse_deg == min(look.validation_rmse_deg for look in fit.history)
@@ -87,8 +95,8 @@ def test_interrupting_keeps_the_best_so_far(settings: LstmSettings) -> None:
 
 def test_trained_network_is_exported_and_predicts_as_its_history_says(tmp_path: Path) -> None:
     trials = four_trials()
-    fit = fit_lstm(trials, SMALL)
-    export_onnx(lstm_bundle(fit, trials), tmp_path / "small.onnx")
+    fit = fit_network(trials, SMALL)
+    export_onnx(network_bundle(fit, trials), tmp_path / "small.onnx")
     model = load_onnx(tmp_path / "small.onnx")
     (held_out,) = [trial for trial in trials if trial.source in fit.held_out]
     assert evaluate(model, held_out).errors.rmse_deg == pytest.approx(fit.validation_rmse_deg, rel=1e-3)
@@ -104,39 +112,39 @@ def test_trained_network_is_exported_and_predicts_as_its_history_says(tmp_path: 
 def test_unusable_input_is_named() -> None:
     trials = four_trials()
     with pytest.raises(FitError, match="got no trials"):
-        fit_lstm([], SMALL)
+        fit_network([], SMALL)
     with pytest.raises(FitError, match="1 held out and one to train on"):
-        fit_lstm(trials[:1], SMALL)
+        fit_network(trials[:1], SMALL)
     with pytest.raises(FitError, match="40 samples, expected at least 50"):
-        fit_lstm([*trials, trials[0].select(0, 40)], SMALL)
+        fit_network([*trials, trials[0].select(0, 40)], SMALL)
     rest = Trial(trials[0].t, 0 * trials[0].t, trials[0].angle, source="rest")
     with pytest.raises(FitError, match="rest: the command is constant"):
-        fit_lstm([*trials, rest], SMALL)
+        fit_network([*trials, rest], SMALL)
     slow = Trial(2 * trials[0].t, trials[0].command, trials[0].angle, source="slow")
     with pytest.raises(FitError, match=r"slow: sampled every 0\.08 s"):
-        fit_lstm([*trials, slow], SMALL)
+        fit_network([*trials, slow], SMALL)
     windows = SMALL.model_copy(update={"training": WindowTraining(length=1000, epochs=1)})
     with pytest.raises(FitError, match="the 1000 of a window"):
-        fit_lstm(trials, windows)
+        fit_network(trials, windows)
 
 
 @every_way
-def test_divergence_is_an_error(settings: LstmSettings) -> None:
+def test_divergence_is_an_error(settings: NetworkSettings) -> None:
     with pytest.raises(FitError, match="diverged"):
-        fit_lstm(four_trials(), settings.model_copy(update={"learning_rate": 1e30}))
+        fit_network(four_trials(), settings.model_copy(update={"learning_rate": 1e30}))
 
 
 def test_interrupting_before_the_first_look_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hystmpc.models.fit.lstm._run", interrupted)
+    monkeypatch.setattr("hystmpc.models.fit.network_runs._run", interrupted)
     with pytest.raises(FitError, match="before its first check"):
-        fit_lstm(four_trials(), SMALL)
+        fit_network(four_trials(), SMALL)
 
 
 def test_without_held_out_trials_the_training_trials_judge() -> None:
-    fit = fit_lstm(four_trials(), SMALL.model_copy(update={"validation_trials": 0}))
+    fit = fit_network(four_trials(), SMALL.model_copy(update={"validation_trials": 0}))
     assert fit.held_out == ()
     assert np.isfinite(fit.validation_rmse_deg)
 
@@ -203,7 +211,8 @@ def test_paused_runs_hold_and_go_on() -> None:
 def test_windows_are_pieces_of_runs() -> None:
     ramps = np.arange(30.0), np.arange(50.0, 90.0)
     runs = [Run(ramp, ramp + 100, np.ones(ramp.size)) for ramp in ramps]
-    command, angle, weight = draw_windows(runs, 200, 10, np.random.default_rng(0))
+    signals = [(run.command, run.angle, run.weight) for run in runs]
+    command, angle, weight = draw_windows(signals, 200, 10, np.random.default_rng(0))
     assert (np.diff(command, axis=1) == 1).all()
     assert (angle == command + 100).all()
     assert weight.all()
@@ -225,28 +234,31 @@ def test_teacher_stays_within_what_the_trials_showed() -> None:
 
 
 def test_presets_are_the_papers_and_ours() -> None:
-    paper, best = LSTM_PRESETS["paper"], LSTM_PRESETS["best"]
+    paper, best, other = (NETWORK_PRESETS["lstm"][name] for name in ("paper", "best", "s1"))
     assert isinstance(paper.training, WindowTraining)
     assert (paper.training.length, paper.training.batch, paper.steps) == (50, 16, 100)
-    assert (paper.hidden, paper.layers, paper.seed, paper.learning_rate) == (64, 2, 1, 1e-3)
+    assert isinstance(paper.network, RecurrentSettings)
+    assert (paper.network.hidden, paper.network.layers, paper.seed, paper.learning_rate) == (64, 2, 1, 1e-3)
+    assert (other.scaling, other.steps) == (None, 50)
     assert isinstance(best.training, StreamTraining)
-    assert LstmSettings.parse(best.model_dump()) == best
+    assert NetworkSettings.parse(best.model_dump()) == best
 
 
 def test_a_network_that_amplifies_rounding_is_noticed() -> None:
-    from hystmpc.models.fit.lstm_torch_ import judged_output, rounding_error
+    from hystmpc.models.fit.training_torch_ import rounding_error, whole_runs
     from hystmpc.models.lstm.torch_ import LstmNet
 
-    command = torch.linspace(-1, 1, 400).repeat(2, 1)
+    ramp = np.linspace(-1, 1, 400)
+    judged = whole_runs([Run(ramp, ramp, np.ones(400))] * 2, 0)
     torch.manual_seed(0)
     calm, chaotic = LstmNet(32, 1), LstmNet(32, 1)
     with torch.no_grad():
         chaotic.get_parameter("lstm.weight_hh_l0").mul_(60.0)
-    found = [rounding_error(net, command, judged_output(net, command)) for net in (calm, chaotic)]
+    found = [rounding_error(net, judged, judged.output(net)) for net in (calm, chaotic)]
     assert found[0] < 1e-5
     assert found[1] > 1e-3
-    assert LstmCheck(1, 0.1, 0.1, found[0]).exportable
-    assert not LstmCheck(1, 0.1, 0.1, found[1]).exportable
+    assert NetworkCheck(1, 0.1, 0.1, found[0]).exportable
+    assert not NetworkCheck(1, 0.1, 0.1, found[1]).exportable
 
 
 def test_an_inverse_map_learns_from_swapped_runs_of_a_forward_teacher() -> None:

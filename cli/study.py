@@ -1,0 +1,93 @@
+"""`hystmpc study`: every model of a paper trained, tested and set beside what the paper prints."""
+
+from __future__ import annotations
+
+import os
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hystmpc.sim.studies.settings import STAGES, StudySettings
+from hystmpc.sim.studies.tally import Tally
+
+from .console import Bar, bar, errors, out
+
+INTERRUPTED = 130
+
+
+class Name(StrEnum):
+    """The studies there are."""
+
+    S1 = "s1"
+    S2 = "s2"
+    REAL = "real"
+
+
+_STAGES = "; ".join(f"{name}: {', '.join(stages)}" for name, stages in STAGES.items())
+
+
+def study(
+    name: Annotated[Name, typer.Argument(help="The papers' studies on simulated devices, or one on recorded logs.")],
+    folder: Annotated[Path, typer.Option("--out", help="Run folder; an unfinished study in it goes on.")],
+    logs: Annotated[list[Path] | None, typer.Option(help="Logs or folders of *.csv, for `real`; repeatable.")] = None,
+    layout: Annotated[str, typer.Option("--preset", help="Layout of the logs.")] = "auto",
+    rate_hz: Annotated[float, typer.Option(min=0.1, help="Rate to which logs are resampled [Hz].")] = 25.0,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes, one thread each; else one a core.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of simulated data and training.")] = 1,
+    kinds: Annotated[str | None, typer.Option(help="Kinds of model, separated by commas; else the paper's.")] = None,
+    presets: Annotated[str | None, typer.Option(help="Presets of the training, such as paper,best.")] = None,
+    directions: Annotated[str | None, typer.Option(help="forward,inverse or one of them.")] = None,
+    stages: Annotated[str | None, typer.Option(help=f"Parts of the study. {_STAGES}.")] = None,
+    epochs_scale: Annotated[
+        float | None, typer.Option(min=0.001, max=10.0, help="Share of the papers' epochs; s2 has 0.08, the others 1.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Only prove that everything runs.")] = False,
+) -> None:
+    """Train, export and test every model of a study and write its report; Ctrl-C keeps what is done."""
+    settings = StudySettings.for_study(
+        name.value,
+        logs=[str(log) for log in logs or []],
+        layout=layout,
+        rate_hz=rate_hz,
+        seed=seed,
+        kinds=_names(kinds),
+        presets=_names(presets),
+        directions=_names(directions),
+        stages=_names(stages),
+        epochs_scale=epochs_scale,
+        quick=quick,
+    )
+    _run(settings, folder, jobs or os.cpu_count() or 1)
+
+
+def _run(settings: StudySettings, folder: Path, workers: int) -> None:
+    """Say how long it will take, do it, and say what failed."""
+    from hystmpc.sim.studies.run import prepare, run_study  # kept out of the way of the other verbs' start
+
+    if settings.left_out:
+        errors.print(f"not in the catalogue, left out: {', '.join(settings.left_out)}", style="yellow")
+    errors.print("making the trials and timing a few steps of every model ...")
+    ready = prepare(settings, folder)
+    minutes = ready.minutes(workers)
+    errors.print(f"{len(ready.costs)} of {len(ready.tasks)} jobs to do on {workers} cores: about {minutes} min")
+    try:
+        with bar(f"study {settings.study}", sum(ready.costs.values())) as show:
+            outcome = run_study(ready, workers, lambda tally: _show(show, tally))
+    except KeyboardInterrupt:
+        errors.print(f"interrupted: finished jobs are kept in {folder}, the same command goes on", style="yellow")
+        raise typer.Exit(INTERRUPTED) from None
+    for failed in outcome.failed:
+        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", markup=False, highlight=False)
+    out.print(f"{len(outcome.done)} jobs done, {len(outcome.failed)} failed; report: {folder / 'report.html'}")
+
+
+def _names(text: str | None) -> tuple[str, ...]:
+    """Names between commas."""
+    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
+
+
+def _show(show: Bar, tally: Tally) -> None:
+    """The bar runs in seconds of processor time as estimated, so that the time left is that of the jobs left."""
+    show(tally.seconds_done, f"{tally.done} of {tally.total} jobs {tally.note}", total=max(tally.seconds_total, 1e-9))

@@ -1,0 +1,231 @@
+"""Starts and search boxes of every kind of chain, read off the trials."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hystmpc.trials.errors import FitError, did_you_mean
+from hystmpc.trials.segments import Motion
+from hystmpc.trials.trial import Trial
+
+from ..chain import Chain
+from ..operators.backlash import Backlash
+from ..operators.bouc_wen import BoucWen
+from ..operators.drdpi import Drdpi
+from ..operators.operator import Operator
+from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
+from .chain_fit import ChainTask
+from .starts import backlash_starts, branch, prandtl_ishlinskii_starts
+from .trial_set import check_trial_set, fastest_command
+
+Vec = NDArray[np.float64]
+Ends = Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Sizes and settings of a chain that are chosen, not identified.
+
+    Attributes:
+        plays: plays of a `pi` or `drdpi`.
+        bands: dead zones of a `drdpi` on either side of the middle.
+        dead_zone_deg: change of the wish that an `inverse_backlash` takes for noise; 0.027 in the code of S2.
+        steepness_s: see `BoucWen`, times the range of the command; 0.04 in the code of S2.
+    """
+
+    plays: int = 4
+    bands: int = 2
+    dead_zone_deg: float = 0.027
+    steepness_s: float = 0.04
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What the trials of a device show, command and angle in their own places.
+
+    Attributes:
+        slope, offset: of the mean line through loading and unloading branch [deg/cmd], [deg].
+        lag: half the distance between the branches [deg].
+        span: range of the command [cmd].
+        speed: greatest speed of the command [cmd/s].
+        low, high: least and greatest angle [deg].
+    """
+
+    slope: float
+    offset: float
+    lag: float
+    span: float
+    speed: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class ChainKind:
+    """How one kind of chain is started and bounded.
+
+    Attributes:
+        starts: forward operators to start from.
+        box: by parameter, the ends between which a global search looks; numbered parameters go by their stem.
+        fixed: parameters that are set.
+        inverted: makes the inverse operator of a forward one; None for forward kinds.
+    """
+
+    starts: Callable[[Sequence[Trial], Extent, Structure], list[Operator]]
+    box: Callable[[Extent, Structure], Ends]
+    fixed: tuple[str, ...] = ()
+    inverted: Callable[[Operator, Structure], Operator] | None = None
+
+
+def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> ChainTask:
+    """Starts, box and fixed parameters of a chain of the kind.
+
+    Args:
+        kind: one of `CHAIN_KINDS`.
+        trials: command to angle for forward kinds; swapped (`Trial.swapped`) for the inverse ones.
+        structure: sizes of the chain.
+
+    Raises:
+        FitError: on an unknown kind, trials that are the wrong way round, unusable ones, or sizes below one.
+    """
+    if kind not in CHAIN_KINDS:
+        raise FitError(f"no kind of chain {kind!r}, {did_you_mean(kind, CHAIN_KINDS)}")
+    if min(structure.plays, structure.bands) < 1:
+        raise FitError(f"{structure.plays} plays and {structure.bands} bands, expected at least one of each")
+    check_trial_set(trials)
+    chosen = CHAIN_KINDS[kind]
+    if trials[0].inverted != (chosen.inverted is not None):
+        way = "angle to command" if chosen.inverted else "command to angle"
+        raise FitError(f"{kind} maps {way}, got trials with the command in {trials[0].units.command}; swap them")
+    forward = [trial.swapped() if trial.inverted else trial for trial in trials]
+    extent = _extent(forward)
+    operators = chosen.starts(forward, extent, structure)
+    if chosen.inverted:
+        operators = [chosen.inverted(operator, structure) for operator in operators]
+    ends = _ends(operators[0], chosen.box(extent, structure))
+    return ChainTask(tuple(Chain(o) for o in operators), ends, chosen.fixed, tuple(trials))
+
+
+def _extent(trials: Sequence[Trial]) -> Extent:
+    loading, unloading = branch(trials, Motion.LOADING), branch(trials, Motion.UNLOADING)
+    slope, offset = 0.5 * (loading + unloading)
+    middle = 0.5 * (max(t.command.max() for t in trials) + min(t.command.min() for t in trials))
+    lag = 0.5 * float(np.polyval(unloading - loading, middle))
+    span = max(float(np.ptp(t.command)) for t in trials)
+    low, high = min(float(t.angle.min()) for t in trials), max(float(t.angle.max()) for t in trials)
+    return Extent(float(slope), float(offset), max(lag, 0.0), span, fastest_command(trials), low, high)
+
+
+def _ends(operator: Operator, box: Ends) -> tuple[Vec, Vec]:
+    """The box in the order of the operator's parameters, within their bounds; without an entry a value is set."""
+    rows = []
+    for parameter, value in zip(operator.parameters, operator.values, strict=True):
+        stem = parameter.name.rstrip("0123456789")
+        low, high = box.get(parameter.name, box.get(stem, (value, value)))
+        rows.append((max(low, parameter.lower), min(high, parameter.upper)))
+    lower, upper = np.array(rows).T
+    return lower, upper
+
+
+def _cores(chains: Sequence[Chain]) -> list[Operator]:
+    return [chain.core for chain in chains]
+
+
+def _drdpi_starts(trials: Sequence[Trial], e: Extent, structure: Structure) -> list[Operator]:
+    """The plays of each start of a `pi`, with dead zones that are spread over the angle and do nothing yet."""
+    middle, n = 0.5 * (e.low + e.high), structure.bands
+    ones, gaps = (1.0,) * n, (0.5 * (e.high - e.low) / (n + 1),) * n
+    starts: list[Operator] = []
+    for chain in prandtl_ishlinskii_starts(trials, structure.plays):
+        *plays, b = chain.core.values
+        values = [*plays, b - middle, *ones, *ones, *gaps, *gaps, middle]
+        starts.append(Drdpi.template(plays=structure.plays, below=n, above=n).with_values(values))
+    return starts
+
+
+def _bouc_wen_starts(trials: Sequence[Trial], e: Extent, structure: Structure) -> list[Operator]:
+    """The mean line with the branches' distance, reached within 10, 30 and 80 % of the command's range."""
+    del trials
+    steepness = structure.steepness_s / e.span
+    return [
+        BoucWen(-e.lag / (reach * e.span), 0.0, 1 / (reach * e.span), e.slope, e.slope, steepness, e.offset)
+        for reach in (0.1, 0.3, 0.8)
+    ]
+
+
+def _backlash_box(e: Extent, structure: Structure) -> Ends:
+    del structure
+    middle = e.offset / e.slope
+    m, c = (0.5 * e.slope, 2.0 * e.slope), (middle - e.span, middle + e.span)
+    return {"m_lo": m, "m_up": m, "c_lo": c, "c_up": c}
+
+
+def _plays_box(e: Extent, structure: Structure) -> Ends:
+    """No play wider than half the range, none that speed widens by more than a quarter of it."""
+    return {
+        "a": (0.0, 1.5 * e.slope),
+        "alpha": (0.0, 0.5 * e.span / structure.plays),
+        "beta": (0.0, 0.25 * e.span / e.speed),
+        "b": (e.offset - (e.high - e.low), e.offset + (e.high - e.low)),
+    }
+
+
+def _drdpi_box(e: Extent, structure: Structure) -> Ends:
+    """Plays twice as steep at most, since dead zones may flatten them; dead zones within the range of the angle."""
+    height, middle = e.high - e.low, 0.5 * (e.low + e.high)
+    sides = {f"slope_{side}_": (0.0, 3.0) for side in ("below", "above")}
+    gaps = {f"gap_{side}_": (0.0, height / structure.bands) for side in ("below", "above")}
+    return {
+        **_plays_box(e, structure),
+        "a": (0.0, 2.0 * e.slope),
+        "b": (e.offset - middle - 2 * height, e.offset - middle + 2 * height),
+        **sides,
+        **gaps,
+        "offset": (e.low, e.high),
+    }
+
+
+def _bouc_wen_box(e: Extent, structure: Structure) -> Ends:
+    del structure
+    height = e.high - e.low
+    return {
+        "a": (-5 * e.slope, e.slope),
+        "v": (0.5 / e.span, 50 / e.span),
+        "alpha_": (0.0, 2 * e.slope),
+        "b": (e.offset - height, e.offset + height),
+    }
+
+
+_BACKLASH = ChainKind(lambda trials, e, s: _cores(backlash_starts(trials)), _backlash_box)
+_PI = ChainKind(lambda trials, e, s: _cores(prandtl_ishlinskii_starts(trials, s.plays)), _plays_box)
+_DRDPI = ChainKind(_drdpi_starts, _drdpi_box)
+
+
+def _inverse_backlash(operator: Operator, structure: Structure) -> Operator:
+    return Backlash(*operator.values).inverse(structure.dead_zone_deg)
+
+
+def _inverse_plays(operator: Operator, structure: Structure) -> Operator:
+    del structure
+    if not isinstance(operator, PrandtlIshlinskii | Drdpi):
+        raise FitError(f"{operator.name} has no inverse plays, expected a pi or a drdpi")
+    return operator.inverse()
+
+
+# The inverse forms have the forward models' numbers as parameters, fitted as their own (S2's "fitted inverse").
+CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
+    {
+        "backlash": _BACKLASH,
+        "pi": _PI,
+        "drdpi": _DRDPI,
+        "bouc_wen": ChainKind(_bouc_wen_starts, _bouc_wen_box, ("delta", "steepness")),
+        "inverse_backlash": ChainKind(_BACKLASH.starts, _BACKLASH.box, ("dead_zone",), _inverse_backlash),
+        "inverse_pi": ChainKind(_PI.starts, _PI.box, (), _inverse_plays),
+        "inverse_drdpi": ChainKind(_DRDPI.starts, _DRDPI.box, (), _inverse_plays),
+    }
+)

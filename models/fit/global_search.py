@@ -1,0 +1,116 @@
+"""Global identification: differential evolution or CMA-ES over a box, with the budget of S1."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import differential_evolution
+
+from hystmpc.trials.errors import FitError
+
+from .chain_fit import ChainFit, ChainTask, Progress, Tracker
+from .free_run import FreeRunLoss
+from .operators import OperatorFitSettings, fit_chain
+
+Vec = NDArray[np.float64]
+Search = Callable[[Tracker, Vec, Vec, Vec, "GlobalSettings"], None]
+
+
+@dataclass(frozen=True)
+class GlobalSettings:
+    """Settings of a global search.
+
+    Attributes:
+        iterations: budget in iterations (generations); 1000 in S1, which used the genetic algorithm of MATLAB.
+        population: points of a generation; 200 is that algorithm's default beyond five parameters.
+        polish: end with a bounded least-squares fit from the best point; not part of S1's method.
+        skip_first_flexure: score each trial from the first reversal of its command on.
+        offset_free: let each trial have an offset of its own, which the chain does not keep.
+        seed: of everything drawn at random.
+
+    Raises:
+        FitError: if the budget or the population is too small.
+    """
+
+    iterations: int = 1000
+    population: int = 200
+    polish: bool = False
+    skip_first_flexure: bool = False
+    offset_free: bool = False
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.iterations < 1 or self.population < 5:
+            raise FitError(
+                f"{self.iterations} iterations of {self.population} points, expected at least 1 iteration of 5 points"
+            )
+
+
+def fit_globally(
+    name: str, search: Search, task: ChainTask, settings: GlobalSettings, progress: Progress | None = None
+) -> ChainFit:
+    """Run a search over the task's box and report how it converged.
+
+    KeyboardInterrupt ends it and keeps the best so far; progress gets the iteration and the best rmse.
+
+    Raises:
+        FitError: on unusable trials, or if no point has a finite error.
+    """
+    loss = FreeRunLoss(task.starts[0], task.trials, settings.skip_first_flexure, settings.offset_free)
+    free = task.free
+    tracker, interrupted = Tracker(loss, free, progress), False
+    try:
+        lower, upper = (free.part(end) for end in task.box)
+        search(tracker, lower, upper, free.part(task.starts[0].values), settings)
+    except KeyboardInterrupt:
+        interrupted = True
+    chain = tracker.chain(task.starts[0])
+    found = ChainFit(
+        chain,
+        float(np.sqrt(tracker.best_loss)),
+        tracker.evaluations,
+        tracker.report(name, settings.iterations),
+        interrupted,
+    )
+    return _polished(found, task, settings) if settings.polish and not interrupted else found
+
+
+def evolve(tracker: Tracker, lower: Vec, upper: Vec, start: Vec, settings: GlobalSettings) -> None:
+    """Differential evolution from a Latin hypercube: best/1/bin with dithered mutation, no start known to it.
+
+    Source: Storn and Price, J. Global Optim. 11 (1997).
+    """
+    del start
+    rng, count = np.random.default_rng(settings.seed), settings.population
+    strata = np.stack([rng.permutation(count) for _ in lower], axis=1)
+    hypercube = (strata + rng.uniform(size=strata.shape)) / count
+
+    def end_of_generation(intermediate_result: Any) -> None:  # SciPy calls it by this argument's name
+        del intermediate_result
+        tracker.iteration()
+
+    cast(Any, differential_evolution)(  # its types know one of the names of `seed`, which differ between versions
+        lambda q: min(tracker(q), 1e300),  # infinities would make the spread of the population not a number
+        list(zip(lower, upper, strict=True)),
+        maxiter=settings.iterations,
+        init=lower + hypercube * (upper - lower),
+        recombination=0.9,  # the parameters of plays and dead zones depend on one another
+        tol=0.0,  # the whole budget, as S1 reports it
+        polish=False,
+        seed=rng,
+        callback=end_of_generation,
+    )
+
+
+def _polished(found: ChainFit, task: ChainTask, settings: GlobalSettings) -> ChainFit:
+    """The bounded least-squares fit from there, if it is better."""
+    polish = OperatorFitSettings(settings.skip_first_flexure, settings.offset_free, restarts=0, seed=settings.seed)
+    fit = fit_chain([found.chain], task.trials, polish, fixed=task.fixed)
+    evaluations = found.evaluations + fit.evaluations
+    if fit.rmse_deg >= found.rmse:
+        return replace(found, evaluations=evaluations)
+    return ChainFit(fit.chain, fit.rmse_deg, evaluations, found.report, fit.interrupted)

@@ -1,0 +1,97 @@
+"""The ONNX side of a network: nodes and single-precision weights of one step graph, scalings at both ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import onnx
+from numpy.typing import ArrayLike
+from onnx import TensorProto, helper, numpy_helper
+
+from .scaling import Scaling
+
+
+class GraphWriter:
+    """Collects the nodes and initializers of one graph."""
+
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self._tensors: dict[str, np.ndarray] = {}
+
+    def node(self, kind: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
+        """Append a node that makes `output`; returns that name."""
+        self.nodes.append(helper.make_node(kind, list(inputs), [output], name=f"make_{output}", **attributes))
+        return output
+
+    def weight(self, name: str, values: ArrayLike) -> str:
+        """Add a float32 initializer; returns its name."""
+        self._tensors[name] = np.asarray(values, dtype=np.float32)
+        return name
+
+    def indices(self, name: str, values: Sequence[int]) -> str:
+        """Add an initializer of whole numbers (axes, sizes); returns its name."""
+        self._tensors[name] = np.array(values, np.int64)
+        return name
+
+    def split(self, x: str, sizes: Sequence[int], outputs: Sequence[str]) -> list[str]:
+        """Cut the columns of `x` [N, sum(sizes)] into `outputs`; one that is empty stays unwritten."""
+        kept = [(size, output) for size, output in zip(sizes, outputs, strict=True) if size]
+        if len(kept) == 1:
+            self.node("Identity", [x], kept[0][1])
+        else:
+            sizes_of = self.indices(f"{x}_sizes", [size for size, _ in kept])
+            names = [output for _, output in kept]
+            self.nodes.append(helper.make_node("Split", [x, sizes_of], names, name=f"split_{x}", axis=1))
+        return list(outputs)
+
+    def join(self, parts: Sequence[str], output: str) -> str:
+        """Columns of `parts` side by side."""
+        return self.node("Concat", parts, output, axis=1) if len(parts) > 1 else self.node("Identity", parts, output)
+
+    def affine(self, x: str, name: str, weight: ArrayLike, bias: ArrayLike, output: str) -> str:
+        """x W' + b with the weight (outputs, inputs) as PyTorch has it; initializers `name.weight`, `name.bias`."""
+        operands = [x, self.weight(f"{name}.weight", weight), self.weight(f"{name}.bias", bias)]
+        return self.node("Gemm", operands, output, transB=1)
+
+    def scale_in(self, scaling: Scaling, u: str, output: str) -> str:
+        """Scaled input; all four numbers of the scaling become initializers `scaling.*`."""
+        for part in fields(scaling):
+            self.weight(f"scaling.{part.name}", getattr(scaling, part.name))
+        self.node("Sub", [u, "scaling.u_offset"], "u_centred")
+        return self.node("Div", ["u_centred", "scaling.u_scale"], output)
+
+    def scale_out(self, y: str, output: str = "theta") -> str:
+        """Output in its unit, after `scale_in`."""
+        self.node("Mul", [y, "scaling.theta_scale"], "theta_centred")
+        return self.node("Add", ["theta_centred", "scaling.theta_offset"], output)
+
+    def initializers(self) -> list[onnx.TensorProto]:
+        """All weights and sizes."""
+        return [numpy_helper.from_array(array, name) for name, array in self._tensors.items()]
+
+
+Body = Callable[[GraphWriter, str, str], tuple[str, Sequence[str]]]
+"""Writes the nodes between scaled input and state, and scaled output and the parts of the next state."""
+
+
+def network_step_graph(name: str, state_size: int, scaling: Scaling, body: Body) -> onnx.GraphProto:
+    """Step graph (u [N,1], state [N,S]) -> (theta [N,1], next_state [N,S]) in float32, scalings inside."""
+    writer = GraphWriter()
+    y, following = body(writer, writer.scale_in(scaling, "u", "v"), "state")
+    writer.join(following, "next_state")
+    writer.scale_out(y)
+    return helper.make_graph(
+        writer.nodes,
+        name,
+        [tensor("u", "N", 1), tensor("state", "N", state_size)],
+        [tensor("theta", "N", 1), tensor("next_state", "N", state_size)],
+        writer.initializers(),
+    )
+
+
+def tensor(name: str, *shape: str | int) -> onnx.ValueInfoProto:
+    """Name and shape of a float32 input or output."""
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, list(shape))

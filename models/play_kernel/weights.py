@@ -1,0 +1,89 @@
+"""The numbers of a play-kernel model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hystmpc.trials.errors import ModelError
+
+from ..model import Array
+
+
+@dataclass(frozen=True)
+class PlayKernelWeights:
+    """A lag, n plays of fixed radii, and a non-decreasing function of each of them.
+
+        c = min(max(u, lower), upper),  v = v_last + a (c - v_last)
+        z_i = max(v - r_i, min(v + r_i, z_i,last)),  z_0 = v
+        theta = bias + sum_ik s_ik ramp_k(z_i) + sum_i (l_i min(v - z_i, 0) + h_i max(v - z_i, 0)) + m (u - c)
+
+    with ramp_k(z) = max(0, min(z - knot_k, knot_k+1 - knot_k)) and s, l, h, m >= 0, so that the angle never falls with
+    the command. A sum of non-decreasing functions of plays is the Preisach operator with non-negative density,
+    discretised in the play's radius; l and h weigh the stops v - z_i, which the inverse of such an operator is made
+    of. In terms of kernels it is regression with the additive linear-spline kernel sum_i min(z_i, z_i'), under
+    monotonicity. Beyond the trained commands it goes on along a line of slope m.
+
+    The state is [v, z_1, ..., z_n], S = n + 1.
+
+    Attributes:
+        gain: a in (0, 1], one without a lag.
+        lower, upper: trained commands [cmd].
+        radii: r (n,) [cmd], positive and increasing.
+        knots: (K + 1,) [cmd], increasing.
+        slopes: s (n + 1, K) [deg/cmd].
+        bias: [deg].
+        outer_slope: m [deg/cmd].
+        stops: (2, n): l and h [deg/cmd]; None for a model without them.
+
+    Source: plays and Preisach operator, Krejci, Hysteresis, Convexity and Dissipation in Hyperbolic Equations (1996),
+    II.3; the model and its identification are ours.
+
+    Raises:
+        ModelError: if sizes do not fit, a number is not finite, or a slope is negative.
+    """
+
+    gain: float
+    lower: float
+    upper: float
+    radii: Array
+    knots: Array
+    slopes: Array
+    bias: float
+    outer_slope: float
+    stops: Array | None = field(default=None)
+
+    def __post_init__(self) -> None:
+        for name in ("radii", "knots", "slopes", "stops"):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, _frozen(value))
+        arrays = [self.radii, self.knots, self.slopes] + ([] if self.stops is None else [self.stops])
+        shape = (self.radii.size + 1, self.knots.size - 1)
+        if self.slopes.shape != shape or (self.stops is not None and self.stops.shape != (2, self.radii.size)):
+            raise ModelError(f"play kernel: slopes have shape {self.slopes.shape}, expected {shape} and stops (2, n)")
+        numbers = np.concatenate([np.ravel(a) for a in arrays] + [[self.gain, self.bias, self.outer_slope]])
+        if not np.isfinite(numbers).all() or not 0 < self.gain <= 1 or self.lower >= self.upper:
+            raise ModelError(
+                f"play kernel: got gain {self.gain} and commands {self.lower} to {self.upper}, "
+                "expected finite numbers, a gain in (0, 1] and a range"
+            )
+        rising = np.all(np.diff(self.knots) > 0) and np.all(np.diff(self.radii, prepend=0.0) > 0)
+        least = min(float(a.min()) for a in (self.slopes, *arrays[3:], np.array(self.outer_slope)))
+        if not rising or least < 0:
+            raise ModelError(
+                f"play kernel: least slope {least:.6g}, expected slopes >= 0, radii and knots in increasing order"
+            )
+
+    @property
+    def state_size(self) -> int:
+        """Number S = n + 1 of state entries."""
+        return self.radii.size + 1
+
+
+def _frozen(values: ArrayLike) -> Array:
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array

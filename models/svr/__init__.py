@@ -1,0 +1,1 @@
+"""Support-vector regression on the last commands: weights, reference step and step graph."""

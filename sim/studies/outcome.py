@@ -1,0 +1,92 @@
+"""All that a finished study knows: settings, trials, results and where they lie."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystmpc.models.contract.load import OnnxModel, load_onnx
+from hystmpc.models.evaluate import TrialEvaluation, evaluate
+from hystmpc.models.kinds.catalogue import kind_named
+from hystmpc.trials.trial import Trial
+
+from .job import Job, Splits
+from .result import JobResult, model_file
+from .settings import StudySettings
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A study with the results of all its jobs.
+
+    Attributes:
+        settings: of the study.
+        splits: its trials.
+        results: in the order of its jobs.
+        folder: where models and results lie.
+        meta: of the run folder.
+    """
+
+    settings: StudySettings
+    splits: Splits
+    results: tuple[JobResult, ...]
+    folder: Path
+    meta: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def done(self) -> tuple[JobResult, ...]:
+        """Results that hold scores."""
+        return tuple(result for result in self.results if result.status == "done")
+
+    @property
+    def failed(self) -> tuple[JobResult, ...]:
+        """Results that hold an error."""
+        return tuple(result for result in self.results if result.status == "failed")
+
+    @property
+    def presets(self) -> tuple[str, ...]:
+        """Presets that models were trained with, in order."""
+        return tuple(dict.fromkeys(result.job.preset for result in self.results))
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of model with any result, in the order of the settings."""
+        here = {result.job.kind for result in self.done}
+        return (*(k for k in self.settings.kinds if k in here), *sorted(here - set(self.settings.kinds)))
+
+    def matching(self, **wanted: object) -> tuple[JobResult, ...]:
+        """Done jobs whose settings are these, such as `kind="lstm", direction="forward"`."""
+        return tuple(r for r in self.done if all(getattr(r.job, name) == value for name, value in wanted.items()))
+
+    def better(self, splits: Sequence[str], **wanted: object) -> JobResult | None:
+        """Of the matching jobs, which differ in beta, the one with the lowest mean RMSE over the trials of some splits.
+
+        This is the paper's rule ("the model with lowest error is reported"): it chooses by test trials.
+        """
+        found = [result for result in self.matching(**wanted) if result.figures("rmse_deg", splits).size]
+        return min(found, key=lambda r: float(np.mean(r.figures("rmse_deg", splits))), default=None)
+
+    def model(self, job: Job) -> OnnxModel:
+        """The model that a job left.
+
+        Raises:
+            ModelError: if it is gone or damaged.
+        """
+        return load_onnx(model_file(self.folder, job))
+
+    def free_run(self, job: Job, trial: Trial) -> TrialEvaluation:
+        """Free run of a job's model over a trial, swapped by itself for an inverse map.
+
+        Raises:
+            ModelError: if the model is gone or damaged.
+        """
+        return evaluate(self.model(job), trial)
+
+
+def title_of(kind: str) -> str:
+    """A kind's name in tables."""
+    return kind_named(kind).title

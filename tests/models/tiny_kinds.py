@@ -1,0 +1,72 @@
+"""Every kind of model identified in a second, in both directions: networks of a few cells, a few updates."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import pytest
+
+from hystmpc.models.contract.export import export_onnx
+from hystmpc.models.contract.load import OnnxModel, load_onnx
+from hystmpc.models.fit.network_presets import NETWORK_PRESETS
+from hystmpc.models.fit.network_settings import NetworkSettings, StreamTraining
+from hystmpc.models.kinds import network_fit
+from hystmpc.models.kinds.catalogue import kind_named
+from hystmpc.models.kinds.kind import FitRequest, Identified
+from hystmpc.trials.trial import Trial
+
+from .lstm_examples import four_trials
+
+FORWARD, INVERSE = "forward", "inverse"
+STREAMS = StreamTraining(length=25, streams=4, updates=30, rounds_between_checks=1, averaging=0.5, teacher=None)
+
+
+def tiny(settings: NetworkSettings, **changes: object) -> NetworkSettings:
+    """The same network with a few cells and a few updates."""
+    sizes = {"hidden": 6, "layers": 1} if hasattr(settings.network, "layers") else {"hidden": (6,)}
+    if getattr(settings.network, "history", 1) > 1:
+        sizes["history"] = 5
+    network = settings.network.model_copy(update=sizes)
+    return settings.model_copy(update={"network": network, "warmup_samples": 4, "training": STREAMS} | changes)
+
+
+def tiny_presets(patch: pytest.MonkeyPatch, **changes: object) -> None:
+    """Put tiny networks in the place of the presets `best`."""
+    small = {kind: {**presets, "best": tiny(presets["best"], **changes)} for kind, presets in NETWORK_PRESETS.items()}
+    patch.setattr(network_fit, "NETWORK_PRESETS", small)
+
+
+@dataclass(frozen=True)
+class Example:
+    """One kind, identified in one direction, exported and loaded."""
+
+    trials: list[Trial]
+    found: Identified
+    path: Path
+    model: OnnxModel
+
+
+def trials_of(direction: str) -> list[Trial]:
+    """Four trials, swapped for an inverse map."""
+    return [t.swapped() for t in four_trials()] if direction == INVERSE else four_trials()
+
+
+@lru_cache
+def folder() -> tempfile.TemporaryDirectory[str]:
+    """Where the examples' files lie until the session ends."""
+    return tempfile.TemporaryDirectory()
+
+
+@lru_cache
+def example(name: str, direction: str) -> Example:
+    """Identify once, whichever test asks first."""
+    kind, trials = kind_named(name), trials_of(direction)
+    with pytest.MonkeyPatch.context() as patch:
+        tiny_presets(patch)
+        found = kind.fit(trials, replace(FitRequest(preset=kind.presets[0]), steps=30))
+    path = Path(folder().name) / f"{name}_{direction}.onnx"
+    export_onnx(found.bundle, path)
+    return Example(trials, found, path, load_onnx(path))
