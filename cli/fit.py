@@ -64,11 +64,6 @@ def fit(
     """Identify a model; Ctrl-C keeps the best so far."""
     chosen = kind_named(kind)
     _check_ending(chosen, path)
-    box = (
-        Range.parse(dict(zip(("lower", "upper"), command_limits, strict=True)), "--command-limits")
-        if command_limits
-        else None
-    )
     request = FitRequest(
         preset=training or chosen.presets[0],
         seed=seed,
@@ -77,7 +72,7 @@ def fit(
         constancy_weight=constancy,
         plays=plays,
         skip_first_flexure=skip_first_flexure,
-        limits=DeviceLimits(box, command_rate or None),
+        limits=_limits(command_limits, command_rate),
     )
     chosen.check([], request)
     trials = trials_at(logs, preset, rate_hz)
@@ -85,6 +80,11 @@ def fit(
     model = load_model(path)
     title = f"{path}: free run on the trials it was identified from"
     out.print(errors_table(title, [evaluate(model, trial, skip_first_flexure) for trial in trials]))
+
+
+def _limits(command: tuple[float, float] | None, rate: float | None) -> DeviceLimits:
+    box = Range.parse({"lower": command[0], "upper": command[1]}, "--command-limits") if command else None
+    return DeviceLimits(box, rate or None)
 
 
 def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: Path) -> None:

@@ -26,12 +26,14 @@ class ChainTask:
     Attributes:
         starts: chains of one structure; their values are the starting points.
         box: lower and upper end of the region that a global search covers (P,) each, within the physical bounds.
+        first: the same of the region in which it begins.
         fixed: names of parameters that are set, not identified.
         trials: uniformly sampled at one rate, in one pair of units.
     """
 
     starts: tuple[Chain, ...]
     box: tuple[Vec, Vec]
+    first: tuple[Vec, Vec]
     fixed: tuple[str, ...]
     trials: tuple[Trial, ...]
 

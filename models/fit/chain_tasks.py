@@ -72,12 +72,14 @@ class ChainKind:
     Attributes:
         starts: forward operators to start from.
         box: by parameter, the ends between which a global search looks; numbered parameters go by their stem.
+        first: the same for where it begins to look; without an entry as `box`.
         fixed: parameters that are set.
         inverted: makes the inverse operator of a forward one; None for forward kinds.
     """
 
     starts: Callable[[Sequence[Trial], Extent, Structure], list[Operator]]
     box: Callable[[Extent, Structure], Ends]
+    first: Callable[[Extent, Structure], Ends] = lambda e, s: {}
     fixed: tuple[str, ...] = ()
     inverted: Callable[[Operator, Structure], Operator] | None = None
 
@@ -107,8 +109,9 @@ def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> Chai
     operators = chosen.starts(forward, extent, structure)
     if chosen.inverted:
         operators = [chosen.inverted(operator, structure) for operator in operators]
-    ends = _ends(operators[0], chosen.box(extent, structure))
-    return ChainTask(tuple(Chain(o) for o in operators), ends, chosen.fixed, tuple(trials))
+    box = chosen.box(extent, structure)
+    ends, first = (_ends(operators[0], {**box, **narrower}) for narrower in ({}, chosen.first(extent, structure)))
+    return ChainTask(tuple(Chain(o) for o in operators), ends, first, chosen.fixed, tuple(trials))
 
 
 def _extent(trials: Sequence[Trial]) -> Extent:
@@ -175,6 +178,11 @@ def _plays_box(e: Extent, structure: Structure) -> Ends:
     }
 
 
+def _plays_first(e: Extent, structure: Structure) -> Ends:
+    """Weights whose sum is the slope or twice that: of sums many times too steep no generation finds back."""
+    return {"a": (0.0, 4.0 * e.slope / (structure.plays + 1))}
+
+
 def _drdpi_box(e: Extent, structure: Structure) -> Ends:
     """Plays twice as steep at most, since dead zones may flatten them; dead zones within the range of the angle."""
     height, middle = e.high - e.low, 0.5 * (e.low + e.high)
@@ -202,8 +210,8 @@ def _bouc_wen_box(e: Extent, structure: Structure) -> Ends:
 
 
 _BACKLASH = ChainKind(lambda trials, e, s: _cores(backlash_starts(trials)), _backlash_box)
-_PI = ChainKind(lambda trials, e, s: _cores(prandtl_ishlinskii_starts(trials, s.plays)), _plays_box)
-_DRDPI = ChainKind(_drdpi_starts, _drdpi_box)
+_PI = ChainKind(lambda trials, e, s: _cores(prandtl_ishlinskii_starts(trials, s.plays)), _plays_box, _plays_first)
+_DRDPI = ChainKind(_drdpi_starts, _drdpi_box, _plays_first)
 
 
 def _inverse_backlash(operator: Operator, structure: Structure) -> Operator:
@@ -223,9 +231,11 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
         "backlash": _BACKLASH,
         "pi": _PI,
         "drdpi": _DRDPI,
-        "bouc_wen": ChainKind(_bouc_wen_starts, _bouc_wen_box, ("delta", "steepness")),
-        "inverse_backlash": ChainKind(_BACKLASH.starts, _BACKLASH.box, ("dead_zone",), _inverse_backlash),
-        "inverse_pi": ChainKind(_PI.starts, _PI.box, (), _inverse_plays),
-        "inverse_drdpi": ChainKind(_DRDPI.starts, _DRDPI.box, (), _inverse_plays),
+        "bouc_wen": ChainKind(_bouc_wen_starts, _bouc_wen_box, fixed=("delta", "steepness")),
+        "inverse_backlash": ChainKind(
+            _BACKLASH.starts, _BACKLASH.box, fixed=("dead_zone",), inverted=_inverse_backlash
+        ),
+        "inverse_pi": ChainKind(_PI.starts, _PI.box, _PI.first, inverted=_inverse_plays),
+        "inverse_drdpi": ChainKind(_DRDPI.starts, _DRDPI.box, _DRDPI.first, inverted=_inverse_plays),
     }
 )

@@ -17,7 +17,7 @@ from .free_run import FreeRunLoss
 from .operators import OperatorFitSettings, fit_chain
 
 Vec = NDArray[np.float64]
-Search = Callable[[Tracker, Vec, Vec, Vec, "GlobalSettings"], None]
+Search = Callable[[Tracker, "Region", "GlobalSettings"], None]
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,23 @@ class GlobalSettings:
             )
 
 
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Where to search, over the free parameters (Q,).
+
+    Attributes:
+        lower, upper: ends of the box.
+        first_lower, first_upper: ends of the part of it in which the search begins.
+        start: a point to begin at, for searches that begin at one.
+    """
+
+    lower: Vec
+    upper: Vec
+    first_lower: Vec
+    first_upper: Vec
+    start: Vec
+
+
 def fit_globally(
     name: str, search: Search, task: ChainTask, settings: GlobalSettings, progress: Progress | None = None
 ) -> ChainFit:
@@ -64,8 +81,8 @@ def fit_globally(
     free = task.free
     tracker, interrupted = Tracker(loss, free, progress), False
     try:
-        lower, upper = (free.part(end) for end in task.box)
-        search(tracker, lower, upper, free.part(task.starts[0].values), settings)
+        ends = (free.part(end) for end in (*task.box, *task.first, task.starts[0].values))
+        search(tracker, Region(*ends), settings)
     except KeyboardInterrupt:
         interrupted = True
     chain = tracker.chain(task.starts[0])
@@ -79,14 +96,13 @@ def fit_globally(
     return _polished(found, task, settings) if settings.polish and not interrupted else found
 
 
-def evolve(tracker: Tracker, lower: Vec, upper: Vec, start: Vec, settings: GlobalSettings) -> None:
-    """Differential evolution from a Latin hypercube: best/1/bin with dithered mutation, no start known to it.
+def evolve(tracker: Tracker, region: Region, settings: GlobalSettings) -> None:
+    """Differential evolution from a Latin hypercube: best/1/bin with dithered mutation, no starting point known to it.
 
     Source: Storn and Price, J. Global Optim. 11 (1997).
     """
-    del start
     rng, count = np.random.default_rng(settings.seed), settings.population
-    strata = np.stack([rng.permutation(count) for _ in lower], axis=1)
+    strata = np.stack([rng.permutation(count) for _ in region.lower], axis=1)
     hypercube = (strata + rng.uniform(size=strata.shape)) / count
 
     def end_of_generation(intermediate_result: Any) -> None:  # SciPy calls it by this argument's name
@@ -95,9 +111,9 @@ def evolve(tracker: Tracker, lower: Vec, upper: Vec, start: Vec, settings: Globa
 
     cast(Any, differential_evolution)(  # its types know one of the names of `seed`, which differ between versions
         lambda q: min(tracker(q), 1e300),  # infinities would make the spread of the population not a number
-        list(zip(lower, upper, strict=True)),
+        list(zip(region.lower, region.upper, strict=True)),
         maxiter=settings.iterations,
-        init=lower + hypercube * (upper - lower),
+        init=region.first_lower + hypercube * (region.first_upper - region.first_lower),
         recombination=0.9,  # the parameters of plays and dead zones depend on one another
         tol=0.0,  # the whole budget, as S1 reports it
         polish=False,

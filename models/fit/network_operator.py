@@ -10,7 +10,7 @@ from ..chain import Chain
 from ..networks.scaling import Scaling
 from ..operators.backlash import Backlash, InverseBacklash
 from ..operators.operator import Operator
-from .operators import OperatorFitSettings, fit_chain
+from .operators import OperatorFit, OperatorFitSettings, fit_chain
 from .starts import backlash_starts
 
 DEAD_ZONES_DEG = (0.027, 0.1, 0.3, 1.0)  # the first is that of the code of S2
@@ -26,17 +26,26 @@ def fitted_backlash(trials: Sequence[Trial], skip_first_flexure: bool, dead_zone
 
     Raises:
         FitError: as `fit_chain` does.
+        KeyboardInterrupt: if the user stops a fit.
     """
     settings = OperatorFitSettings(skip_first_flexure, evaluations=60, restarts=2)
     if not trials[0].inverted:
-        return fit_chain(backlash_starts(trials), trials, settings).chain.core
+        return _fitted(backlash_starts(trials), trials, settings).chain.core
     turned = [trial.swapped() for trial in trials]
-    forward = fit_chain(backlash_starts(turned), turned, settings).chain.core
+    forward = _fitted(backlash_starts(turned), turned, settings).chain.core
     assert isinstance(forward, Backlash)  # the starts are backlashes
     zones = DEAD_ZONES_DEG if dead_zone is None else (dead_zone,)
     # One fit a dead zone: the error jumps where a sample crosses it, so that no slope leads from one to the next.
-    fits = [fit_chain([Chain(forward.inverse(zone))], trials, settings) for zone in zones]
+    fits = [_fitted([Chain(forward.inverse(zone))], trials, settings) for zone in zones]
     return min(fits, key=lambda fit: fit.rmse_deg).chain.core
+
+
+def _fitted(starts: Sequence[Chain], trials: Sequence[Trial], settings: OperatorFitSettings) -> OperatorFit:
+    """The fit; stopped by the user, the training that it is part of is to end as well."""
+    fit = fit_chain(starts, trials, settings)
+    if fit.interrupted:
+        raise KeyboardInterrupt
+    return fit
 
 
 def scaled_operator(operator: Operator, scaling: Scaling) -> Operator:

@@ -34,12 +34,15 @@ class Teacher:
 
     Raises:
         FitError: as `identify` does.
+        KeyboardInterrupt: if the user stops the fit.
     """
 
     def __init__(self, trials: Sequence[Trial], plays: int) -> None:
         self._inverted = trials[0].inverted
         trials = [trial.swapped() for trial in trials] if self._inverted else trials
         simulator, fit = identify("pi", trials, plays=plays)
+        if fit.interrupted:
+            raise KeyboardInterrupt  # the user wants the training to end, not only this part of it
         self.rmse_deg = fit.rmse_deg
         self._model = ChainModel(simulator)
         self._starts = [(float(t.command[0]), float(t.angle[0])) for t in trials]

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -78,17 +79,18 @@ def test_unusable_input_is_one_line_and_exit_code_2(
 @pytest.mark.skipif(os.name == "nt", reason="signals are those of POSIX")
 def test_ctrl_c_keeps_what_is_done_and_says_so(logs: list[Path], tmp_path: Path) -> None:
     folder = tmp_path / "real"
-    arguments = ["study", "real", "--logs", str(logs[0].parent), "--kinds", "pi"]
-    arguments += ["--presets", "best", "--out", str(folder), "--jobs", "2"]
+    arguments = ["study", "real", "--logs", str(logs[0].parent), "--kinds", "backlash,pi"]
+    arguments += ["--presets", "paper", "--out", str(folder), "--jobs", "2"]
     program = "import sys; from hystmpc.cli.main import main; sys.argv = ['hystmpc', *sys.argv[1:]]; main()"
     screen, terminal = os.openpty()
     process = subprocess.Popen(
         [sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, stderr=terminal, text=True
     )
     os.close(terminal)
-    seen = shown_until(screen, "main-")
+    while process.poll() is None and not list((folder / "results").glob("*.json")):
+        time.sleep(0.01)
     process.send_signal(signal.SIGINT)
-    seen += shown_until(screen, "goes on")
+    seen = shown_until(screen, "goes on")
     process.communicate(timeout=60)
     os.close(screen)
     assert process.returncode == 130, seen

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.tip.reference import Motion, Reference, rest_at, waypoints
@@ -42,6 +42,7 @@ def test_motion_starts_in_the_given_state_and_ends_at_rest_at_the_target(start: 
 @given(angles, angles, angles, st.floats(0.0, 1.0))
 @settings(max_examples=100)
 def test_retargeting_in_mid_motion_is_smooth_and_keeps_the_limits(a: float, b: float, c: float, share: float) -> None:
+    assume(a == b or abs(a - b) > 1e-6)  # nearer targets are snapped together, and the little motion with them
     first = motion_of(Kinematics(a), b, 0.0)
     turn = share * first.end_s
     second = motion_of(first.motion(turn), c, turn)

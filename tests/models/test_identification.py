@@ -148,7 +148,7 @@ def test_evaluation_refuses_another_rate_or_unit() -> None:
     model, trial = ChainModel(simulator(CHAINS["backlash"])), GOOD[0]
     with pytest.raises(ModelError, match="resample it"):
         evaluate(model, resample(trial, 10.0))
-    with pytest.raises(ModelError, match="command in bar, expected mm"):
+    with pytest.raises(ModelError, match="bar in and deg out, expected mm and deg"):
         evaluate(model, changed(trial, units=Units("bar")))
 
 
