@@ -198,6 +198,17 @@ def _drdpi_box(e: Extent, structure: Structure) -> Ends:
     }
 
 
+def _drdpi_first(e: Extent, structure: Structure) -> Ends:
+    """Middle piece near the middle of the angle, no piece much steeper: else the bottom is taken for the middle."""
+    height, middle = e.high - e.low, 0.5 * (e.low + e.high)
+    return {
+        **_plays_first(e, structure),
+        "b": (e.offset - middle - 0.5 * height, e.offset - middle + 0.5 * height),
+        **{f"slope_{side}_": (0.0, 1.5) for side in ("below", "above")},
+        "offset": (middle - 0.25 * height, middle + 0.25 * height),
+    }
+
+
 def _bouc_wen_box(e: Extent, structure: Structure) -> Ends:
     del structure
     height = e.high - e.low
@@ -211,7 +222,7 @@ def _bouc_wen_box(e: Extent, structure: Structure) -> Ends:
 
 _BACKLASH = ChainKind(lambda trials, e, s: _cores(backlash_starts(trials)), _backlash_box)
 _PI = ChainKind(lambda trials, e, s: _cores(prandtl_ishlinskii_starts(trials, s.plays)), _plays_box, _plays_first)
-_DRDPI = ChainKind(_drdpi_starts, _drdpi_box, _plays_first)
+_DRDPI = ChainKind(_drdpi_starts, _drdpi_box, _drdpi_first)
 
 
 def _inverse_backlash(operator: Operator, structure: Structure) -> Operator:
