@@ -152,6 +152,17 @@ def test_least_squares_finds_the_new_operators_again(kind: str, truth: object) -
         np.testing.assert_allclose(chain.values[[0, 1, 2, 6]], np.array(same.values)[[0, 1, 2, 6]], rtol=1e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["global", "cmaes"])
+def test_a_global_search_finds_a_drdpi_without_a_start(method: str) -> None:
+    """To half a degree in 60 within an eighth of S1's iterations, from any seed."""
+    if method == "cmaes":
+        pytest.importorskip("cma", reason="cma is an extra")
+    for seed in (0, 1):
+        _, fit = identify_chain("drdpi", trials(Chain(DRDPI)), method, GlobalSettings(120, 60, seed=seed))
+        assert fit.rmse < 0.5
+
+
 def test_an_inverse_backlash_is_found_again() -> None:
     """From wishes and the commands that the inverse of the known lines gives; its dead zone is as it was set."""
     truth = Chain(BACKLASH.inverse(0.05))
