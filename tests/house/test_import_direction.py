@@ -98,6 +98,7 @@ def test_torch_is_imported_by_training_only() -> None:
     assert offenders == []
 
 
+@pytest.mark.slow
 def test_importing_the_package_does_not_load_torch() -> None:
     names = [module.name for module in modules() if not may_need_torch(module)]
     code = (

@@ -94,6 +94,7 @@ def test_rollout_graph_agrees_over_a_long_run(weights: LstmWeights) -> None:
         np.testing.assert_allclose(theta[k], expected, rtol=0, atol=FREE_RUN_DEG)
 
 
+@pytest.mark.slow
 @every_size
 def test_exported_file_passes_the_gate_and_feeds_the_kernels(weights: LstmWeights, tmp_path: Path) -> None:
     metadata = facts(weights)

@@ -26,6 +26,8 @@ from .lstm_examples import facts, random_weights
 from .test_svr import weights as svr_weights
 from .zoo import CHAINS, simulator
 
+pytestmark = pytest.mark.slow
+
 PLAN = 3.0 + 2.0 * np.sin(np.arange(11)) + 1e-3 * np.arange(11)
 
 

@@ -28,6 +28,8 @@ from hystmpc.trials.trial import Trial
 
 from .zoo import BACKLASH, DT, simulator
 
+pytestmark = pytest.mark.slow
+
 SCAN = {
     "kind": "scan_sinusoid",
     "start_deg": 35.0,

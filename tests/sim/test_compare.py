@@ -25,6 +25,8 @@ from hystmpc.trials.run_folder import RunFolder
 
 from .small import MOVE, SCAN, study
 
+pytestmark = pytest.mark.slow
+
 ALL = {kind: {"kind": kind} for kind in CONTROLLERS}
 
 
