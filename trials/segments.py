@@ -91,7 +91,11 @@ def segment(trial: Trial, rule: SegmentRule = DEFAULT_RULE) -> Segments:
     if direction:
         pieces = np.diff(np.concatenate(([0], reversals + 1, [len(trial)])))
         labels = np.repeat(direction * (-1) ** np.arange(pieces.size), pieces).astype(np.int8)
-    labels[_held(command, round(rule.hold_s / dt) + 1, rule.hold_band * span)] = Motion.HOLD
+    band = rule.hold_band * span
+    held = _held(command, round(rule.hold_s / dt) + 1, band)
+    # Two holds may meet without a sample between them: the first of the later one then stands for the move.
+    meets = held & np.roll(held, 1) & (np.abs(np.diff(command, prepend=command[0])) > band)
+    labels[held & ~meets] = Motion.HOLD
     return Segments(labels, reversals)
 
 

@@ -130,3 +130,12 @@ def test_real_sinusoids_of_seven_cycles_turn_thirteen_times(real_logs) -> None:
         assert parts.reversals.size == 13, path
         assert first_flexure_end(trial) == parts.reversals[0]
         assert trial.angle[parts.reversals[0]] > 85
+
+
+def test_holds_that_meet_are_two() -> None:
+    """A move within one sample: without a sample of its own it would join the holds into one that does not hold."""
+    command = np.concatenate([np.linspace(0.0, 5.0, 50), np.full(40, 5.0), np.full(40, 5.2), np.linspace(5.2, 0.0, 50)])
+    holds = segment(trial_of(command)).holds
+    assert len(holds) == 2
+    for start, stop in holds:
+        assert np.ptp(command[start:stop]) == 0
