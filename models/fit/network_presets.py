@@ -6,7 +6,14 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from ..networks.settings import FeedForwardSettings, HybridSettings, NetworkForm, RecurrentSettings
-from .network_settings import NetworkSettings, RestSettings, ScalingSettings, StreamTraining, WindowTraining
+from .network_settings import (
+    NetworkSettings,
+    RestSettings,
+    ScalingSettings,
+    StreamTraining,
+    TeacherSettings,
+    WindowTraining,
+)
 
 _PLAIN = {"memory_samples": 0, "command_gain": 1.0}  # PyTorch's own initial weights, as in the papers
 _PLAIN_HEAD = _PLAIN | {"head_gain": 1.0}
@@ -53,6 +60,8 @@ _HIB = FeedForwardSettings(history=_HISTORY)
 _HB1 = HybridSettings(form="serial")
 _HB2 = HybridSettings(form="parallel")
 _SERIAL = _S2_WINDOWS.model_copy(update={"batch": 4})
+# A device that saturates and has dead zones, such as the PAM catheter of S1, is no Prandtl-Ishlinskii operator.
+_KERNEL_TEACHER = StreamTraining(teacher=TeacherSettings(model="play_kernel"))
 _SINGLE = {"length": 1}  # a feed-forward network is scored on the last sample of its window
 
 NETWORK_PRESETS: Mapping[str, Mapping[str, NetworkSettings]] = MappingProxyType(
@@ -73,6 +82,7 @@ NETWORK_PRESETS: Mapping[str, Mapping[str, NetworkSettings]] = MappingProxyType(
         ),
         "lstm": _named(
             NetworkSettings(kind="lstm", network=_LSTM),
+            NetworkSettings(kind="lstm", preset="kernel", network=_LSTM, training=_KERNEL_TEACHER),
             _s2("lstm", _LSTM.model_copy(update=_PLAIN)),
             _s1("lstm", _LSTM.model_copy(update=_PLAIN)),
         ),

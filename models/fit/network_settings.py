@@ -78,18 +78,21 @@ class WindowTraining(Settings):
 
 
 class TeacherSettings(Settings):
-    """A Prandtl-Ishlinskii model, fitted to the training trials, from which the network learns beside them.
+    """A model of plays, fitted to the training trials, from which the network learns beside them.
 
     A few decaying sinusoids say nothing of ramps, holds and other amplitudes, nor of what a controller sends. The
     operator fills them in as hysteresis would; the trials then correct what the operator gets wrong. This is ours, not
     in the papers.
 
     Attributes:
-        plays: number of plays of the operator.
+        model: `pi` for a Prandtl-Ishlinskii operator; `play_kernel` for a monotone sum of functions of plays, which
+            also saturates and has dead zones.
+        plays: number of plays of a `pi`.
         runs: motions of 10 to 60 s drawn anew for each round.
         weight: weight of a teacher's sample against a recorded one, at the start of training and at its end.
     """
 
+    model: Literal["pi", "play_kernel"] = "pi"
     plays: Count = 10
     runs: Count = 16
     weight: tuple[Share, Share] = (1.0, 0.7)

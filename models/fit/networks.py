@@ -170,7 +170,7 @@ def _checks(
 def _teacher(training: Sequence[Trial], scaling: Scaling, way: StreamTraining) -> TeacherRuns:
     if way.teacher is None:
         return lambda done, rng: []
-    teacher, count = Teacher(training, way.teacher.plays), way.teacher.runs
+    teacher, count = Teacher(training, way.teacher.plays, way.teacher.model), way.teacher.runs
     first, last = way.teacher.weight
 
     def runs(done: float, rng: Rng) -> list[Run]:

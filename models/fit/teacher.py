@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import final
+from typing import Literal, final
 
 import numpy as np
 
@@ -12,9 +12,16 @@ from hystmpc.trials.trial import Trial
 
 from ..chain_model import ChainModel
 from ..contract.metadata import Range
-from .identify import identify
+from ..prediction.play_kernel import PlayKernelPredictor
+from .identify import DeviceLimits, identify
+from .play_kernel import fit_play_kernel
+from .play_kernel_bundle import play_kernel_bundle
+from .play_kernel_settings import PlayKernelSettings
 from .streams import Rng, Run, Vec
 from .trial_set import check_trial_set, command_range, fastest_command
+
+Answer = Callable[[Vec, float], Vec]
+"""Free run (T,) [deg] over commands (T,) from a first angle [deg]."""
 
 _CYCLES = 7
 _DURATION_S = (12.0, 40.0)
@@ -28,23 +35,23 @@ _CROSSING = 5
 
 @final
 class Teacher:
-    """A Prandtl-Ishlinskii model fitted to `trials`, run over random motions from the start of a trial.
+    """A model of plays fitted to `trials`, run over random motions from the start of a trial.
 
     For an inverse map, from swapped trials, the operator is fitted and run forward all the same; its runs are swapped.
 
+    Attributes:
+        rmse_deg: its error on the trials [deg].
+        answer: its free run (T,) [deg] over commands (T,) from a first angle [deg].
+
     Raises:
-        FitError: as `identify` does.
+        FitError: as `identify` and `fit_play_kernel` do.
         KeyboardInterrupt: if the user stops the fit.
     """
 
-    def __init__(self, trials: Sequence[Trial], plays: int) -> None:
+    def __init__(self, trials: Sequence[Trial], plays: int, model: Literal["pi", "play_kernel"] = "pi") -> None:
         self._inverted = trials[0].inverted
         trials = [trial.swapped() for trial in trials] if self._inverted else trials
-        simulator, fit = identify("pi", trials, plays=plays)
-        if fit.interrupted:
-            raise KeyboardInterrupt  # the user wants the training to end, not only this part of it
-        self.rmse_deg = fit.rmse_deg
-        self._model = ChainModel(simulator)
+        self.rmse_deg, self.answer = _operator(trials, plays) if model == "pi" else _play_kernel(trials)
         self._starts = [(float(t.command[0]), float(t.angle[0])) for t in trials]
         self._range, self._rate, self._dt = command_range(trials), fastest_command(trials), check_trial_set(trials)
 
@@ -57,8 +64,33 @@ class Teacher:
         motion = kind(self._range, self._rate, self._dt, rng)
         approach = abs(motion[0] - rest) / (self._rate * self._dt)
         command = np.concatenate([np.linspace(rest, motion[0], 1 + math.ceil(approach), endpoint=False), motion])
-        answer, weights = self._model.run(command, angle), np.full(command.size, weight)
+        answer, weights = self.answer(command, angle), np.full(command.size, weight)
         return Run(answer, command, weights) if self._inverted else Run(command, answer, weights)
+
+
+def _operator(trials: Sequence[Trial], plays: int) -> tuple[float, Answer]:
+    """Error on the trials [deg] and free run of a Prandtl-Ishlinskii model."""
+    simulator, fit = identify("pi", trials, plays=plays)
+    if fit.interrupted:
+        raise KeyboardInterrupt  # the user wants the training to end, not only this part of it
+    return fit.rmse_deg, ChainModel(simulator).run
+
+
+def _play_kernel(trials: Sequence[Trial]) -> tuple[float, Answer]:
+    """Error on the trials, their own offsets taken out [deg], and free run of a play-kernel model."""
+    settings = PlayKernelSettings()
+    fit = fit_play_kernel(trials, settings)
+    if fit.interrupted:
+        raise KeyboardInterrupt
+    facts = play_kernel_bundle(fit, trials, settings, DeviceLimits()).metadata
+    predictor, warmup = PlayKernelPredictor(fit.weights, facts), facts.warmup_samples
+
+    def answer(command: Vec, angle: float) -> Vec:
+        state = facts.initial.state(np.array([[angle]]))[0]
+        plan = np.concatenate([np.full(warmup, command[0]), command])
+        return predictor.rollout(state, plan[None])[0, warmup:]
+
+    return fit.rmse, answer
 
 
 def _decaying_sine(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:

@@ -17,7 +17,7 @@ class LstmKind(ModelKind):
 
     name: ClassVar[str] = "lstm"
     title: ClassVar[str] = "LSTM"
-    presets: ClassVar[tuple[str, ...]] = ("best", "paper", "s1")
+    presets: ClassVar[tuple[str, ...]] = ("best", "kernel", "paper", "s1")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
         self.check(trials, request)

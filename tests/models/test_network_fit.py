@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -268,3 +269,13 @@ def test_an_inverse_map_learns_from_swapped_runs_of_a_forward_teacher() -> None:
     for one, other in zip(*pairs, strict=True):
         np.testing.assert_array_equal(one.command, other.angle)
         np.testing.assert_array_equal(one.angle, other.command)
+
+
+@pytest.mark.parametrize("model", ["pi", "play_kernel"])
+def test_every_teacher_answers_as_the_trials_did(model: Literal["pi", "play_kernel"]) -> None:
+    """Asked for a motion that was recorded, within the error that it owns up to and an offset for each trial."""
+    trials = four_trials()
+    teacher = Teacher(trials, 4, model)
+    for trial in trials:
+        error = teacher.answer(trial.command, float(trial.angle[0])) - trial.angle
+        assert np.std(error) < 3 * teacher.rmse_deg + 0.2
