@@ -88,6 +88,7 @@ def _limits(command: tuple[float, float] | None, rate: float | None) -> DeviceLi
 
 
 def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: Path) -> None:
+    kind.check(trials, request)
     unit, steps = trials[0].units.angle, kind.steps(request)
     seconds = kind.estimate(trials, request)
     if seconds is not None:

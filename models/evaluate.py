@@ -20,6 +20,7 @@ from .model import Model
 
 Vec = NDArray[np.float64]
 FORMAT = "hystmpc-evaluation/1"
+INVERSE_FORMAT = "hystmpc-inverse-evaluation/1"
 HOLD_S, SETTLING_S = 10.0, 1.0
 RANGE_SLACK = 1e-3  # of the trained range: a sample that touches its end lies inside
 
@@ -125,9 +126,14 @@ def mean_errors(evaluations: Sequence[TrialEvaluation]) -> Errors:
 
 
 def evaluation_json(evaluations: Sequence[TrialEvaluation]) -> dict[str, Any]:
-    """Plain data in the format `hystmpc-evaluation/1`."""
+    """Plain data in the format `hystmpc-evaluation/1`; of an inverse map, whose errors are commands, in its own."""
     rows = [{"file": Path(e.trial.source).name, **vars(e.errors)} for e in evaluations]
-    return {"format": FORMAT, "trials": rows, "mean": vars(mean_errors(evaluations))}
+    mean = dict(vars(mean_errors(evaluations)))
+    if not evaluations[0].trial.inverted:
+        return {"format": FORMAT, "trials": rows, "mean": mean}
+    unit = evaluations[0].trial.units.angle
+    plain = [{key.removesuffix("_deg"): value for key, value in row.items()} for row in (*rows, mean)]
+    return {"format": INVERSE_FORMAT, "unit": unit, "trials": plain[:-1], "mean": plain[-1]}
 
 
 def _outside(trial: Trial, metadata: ModelMetadata) -> float:

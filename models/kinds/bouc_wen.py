@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import ClassVar, final
 
-from hystmpc.trials.trial import Trial
-
-from .kind import FitRequest, Identified, ModelKind, Progress
-from .operator_fit import identify_operator
+from .operator_fit import OperatorKind
 
 _METHODS: Mapping[str, str] = MappingProxyType(
     {"best": "least_squares", "paper": "adam", "global": "global", "cmaes": "cmaes"}
@@ -17,7 +14,7 @@ _METHODS: Mapping[str, str] = MappingProxyType(
 
 
 @final
-class BoucWenKind(ModelKind):
+class BoucWenKind(OperatorKind):
     """Bouc-Wen hysteresis with the six parameters of S2's code; see `BoucWen`. It has no inverse map.
 
     Presets are methods: bounded least squares (`best`), Adam on windows (`paper`), differential evolution (`global`)
@@ -27,13 +24,5 @@ class BoucWenKind(ModelKind):
     name: ClassVar[str] = "bouc_wen"
     title: ClassVar[str] = "Bouc-Wen"
     presets: ClassVar[tuple[str, ...]] = tuple(_METHODS)
-    readable: ClassVar[bool] = True
+    methods: ClassVar[Mapping[str, str]] = _METHODS
     invertible: ClassVar[bool] = False
-
-    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
-        self.check(trials, request)
-        return identify_operator(self.name, trials, request, _METHODS, progress)
-
-    def steps(self, request: FitRequest) -> int | None:
-        del request
-        return None

@@ -2,30 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import ClassVar, final
 
-from hystmpc.trials.trial import Trial
-
-from .kind import FitRequest, Identified, ModelKind, Progress
-from .network_fit import estimate_network, identify_network, network_steps
+from .network_fit import NetworkKind
 
 
 @final
-class FnnKind(ModelKind):
+class FnnKind(NetworkKind):
     """Two ReLU layers of 64 over the present command alone, S2 section III-B; see `FeedForwardNet`."""
 
     name: ClassVar[str] = "fnn"
     title: ClassVar[str] = "FNN"
     presets: ClassVar[tuple[str, ...]] = ("best", "paper", "s1")
     recurrent: ClassVar[bool] = False
-
-    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
-        self.check(trials, request)
-        return identify_network(self.name, trials, request, progress)
-
-    def steps(self, request: FitRequest) -> int | None:
-        return network_steps(self.name, request)
-
-    def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
-        return estimate_network(self.name, trials, request)

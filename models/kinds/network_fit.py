@@ -13,7 +13,7 @@ from ..fit.network_presets import NETWORK_PRESETS
 from ..fit.network_settings import NetworkSettings, WindowTraining
 from ..fit.network_timing import training_seconds
 from ..fit.networks import fit_network
-from .kind import FitRequest, Identified, Progress
+from .kind import FitRequest, Identified, ModelKind, Progress
 
 _WINDOW = 50  # S2's, over which its constancy term is taken
 
@@ -65,3 +65,17 @@ def network_settings(kind: str, request: FitRequest) -> NetworkSettings:
     elif request.hold_out is not None:
         changes["validation_trials"] = request.hold_out
     return NetworkSettings.parse(chosen.model_dump() | changes, f"{kind}, preset {request.preset}")
+
+
+class NetworkKind(ModelKind):
+    """A kind that is a network, with presets of `NETWORK_PRESETS`."""
+
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
+        self.check(trials, request)
+        return identify_network(self.name, trials, request, progress)
+
+    def steps(self, request: FitRequest) -> int | None:
+        return network_steps(self.name, request)
+
+    def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
+        return estimate_network(self.name, trials, request)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
+from typing import ClassVar
 
 from hystmpc.trials.trial import Trial
 
@@ -15,7 +16,7 @@ from ..fit.identify import DeviceLimits, simulator_of
 from ..fit.iterated import IteratedSettings
 from ..fit.methods import MethodSettings, identify_chain
 from ..fit.operators import OperatorFitSettings
-from .kind import FitRequest, Identified, Progress
+from .kind import FitRequest, Identified, ModelKind, Progress
 
 Method = tuple[str, Callable[[FitRequest], MethodSettings]]
 
@@ -76,3 +77,22 @@ def identify_operator(
     history = tuple((k + 1, loss**0.5) for k, loss in enumerate(fit.report.losses))
     report = f"{fit.report.line()}; {fit.rmse:.4f} {trials[0].units.angle} free run"
     return Identified(simulator_bundle(simulator), simulator, history, report, fit.interrupted)
+
+
+class OperatorKind(ModelKind):
+    """A kind that is an operator; its presets are identification methods.
+
+    Attributes:
+        methods: method by preset, the default first; see `METHODS`.
+    """
+
+    methods: ClassVar[Mapping[str, str]]
+    readable: ClassVar[bool] = True
+
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
+        self.check(trials, request)
+        return identify_operator(self.name, trials, request, self.methods, progress)
+
+    def steps(self, request: FitRequest) -> int | None:
+        del request
+        return None

@@ -13,6 +13,7 @@ from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.evaluate import Errors, TrialEvaluation, evaluation_json
 from hystmpc.models.export_simulator import simulator_bundle
 from hystmpc.models.inverse.trained import MappedPredictor, TrainedInverse
 from hystmpc.models.kinds.kind import FitRequest
@@ -26,6 +27,7 @@ from hystmpc.sim.study import prepare
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.trial import Trial
 
+from .lstm_examples import decaying_trial
 from .zoo import BACKLASH, DT, simulator
 
 pytestmark = pytest.mark.slow
@@ -194,3 +196,11 @@ def test_an_exported_simulator_is_a_forward_model(files: dict[str, str], tmp_pat
     export_onnx(simulator_bundle(memoryless()), tmp_path / "line.onnx")
     with pytest.raises(ModelError, match="a forward model"):
         prepare(study({**files, "line": str(tmp_path / "line.onnx")}, "line"))
+
+
+def test_errors_of_an_inverse_map_are_not_called_degrees() -> None:
+    trial = decaying_trial(0.2, True, "log.csv").swapped()
+    errors = Errors(0.1, 0.0, 0.1, 0.2, 0.01, 0.0)
+    data = evaluation_json([TrialEvaluation(trial, trial.angle, 0, errors)])
+    assert (data["format"], data["unit"]) == ("hystmpc-inverse-evaluation/1", "mm")
+    assert not [key for row in (data["mean"], *data["trials"]) for key in row if "deg" in key]
