@@ -1,0 +1,1 @@
+"""Chains run operator by operator over whole trials: compiled once an operator, batched, with exact sensitivities."""

@@ -1,0 +1,133 @@
+"""Free runs of a chain, stage by stage: each operator passes over the whole signal before the next one sees it."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hystmpc.trials.errors import ModelError
+
+from ..chain import Chain
+from .kernels import StageKernels, stage_kernels
+
+Vec = NDArray[np.float64]
+
+
+@final
+class StagedChain:
+    """Compiled free runs of a chain, batched, with exact sensitivities to all parameters.
+
+    A chain is a series connection, so its operators can pass over a whole trial one after another. Each is compiled
+    once, alone: any number of them in any order needs no further compilation, which is what a search over structures
+    lives on. Values equal the chain's `transition`, sample by sample, to rounding.
+
+    Args:
+        chain: its operators and their order; its values count only where a call is given none.
+    """
+
+    def __init__(self, chain: Chain) -> None:
+        self.chain = chain
+        self._stages: list[tuple[StageKernels, slice, slice]] = []
+        states = parameters = 0
+        for operator in chain.operators:
+            s, p = len(operator.states), len(operator.parameters)
+            self._stages.append((stage_kernels(operator), slice(states, states + s), slice(parameters, parameters + p)))
+            states, parameters = states + s, parameters + p
+        self.state_size, self.parameter_count = states, parameters
+        self._core = len(chain.before)
+
+    def rest(self, command: Vec, angle: Vec, values: Vec | None = None) -> Vec:
+        """States (S, N) at rest at commands (N,) [cmd] where the device shows angles (N,) [deg].
+
+        The rule is the chain's: up to the core the signal is the command, from the core on the angle.
+        """
+        p = self._rows(values, command.size)
+        x = np.empty((self.state_size, command.size))
+        for n in range(command.size):
+            x[:, n] = self._rest_of(float(command[n]), float(angle[n]), p[:, n], None)
+        return x
+
+    def simulate(self, commands: Vec, dt_s: float, states: Vec, values: Vec | None = None) -> tuple[Vec, Vec]:
+        """Run N rows freely.
+
+        Args:
+            commands: (T, N), time first [cmd].
+            dt_s: sample time [s].
+            states: (S, N) before the first sample.
+            values: parameters (P,) of all rows or (P, N) of each; the chain's where left out.
+
+        Returns:
+            Angles (T, N) [deg] and states (S, N) after the last sample.
+
+        Raises:
+            ModelError: if a shape does not fit.
+        """
+        self._check(commands, states)
+        p, x = self._rows(values, commands.shape[1]), np.array(states, dtype=np.float64, order="C")
+        signal = np.ascontiguousarray(commands, dtype=np.float64)
+        for kernels, state, parameters in self._stages:
+            kept = np.empty((kernels.kept[0], signal.shape[1]))
+            kernels.prepare(p[parameters], dt_s, kernels.constants[0], kept)
+            following = np.empty_like(signal)
+            kernels.simulate(x[state], signal, kept, following)
+            signal = following
+        return signal, x
+
+    def differentiate(
+        self, commands: Vec, dt_s: float, command: float, angle: float, values: Vec | None = None
+    ) -> tuple[Vec, Vec]:
+        """One row from rest, and its derivative by every parameter.
+
+        Args:
+            commands: (T,) [cmd].
+            dt_s: sample time [s].
+            command, angle: where the device rests before, [cmd] and [deg]; the state there depends on the parameters,
+                and so its derivative is counted in.
+            values: parameters (P,); the chain's where left out.
+
+        Returns:
+            Angles (T,) [deg] and their derivatives (T, P).
+        """
+        p, count = self._rows(values, 1), self.parameter_count
+        slope = np.zeros((self.state_size, count))
+        x = self._rest_of(command, angle, p[:, 0], slope)
+        signal, moving = np.ascontiguousarray(commands, dtype=np.float64), np.zeros((commands.size, count))
+        for kernels, state, parameters in self._stages:
+            kept = np.empty((kernels.kept[1], 1))
+            kernels.prepare_slopes(p[parameters], dt_s, kernels.constants[1], kept)
+            following, moved = np.empty_like(signal), np.zeros_like(moving)
+            kernels.differentiate(
+                x[state], slope[state], signal, moving, kept, parameters.start, parameters.stop, following, moved
+            )
+            signal, moving = following, moved
+        return signal, moving
+
+    def _rest_of(self, command: float, angle: float, p: Vec, slope: Vec | None) -> Vec:
+        """State (S,) of one row at rest; `slope` (S, P) receives its derivative."""
+        x = np.empty(self.state_size)
+        for k, (kernels, state, parameters) in enumerate(self._stages):
+            own = np.zeros((state.stop - state.start, parameters.stop - parameters.start))
+            seen_in, seen_out = (command if k <= self._core else angle), (command if k < self._core else angle)
+            kernels.rest(seen_in, seen_out, np.ascontiguousarray(p[parameters]), kernels.constants[2], x[state], own)
+            if slope is not None:
+                slope[state, parameters] = own
+        return x
+
+    def _rows(self, values: Vec | None, rows: int) -> Vec:
+        """Parameters (P, N)."""
+        p = self.chain.values if values is None else np.asarray(values, dtype=np.float64)
+        if p.shape not in ((self.parameter_count,), (self.parameter_count, rows)):
+            raise ModelError(
+                f"got parameters of shape {p.shape}, expected ({self.parameter_count},) or "
+                f"({self.parameter_count}, {rows})"
+            )
+        return np.ascontiguousarray(np.broadcast_to(p[:, None] if p.ndim == 1 else p, (self.parameter_count, rows)))
+
+    def _check(self, commands: Vec, states: Vec) -> None:
+        if commands.ndim != 2 or states.shape != (self.state_size, commands.shape[1]):
+            raise ModelError(
+                f"got commands of shape {commands.shape} and states of shape {states.shape}, expected (T, N) and "
+                f"({self.state_size}, N)"
+            )

@@ -1,0 +1,106 @@
+"""The staged engine: every operator alone and in chains equals its own equation, with exact sensitivities."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hystmpc.models.chain import Chain
+from hystmpc.models.fit.operators import rest_with_slope
+from hystmpc.models.kernels.chain_kernels import compile_step
+from hystmpc.models.staged.chain_run import StagedChain
+from hystmpc.trials.errors import ModelError
+
+from .zoo import BACKLASH, CHAINS, DT, EXAMPLES, RATE_PI
+
+CASES = [*(Chain(example) for example in EXAMPLES), *CHAINS.values()]
+IDS = [*(f"{example.name}-{k}" for k, example in enumerate(EXAMPLES)), *CHAINS]
+ANGLE = 41.0
+
+
+def wandering(samples: int = 240, seed: int = 3) -> np.ndarray:
+    """A command over the whole range with reversals of all sizes, holds included (T,) [mm]."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(samples) * DT
+    u = 3 + 2.5 * np.sin(2 * np.pi * 0.4 * t) + 0.4 * np.sin(2 * np.pi * 2.3 * t + rng.uniform(0, 6))
+    u[samples // 2 : samples // 2 + 30] = u[samples // 2]
+    return u
+
+
+@pytest.mark.parametrize("chain", CASES, ids=IDS)
+def test_a_run_equals_the_equation_sample_by_sample(chain: Chain) -> None:
+    staged, u = StagedChain(chain), wandering()
+    x = staged.rest(u[:1], np.array([ANGLE]))
+    np.testing.assert_allclose(
+        x[:, 0], np.asarray(chain.rest(ANGLE, u[0], chain.values)).ravel(), rtol=1e-12, atol=1e-12
+    )
+    theta, last = staged.simulate(u[:, None], DT, x)
+    state, expected = x[:, 0], np.empty(u.size)
+    for k, command in enumerate(u):
+        y, state = (np.asarray(part).ravel() for part in chain.transition(state, command, chain.values, DT))
+        expected[k] = y[0]
+    np.testing.assert_allclose(theta[:, 0], expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(last[:, 0], state, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("chain", CASES, ids=IDS)
+def test_sensitivities_equal_those_of_the_whole_chain(chain: Chain) -> None:
+    u, p = wandering(), chain.values
+    theta, gradient = StagedChain(chain).differentiate(u, DT, float(u[0]), ANGLE)
+    kernels = compile_step(chain.transition)
+    state, slope = rest_with_slope(chain)(ANGLE, u[0], p)
+    reference, by_p = np.empty(u.size), np.empty((u.size, p.size))
+    kernels.differentiate(
+        np.asarray(state).ravel(),
+        np.ascontiguousarray(slope),
+        u,
+        p,
+        np.array([DT]),
+        kernels.sensitivity_constants,
+        reference,
+        by_p,
+    )
+    np.testing.assert_allclose(theta, reference, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(gradient, by_p, rtol=1e-8, atol=1e-8)
+
+
+def test_rows_are_independent_and_have_their_own_parameters() -> None:
+    chain = CHAINS["delayed pi with lag"]
+    staged = StagedChain(chain)
+    u = np.stack([wandering(seed=k) for k in range(5)], axis=1)
+    values = chain.values[:, None] * np.linspace(0.9, 1.1, 5)
+    angles = np.linspace(30.0, 60.0, 5)
+    together, _ = staged.simulate(u, DT, staged.rest(u[0], angles, values), values)
+    for n in range(5):
+        own = values[:, n]
+        alone, _ = staged.simulate(u[:, n : n + 1], DT, staged.rest(u[0, n : n + 1], angles[n : n + 1], own), own)
+        np.testing.assert_array_equal(together[:, n], alone[:, 0])
+
+
+def test_a_run_cut_in_two_is_the_run() -> None:
+    staged, u = StagedChain(CHAINS["delayed pi with lag"]), wandering()[:, None]
+    start = staged.rest(u[0], np.array([ANGLE]))
+    whole, end = staged.simulate(u, DT, start)
+    first, middle = staged.simulate(u[:100], DT, start)
+    second, last = staged.simulate(u[100:], DT, middle)
+    np.testing.assert_array_equal(whole, np.concatenate([first, second]))
+    np.testing.assert_array_equal(end, last)
+
+
+def test_order_matters_and_needs_no_new_kernel() -> None:
+    """A static curve and a play do not commute: the engine keeps the order of the signal."""
+    u = wandering()[:, None]
+    one, other = Chain(BACKLASH, before=(RATE_PI,)), Chain(RATE_PI, before=(BACKLASH,))
+    runs = [
+        staged.simulate(u, DT, staged.rest(u[0], np.array([ANGLE])))[0]
+        for staged in (StagedChain(one), StagedChain(other))
+    ]
+    assert np.abs(runs[0] - runs[1]).max() > 1.0
+
+
+def test_wrong_shapes_are_refused() -> None:
+    staged = StagedChain(Chain(BACKLASH))
+    with pytest.raises(ModelError, match=r"got parameters of shape \(3,\), expected \(4,\) or \(4, 1\)"):
+        staged.differentiate(wandering(), DT, 0.0, ANGLE, np.zeros(3))
+    with pytest.raises(ModelError, match=r"states of shape \(2, 1\), expected \(T, N\) and \(1, N\)"):
+        staged.simulate(wandering()[:, None], DT, np.zeros((2, 1)))
