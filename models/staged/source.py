@@ -1,4 +1,4 @@
-"""Source of an operator's kernels: what depends on parameters alone is computed once, the rest in the loop over time."""
+"""Source of an operator's kernels: what depends on parameters alone is computed once, the rest sample by sample."""
 
 from __future__ import annotations
 
