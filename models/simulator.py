@@ -29,6 +29,7 @@ class Residual(Settings):
         samples: samples that counted.
         rmse_deg, bias_deg: of model minus measurement.
         lag_one: correlation of neighbouring residuals, near one where the error is structure, not noise.
+        fingerprint: of the trial; empty in older files.
     """
 
     log: str
@@ -37,6 +38,7 @@ class Residual(Settings):
     rmse_deg: float = Field(ge=0)
     bias_deg: float
     lag_one: float = Field(ge=-1, le=1)
+    fingerprint: str = ""
 
 
 class Identification(Settings):

@@ -4,19 +4,49 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from hystmpc.ctrl.config import CONTROLLERS, ControllerSettings, LimitsSettings
+from hystmpc.models.effects.place import EffectError, effect_from
 from hystmpc.models.library import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
 from hystmpc.trials.config import Settings, load_settings
 from hystmpc.trials.errors import did_you_mean
+from hystmpc.trials.yaml_lines import MisplacedError
 
 NotNegative = Annotated[float, Field(ge=0)]
 # Names become folders of the run.
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
+
+
+class EffectSettings(Settings):
+    """One effect of the library; see `hystmpc effects` for names, parameters, units and bounds.
+
+    Attributes:
+        effect: name.
+        side: of the core; the effect's first where left out.
+        parameters: by name; those left out have their neutral values, if they have any.
+        terms, ways, harmonics, seed: sizes of creep, lag, periodic disturbance and sensor; all but the seed also follow
+            from the names of the parameters.
+    """
+
+    effect: str
+    side: str | None = None
+    parameters: dict[str, float] = Field(default_factory=dict)
+    terms: int | None = None
+    ways: int | None = None
+    harmonics: int | None = None
+    seed: int | None = None
+
+    @model_validator(mode="after")
+    def _known_effect(self) -> Self:
+        try:
+            effect_from(self.model_dump(exclude_none=True))
+        except EffectError as error:
+            raise MisplacedError(str(error), error.at) from None
+        return self
 
 
 class PlantSettings(Settings):
@@ -24,6 +54,8 @@ class PlantSettings(Settings):
 
     Attributes:
         simulator: a simulator file, or `builtin:NAME`.
+        effects: effects of the library beside the shorthands before them.
+        virgin: start without the initialisation flexure.
     """
 
     simulator: str
@@ -32,6 +64,8 @@ class PlantSettings(Settings):
     noise_deg: NotNegative = 0.0
     quantisation_deg: NotNegative = 0.0
     mismatch: dict[str, float] = Field(default_factory=dict)
+    effects: tuple[EffectSettings, ...] = ()
+    virgin: bool = False
 
 
 class TuningSettings(Settings):

@@ -1,28 +1,30 @@
-"""The simulated device: a chain of operators with actuator lag, transport delay, sensor noise and wrong parameters."""
+"""The simulated device: a chain of operators with effects on either side, sensors and wrong parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.lstm.initial import initialisation_flexure
+from hystmpc.models.effects.place import PlacedEffect, effect_from, with_effect
 from hystmpc.models.operators.delay import Delay
 from hystmpc.models.operators.lag import Lag
 from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.sensor import Sensor
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import Simulator
-from hystmpc.trials.errors import ConfigError, did_you_mean
+from hystmpc.trials.errors import ConfigError, ModelError, did_you_mean
+
+from .conditioning import conditioned, fresh
+from .sensors import SensorChain
 
 Vec = NDArray[np.float64]
-
-_SETTLED_LAGS = 20.0  # time constants after which nothing is left of a step: e^-20 of 100 deg is 2e-7 deg
 
 
 @dataclass(frozen=True)
@@ -35,9 +37,13 @@ class Effects:
         noise_deg: standard deviation of the angle sensor's white noise [deg].
         quantisation_deg: step of the angle sensor, 0 for none [deg].
         mismatch: factors on parameters of the simulator, by label, such as `prandtl_ishlinskii.a0`.
+        effects: effects of the library, as objects or as `{effect, side, parameters}`, in the order in which the signal
+            meets them: those on the command after delay and lag and the simulator's own, those on the output last.
+            Sensors act on what is measured.
+        virgin: start without the initialisation flexure, so that a first flexure is still to come.
 
     Raises:
-        ConfigError: if a number is negative or not finite.
+        ConfigError: if a number is negative or not finite, or an effect is not one of the library.
     """
 
     lag_s: float = 0.0
@@ -45,16 +51,43 @@ class Effects:
     noise_deg: float = 0.0
     quantisation_deg: float = 0.0
     mismatch: Mapping[str, float] = field(default_factory=dict)
+    effects: Sequence[PlacedEffect | Mapping[str, Any]] = ()
+    virgin: bool = False
 
     def __post_init__(self) -> None:
         for name in ("lag_s", "delay_s", "noise_deg", "quantisation_deg"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise ConfigError(f"plant: got {name} {value}, expected a finite number >= 0")
+        object.__setattr__(self, "effects", tuple(_placed(spec, k) for k, spec in enumerate(self.effects)))
+
+    @property
+    def placed(self) -> tuple[PlacedEffect, ...]:
+        """The effects of the library that act on the device, sensors left out."""
+        return tuple(e for e in self._placed() if not isinstance(e.operator, Sensor))
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """The sensors among the effects."""
+        return tuple(e.operator for e in self._placed() if isinstance(e.operator, Sensor))
+
+    def _placed(self) -> tuple[PlacedEffect, ...]:
+        return tuple(e for e in self.effects if isinstance(e, PlacedEffect))
+
+
+def _placed(spec: PlacedEffect | Mapping[str, Any], k: int) -> PlacedEffect:
+    if isinstance(spec, PlacedEffect):
+        return spec
+    try:
+        return effect_from({key: value for key, value in spec.items() if value is not None})
+    except ModelError as error:
+        raise ConfigError(f"plant.effects[{k}]: {error}") from None
 
 
 def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simulator:
-    """The simulator at sample time `dt_s` [s], with wrong parameters and the effects on the command in front.
+    """The simulator at sample time `dt_s` [s], with wrong parameters and all effects but sensors.
+
+    Lag and delay of the actuator stand in front, effects of the library on either side after what is there.
 
     Raises:
         ConfigError: if `mismatch` names a parameter that the chain does not have.
@@ -63,7 +96,11 @@ def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simu
     chain = mismatched(simulator.chain, effects.mismatch)
     lag = (Lag(effects.lag_s),) if effects.lag_s > 0 else ()
     delay = (Delay(effects.delay_s, samples=1),) if effects.delay_s > 0 else ()
-    return at_sample_time(replace(simulator, chain=replace(chain, before=(*delay, *lag, *chain.before))), dt_s)
+    own = tuple(operator for operator in chain.after if not isinstance(operator, Sensor))
+    chain = replace(chain, before=(*delay, *lag, *chain.before), after=own)
+    for placed in effects.placed:
+        chain = with_effect(chain, placed.operator, placed.side)
+    return at_sample_time(replace(simulator, chain=chain), dt_s)
 
 
 def at_sample_time(simulator: Simulator, dt_s: float) -> Simulator:
@@ -94,14 +131,16 @@ class SimulatedPlant:
     """A `ctrl.protocols.Plant` that is computed; its state is hidden, as that of hardware is.
 
     Before every run the device does its initialisation flexure (S2: one period of 0.1 Hz to the highest command and
-    back) and then rests at the lowest one, so that a reset always finds the same device.
+    back) and then rests at the lowest one, so that a reset always finds the same device. Drift and periodic disturbance
+    count from the reset on, sensors start their random numbers anew.
 
     Args:
         simulator: the device.
         effects: what it does beyond that.
         dt_s: sample time [s]; the simulator's own where left out.
         commands: commands between which it is flexed, the lowest being its rest; the simulator's limits where left out.
-        seed: of the sensor noise; equal seeds give equal noise after every reset.
+        seed: of the sensor noise, mixed into the seed of every sensor among the effects; equal seeds give equal noise
+            after every reset.
 
     Raises:
         ConfigError: if `effects` name a parameter that the simulator does not have.
@@ -122,9 +161,11 @@ class SimulatedPlant:
         self.simulator = plant_simulator(simulator, self._effects, self._dt)
         self.rest_command = commands.lower
         self._model = CompiledPredictor.of_simulator(self.simulator)
-        self._rest = self._flexed(commands)
+        self._rest = self._at_rest(commands)
         self._angle, self._state = self._rest
-        self._random = np.random.default_rng(seed)
+        own = tuple(o for o in simulator.chain.after if isinstance(o, Sensor))
+        self._sensors = SensorChain((*own, *self._effects.sensors))
+        self._restart()
 
     @property
     def dt(self) -> float:
@@ -138,8 +179,7 @@ class SimulatedPlant:
 
     def reset(self) -> float:
         """Bring the device to rest at its lowest command and return the measured tip angle [deg]."""
-        self._angle, self._state = self._rest
-        self._random = np.random.default_rng(self._seed)
+        self._restart()
         return self._measured()
 
     def apply(self, u: float) -> float:
@@ -157,17 +197,20 @@ class SimulatedPlant:
     def stop(self) -> None:
         """Nothing to do: a computed device is safe as it stands."""
 
-    def _flexed(self, commands: Range) -> tuple[float, Vec]:
-        """Angle and state of the device at rest after its initialisation flexure."""
-        settling = _SETTLED_LAGS * self._effects.lag_s + self._effects.delay_s
-        flexure = initialisation_flexure(commands, self._dt, warmup_samples=1)
-        angle = self.simulator.trained_angle_deg.lower
-        state = self._model.initial(angle, commands.lower)
-        for u in np.concatenate([flexure, np.full(round(settling / self._dt), commands.lower)]):
-            angle, state = self._model.advance(state, float(u))
-        return angle, state
+    def _restart(self) -> None:
+        self._angle, self._state = self._rest
+        self._random = np.random.default_rng(self._seed)
+        self._sensing = self._sensors.start(self._angle, self._seed)
+
+    def _at_rest(self, commands: Range) -> tuple[float, Vec]:
+        """Angle and state of the device at rest, after its initialisation flexure or without it."""
+        state = self._model.initial(self.simulator.trained_angle_deg.lower, commands.lower)
+        return (fresh if self._effects.virgin else conditioned)(self.simulator, state, commands)
 
     def _measured(self) -> float:
         effects = self._effects
         angle = self._angle + effects.noise_deg * float(self._random.standard_normal())
-        return round(angle / effects.quantisation_deg) * effects.quantisation_deg if effects.quantisation_deg else angle
+        if effects.quantisation_deg:
+            angle = round(angle / effects.quantisation_deg) * effects.quantisation_deg
+        angle, self._sensing = self._sensors.show(self._sensing, angle)
+        return angle

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -10,6 +10,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from .errors import ConfigError, did_you_mean
+from .yaml_lines import Location, MisplacedError, place_in
 
 
 class Settings(BaseModel):
@@ -27,12 +28,16 @@ class Settings(BaseModel):
         if isinstance(data, dict):
             for key in data:
                 if key not in cls.model_fields:
-                    raise ValueError(f"unknown key {key!r}, {did_you_mean(str(key), cls.model_fields)}")
+                    raise MisplacedError(f"unknown key {key!r}, {did_you_mean(str(key), cls.model_fields)}", (key,))
         return data
 
     @classmethod
-    def parse(cls, data: Any, where: str = "<memory>") -> Self:
+    def parse(cls, data: Any, where: str | Callable[[Location], str] = "<memory>") -> Self:
         """Validate plain data.
+
+        Args:
+            data: mappings, lists and scalars.
+            where: the source's name, or a function that tells it for the keys and indices of an entry.
 
         Raises:
             ConfigError: one line with the first offending key, what was got and what was expected.
@@ -45,7 +50,9 @@ class Settings(BaseModel):
             more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
             text = str(first["msg"]).removeprefix("Value error, ")
             got = "" if isinstance(first["input"], dict) else f", got {first['input']!r}"
-            raise ConfigError(f"{where}: {path}: {text}{got}{more}") from None
+            inner = getattr(first.get("ctx", {}).get("error"), "at", ())
+            place = where if isinstance(where, str) else where((*first["loc"], *inner))
+            raise ConfigError(f"{place}: {path}: {text}{got}{more}") from None
 
 
 S = TypeVar("S", bound=Settings)
@@ -72,14 +79,15 @@ def load_settings(kind: type[S], path: Path | str, overrides: Iterable[str] = ()
     """Read `path`, apply `a.b=3` overrides and validate as `kind`.
 
     Raises:
-        ConfigError: on an unreadable file, a malformed override, an unknown key or a value out of bounds.
+        ConfigError: on an unreadable file, a malformed override, an unknown key or a value out of bounds; names file
+            and line, or the override, of the first offending key.
     """
-    data = read_yaml(path)
+    data, changes = read_yaml(path), tuple(overrides)
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: got {type(data).__name__}, expected a mapping of settings")
-    for text in overrides:
+    for text in changes:
         _override(data, text)
-    return kind.parse(data, str(path))
+    return kind.parse(data, place_in(path, changes))
 
 
 def _override(data: dict[str, Any], text: str) -> None:

@@ -38,6 +38,10 @@ class ControllerError(HystmpcError):
     """A controller is misconfigured; raised before the first sample, never inside the loop."""
 
 
+class GapError(HystmpcError):
+    """Recorded trials cannot be compared with a simulator: nothing recorded, another unit, sign or device."""
+
+
 def did_you_mean(got: str, available: Iterable[str]) -> str:
     """Return `available: a, b, c; did you mean 'b'?` for the end of an error line."""
     names = sorted(available)

@@ -133,6 +133,7 @@ def _residual(model: ChainModel, trial: Trial, skip_first_flexure: bool) -> Resi
         rmse_deg=result.errors.rmse_deg,
         bias_deg=result.errors.bias_deg,
         lag_one=float(np.clip(np.sum(around[1:] * around[:-1]) / power, -1, 1)) if power > 0 else 0.0,
+        fingerprint=fingerprint([trial]),
     )
 
 

@@ -6,15 +6,29 @@ from typing import Any
 
 from hystmpc.trials.errors import ModelError, did_you_mean
 
+from .asymmetry import Asymmetry
 from .backlash import Backlash, InverseBacklash
 from .bouc_wen import BoucWen
+from .contact import Contact
+from .creep import Creep
 from .deadband import Deadband
 from .delay import Delay
+from .directional_gain import DirectionalGain
 from .drdpi import Drdpi, InverseDrdpi
+from .drift import Drift
+from .first_flexure import FirstFlexure
 from .lag import Lag
+from .nonlinear_gain import NonlinearGain
 from .operator import Operator, values_from
+from .periodic_disturbance import PeriodicDisturbance
 from .play import Play
 from .prandtl_ishlinskii import InversePrandtlIshlinskii, PrandtlIshlinskii
+from .rate_dependence import RateDependence
+from .sensor import Sensor
+from .slack import Slack
+from .specification import is_number, template_from
+from .stick_slip import StickSlip
+from .trial_shift import TrialShift
 
 OPERATORS: tuple[type[Operator], ...] = (
     Play,
@@ -28,6 +42,19 @@ OPERATORS: tuple[type[Operator], ...] = (
     BoucWen,
     Lag,
     Delay,
+    RateDependence,
+    Creep,
+    Drift,
+    FirstFlexure,
+    Slack,
+    StickSlip,
+    Contact,
+    NonlinearGain,
+    Asymmetry,
+    DirectionalGain,
+    TrialShift,
+    PeriodicDisturbance,
+    Sensor,
 )
 
 
@@ -47,10 +74,10 @@ def operator_from(spec: Any, where: str) -> Operator:
     for key in spec:
         if key not in ("operator", "parameters", *kind.shape):
             raise ModelError(f"{where}: unknown key {key!r}, {did_you_mean(key, ['parameters', *kind.shape])}")
-    template = kind.template(**{key: _size(spec.get(key), f"{where}: {name}.{key}") for key in kind.shape})
     given = spec.get("parameters")
-    if not isinstance(given, dict) or not all(_is_number(v) for v in given.values()):
+    if not isinstance(given, dict) or not all(is_number(v) for v in given.values()):
         raise ModelError(f"{where}: {name}.parameters is {given!r}, expected a mapping of numbers")
+    template = template_from(kind, spec, given, where)
     try:
         return template.with_values(values_from(name, [p.name for p in template.parameters], given))
     except ModelError as error:
@@ -62,16 +89,6 @@ def operator_spec(operator: Operator) -> dict[str, Any]:
     names = (parameter.name for parameter in operator.parameters)
     return {
         "operator": operator.name,
-        **operator.structure,
+        **{key: size for key, size in operator.structure.items() if size != operator.default_sizes.get(key)},
         "parameters": dict(zip(names, operator.values, strict=True)),
     }
-
-
-def _size(value: Any, where: str) -> int:
-    if not isinstance(value, int) or not 1 <= value <= 1000:
-        raise ModelError(f"{where} is {value!r}, expected a whole number from 1 to 1000")
-    return value
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

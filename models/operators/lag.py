@@ -1,11 +1,14 @@
-"""First-order lag of an actuator, valve or sensor."""
+"""First-order lag of an actuator, valve or sensor, with one time constant or with one for each direction."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import casadi as ca
+
+from hystmpc.trials.errors import ModelError
 
 from .operator import Operator, Parameter, Symbol, check_values
 
@@ -14,33 +17,55 @@ from .operator import Operator, Parameter, Symbol, check_values
 class Lag(Operator):
     """First-order lag, exact for an input that is constant over a sample.
 
-    tau y' + y = u  =>  y_k = y_{k-1} + (1 - exp(-dt / tau)) (u_k - y_{k-1})
+    tau y' + y = u  =>  y_k = u_k + exp(-dt / tau) (y_{k-1} - u_k)
+
+    With a second constant tau is `tau_s` while the output rises (u_k >= y_{k-1}) and `tau_down_s` while it falls, as
+    a valve fills and vents. At 1 us it is the identity, to the last bit from samples of 1 ms on.
 
     Attributes:
-        tau_s: time constant [s].
+        tau_s: time constant, or that of a rise [s]; in files `tau_s`, with two of them `tau_up_s`.
+        tau_down_s: time constant of a fall, if it has its own [s].
+
+    Raises:
+        ModelError: on more than one constant of a fall.
     """
 
     tau_s: float
+    tau_down_s: tuple[float, ...] = ()
     name: ClassVar[str] = "lag"
+    shape: ClassVar[tuple[str, ...]] = ("ways",)
+    default_sizes: ClassVar[Mapping[str, int]] = {"ways": 1}
+    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"ways": (1, 2)}
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "tau_down_s", tuple(float(v) for v in self.tau_down_s))
+        if len(self.tau_down_s) > 1:
+            raise ModelError(f"lag: {len(self.tau_down_s)} time constants of a fall, expected at most 1")
         check_values(self)
 
     @classmethod
     def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(1.0)
+        return cls(1.0, (1.0,) * (structure.get("ways", 1) - 1))
+
+    @property
+    def ways(self) -> int:
+        """Number of time constants: one, or one for each direction."""
+        return 1 + len(self.tau_down_s)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("tau_s", "s", 1e-4, 1e3, "time constant"),)
+        if self.ways == 1:
+            return (Parameter("tau_s", "s", 1e-6, 1e3, "time constant"),)
+        ways = (("up", "rise"), ("down", "fall"))
+        return tuple(Parameter(f"tau_{way}_s", "s", 1e-6, 1e3, f"time constant of a {motion}") for way, motion in ways)
 
     @property
     def states(self) -> tuple[str, ...]:
         return ("y",)
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
-        y = x[0] + (1 - ca.exp(-dt / p[0])) * (u - x[0])
+        tau = p[0] if self.ways == 1 else ca.if_else(u >= x[0], p[0], p[1])
+        y = u + ca.exp(-dt / tau) * (x[0] - u)
         return y, y
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:

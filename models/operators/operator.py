@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
@@ -21,7 +21,8 @@ class Parameter:
 
     Attributes:
         name: as it stands in a simulator file.
-        unit: with `cmd` for the unit of the command (mm or bar).
+        unit: with `cmd` for the unit of the command (mm or bar), and `in` for the unit of the signal that passes: `cmd`
+            on the command side, `deg` on the output side.
         lower, upper: physical bounds, inclusive; identification stays within them.
         meaning: one line for tables.
     """
@@ -42,6 +43,8 @@ class Operator(ABC):
 
     name: ClassVar[str]
     shape: ClassVar[tuple[str, ...]] = ()  # attributes that fix the size of state or parameters
+    default_sizes: ClassVar[Mapping[str, int]] = {}  # of those that a specification may leave out
+    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {}  # where other than 1 to 1000
 
     @property
     @abstractmethod

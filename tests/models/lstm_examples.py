@@ -9,7 +9,7 @@ import pytest
 
 from hystmpc.models.contract.metadata import ModelMetadata, Range
 from hystmpc.models.kernels.lstm_plain import PlainRoute
-from hystmpc.models.kernels.lstm_route import LstmRoute
+from hystmpc.models.kernels.network_route import NetworkRoute
 from hystmpc.models.kernels.lstm_vector import VectorRoute
 from hystmpc.models.kernels.threads import allowed_threads
 from hystmpc.models.kernels.vector_shape import SHAPES, host_shape
@@ -43,7 +43,7 @@ def random_weights(hidden: int, layers: int, seed: int = 0) -> LstmWeights:
     return LstmWeights.from_arrays({name: a.astype(np.float32) for name, a in rounded.items()})
 
 
-def make_route(weights: LstmWeights, name: str, threads: Callable[[], int] = allowed_threads) -> LstmRoute:
+def make_route(weights: LstmWeights, name: str, threads: Callable[[], int] = allowed_threads) -> NetworkRoute:
     """The plain route, or vectors of any shape: LLVM splits those that are too long for the processor."""
     if name == "plain":
         return PlainRoute(weights)

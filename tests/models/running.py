@@ -27,3 +27,14 @@ def operator_rest(operator: Operator, u: float, seen: float) -> np.ndarray:
 
     p = ca.DM(list(operator.values))
     return np.asarray(ca.DM(operator.at_rest(ca.DM(u), ca.DM(seen), p)))
+
+
+def run_chain(chain: Chain, u: np.ndarray, seen: float = 0.0, dt: float = DT) -> np.ndarray:
+    """Output of a chain over `u` from rest at the first input, by CasADi alone: nothing is compiled."""
+    import casadi as ca
+
+    x, command = ca.SX.sym("x", chain.state_size), ca.SX.sym("u")
+    theta, following = chain.bound(dt)(x, command)
+    step = ca.Function("step", [x, command], [following, theta])
+    rest = chain.rest(seen, float(u[0]), chain.values)
+    return np.asarray(step.mapaccum(u.size)(rest, u[None])[1]).ravel()

@@ -11,15 +11,19 @@ import pytest
 from hystmpc.models.chain import Chain
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.operators.catalogue import OPERATORS
+from hystmpc.models.operators.sensor import Sensor
 from hystmpc.models.symbolic.instructions import BINARY, UNARY, dense
 from hystmpc.models.symbolic.onnx_nodes import step_graph
 from hystmpc.models.symbolic.source import NUMPY, SCALAR, TORCH, array_program
 from hystmpc.trials.errors import ModelError
 
-from .zoo import CHAINS, DT, EXAMPLES
+from .zoo import CHAINS, DT, EXAMPLES, WITH_EFFECTS
 
-CASES = [*(Chain(example) for example in EXAMPLES), CHAINS["delayed pi with lag"]]
-IDS = [*(f"{example.name}-{k}" for k, example in enumerate(EXAMPLES)), "chain"]
+CASES = [*(Chain(example) for example in EXAMPLES), CHAINS["delayed pi with lag"], WITH_EFFECTS]
+IDS = [*(f"{example.name}-{k}" for k, example in enumerate(EXAMPLES)), "chain", "effects"]
+# A sensor's derivative is straight-through by intent, not that of its steps: tests/models/test_sensor.py.
+SMOOTH = [(chain, name) for chain, name in zip(CASES, IDS, strict=True) if not isinstance(chain.core, Sensor)]
+smooth = pytest.mark.parametrize("chain", [chain for chain, _ in SMOOTH], ids=[name for _, name in SMOOTH])
 BATCH = 40
 
 
@@ -108,7 +112,7 @@ def finite_difference(chain: Chain, state: np.ndarray, u: float, step: float = 1
     return np.array(columns).T
 
 
-@pytest.mark.parametrize("chain", CASES, ids=IDS)
+@smooth
 def test_jacobian_is_that_of_finite_differences_away_from_kinks(chain: Chain) -> None:
     x, u = ca.SX.sym("x", chain.state_size), ca.SX.sym("u")
     theta, following = chain.bound(DT)(x, u)
@@ -122,7 +126,7 @@ def test_jacobian_is_that_of_finite_differences_away_from_kinks(chain: Chain) ->
     assert compared >= BATCH // 2
 
 
-@pytest.mark.parametrize("chain", CASES, ids=IDS)
+@smooth
 def test_parameter_sensitivity_is_that_of_finite_differences(chain: Chain) -> None:
     kernels = compile_step(chain.transition)
     u = 3 - 3 * np.cos(2 * np.pi * 0.37 * np.arange(0, 6, DT)) + 0.01 * np.sin(np.arange(0, 6, DT))

@@ -46,7 +46,8 @@ def test_a_run_equals_the_equation_sample_by_sample(chain: Chain) -> None:
 @pytest.mark.parametrize("chain", CASES, ids=IDS)
 def test_sensitivities_equal_those_of_the_whole_chain(chain: Chain) -> None:
     u, p = wandering(), chain.values
-    theta, gradient = StagedChain(chain).differentiate(u, DT, float(u[0]), ANGLE)
+    staged = StagedChain(chain)
+    theta, gradient = staged.differentiate(u, DT, *staged.rest_with_slope(float(u[0]), ANGLE))
     kernels = compile_step(chain.transition)
     state, slope = rest_with_slope(chain)(ANGLE, u[0], p)
     reference, by_p = np.empty(u.size), np.empty((u.size, p.size))
@@ -101,6 +102,6 @@ def test_order_matters_and_needs_no_new_kernel() -> None:
 def test_wrong_shapes_are_refused() -> None:
     staged = StagedChain(Chain(BACKLASH))
     with pytest.raises(ModelError, match=r"got parameters of shape \(3,\), expected \(4,\) or \(4, 1\)"):
-        staged.differentiate(wandering(), DT, 0.0, ANGLE, np.zeros(3))
+        staged.rest_with_slope(0.0, ANGLE, np.zeros(3))
     with pytest.raises(ModelError, match=r"states of shape \(2, 1\), expected \(T, N\) and \(1, N\)"):
         staged.simulate(wandering()[:, None], DT, np.zeros((2, 1)))

@@ -4,15 +4,27 @@ from __future__ import annotations
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.operators.asymmetry import Asymmetry
 from hystmpc.models.operators.backlash import Backlash, InverseBacklash
 from hystmpc.models.operators.bouc_wen import BoucWen
+from hystmpc.models.operators.contact import Contact
+from hystmpc.models.operators.creep import Creep
 from hystmpc.models.operators.deadband import Deadband
 from hystmpc.models.operators.delay import Delay
 from hystmpc.models.operators.drdpi import Drdpi
+from hystmpc.models.operators.drift import Drift
+from hystmpc.models.operators.first_flexure import FirstFlexure
 from hystmpc.models.operators.lag import Lag
+from hystmpc.models.operators.nonlinear_gain import NonlinearGain
 from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.periodic_disturbance import PeriodicDisturbance
 from hystmpc.models.operators.play import Play
 from hystmpc.models.operators.prandtl_ishlinskii import InversePrandtlIshlinskii, PrandtlIshlinskii
+from hystmpc.models.operators.rate_dependence import RateDependence
+from hystmpc.models.operators.sensor import Sensor
+from hystmpc.models.operators.slack import Slack
+from hystmpc.models.operators.stick_slip import StickSlip
+from hystmpc.models.operators.trial_shift import TrialShift
 from hystmpc.models.simulator import Identification, Simulator
 
 DT = 0.04
@@ -38,12 +50,31 @@ EXAMPLES: tuple[Operator, ...] = (
     BOUC_WEN,
     Lag(0.08),
     Delay(0.1, 4),
+    Lag(0.08, (0.25,)),
+    RateDependence(0.05),
+    Creep((0.3,), (6.0,)),
+    Creep((0.2, -0.15), (2.0, 40.0)),
+    Drift(0.5, -0.02, 0.003),
+    FirstFlexure(0.2, 1.5),
+    Slack(0.6),
+    StickSlip(0.3, 4.0),
+    Contact(4.0, 0.3),
+    NonlinearGain(0.03, -0.002, 2.0),
+    Asymmetry(1.2, 0.85, 3.0),
+    TrialShift(0.4, 1.1, 0.2),
+    PeriodicDisturbance(1.1, (0.3, 0.1), (0.2, -1.0)),
+    Sensor(0.05, 0.15, 0.03, 2.0, 0.05),
 )
 CHAINS: dict[str, Chain] = {
     "backlash": Chain(BACKLASH),
     "pi": Chain(RATE_PI),
     "delayed pi with lag": Chain(RATE_PI, before=(Delay(0.06, 2),), after=(Lag(0.08),)),
 }
+# Not among the chains above: with an effect on the output that shifts the angle a free run does not start where the
+# trial does, since the rest of a chain takes the angle behind the core for the one that was seen.
+WITH_EFFECTS = Chain(
+    BACKLASH, before=(Slack(0.3), Creep((0.3,), (6.0,))), after=(Contact(60.0, 0.3), TrialShift(2.0, 1.1, 0.5))
+)
 
 
 def simulator(chain: Chain, dt: float = DT) -> Simulator:

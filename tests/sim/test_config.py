@@ -79,6 +79,63 @@ def test_relative_files_start_at_the_folder_of_the_settings(tmp_path: Path) -> N
     assert config.motions["recorded"].build().duration_s == 1.0
 
 
+EFFECT_STUDY = """\
+plant:
+  simulator: builtin:tendon-catheter
+  effects:
+    - effect: creep
+      side: command
+      parameters: {share: 0.2, tau_s: 6.0}
+    - effect: sensor
+      seed: 3
+      parameters:
+        resolution: 0.1
+        sigma: 0.05
+model: builtin:pi
+motions:
+  move: {kind: point_to_point, start_deg: 29, targets_deg: [40], holds_s: [0.8], limits: {velocity_deg_s: 40}}
+controllers:
+  pid: {kind: pid}
+"""
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "message"),
+    [
+        ("effect: creep", "effect: crep", r"line 4: plant\.effects\.0: no effect 'crep'.*did you mean 'creep'"),
+        ("side: command", "side: comand", r"line 5: .*side 'comand'.*did you mean 'command'"),
+        ("tau_s: 6.0", "tau_ms: 6000", r"line 6: .*no parameter 'tau_ms'.*did you mean 'tau_s' in s"),
+        ("tau_s: 6.0", "tau: 6", r"line 6: .*no parameter 'tau'.*did you mean 'tau_s' in s"),
+        ("share: 0.2", "share: 1.2", r"line 6: .*creep\.share is 1\.2, expected -3 to 0\.95"),
+        ("sigma: 0.05", "sigma: -0.05", r"line 11: .*sensor\.sigma is -0\.05 deg, expected 0 to 1000 deg"),
+        ("sigma: 0.05", "sigma: low", r"line 11: .*valid number.*'low'"),
+        ("resolution: 0.1", "resolutoin: 0.1", r"line 10: .*did you mean 'resolution'"),
+        ("seed: 3", "sed: 3", r"line 8: .*unknown key 'sed'.*did you mean 'seed'"),
+        ("model: builtin:pi", "modle: builtin:pi", r"line 12: .*unknown key 'modle'.*did you mean 'model'"),
+        ("kind: pid", "kind: pdi", r"line 16: controllers\.pid: unknown kind 'pdi'.*did you mean 'pid'"),
+    ],
+)
+def test_a_wrong_entry_is_named_with_its_line(tmp_path: Path, right: str, wrong: str, message: str) -> None:
+    file = tmp_path / "study.yaml"
+    file.write_text(EFFECT_STUDY)
+    kept = load_simulation(file)
+    assert [e.effect for e in kept.plant.effects] == ["creep", "sensor"]
+    assert SimulationConfig.parse(kept.model_dump(mode="json")) == kept
+    assert right in EFFECT_STUDY
+    file.write_text(EFFECT_STUDY.replace(right, wrong))
+    with pytest.raises(ConfigError, match=rf"study\.yaml, {message}") as error:
+        load_simulation(file)
+    assert "\n" not in str(error.value)
+
+
+def test_effects_reach_the_plant(tmp_path: Path) -> None:
+    file = tmp_path / "study.yaml"
+    file.write_text(EFFECT_STUDY)
+    plant = prepare(load_simulation(file)).plant
+    assert "creep.share" in plant.simulator.chain.labels
+    assert plant.reset() != plant.true_angle
+
+
 def test_settings_of_a_run_are_settings_again() -> None:
     config = demo_config()
     assert SimulationConfig.parse(config.model_dump(mode="json")) == config

@@ -12,9 +12,13 @@ from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.chain_model import ChainModel
+from hystmpc.models.effects.catalogue import EFFECTS
+from hystmpc.models.effects.pictures import SHOWN
 from hystmpc.models.operators.backlash import Backlash
 from hystmpc.models.operators.delay import Delay
+from hystmpc.models.operators.drift import Drift
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from hystmpc.models.operators.sensor import Sensor
 from hystmpc.models.simulator import Simulator
 from hystmpc.sim.plant import Effects, SimulatedPlant, mismatched
 from hystmpc.trials.errors import ConfigError, ModelError
@@ -151,3 +155,82 @@ def test_mismatch_out_of_bounds_is_refused() -> None:
 def test_effects_are_finite_and_not_negative(name: str, value: float) -> None:
     with pytest.raises(ConfigError, match=name):
         Effects(**{name: value})
+
+
+def plant_with(*specs: dict[str, object], seed: int = 0, **others: object) -> SimulatedPlant:
+    """The straight catheter with effects of the library."""
+    return SimulatedPlant(straight(), Effects(effects=specs, **others), seed=seed)  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_effect_runs_in_a_plant_and_a_reset_finds_the_same_device(name: str) -> None:
+    plant = plant_with({"effect": name, "parameters": dict(SHOWN[name][0])}, seed=4)
+    first = [plant.reset(), *(plant.apply(float(u)) for u in COMMANDS)]
+    assert first == [plant.reset(), *(plant.apply(float(u)) for u in COMMANDS)]
+    assert np.all(np.isfinite(first))
+    straight_line = np.array([30.0, *(30.0 + 10.0 * COMMANDS)])
+    assert np.max(np.abs(np.array(first) - straight_line)) > 0.5
+
+
+def test_library_and_shorthand_are_one_lag_and_one_delay() -> None:
+    listed = plant_with(
+        {"effect": "delay", "side": "command", "parameters": {"delay_s": 0.1}},
+        {"effect": "lag", "side": "command", "parameters": {"tau_s": 0.2}},
+    )
+    short = SimulatedPlant(straight(), Effects(lag_s=0.2, delay_s=0.1))
+    np.testing.assert_allclose(run(listed), run(short), atol=1e-9)
+
+
+def test_a_sensor_shows_and_does_not_change() -> None:
+    spec = {"effect": "sensor", "parameters": {"resolution": 0.5, "sigma": 0.2}}
+    plant = plant_with(spec, seed=2)
+    np.testing.assert_array_equal(run(plant), run(plant_with()))
+    plant.reset()
+    shown = np.array([plant.apply(2.0) for _ in range(300)])
+    np.testing.assert_allclose(shown / 0.5, np.round(shown / 0.5), atol=1e-9)
+    assert np.unique(shown).size > 2
+    assert plant.true_angle == pytest.approx(50.0)
+    again = plant.reseeded(3)
+    again.reset()
+    assert [again.apply(2.0) for _ in range(300)] != list(shown)
+
+
+def test_a_sensor_of_the_simulator_file_shows_and_does_not_change() -> None:
+    device = straight()
+    noisy = replace(device, chain=replace(device.chain, after=(Sensor(0.0, 1.0, 0.0, 0.0, 0.0),)))
+    plant = SimulatedPlant(noisy)
+    np.testing.assert_array_equal(run(plant), run(SimulatedPlant(device)))
+    assert plant.reset() != plant.true_angle
+
+
+def test_a_first_flexure_has_been_taken_unless_the_device_is_virgin() -> None:
+    spec = {"effect": "first_flexure", "side": "output", "parameters": {"set": 0.2, "threshold": 50.0}}
+    once = np.concatenate([np.linspace(0, 6, 60), np.linspace(6, 0, 60)])
+    top = 30.0 + 10.0 * 6.0
+    bent = run(plant_with(spec), once)
+    np.testing.assert_allclose(bent, 30.0 + 10.0 * once + 0.2 * (top - 50.0), atol=1e-9)
+    virgin = run(plant_with(spec, virgin=True), once)
+    assert virgin[0] == pytest.approx(30.0)
+    np.testing.assert_allclose(virgin[60:], bent[60:], atol=1e-9)
+
+
+def test_creep_has_settled_before_a_run() -> None:
+    spec = {"effect": "creep", "side": "command", "parameters": {"share": 0.3, "tau_s": 8.0}}
+    angles = run(plant_with(spec), np.zeros(100))
+    np.testing.assert_allclose(angles, 30.0, atol=1e-6)
+
+
+def test_clocks_start_with_the_run() -> None:
+    drift = {"effect": "drift", "side": "output", "parameters": {"offset_per_min": 6.0}}
+    heart = {"effect": "periodic_disturbance", "side": "output", "parameters": {"frequency_hz": 0.5, "amplitude": 1.0}}
+    plant = plant_with(drift, heart)
+    assert plant.reset() == pytest.approx(30.0)
+    t = 0.04 * np.arange(1, 101)
+    np.testing.assert_allclose(run(plant, np.zeros(100)), 30.0 + 0.1 * t + np.sin(np.pi * t), atol=1e-9)
+    assert any(isinstance(operator, Drift) for operator in plant.simulator.chain.after)
+
+
+def test_an_unknown_effect_is_refused_with_its_place_in_the_list() -> None:
+    with pytest.raises(ConfigError, match=r"plant\.effects\[1\]: no effect 'crep'.*did you mean 'creep'"):
+        plant_with({"effect": "drift"}, {"effect": "crep"})

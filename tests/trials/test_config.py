@@ -9,6 +9,7 @@ from pydantic import Field
 
 from hystmpc.trials.config import Settings, dump_yaml, load_settings
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.yaml_lines import line_of
 
 
 class Loop(Settings):
@@ -71,3 +72,41 @@ def test_unreadable_files_are_named(content: bytes, part: str, tmp_path: Path) -
         load_settings(Experiment, file)
     with pytest.raises(ConfigError, match=r"absent\.yaml"):
         load_settings(Experiment, tmp_path / "absent.yaml")
+
+
+@pytest.mark.parametrize(
+    ("content", "place"),
+    [
+        ("name: first\nloop:\n  rate: 40\n", r"experiment\.yaml, line 3: loop: unknown key 'rate'"),
+        ("name: first\nloop:\n\n  # slow\n  rate_hz: -4\n", r"experiment\.yaml, line 5: loop\.rate_hz"),
+        ("name: first\nloops: {}\n", r"experiment\.yaml, line 2: top level: unknown key 'loops'"),
+        ("loop: {horizon: 2}\n", r"experiment\.yaml: name: Field required"),
+        ("name: first\nloop: 3\n", r"experiment\.yaml, line 2: loop"),
+    ],
+)
+def test_an_error_names_the_line(content: str, place: str, path: Path) -> None:
+    path.write_text(content)
+    with pytest.raises(ConfigError, match=place):
+        load_settings(Experiment, path)
+
+
+def test_an_error_of_an_override_names_the_override_and_no_line(path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"experiment\.yaml, --set loop\.rate_hz=-1: loop\.rate_hz"):
+        load_settings(Experiment, path, ["name=second", "loop.rate_hz=-1"])
+
+
+@pytest.mark.parametrize(
+    ("at", "line"),
+    [
+        (("a",), 1),
+        (("a", 1), 3),
+        (("a", 1, "b"), 4),
+        (("a", "tagged-union", 1, "b"), 4),
+        (("a", 1, "missing"), 3),
+        (("c", "d", 0), 6),
+        (("nowhere",), None),
+    ],
+)
+def test_lines_of_entries(at: tuple[str | int, ...], line: int | None) -> None:
+    assert line_of("a:\n  - x: 1\n  - y: 2\n    b: 3\n# note\nc: {d: [1, 2]}\n", at) == line
+    assert line_of("a: [", at) is None

@@ -1,0 +1,182 @@
+"""What each effect does to a loop and to a hold of a plain device: figures and a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+
+import casadi as ca
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
+from hystmpc.trials.plot_style import MEASURED, MODEL, REFERENCE, new_figure, style
+
+from ..chain import Chain
+from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
+from .catalogue import EFFECTS
+from .describe import parameters_of, sides_text
+from .effect import Effect, unit_on
+from .place import PlacedEffect, effect_from, with_effect
+
+Vec = NDArray[np.float64]
+DT_S = 0.02
+REST = 22.0
+DEVICE = Chain(PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.0, REST))
+"""A tendon catheter: 0 to 6 mm, 22 to 80 deg, four plays."""
+
+SHOWN: Mapping[str, tuple[Mapping[str, float], ...]] = MappingProxyType(
+    {
+        "lag": ({"tau_s": 0.25},),
+        "delay": ({"delay_s": 0.2},),
+        "rate_dependence": ({"width_s": 0.1},),
+        "creep": ({"share": 0.15, "tau_s": 2.5},),
+        "drift": ({"offset_per_min": 0.0, "gain_per_min": -0.6},),
+        "first_flexure": ({"set": 0.25, "threshold": 1.0},),
+        "slack": ({"slack": 1.0},),
+        "stick_slip": ({"break_away": 0.5, "stribeck_speed": 6.0, "memory_s": 0.03},),
+        "contact": ({"angle": 60.0, "stiffness_ratio": 0.2},),
+        "nonlinear_gain": ({"quadratic": 0.06, "cubic": 0.0},),
+        "asymmetry": ({"slope_ratio_above": 1.3, "slope_ratio_below": 1.0, "pivot": 1.0},),
+        "trial_shift": ({"offset": 4.0, "gain": 0.92}, {"offset": -5.0, "gain": 1.0, "width": 2.0}),
+        "periodic_disturbance": ({"frequency_hz": 1.2, "amplitude": 2.0},),
+        "sensor": (
+            {
+                "resolution": 1.0,
+                "sigma": 0.5,
+                "outlier_probability": 0.01,
+                "outlier_size": 8,
+                "dropout_probability": 0.05,
+            },
+        ),
+    }
+)
+"""Numbers of every effect that are large enough to be seen, on its first side; one mapping for each trial shown."""
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Commands [cmd] over time [s]."""
+
+    time_s: Vec
+    command: Vec
+
+
+def effect_figure(name: str) -> Figure:
+    """Loop and hold of the plain device, and of the device with the effect.
+
+    The loop starts at rest and runs twice through the whole range, then through a part of it.
+
+    Raises:
+        ModelError: on an unknown effect.
+    """
+    loop, hold = _loop(), _hold()
+    with new_figure(7.0, 2.9) as figure:
+        left, right = figure.subplots(1, 2)
+        plain = _plain()
+        left.plot(loop.command, plain[0], color=REFERENCE, linewidth=0.9, label="plain")
+        right.plot(hold.time_s, plain[1], color=REFERENCE, linewidth=0.9)
+        for k in range(len(SHOWN[name])):
+            _with_effect(left, right, name, k)
+        left.set(xlabel="command [mm]", ylabel="angle [deg]", title="loop")
+        right.set(xlabel="time [s]", ylabel="angle [deg]", title="hold")
+        left.legend(loc="upper left")
+    return figure
+
+
+def run(chain: Chain, commands: Vec, dt_s: float = DT_S) -> Vec:
+    """Angles (T,) [deg] of a free run over commands (T,) from rest at the first, the angle then seen at 22 deg."""
+    x, u = ca.SX.sym("x", chain.state_size), ca.SX.sym("u")
+    theta, following = chain.bound(dt_s)(x, u)
+    step = ca.Function("step", [x, u], [following, theta])
+    rest = chain.rest(REST, float(commands[0]), chain.values)
+    _, angles = step.mapaccum(commands.size)(rest, commands[None])
+    return np.asarray(angles).ravel()
+
+
+def effects_report(figures: Mapping[str, Figure]) -> Report:
+    """One page with every effect of which there is a figure: equation, parameters, figure."""
+    pieces: list[Piece] = [
+        Paragraph(
+            "A simulator is a chain: effects on the command, a hysteresis core, effects on the output. Grey: the plain "
+            "device, a Prandtl-Ishlinskii model of a tendon catheter; coloured: with the effect on its first side."
+        )
+    ]
+    for name, figure in figures.items():
+        effect = EFFECTS[name]
+        pieces += [
+            Heading(name),
+            KeyValues({"equation": effect.equation, "sides": sides_text(effect), "what separates it": effect.apart}),
+            Table(("parameter", "unit", "lowest", "highest", "neutral", "meaning"), parameter_rows(effect)),
+            Plot(figure, _caption(name)),
+        ]
+    return Report("Effects", tuple(pieces), "what a device does beyond its simulator")
+
+
+def write_pictures(folder: Path) -> Path:
+    """Write a PNG of every effect and the page `effects.html` into a folder, and return the page."""
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = {name: effect_figure(name) for name in EFFECTS}
+    for name, figure in figures.items():
+        with style():
+            figure.savefig(folder / f"{name}.png", dpi=120, metadata={"Software": None})
+    return effects_report(figures).save(folder / "effects.html")
+
+
+def parameter_rows(effect: Effect) -> list[tuple[object, ...]]:
+    """Name, unit, bounds, neutral value and meaning of every parameter on the effect's first side."""
+    side = effect.sides[0]
+    return [
+        (p.name, unit_on(p.unit, side), p.lower, p.upper, effect.neutral.get(p.name, "any"), p.meaning)
+        for p in parameters_of(effect)
+    ]
+
+
+def shown_effect(name: str, k: int = 0) -> PlacedEffect:
+    """The effect as the figures show it."""
+    return effect_from({"effect": name, "parameters": dict(SHOWN[name][k])}, DT_S)
+
+
+def _with_effect(left: Axes, right: Axes, name: str, k: int) -> None:
+    loop, hold, placed = _loop(), _hold(), shown_effect(name, k)
+    chain = with_effect(DEVICE, placed.operator, placed.side)
+    colour = (MODEL, MEASURED)[k % 2]
+    label = f"with {name}" if len(SHOWN[name]) == 1 else f"trial {k + 1}"
+    left.plot(loop.command, run(chain, loop.command), color=colour, label=label, linewidth=1.1)
+    right.plot(hold.time_s, run(chain, hold.command), color=colour, linewidth=1.1)
+
+
+def _caption(name: str) -> str:
+    placed = shown_effect(name)
+    numbers = ", ".join(
+        f"{p.name} {value:g} {unit_on(p.unit, placed.side)}".removesuffix(" 1")
+        for p, value in zip(placed.operator.parameters, placed.operator.values, strict=True)
+    )
+    return f"On the {placed.side} side: {numbers}."
+
+
+@cache
+def _plain() -> tuple[Vec, Vec]:
+    """Loop and hold of the plain device."""
+    return run(DEVICE, _loop().command), run(DEVICE, _hold().command)
+
+
+def _loop() -> _Motion:
+    """From rest twice through 0 to 6 mm, then 1.5 to 4.5 mm and back, all at up to 4.7 mm/s."""
+    t = np.arange(0.0, 8.0, DT_S)
+    whole = 3.0 - 3.0 * np.cos(2 * np.pi * 0.25 * t)
+    part = np.concatenate([np.linspace(0, 4.5, 75), np.linspace(4.5, 1.5, 50), np.linspace(1.5, 4.5, 50)])
+    command = np.concatenate([whole, part])
+    return _Motion(DT_S * np.arange(command.size, dtype=np.float64), command)
+
+
+def _hold() -> _Motion:
+    """Up to 5 mm in 1.5 s and held for 5 s, down to 2 mm and held for 5 s."""
+    ways = ((0.0, 5.0, 1.5), (5.0, 5.0, 5.0), (5.0, 2.0, 1.0), (2.0, 2.0, 5.0))
+    command = np.concatenate([np.linspace(a, b, round(s / DT_S), endpoint=False) for a, b, s in ways])
+    return _Motion(DT_S * np.arange(command.size, dtype=np.float64), command)

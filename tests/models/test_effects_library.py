@@ -1,0 +1,156 @@
+"""The library of effects: complete, searchable, in plain data and back, with one line for every error."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hystmpc.models.chain import Chain
+from hystmpc.models.effects.catalogue import EFFECTS
+from hystmpc.models.effects.describe import library_data
+from hystmpc.models.effects.effect import Scale
+from hystmpc.models.effects.pictures import SHOWN, effect_figure, write_pictures
+from hystmpc.models.effects.place import (
+    EffectError,
+    effect_from,
+    effect_operator,
+    effect_spec,
+    neutral_operator,
+    with_effect,
+)
+from hystmpc.models.operators.catalogue import OPERATORS, operator_from, operator_spec
+from hystmpc.models.simulator import load_simulator, save_simulator
+from hystmpc.trials.errors import ModelError
+
+from .zoo import BACKLASH, DT, simulator
+
+NAMES = (
+    *("lag", "delay", "rate_dependence", "creep", "drift", "first_flexure", "slack", "stick_slip", "contact"),
+    *("nonlinear_gain", "asymmetry", "trial_shift", "periodic_disturbance", "sensor"),
+)
+SIDES = [(name, side) for name, effect in EFFECTS.items() for side in effect.sides]
+
+
+def test_the_library_is_the_table_of_the_design() -> None:
+    assert tuple(EFFECTS) == NAMES
+    assert {effect.operator for effect in EFFECTS.values()} <= set(OPERATORS)
+    assert set(SHOWN) == set(EFFECTS)
+
+
+@pytest.mark.parametrize("name", [name for name in EFFECTS if name != "sensor"])
+def test_what_is_searched_for_shows_in_the_derivatives(name: str) -> None:
+    """Every free parameter of an effect in action moves the output: a search has something to go by."""
+    effect, scale = EFFECTS[name], Scale((0.0, 6.0), (20.0, 80.0), 60.0, DT)
+    operator = neutral_operator(name, **({"samples": 20} if name == "delay" else {}))
+    best = np.zeros(len(operator.parameters))
+    u = np.concatenate([np.linspace(0, 6, 50), np.full(20, 6.0), np.linspace(6, 1, 60), np.linspace(1, 5, 40)])
+    if effect.sides[0] == "output":
+        u = 20 + 10 * u
+    for values in effect.starts(operator, scale, effect.sides[0]):
+        chain = Chain(operator.with_values(values))
+        x, p, total = chain.rest(0.0, float(u[0]), chain.values), ca.SX.sym("p", best.size), []
+        state = ca.SX(x)
+        for value in u:
+            y, state = chain.transition(state, value, p, DT)
+            total.append(y)
+        moved = ca.Function("d", [p], [ca.jacobian(ca.vertcat(*total), p)])(chain.values)
+        best = np.maximum(best, np.abs(np.asarray(moved)).max(axis=0))
+    searched = effect.search(operator, scale, effect.sides[0])
+    # A second shape parameter shows only where the first is not at its neutral value.
+    assert all(best[k] > 0 for k, p in enumerate(operator.parameters) if p.name in searched)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_plain_data_and_back(name: str) -> None:
+    for k in range(len(SHOWN[name])):
+        placed = effect_from({"effect": name, "parameters": dict(SHOWN[name][k])}, DT)
+        again = effect_from(effect_spec(placed), DT)
+        assert again.operator == placed.operator
+        assert operator_from(operator_spec(placed.operator), "here") == placed.operator
+
+
+def test_a_simulator_file_holds_effects_in_any_number_and_order(tmp_path: Path) -> None:
+    chain = Chain(BACKLASH)
+    for name, side in (*SIDES, *reversed(SIDES)):
+        chain = with_effect(chain, effect_operator(name, SHOWN[name][0], DT), side)  # type: ignore[arg-type]
+    assert len(chain.operators) == 2 * len(SIDES) + 1
+    assert load_simulator(save_simulator(simulator(chain), tmp_path / "sim.yaml")).chain == chain
+
+
+@pytest.mark.parametrize(
+    ("spec", "message", "at"),
+    [
+        ({"effect": "crep"}, "no effect 'crep', available: asymmetry.*did you mean 'creep'", ("effect",)),
+        ({"side": "command"}, "expected a mapping with the key 'effect'", ()),
+        ({"effect": "creep", "parameters": {"share": 0.1, "tau_ms": 1}}, "'tau_s' in s", ("parameters", "tau_ms")),
+        ({"effect": "creep", "parameters": {"tau": 1}}, "'tau_s' in s", ("parameters", "tau")),
+        ({"effect": "creep", "parameters": {"shar": 1}}, "did you mean 'share'", ("parameters", "shar")),
+        ({"effect": "creep", "parameters": {"share": 0.1}}, "tau_s is missing, got share.*in s", ("parameters",)),
+        (
+            {"effect": "slack", "parameters": {"slack": -1}},
+            "is -1 cmd, expected 0 to 1000 cmd",
+            ("parameters", "slack"),
+        ),
+        ({"effect": "contact", "parameters": {"angle": math.nan}}, "is nan deg", ("parameters", "angle")),
+        ({"effect": "contact", "parameters": {"angle": "far"}}, "'far', expected a number", ("parameters", "angle")),
+        ({"effect": "slack", "side": "output"}, "cannot act on the output side, only command: the angle", ("side",)),
+        ({"effect": "sensor", "side": "command"}, "cannot act on the command side, only output", ("side",)),
+        ({"effect": "lag", "side": "core"}, "side 'core', available: command, output", ("side",)),
+        ({"effect": "lag", "parametres": {}}, "unknown key 'parametres'.*did you mean 'parameters'", ("parametres",)),
+        ({"effect": "creep", "terms": 0}, "creep.terms is 0, expected a whole number", ()),
+    ],
+)
+def test_a_wrong_effect_is_one_line_that_says_where(spec: dict[str, object], message: str, at: tuple[str, ...]) -> None:
+    with pytest.raises(EffectError, match=message) as error:
+        effect_from(spec)
+    assert error.value.at == at
+    assert "\n" not in str(error.value)
+
+
+def test_a_chain_refuses_an_effect_on_the_wrong_side() -> None:
+    with pytest.raises(ModelError, match="cannot act on the command side"):
+        with_effect(Chain(BACKLASH), neutral_operator("sensor"), "command")
+
+
+def test_a_scale_without_extent_is_refused() -> None:
+    with pytest.raises(ModelError, match="expected rising ranges"):
+        Scale((0.0, 0.0), (0.0, 1.0), 1.0, 0.1)
+
+
+@given(scale=st.floats(0.01, 100.0), low=st.floats(-50.0, 50.0))
+def test_starts_scale_with_the_device(scale: float, low: float) -> None:
+    """A device in other units is searched in the same places."""
+    effect, unit = EFFECTS["contact"], Scale((0.0, 1.0), (0.0, 1.0), 60.0, DT)
+    other = Scale((0.0, 1.0), (low, low + scale), 60.0, DT)
+    a, b = (effect.search(neutral_operator("contact"), s, "output")["angle"] for s in (unit, other))
+    np.testing.assert_allclose(b.typical, low + scale * np.array(a.typical))
+
+
+def test_the_plain_data_of_the_library_name_units_on_each_side() -> None:
+    data = {entry["name"]: entry for entry in library_data()}
+    assert data["contact"]["parameters"][0]["unit"] == {"output": "deg", "command": "cmd"}
+    assert data["sensor"]["sides"] == ["output"]
+
+
+def test_a_picture_shows_the_plain_device_and_the_effect() -> None:
+    loop, hold = effect_figure("creep").axes
+    plain, changed = (line.get_ydata() for line in hold.lines)
+    assert len(loop.lines) == 2
+    assert np.ptp(plain[150:320]) < 1e-9
+    assert np.ptp(changed[150:320]) > 1.0
+
+
+@pytest.mark.slow
+def test_pictures_and_page_of_every_effect(tmp_path: Path) -> None:
+    page = write_pictures(tmp_path / "effects")
+    assert {file.stem for file in page.parent.glob("*.png")} == set(EFFECTS)
+    text = page.read_text()
+    assert "http://" not in text
+    assert "https://" not in text
+    assert text.count("<svg") == len(EFFECTS)

@@ -1,0 +1,95 @@
+"""The inverse followed along a horizon: compiled as sample by sample, within its limits, right where it can be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hystmpc.models.inverse.companion import AccompaniedPredictor, CompanionInverse
+from hystmpc.models.inverse.follow import Bounds, CompiledFollower, Follower, StepwiseFollower, follower_for
+from hystmpc.models.inverse.one_step import CompiledInverse
+from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.prediction.actuated import ActuatedInverse, ActuatedPredictor
+from hystmpc.models.prediction.compiled import CompiledPredictor
+from hystmpc.models.prediction.lstm import LstmPredictor
+
+from .lstm_examples import ROUTES, facts, make_route, random_weights
+from .zoo import CHAINS, simulator
+
+BOUNDS = Bounds(0.0, 6.0, 0.3)
+CASES = [*CHAINS, *(f"lstm, {route}" for route in ROUTES)]
+
+
+def pair(name: str, lag_s: float) -> tuple[Predictor, Inverse]:
+    if name in CHAINS:
+        chain = CompiledPredictor.of_simulator(simulator(CHAINS[name]))
+        predictor: Predictor = chain
+        inverse: Inverse = CompiledInverse(chain, BOUNDS.low, 4.0)  # searches among less than may be sent
+    else:
+        weights = random_weights(7, 2)
+        network = LstmPredictor(weights, facts(weights), route=make_route(weights, name.removeprefix("lstm, ")))
+        chain = CompiledPredictor.of_simulator(simulator(CHAINS["backlash"]))
+        predictor = both = AccompaniedPredictor(network, chain)
+        inverse = CompanionInverse(both, CompiledInverse(chain, BOUNDS.low, BOUNDS.high))
+    if not lag_s:
+        return predictor, inverse
+    lagged = ActuatedPredictor(predictor, lag_s)
+    return lagged, ActuatedInverse(lagged, inverse)
+
+
+def scenes(predictor: Predictor, follower: Follower, count: int = 12) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    """States, wanted angles and last commands along a jagged motion."""
+    rng, u, found = np.random.default_rng(4), 1.0, []
+    state = predictor.initial(40.0, u)
+    for k in range(count):
+        wanted = 55.0 + 20.0 * np.sin(0.3 * (k + np.arange(9))) + rng.normal(0, 2.0 * (k % 3), 9)
+        found.append((state, wanted, u))
+        u = float(follower.follow(state, wanted, u, BOUNDS)[1, 0])
+        _, state = predictor.advance(state, u)
+    return found
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.08])
+@pytest.mark.parametrize("name", CASES)
+def test_compiled_is_sample_by_sample(name: str, lag_s: float) -> None:
+    predictor, inverse = pair(name, lag_s)
+    fast, slow = follower_for(predictor, inverse), StepwiseFollower(predictor, inverse)
+    assert isinstance(fast, CompiledFollower)
+    # the plain route's products round otherwise for one row than for many; the search ends within 1e-11 of an angle
+    atol = 1e-5 if "plain" in name else 1e-8
+    for state, wanted, u in scenes(predictor, slow):
+        kept = state.copy(), wanted.copy()
+        found = fast.follow(state, wanted, u, BOUNDS)
+        np.testing.assert_allclose(found, slow.follow(state, wanted, u, BOUNDS), rtol=0, atol=atol)
+        np.testing.assert_array_equal(state, kept[0])
+        np.testing.assert_array_equal(wanted, kept[1])
+        np.testing.assert_array_equal(found, fast.follow(state, wanted, u, BOUNDS))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_limits_hold_whatever_is_wanted(name: str) -> None:
+    predictor, inverse = pair(name, 0.0)
+    follower, rng = follower_for(predictor, inverse), np.random.default_rng(0)
+    for u in (0.0, 2.5, 6.0):
+        free, limited = follower.follow(predictor.initial(40.0, u), rng.normal(50, 200, 15), u, BOUNDS)
+        for plan in (free, limited):
+            assert np.all((plan >= BOUNDS.low) & (plan <= BOUNDS.high))
+        assert np.max(np.abs(np.diff(limited, prepend=u))) <= BOUNDS.reach * (1 + 1e-12)
+
+
+def test_forward_after_the_free_plan_is_the_identity() -> None:
+    predictor, inverse = pair("backlash", 0.0)
+    state = predictor.initial(45.0, 1.5)
+    wanted = np.array([46.0, 50.0, 58.0, 58.0, 57.0, 49.0])
+    free, limited = follower_for(predictor, inverse).follow(state, wanted, 1.5, BOUNDS._replace(reach=6.0))
+    np.testing.assert_allclose(predictor.rollout(state, free[None])[0], wanted, atol=1e-9)
+    np.testing.assert_array_equal(free, limited)
+
+
+@pytest.mark.parametrize("name", ["backlash", "lstm, plain"])
+def test_a_state_that_is_no_number_holds(name: str) -> None:
+    predictor, inverse = pair(name, 0.0)
+    state = predictor.initial(40.0, 1.0)
+    state[0] = np.nan
+    plans = follower_for(predictor, inverse).follow(state, np.full(5, 60.0), 1.25, BOUNDS)
+    np.testing.assert_array_equal(plans, np.full((2, 5), 1.25))
