@@ -1,0 +1,173 @@
+"""`hystmpc diagnose`: where a simulator departs from recorded trials, why, how far it can be mended, what to record."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hystmpc.models.contract.load import OnnxModel, load_onnx
+from hystmpc.models.simulator import Simulator, load_simulator
+from hystmpc.trials.csv_ import read_trials
+from hystmpc.trials.errors import ConfigError, LogError, ModelError
+from hystmpc.trials.trial import Trial
+
+from .console import Bar, bar, errors, out, table
+from .options import Layout
+
+if TYPE_CHECKING:
+    from hystmpc.gap.diagnosis import Diagnosis
+
+FAILED = 1
+_READABLE = (".yaml", ".yml")
+
+
+def diagnose(
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="LOG...", help="Trials of one device in recording order, or folders of *.csv."),
+    ] = None,
+    sim: Annotated[
+        Path | None, typer.Option("--sim", help="Simulator: .yaml of `fit`, or an exported .onnx model.")
+    ] = None,
+    folder: Annotated[
+        Path | None, typer.Option("--out", help="Folder to write: new, empty, or an older diagnosis.")
+    ] = None,
+    preset: Layout = "auto",
+    as_json: Annotated[bool, typer.Option("--json", help="Print diagnosis.json and nothing else.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")] = 1,
+    without: Annotated[
+        list[str] | None, typer.Option("--without", help="Leave this effect out of the library; repeatable.")
+    ] = None,
+    self_test: Annotated[
+        bool, typer.Option("--self-test", help="Recover known truths instead of reading logs.")
+    ] = False,
+) -> None:
+    """Diagnose the gap between a simulator and its device; exit code 0 whatever the verdict."""
+    if self_test:
+        _self_test(seed)
+        return
+    files, sim, folder = _complete(logs, sim, folder)
+    diagnosis = _diagnosed(files, sim, folder, preset, seed, tuple(without or ()))
+    if as_json:
+        from hystmpc.gap.report.folder import diagnosis_json
+
+        sys.stdout.write(diagnosis_json(diagnosis))
+        return
+    print_diagnosis(diagnosis)
+    out.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
+
+
+def _diagnosed(
+    files: Sequence[Path], sim: Path, folder: Path, preset: str, seed: int, without: tuple[str, ...]
+) -> Diagnosis:
+    """Diagnose and write the folder; what is unusable is refused before the long part."""
+    from hystmpc.gap.report.folder import require_free, save_diagnosis
+
+    require_free(folder)
+    simulator = _simulator(sim)
+    trials = _recorded(files, preset)
+    from hystmpc.gap.procedure import run_diagnosis  # compiles: kept out of the way of refusals
+
+    with bar("diagnose") as show:
+        diagnosis, evidence = run_diagnosis(trials, simulator, seed=seed, without=without, progress=_progress(show))
+        show(100, "writing the report", total=100)
+        settings = {
+            "logs": [str(file) for file in files],
+            "sim": str(sim),
+            "preset": preset,
+            "seed": seed,
+            "without": list(without),
+        }
+        save_diagnosis(replace(evidence, simulator=sim.name), folder, settings, models=(sim,))
+    return diagnosis
+
+
+def print_diagnosis(diagnosis: Diagnosis) -> None:
+    """The verdict in words, then the sizes of the gap, the effects and what to record next."""
+    from hystmpc.gap.report.look import plain
+    from hystmpc.gap.report.words import headline, how_far, percent
+
+    for line in (headline(diagnosis), diagnosis.reason, how_far(diagnosis)):
+        out.print(line, markup=False, highlight=False)
+    if diagnosis.ranking:
+        found = {effect.name: effect for effect in diagnosis.effects}
+        rows = []
+        for name, probability in diagnosis.ranking[:6]:
+            effect = found.get(name)
+            shares = ("", "", "")
+            if effect is not None:
+                low, high = effect.closed_ci90
+                values = ", ".join(f"{key} {value:.3g}" for key, value in effect.parameters.items())
+                shares = (percent(effect.closed_share), f"{percent(low)} to {percent(high)}", values)
+            rows.append([plain(name), percent(probability), *shares])
+        out.print(table("effects", ("effect", "probability", "closes", "90 % interval", "parameters"), rows))
+    if (motion := diagnosis.next_motion) is not None:
+        names = ", ".join(plain(name) for name in motion.separates)
+        out.print(
+            f"next: record {motion.file} ({motion.duration_s:.0f} s) to tell apart {names}: "
+            f"{percent(motion.expected_probability)} expected",
+            markup=False,
+            highlight=False,
+        )
+
+
+def _complete(logs: list[Path] | None, sim: Path | None, folder: Path | None) -> tuple[list[Path], Path, Path]:
+    """All three, or one line that says what lacks."""
+    if not logs or sim is None or folder is None:
+        given = {"LOG...": logs, "--sim": sim, "--out": folder}
+        gone = [name for name, value in given.items() if not value]
+        raise ConfigError(f"diagnose: lacks {', '.join(gone)}, expected LOG... --sim SIM --out DIR, or --self-test")
+    return logs, sim, folder
+
+
+def _simulator(path: Path) -> Simulator | OnnxModel:
+    """A simulator as a chain of operators, a network as the model that it is."""
+    suffix = path.suffix.lower()
+    if suffix in _READABLE:
+        return load_simulator(path)
+    if suffix == ".onnx":
+        return load_onnx(path)
+    raise ModelError(f"--sim {path}: ending {suffix or 'missing'}, expected a .yaml simulator or an .onnx model")
+
+
+def _recorded(files: Sequence[Path], layout: str) -> list[Trial]:
+    """Trials as recorded; a motion that was proposed but not yet recorded is told from a log."""
+    from hystmpc.gap.next_motion import PLANNED
+
+    trials = read_trials(files, layout)
+    for trial in trials:
+        if PLANNED in trial.channels:
+            raise LogError(f"{trial.source}: is a motion proposed by a diagnosis, expected what was recorded on it")
+    return trials
+
+
+def _progress(show: Bar) -> Callable[..., None]:
+    return lambda done, total, note="": show(done, note, total=total)
+
+
+def _self_test(seed: int) -> None:
+    """Print what became of each known truth; exit code 1 where one was missed."""
+    from hystmpc.gap.self_test import self_test
+
+    with bar("self-test") as show:
+        rows = [_fields(row) for row in self_test(seed, _progress(show))]
+    columns = list(rows[0]) if rows else []
+    out.print(table("self-test", columns, [[_text(value) for value in row.values()] for row in rows]))
+    if any(row.get("passed") is False for row in rows):
+        errors.print("self-test: not every truth was recovered", style="red")
+        raise typer.Exit(FAILED)
+
+
+def _fields(row: Any) -> Mapping[str, Any]:
+    return row if isinstance(row, Mapping) else asdict(row)
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,120 @@
+"""`hystmpc gap blind make|run|score|record`: the blind check of the diagnosis."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .console import bar, errors, out, table
+
+INTERRUPTED = 130
+
+gap = typer.Typer(no_args_is_help=True, help="The sim-to-real diagnosis put to the test.")
+blind = typer.Typer(no_args_is_help=True, help="Sealed cases with known causes: make, run, score.")
+gap.add_typer(blind, name="blind")
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of `hystmpc gap blind make`.")]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Processes, one thread each; else one a core.")]
+
+
+@gap.callback()
+def _group() -> None:
+    """The sim-to-real diagnosis put to the test."""
+
+
+@blind.command()
+def make(
+    folder: Annotated[Path, typer.Option("--out", help="Folder to make; new or empty.")],
+    seed: Annotated[int, typer.Option(min=0, help="Of everything; one never used in development.")],
+    cases: Annotated[int, typer.Option(min=1, help="How many.")] = 60,
+    suite: Annotated[
+        str, typer.Option(help="all, single, none, misset, pairs, contaminated, unknown, without, controls, injection.")
+    ] = "all",
+    logs: Annotated[
+        list[Path] | None, typer.Option(help="Real logs of one device or a folder of them, for injection; repeatable.")
+    ] = None,
+    jobs: Jobs = None,
+) -> None:
+    """Write cases without labels, and their answers in one sealed file."""
+    from hystmpc.gap.blind.make import make_blind  # kept out of the way of the other verbs' start
+
+    with bar("make cases", cases) as show:
+        manifest = make_blind(folder, seed, cases, suite, logs or [], jobs or _cores(), lambda done, _: show(done))
+    out.print(f"{len(manifest.cases)} cases in {folder / 'cases'}; answers sealed, sha256 {manifest.answers_sha256}")
+
+
+@blind.command()
+def run(
+    folder: Folder,
+    jobs: Jobs = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the diagnoses.")] = 0,
+    follow_up: Annotated[
+        bool, typer.Option("--follow-up", help="Record the proposed motions too, and diagnose again with them.")
+    ] = False,
+    without_truth: Annotated[
+        bool, typer.Option("--without-truth", help="Leave out the oracle, which is told the true classes.")
+    ] = False,
+) -> None:
+    """Diagnose every case that is not diagnosed yet; Ctrl-C keeps what is done."""
+    from hystmpc.gap.blind.run import run_blind
+
+    try:
+        with bar("diagnose") as show:
+            failed = run_blind(
+                folder,
+                jobs or _cores(),
+                seed,
+                follow_up,
+                not without_truth,
+                lambda done, total, note: show(done, note, total=total),
+            )
+    except KeyboardInterrupt:
+        errors.print(f"interrupted: finished diagnoses are kept in {folder}, the same command goes on", style="yellow")
+        raise typer.Exit(INTERRUPTED) from None
+    if failed:
+        errors.print(f"{failed} diagnoses failed, see failure.txt beside them; the same command tries again")
+    out.print(f"diagnoses: {folder / 'diagnoses'}")
+
+
+@blind.command()
+def score(
+    folder: Folder,
+    partial: Annotated[bool, typer.Option("--partial", help="Score what is diagnosed so far.")] = False,
+) -> None:
+    """Open the answers and score the diagnoses: score.json and report.html."""
+    from hystmpc.gap.blind.report import BAR_COLUMNS, bar_row, write_report
+    from hystmpc.gap.blind.score import miss_json, score_blind
+
+    found = score_blind(folder, partial)
+    rows = [[str(cell) for cell in bar_row(item)] for item in found.bars]
+    out.print(table(f"blind check, {len(found.cases)} cases", BAR_COLUMNS, rows))
+    for name in ("suite", "gap in floors", "recording plan"):
+        groups = [[key, f"{r.value:.2f}", str(r.cases)] for key, r in found.groups[name].items()]
+        out.print(table("right verdicts", (name, "right", "cases"), groups))
+    misses = [miss_json(case) for case in found.misses()]
+    lines = [
+        [m["case"], m["suite"], m["truth"], m["verdict"], ", ".join(m["said"]) or "-", f"{m['ratio']:.1f}", m["plan"]]
+        for m in misses
+    ]
+    columns = ("case", "suite", "truth", "verdict", "said", "floors", "plan")
+    out.print(table(f"wrong verdicts: {len(misses)} of {len(found.cases)}", columns, lines))
+    out.print(f"report: {write_report(found, folder)}")
+
+
+@blind.command()
+def record(
+    folder: Folder,
+    case: Annotated[str, typer.Argument(help="Name of the case's folder, such as 007.")],
+    motion: Annotated[Path, typer.Argument(help="CSV with time_s and command, such as next_motion.csv.")],
+) -> None:
+    """Run a further motion on the device of a case and write its log."""
+    from hystmpc.gap.blind.record import record_motion
+
+    out.print(f"recorded: {record_motion(folder, case, motion)}")
+
+
+def _cores() -> int:
+    return os.cpu_count() or 1

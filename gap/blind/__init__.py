@@ -1,0 +1,1 @@
+"""The blind check of the diagnosis: sealed cases, their diagnosis, their score."""

@@ -1,0 +1,58 @@
+"""Recording a further motion on the device of a case: what follows when a diagnosis asks for one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hystmpc.trials.csv_ import read_trials, write_csv
+from hystmpc.trials.errors import ConfigError, LogError, did_you_mean
+from hystmpc.trials.table import read_lines, read_table
+
+from .cores import TRAVEL_MM
+from .scene import RATE_HZ
+from .sealed import open_answers
+
+
+def record_motion(folder: Path, case: str, motion: Path) -> Path:
+    """Run a motion on a case's simulated device and write the log; neither log nor message tells the answer.
+
+    Args:
+        folder: of the blind check.
+        case: its folder's name.
+        motion: CSV with columns `time_s` and `command`.
+
+    Returns:
+        The log, in `follow_up/CASE`, numbered on from the trials that the case has.
+
+    Raises:
+        ConfigError: on an unknown case, one of real logs, or a command beyond the device's travel.
+        LogError: if the motion or the answers cannot be read.
+    """
+    answers = open_answers(folder)
+    if case not in answers:
+        raise ConfigError(f"{folder}: no case {case!r}, {did_you_mean(case, answers)}")
+    if not answers[case].device or answers[case].suite == "controls":
+        raise ConfigError(f"{folder}: case {case} has no device that could move again")
+    before = len(read_trials([folder / "cases" / case]))
+    command = _command(motion)
+    (trial,) = answers[case].blind_device().record([command], first_trial=before)
+    return write_csv(trial, folder / "follow_up" / case / f"trial_{before + 1:02d}.csv")
+
+
+def _command(path: Path) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    columns = ("time_s", "command")
+    table = read_table(read_lines(path), str(path))
+    missing = [name for name in columns if name not in table.numbers]
+    if missing:
+        raise LogError(f"{path}: missing columns {', '.join(missing)}, expected time_s, command")
+    t, command = (np.asarray(table.numbers[name], dtype=np.float64) for name in columns)
+    if t.size < 2 or not (np.isfinite(t).all() and np.isfinite(command).all() and np.all(np.diff(t) > 0)):
+        raise LogError(f"{path}: expected two or more finite samples with increasing time")
+    if command.min() < -1e-6 or command.max() > TRAVEL_MM + 1e-6:
+        raise ConfigError(
+            f"{path}: command {command.min():.4g} to {command.max():.4g} mm, expected within 0 to {TRAVEL_MM:g}"
+        )
+    grid = np.arange(round((t[-1] - t[0]) * RATE_HZ) + 1) / RATE_HZ
+    return np.clip(np.interp(grid, t - t[0], command), 0.0, TRAVEL_MM)

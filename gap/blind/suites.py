@@ -1,0 +1,107 @@
+"""Suites of the blind check: which case comes at which place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystmpc.trials.errors import ConfigError, did_you_mean
+from hystmpc.trials.trial import Trial
+
+from .answer import Suite
+from .bench import set_up
+from .build import Wish, affected_case
+from .case import Case
+from .catalogue import LABELS, UNKNOWN
+from .controls import CONTROLS, control_case
+from .foreign_effects import FOREIGN_EFFECTS
+from .injection import injection_case
+
+SUITES: tuple[Suite, ...] = (
+    "single",
+    "none",
+    "misset",
+    "pairs",
+    "contaminated",
+    "unknown",
+    "without",
+    "controls",
+    "injection",
+)
+RATIOS = (1.5, 3.0, 6.0, 12.0)
+_CODES = {name: k for k, name in enumerate(SUITES)}
+# Places of a suite in a round of `all`; injection joins where logs are given.
+_ONCE: tuple[Suite, ...] = ("none", "misset", "pairs", "contaminated", "unknown", "without", "controls")
+_AGAIN: tuple[Suite, ...] = ("pairs", "contaminated", "unknown", "without", "controls")
+_SINGLES: tuple[Suite, ...] = ("single", "single", "single", "single")
+_ROUND: tuple[Suite, ...] = (*_SINGLES, *_ONCE, *_SINGLES, *_AGAIN)
+_INJECTIONS: tuple[Suite, ...] = ("injection", "injection")
+_CONTAMINANT = 0.35
+
+
+def places(suite: str, cases: int, with_logs: bool = False) -> list[tuple[Suite, int]]:
+    """Suite of every case and its number within that suite.
+
+    Raises:
+        ConfigError: on an unknown suite.
+    """
+    if suite not in (*SUITES, "all"):
+        raise ConfigError(f"no suite {suite!r}, {did_you_mean(suite, (*SUITES, 'all'))}")
+    whole = (*_ROUND, *(_INJECTIONS if with_logs else ()))
+    wheel = whole if suite == "all" else tuple(name for name in SUITES if name == suite)
+    counts: dict[str, int] = {}
+    found = []
+    for k in range(cases):
+        name = wheel[k % len(wheel)]
+        found.append((name, counts.get(name, 0)))
+        counts[name] = counts.get(name, 0) + 1
+    return found
+
+
+def make_case(seed: int, suite: Suite, number: int, logs: Sequence[Trial] = ()) -> Case:
+    """Case `number` of a suite; equal arguments give equal cases.
+
+    Raises:
+        ConfigError: if an injection is asked for without logs.
+        FitError: if no simulator can be identified.
+    """
+    key = (seed, _CODES[suite], number)
+    if suite == "injection":
+        return injection_case(logs, number, np.random.default_rng(key))
+    if suite == "controls":
+        return control_case(set_up(key), CONTROLS[number % len(CONTROLS)])
+    if suite in ("none", "misset"):
+        return affected_case(set_up(key, 0.0 if suite == "none" else 1.5), suite, ())
+    if suite == "without":
+        return _without(key, number)
+    if suite in ("pairs", "contaminated"):
+        return _together(key, suite)
+    label = UNKNOWN if suite == "unknown" else LABELS[number % len(LABELS)]
+    # Shifted by one every round through the labels, so that every label meets every size.
+    rounds = number // (len(FOREIGN_EFFECTS) if suite == "unknown" else len(LABELS))
+    ratio = RATIOS[(number + rounds) % len(RATIOS)]
+    pick = number if suite == "unknown" else number // len(LABELS)
+    return affected_case(set_up(key), suite, [Wish(label, ratio, pick=pick)])
+
+
+def _without(key: tuple[int, int, int], number: int) -> Case:
+    """A library without the true class, and every second time, as a decoy, without another one."""
+    bench = set_up(key, plan="rich")
+    true, other = bench.random.choice(LABELS, 2, replace=False)
+    decoy = number % 2 == 1
+    ratio = float(bench.random.choice(RATIOS[1:]))
+    gone, variant = (str(other), "decoy") if decoy else (str(true), "")
+    return affected_case(bench, "without", [Wish(str(true), ratio)], (gone,), variant)
+
+
+def _together(key: tuple[int, int, int], suite: Suite) -> Case:
+    """Two causes of like size, or one with two contaminants of a third of its size."""
+    bench = set_up(key, plan="rich")
+    labels = [str(x) for x in bench.random.choice(LABELS, 3, replace=False)]
+    ratio = float(bench.random.choice(RATIOS[1:]))
+    if suite == "pairs":
+        second = ratio * float(bench.random.uniform(0.6, 1.0))
+        return affected_case(bench, suite, [Wish(labels[0], ratio), Wish(labels[1], second)])
+    wishes = [Wish(labels[0], ratio), *(Wish(name, _CONTAMINANT * ratio, main=False) for name in labels[1:])]
+    return affected_case(bench, suite, wishes)

@@ -1,0 +1,147 @@
+"""What a diagnosis says: verdict, effects, ambiguity, gap, places; and its fixed JSON form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+FORMAT = "hystmpc-diagnosis/1"
+Verdict = Literal["named", "one_of", "unknown", "none", "too_little"]
+FloorKind = Literal["repeats", "noise"]
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """One effect that the diagnosis put into the simulator.
+
+    Attributes:
+        name: its public name.
+        probability: calibrated probability that this effect is there.
+        inclusion: share of block resamples in which it was chosen.
+        closed_share: share of the structural gap that it closes on the final trials (its Shapley value).
+        closed_ci90: 90 % interval of that share, block bootstrap over the final trials.
+        rmse_before_deg, rmse_after_deg: on the final trials, the other effects present, without and with it [deg].
+        parameters: identified values by name.
+    """
+
+    name: str
+    probability: float
+    inclusion: float
+    closed_share: float
+    closed_ci90: Interval
+    rmse_before_deg: float
+    rmse_after_deg: float
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Gap:
+    """How large the gap is, and how far it shrinks.
+
+    closed_share = (MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor), on trials that nothing was chosen on.
+
+    Attributes:
+        nominal_rmse_deg, retuned_rmse_deg, with_effects_rmse_deg: on the final trials [deg].
+        floor_rmse_deg: what no simulator can go below [deg].
+        floor_kind: from repeats of a motion, or from the upper band of the residual (then a lower bound: every share
+            is relative).
+        closed_share, unexplained_share: of the structural gap; they add up to one.
+        closed_ci90: 90 % interval of the closed share.
+        final_trials: names of the trials.
+    """
+
+    nominal_rmse_deg: float
+    retuned_rmse_deg: float
+    with_effects_rmse_deg: float
+    floor_rmse_deg: float
+    floor_kind: FloorKind
+    closed_share: float
+    unexplained_share: float
+    closed_ci90: Interval
+    final_trials: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Share of the retuned gap in one part of the motion.
+
+    Attributes:
+        share: of the residual's energy.
+        density: that share over the share of time spent there; one is average.
+        ci90: 90 % interval of the share, block bootstrap.
+    """
+
+    share: float
+    density: float
+    ci90: Interval
+
+
+@dataclass(frozen=True)
+class NextMotion:
+    """What to record next.
+
+    Attributes:
+        file: name of the motion's file beside the diagnosis.
+        separates: effects that it tells apart.
+        expected_probability: probability that it names the right one of them.
+        duration_s: of the motion [s].
+    """
+
+    file: str
+    separates: tuple[str, ...]
+    expected_probability: float
+    duration_s: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Where the gap lies, which effects cause it, how far it shrinks, and what to record next.
+
+    Attributes:
+        verdict: named | one_of (see `ambiguity`) | unknown | none | too_little.
+        reason: the verdict in one sentence.
+        effects: chosen effects, largest share first.
+        ambiguity: sets of effects that these trials cannot tell apart.
+        ranking: every effect with its probability, most likely first.
+        gap: sizes.
+        retuned: baseline quantities, each (nominal, retuned).
+        where: places by name.
+        notes: what was checked and what the trials cannot show, a sentence each.
+        next_motion: what to record next; None where nothing is open.
+    """
+
+    verdict: Verdict
+    reason: str
+    effects: tuple[FoundEffect, ...]
+    ambiguity: tuple[tuple[str, ...], ...]
+    ranking: tuple[tuple[str, float], ...]
+    gap: Gap
+    retuned: Mapping[str, tuple[float, float]]
+    where: Mapping[str, Place]
+    notes: tuple[str, ...] = ()
+    next_motion: NextMotion | None = None
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """The fixed form `hystmpc-diagnosis/1`: plain dicts, lists, numbers and strings."""
+        return {
+            "format": FORMAT,
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "effects": [{**_plain(effect), "parameters": dict(effect.parameters)} for effect in self.effects],
+            "ambiguity": [list(names) for names in self.ambiguity],
+            "ranking": [[name, probability] for name, probability in self.ranking],
+            "gap": _plain(self.gap),
+            "retuned": {name: list(values) for name, values in self.retuned.items()},
+            "where": {name: _plain(place) for name, place in self.where.items()},
+            "notes": list(self.notes),
+            "next_motion": _plain(self.next_motion) if self.next_motion else None,
+            **self.extra,
+        }
+
+
+def _plain(record: Any) -> dict[str, Any]:
+    values = {name: getattr(record, name) for name in record.__dataclass_fields__}
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}

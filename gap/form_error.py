@@ -1,0 +1,45 @@
+"""What the nominal simulator left unexplained on its own device: what does not exceed it is no news."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystmpc.models.fit.trial_set import fingerprint
+from hystmpc.models.simulator import Identification
+from hystmpc.trials.trial import Trial
+
+
+def form_error_mse(identification: Identification, trials: Sequence[Trial], motions: Sequence[str]) -> float:
+    """Mean square error that model form alone explains [deg^2], zero where the simulator's file does not say.
+
+    The residuals that a simulator's file stores come from a device without the gap, if they come from other trials.
+    Where it was identified on one of these very trials, known by their fingerprints, they hold the gap itself and say
+    nothing.
+
+    Args:
+        identification: of the simulator.
+        trials: to be diagnosed, as recorded.
+        motions: motion type of each.
+    """
+    stored = identification.residuals
+    known = {r.fingerprint for r in stored if r.fingerprint}
+    if not stored or identification.training_data_hash == fingerprint(trials):
+        return 0.0
+    if any(fingerprint([trial]) in known for trial in trials):
+        return 0.0
+    held = ["holds" if motion in ("holds", "steps", "point_to_point", "ramps") else "continuous" for motion in motions]
+    everything = [r.rmse_deg**2 for r in stored]
+    own = [[r.rmse_deg**2 for r in stored if r.motion == kind] or everything for kind in held]
+    return float(np.mean([np.mean(values) for values in own]))
+
+
+def nominal_noise_deg(identification: Identification) -> float | None:
+    """White noise of the sensor when the simulator was identified [deg], from above; None where its file does not say.
+
+    A residual with lag-one correlation c has at most the share 1 - c of its energy in white noise.
+    """
+    if not identification.residuals:
+        return None
+    return float(np.median([r.rmse_deg * np.sqrt(max(1 - r.lag_one, 0.0)) for r in identification.residuals]))

@@ -1,0 +1,230 @@
+"""What to record next: the safe motion on which the candidates that are left differ most."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
+
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.table import format_table
+
+from .diagnosis import NextMotion
+from .motion_menu import Motion
+
+Vec = NDArray[np.float64]
+Simulate = Callable[[Vec, float], Vec]
+
+MOTION_FILE = "next_motion.csv"
+PLANNED = "separation_deg"  # a column that no recording has: a plan taken for a log is recognised by it
+_EQUAL_FACTOR, _EQUAL_ERRORS = 1.5, 0.005  # odds are equal while errors stay below this much more of the best's
+_SHIFT, _SCALE = 0.01, 0.01  # of the command's range, and of the command
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One explanation that the logs leave open, as a fitted simulator.
+
+    Attributes:
+        name: public name of the effect.
+        simulate: command (T,) [mm or bar] and sample time [s] to angle (T,) [deg], from rest.
+        retunings: the same simulator with one of its own parameters a little changed, each; what these differences
+            can absorb does not count as separation. Without any, its angle one sample later stands in for them.
+    """
+
+    name: str
+    simulate: Simulate
+    retunings: Sequence[Simulate] = ()
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What a separation counts against: (1 - white) AR(1) + white noise, and the form error of the effects.
+
+    Noise averages out over a motion; the form error, by which a device differs from the equation of its class, does
+    not. It bounds the odds by the share of an effect that another cannot absorb.
+
+    Attributes:
+        rmse_deg: standard deviation of the noise [deg].
+        ar: correlation of its slow part from one sample to the next.
+        white: share of its variance that has no memory.
+        form_error: of an effect's contribution, along any one direction.
+
+    Raises:
+        FitError: if the deviation is not positive, or a share out of its bounds.
+    """
+
+    rmse_deg: float
+    ar: float = 0.95
+    white: float = 0.3
+    form_error: float = 0.15
+
+    def __post_init__(self) -> None:
+        shares = 0 <= self.ar < 1 and 0 <= self.white <= 1 and 0 <= self.form_error <= 1
+        if not (np.isfinite(self.rmse_deg) and self.rmse_deg > 0 and shares):
+            raise FitError(f"noise: got {self}, expected rmse_deg > 0, ar in [0, 1), other shares in [0, 1]")
+
+    def whiten(self, signals: Vec) -> Vec:
+        """Signals (..., T) in units of the noise: each frequency over the root of the noise's spectrum."""
+        samples = signals.shape[-1]
+        unit = np.exp(-2j * np.pi * np.fft.rfftfreq(samples))
+        spectrum = (1 - self.white) * (1 - self.ar**2) / np.abs(1 - self.ar * unit) ** 2 + self.white
+        whitened = np.fft.rfft(signals) / (self.rmse_deg * np.sqrt(spectrum))
+        return np.asarray(np.fft.irfft(whitened, samples))
+
+
+@dataclass(frozen=True, eq=False)
+class Option:
+    """One motion of the menu with what it promises.
+
+    Attributes:
+        motion: the motion.
+        probability: expected probability of naming the right candidate.
+        angles: what every candidate makes of it [deg], (K, T).
+        separation: where they differ after retuning: greatest over the pairs at each sample [deg], (T,).
+    """
+
+    motion: Motion
+    probability: float
+    angles: Vec
+    separation: Vec
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """The motion to record next.
+
+    Attributes:
+        names: candidates that it is to tell apart.
+        chosen: the best of the options.
+        options: every motion that could be simulated, in the order of the menu.
+    """
+
+    names: tuple[str, ...]
+    chosen: Option
+    options: tuple[Option, ...] = field(repr=False)
+
+    def summary(self, file: str = MOTION_FILE) -> NextMotion:
+        """The proposal as a diagnosis states it."""
+        motion = self.chosen.motion
+        return NextMotion(file, self.names, self.chosen.probability, motion.duration_s)
+
+
+def propose(
+    candidates: Sequence[Contender], motions: Sequence[Motion], noise: Noise, baseline: Simulate | None = None
+) -> Proposal:
+    """Choose the motion that most probably names the right candidate; at about equal odds the shortest.
+
+    With candidate i true and j retuned to it, the part r_ij that is left (in units of the noise, whitened) favours i
+    with probability P_ij = Phi(d_ij / 2), the hit rate for two known signals in Gaussian noise, with
+    d_ij = |r_ij| / sqrt(1 + form_error^2 |e_ij|^2) and e_ij the larger of the two effects' contributions. Pairs are
+    combined by P_i = 1 / (sum_{j != i} 1 / P_ij - (K - 2)) (Price, Knerr, Personnaz, Dreyfus, NIPS 1994); all
+    candidates are equally likely. Retuning is linear least squares on offset, gain, command shift, command scale and
+    the candidate's own parameters.
+
+    Args:
+        candidates: two or more.
+        motions: see `motion_menu.menu`.
+        noise: of the device and form error of the effects.
+        baseline: the simulator without any of the effects; contributions are counted from it, else from the other
+            candidate.
+
+    Raises:
+        FitError: if there are fewer than two candidates, no motions, or no motion on which all give finite angles.
+    """
+    if len(candidates) < 2 or not motions:
+        raise FitError(f"next motion: got {len(candidates)} candidates and {len(motions)} motions, expected 2 and 1")
+    options = tuple(option for motion in motions if (option := _option(candidates, motion, noise, baseline)))
+    if not options:
+        raise FitError(f"next motion: none of {len(motions)} motions gives finite angles with all candidates")
+    fewest = min(1 - option.probability for option in options)
+    close = [option for option in options if 1 - option.probability <= _EQUAL_FACTOR * fewest + _EQUAL_ERRORS]
+    chosen = min(close, key=lambda option: (option.motion.duration_s, -option.probability))
+    return Proposal(tuple(candidate.name for candidate in candidates), chosen, options)
+
+
+def expected_probability(distances: ArrayLike) -> float:
+    """Mean probability of the right candidate from distances (K, K) in units of the noise; the diagonal is left out.
+
+    Identical candidates give 1 / K; it grows with every distance.
+    """
+    d = np.asarray(distances, dtype=np.float64)
+    inverse = 1 / ndtr(d / 2)
+    np.fill_diagonal(inverse, 0.0)
+    return float(np.mean(1 / (inverse.sum(axis=1) - (d.shape[0] - 2))))
+
+
+def separations(candidates: Sequence[Contender], command: Vec, dt: float) -> tuple[Vec, list[Vec]]:
+    """Angles (K, T) of the candidates, and for each the directions (P, T) that its retuning can take [deg]."""
+    angles = np.array([candidate.simulate(command, dt) for candidate in candidates])
+    directions = [_directions(c, angle, command, dt) for c, angle in zip(candidates, angles, strict=True)]
+    return angles, directions
+
+
+def write_motion(path: Path | str, proposal: Proposal, command_unit: str = "mm") -> Path:
+    """Write the motion in canonical columns.
+
+    `time_s`, `command` (`command_bar` for a pressure), `angle_deg`: the angle to expect, mean of the candidates, with
+    which the file also serves as a sampled reference; `separation_deg`: how far the candidates lie apart there.
+    """
+    chosen = proposal.chosen
+    columns = {
+        "time_s": np.round(chosen.motion.t, 9),
+        "command_bar" if command_unit == "bar" else "command": chosen.motion.command,
+        "angle_deg": chosen.angles.mean(axis=0),
+        PLANNED: chosen.separation,
+    }
+    return write_atomically(path, format_table(columns))
+
+
+def _option(candidates: Sequence[Contender], motion: Motion, noise: Noise, baseline: Simulate | None) -> Option | None:
+    """What one motion promises; None where a simulator does not give finite angles on it."""
+    angles, directions = separations(candidates, motion.command, motion.dt)
+    base = None if baseline is None else np.asarray(baseline(motion.command, motion.dt))
+    if not all(np.isfinite(part).all() for part in (angles, *directions, *([] if base is None else [base]))):
+        return None
+    count, separation = len(candidates), np.zeros(motion.t.size)
+    distances = np.zeros((count, count))
+    for j, basis in enumerate(directions):
+        others = [i for i in range(count) if i != j]
+        left = _left(angles[others] - angles[j], basis, noise)
+        effects = _length(angles[others] - (angles[j] if base is None else base), noise)
+        if base is not None:
+            effects = np.maximum(effects, _length(angles[j] - base, noise))
+        distances[others, j] = _length(left, noise) / np.sqrt(1 + (noise.form_error * effects) ** 2)
+        separation = np.maximum(separation, np.abs(left).max(axis=0))
+    return Option(motion, expected_probability(distances), angles, separation)
+
+
+def _length(signals: Vec, noise: Noise) -> Vec:
+    """Length of each signal (..., T) in units of the noise, its mean left out."""
+    return np.asarray(np.linalg.norm(noise.whiten(signals - signals.mean(axis=-1, keepdims=True)), axis=-1))
+
+
+def _directions(candidate: Contender, angle: Vec, command: Vec, dt: float) -> Vec:
+    """Changes of the angle [deg] that the candidate's retuning can make, one a row."""
+    low, span = float(command.min()), float(np.ptp(command))
+    shifted = np.maximum(command - _SHIFT * span, low)
+    scaled = low + (1 - _SCALE) * (command - low)
+    changed = [candidate.simulate(shifted, dt), candidate.simulate(scaled, dt)]
+    own = [simulate(command, dt) for simulate in candidate.retunings]
+    if not candidate.retunings:
+        own = [np.concatenate((angle[:1], angle[:-1]))]
+    return np.array([np.ones_like(angle), angle, *(np.asarray(other) - angle for other in (*changed, *own))])
+
+
+def _left(targets: Vec, basis: Vec, noise: Noise) -> Vec:
+    """What of `targets` (N, T) no sum of the basis (P, T) explains, by least squares in units of the noise."""
+    weighted = noise.whiten(basis)
+    norms = np.linalg.norm(weighted, axis=1)
+    moves = norms > 1e-9
+    if not moves.any():
+        return targets
+    scaled = weighted[moves].T / norms[moves]
+    weights = np.linalg.lstsq(scaled, noise.whiten(targets).T, rcond=1e-9)[0]
+    return targets - weights.T @ (basis[moves] / norms[moves, None])

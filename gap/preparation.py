@@ -1,0 +1,107 @@
+"""Trials and simulator made ready: checked, repaired, split, the nominal simulator run and given its freedom."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hystmpc.models.contract.load import OnnxModel
+from hystmpc.models.contract.metadata import Range
+from hystmpc.models.fit.operators import OperatorFitSettings, fit_chain
+from hystmpc.models.fit.starts import prandtl_ishlinskii_starts
+from hystmpc.models.prediction.build import predictor_for
+from hystmpc.models.simulator import Identification, Simulator
+from hystmpc.trials.trial import Trial
+
+from .baseline import Baseline, ScaledBaseline, baseline_of
+from .check import Checked, check_trials
+from .form_error import form_error_mse, nominal_noise_deg
+from .problem import Problem
+from .recording import Run, runs_of
+from .sensor import SensorSigns, repaired, sensor_signs
+from .split import split_runs
+
+Vec = NDArray[np.float64]
+_STAND_IN_PLAYS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What the selection works on.
+
+    Attributes:
+        checked: trials at one rate, and what their commands excite.
+        signs: of the sensor.
+        baseline: the nominal simulator and what retuning may change.
+        development, final: runs to choose on, and runs that are opened once.
+        everything: all runs in recording order, every sample counted.
+        raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
+        form_mse: what model form alone explains [deg^2].
+    """
+
+    checked: Checked
+    signs: SensorSigns
+    baseline: Baseline
+    development: tuple[Run, ...]
+    final: tuple[Run, ...]
+    everything: tuple[Run, ...]
+    raw: tuple[Vec, ...]
+    form_mse: float
+
+
+def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel) -> Prepared:
+    """Check, resample, repair, split.
+
+    Raises:
+        GapError: on unusable trials, see `check_trials`.
+        ModelError: if the simulator is an inverse map.
+    """
+    chain_based = isinstance(simulator, Simulator)
+    checked = check_trials(trials, simulator if isinstance(simulator, Simulator) else simulator.metadata)
+    identification = simulator.identification if isinstance(simulator, Simulator) else Identification(method="network")
+    signs = sensor_signs(checked.recorded, nominal_noise_deg(identification))
+    mended = [repaired(trial, signs) for trial in checked.trials]
+    command = Range(
+        lower=min(float(t.command.min()) for t in mended), upper=max(float(t.command.max()) for t in mended)
+    )
+    if chain_based:
+        assert isinstance(simulator, Simulator)
+        baseline, corrections = baseline_of(simulator.chain, command), None
+    else:
+        assert isinstance(simulator, OnnxModel)
+        baseline, corrections = _stand_in(simulator, mended, command)
+    runs = runs_of(mended, corrections)
+    motions = checked.excitation.motions
+    development, final = split_runs(runs, motions)
+    return Prepared(
+        checked,
+        signs,
+        baseline,
+        development,
+        final,
+        runs,
+        tuple(trial.angle for trial in checked.trials),
+        form_error_mse(identification, trials, motions),
+    )
+
+
+def _stand_in(model: OnnxModel, trials: Sequence[Trial], command: Range) -> tuple[Baseline, list[Vec]]:
+    """Plays that stand for a network on these commands, and what the network says beyond them.
+
+    Effects change the network's angle by what they change the plays': exact without effects, first order with them.
+    """
+    predictor = predictor_for(model)
+    said = []
+    for trial in trials:
+        state = predictor.initial(float(trial.angle[0]), float(trial.command[0]))
+        said.append(predictor.rollout(state, trial.command[None])[0])
+    copies = [Trial(t.t, t.command, y, units=t.units, source=t.source) for t, y in zip(trials, said, strict=True)]
+    settings = OperatorFitSettings(restarts=0, evaluations=60, tolerance=1e-6)
+    chain = fit_chain(prandtl_ishlinskii_starts(copies, _STAND_IN_PLAYS), copies, settings, fixed=("beta",)).chain
+    baseline = ScaledBaseline(chain, command)
+    problem = Problem(baseline)
+    start = problem.start(baseline.nominal, [])
+    return baseline, [y - problem.angles(start, run) for y, run in zip(said, runs_of(trials), strict=True)]

@@ -1,0 +1,210 @@
+"""The diagnosis: check, split, retune, where, which, how far, verdict, next."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hystmpc.models.contract.load import OnnxModel
+from hystmpc.models.simulator import Simulator
+from hystmpc.trials.errors import GapError, did_you_mean
+from hystmpc.trials.trial import Trial
+
+from .candidates import Scale, candidates
+from .diagnosis import Diagnosis, FoundEffect
+from .evidence_of import evidence_of
+from .floor import Floor, find_floor
+from .how_far import HowFar, measure
+from .hypothesis import Court, Hypothesis
+from .next_step import next_step
+from .preparation import Prepared, prepare
+from .probability import margins, probability, ranking
+from .reason import reason_for
+from .report.evidence import Evidence
+from .select import Selection, SelectionSettings, select
+from .verdict import Ruling, VerdictSettings, rule
+from .where import Localisation, localise
+
+Vec = NDArray[np.float64]
+Progress = Callable[..., None]
+
+LIBRARY = (
+    *("lag", "delay", "rate_dependence", "creep", "drift", "first_flexure", "slack", "stick_slip", "contact"),
+    *("nonlinear_gain", "asymmetry", "trial_shift", "periodic_disturbance", "sensor"),
+)
+_STEPS = 100  # of the progress
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """Frozen thresholds of the diagnosis.
+
+    Attributes:
+        selection: of the causes.
+        verdict: of the verdict.
+    """
+
+    selection: SelectionSettings = field(default_factory=SelectionSettings)
+    verdict: VerdictSettings = field(default_factory=VerdictSettings)
+
+
+DEFAULT_SETTINGS = DiagnosisSettings()
+
+
+def diagnose(
+    trials: Sequence[Trial],
+    simulator: Simulator | OnnxModel,
+    *,
+    seed: int = 0,
+    without: Sequence[str] = (),
+    only: Sequence[str] | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Say where a simulator departs from its device, which effects cause it and how far they close the gap.
+
+    Args:
+        trials: of one device, in recording order.
+        simulator: a chain of operators or an exported model.
+        seed: of every resampling.
+        without: effects left out of the library.
+        only: the library itself, where it is to be another than all effects.
+        progress: called with steps done, steps in all and what is done.
+
+    Raises:
+        GapError: on unusable trials (`check_trials`), or an unknown effect.
+        ModelError: if the simulator is an inverse map.
+    """
+    return run_diagnosis(trials, simulator, seed=seed, without=without, only=only, progress=progress)[0]
+
+
+def run_diagnosis(
+    trials: Sequence[Trial],
+    simulator: Simulator | OnnxModel,
+    *,
+    seed: int = 0,
+    without: Sequence[str] = (),
+    only: Sequence[str] | None = None,
+    progress: Progress | None = None,
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
+) -> tuple[Diagnosis, Evidence]:
+    """The diagnosis with everything that its report shows; see `diagnose`."""
+    left_out = _left_out(without, only)
+    told = progress or (lambda done, total, note="": None)
+    started = time.perf_counter()
+    told(0, _STEPS, "checking the trials")
+    prepared = prepare(trials, simulator)
+    court = Court(prepared.baseline, prepared.development)
+    retuned = court.retuned()
+    floor_mse = selection_floor(prepared, retuned)
+    selection = select(
+        court,
+        candidates(Scale.of(prepared.development), prepared.baseline.effects, left_out),
+        settings.selection,
+        floor_mse,
+        left_out,
+        lambda share, what: told(5 + int(80 * share), _STEPS, what),
+    )
+    ruling = rule(selection, floor_mse, settings.verdict, seed)
+    told(88, _STEPS, "measuring the gap on the final trials")
+    chosen = court.polished(selection.chosen.hypothesis) if ruling.verdict in ("named", "one_of") else retuned
+    floor = _floor(prepared, chosen)
+    far = measure(prepared, court, retuned, chosen, floor, "sensor" not in left_out, seed)
+    told(94, _STEPS, "where and what next")
+    places = _places(prepared, retuned, seed)
+    diagnosis, proposal = _diagnosis(prepared, selection, ruling, far, floor, floor_mse, places, left_out)
+    evidence = evidence_of(
+        prepared,
+        selection,
+        retuned,
+        chosen,
+        diagnosis,
+        places,
+        proposal,
+        simulator,
+        seed,
+        time.perf_counter() - started,
+    )
+    told(_STEPS, _STEPS, diagnosis.verdict)
+    return diagnosis, evidence
+
+
+def selection_floor(prepared: Prepared, retuned: Hypothesis) -> float:
+    """What is no news [deg^2]: white noise, or the simulator's own form error."""
+    errors = [retuned.problem.angles(retuned.q, run) - run.angle for run in prepared.everything]
+    noise = find_floor(prepared.checked.trials, errors, prepared.checked.dt, repeats=()).noise_deg
+    return max(noise**2, prepared.form_mse)
+
+
+def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, ...]:
+    for name in (*without, *(only or ())):
+        if name not in LIBRARY:
+            raise GapError(f"no effect {name!r} in the library, {did_you_mean(name, LIBRARY)}")
+    kept = LIBRARY if only is None else tuple(only)
+    return tuple(name for name in LIBRARY if name in without or name not in kept)
+
+
+def _floor(prepared: Prepared, chosen: Hypothesis) -> Floor:
+    errors = [run.angle - chosen.problem.angles(chosen.q, run) for run in prepared.everything]
+    return find_floor(prepared.checked.trials, errors, prepared.checked.dt, prepared.checked.excitation.repeats)
+
+
+def _places(prepared: Prepared, retuned: Hypothesis, seed: int) -> Localisation | None:
+    errors = [run.angle - retuned.problem.angles(retuned.q, run) for run in prepared.everything]
+    if not any(np.any(error) for error in errors):
+        return None
+    z = retuned.problem.retuned(retuned.q)
+    width = max(prepared.baseline.quantities(z)["backlash_width"], 0.0)
+    return localise(prepared.checked.trials, errors, width, seed)
+
+
+def _diagnosis(
+    prepared: Prepared,
+    selection: Selection,
+    ruling: Ruling,
+    far: HowFar,
+    floor: Floor,
+    floor_mse: float,
+    places: Localisation | None,
+    left_out: Sequence[str],
+) -> tuple[Diagnosis, object]:
+    margin = margins(selection, floor_mse)
+    names = tuple(far.shares)
+    sure = {
+        name: probability(ruling.inclusion.get(name, 1.0), margin.get(name, 1.0), far.gap.closed_share)
+        for name in names
+    }
+    effects = tuple(
+        FoundEffect(
+            name=name,
+            probability=sure[name],
+            inclusion=ruling.inclusion.get(name, 1.0),
+            closed_share=far.shares[name],
+            closed_ci90=far.intervals[name],
+            rmse_before_deg=far.before_deg[name],
+            rmse_after_deg=far.gap.with_effects_rmse_deg,
+            parameters=far.parameters[name],
+        )
+        for name in sorted(names, key=lambda n: -far.shares[n])
+    )
+    verdict = "named" if ruling.verdict == "none" and "sensor" in names else ruling.verdict
+    z = far.retuned.problem.retuned(far.retuned.q)
+    nominal, retuned = prepared.baseline.quantities(prepared.baseline.nominal), prepared.baseline.quantities(z)
+    proposal, motion = next_step(prepared, selection, ruling, floor)
+    library = [name for name in LIBRARY if name not in left_out]
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        reason=reason_for(verdict, effects, ruling, far.gap),
+        effects=effects,
+        ambiguity=ruling.ambiguity,
+        ranking=ranking(sure, ruling.inclusion, library),
+        gap=far.gap,
+        retuned={name: (nominal[name], retuned[name]) for name in nominal},
+        where=dict(places.places) if places else {},
+        notes=prepared.checked.notes,
+        next_motion=motion,
+    )
+    return diagnosis, proposal

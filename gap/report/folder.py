@@ -1,0 +1,135 @@
+"""The folder of a diagnosis: `diagnosis.json`, report, corrected simulator, next motion, and the files of every run."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystmpc.models.simulator import save_simulator
+from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.run_folder import RunFolder
+
+from ..diagnosis import FORMAT, Diagnosis
+from ..next_motion import MOTION_FILE, write_motion
+from .evidence import STAGES, Evidence
+from .page import write_report
+
+DIAGNOSIS_FILE, FIXED_FILE = "diagnosis.json", "sim.fixed.yaml"
+_SOMETIMES = (FIXED_FILE, MOTION_FILE, "log.mcap")
+_GAP_S = 1.0  # between trials in one log
+
+
+def require_free(folder: Path | str) -> None:
+    """Refuse a folder that a diagnosis may not write to: nothing but an older diagnosis is ever overwritten.
+
+    Raises:
+        ConfigError: if it is a file, or holds anything but a diagnosis.
+    """
+    path = Path(folder)
+    if path.exists() and not path.is_dir():
+        raise ConfigError(f"{path}: is a file, expected a folder")
+    if not path.is_dir() or not any(path.iterdir()):
+        return
+    try:
+        RunFolder.open(path)
+        found = json.loads((path / DIAGNOSIS_FILE).read_text(encoding="utf-8")).get("format")
+    except (LogError, OSError, ValueError, AttributeError):
+        found = None
+    if found != FORMAT:
+        raise ConfigError(f"{path}: is not empty and holds no diagnosis, expected a new, empty or diagnosis folder")
+
+
+def save_diagnosis(
+    evidence: Evidence,
+    folder: Path | str,
+    settings: Mapping[str, Any],
+    *,
+    models: Iterable[Path | str] = (),
+) -> Path:
+    """Write everything that a diagnosis leaves; files appear whole, an older diagnosis in the folder is replaced.
+
+    Args:
+        evidence: the diagnosis and what is behind it.
+        folder: new, empty, or that of an older diagnosis.
+        settings: how it was called, resolved.
+        models: model files that it used; their SHA-256 is kept.
+
+    Raises:
+        ConfigError: if the folder is taken by something else or cannot be written.
+    """
+    require_free(folder)
+    target = Path(folder)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part"))
+    except OSError as error:
+        raise ConfigError(f"{target}: cannot be written ({error.strerror}), expected a writable folder") from None
+    try:
+        _write(evidence, RunFolder.create(made, settings, seed=evidence.seed, models=models))
+        names = sorted(path.name for path in made.iterdir())
+        for name in names:
+            os.replace(made / name, target / name)
+        for name in set(_SOMETIMES) - set(names):
+            (target / name).unlink(missing_ok=True)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+    return target
+
+
+def diagnosis_json(diagnosis: Diagnosis) -> str:
+    """The text of `diagnosis.json`; what is not a finite number is null."""
+    return json.dumps(_plain(diagnosis.as_json()), indent=2, allow_nan=False) + "\n"
+
+
+def _write(evidence: Evidence, run: RunFolder) -> None:
+    write_atomically(run.path / DIAGNOSIS_FILE, diagnosis_json(evidence.diagnosis))
+    run.write_log(_log(evidence))
+    if evidence.fixed is not None:
+        save_simulator(evidence.fixed, run.path / FIXED_FILE)
+    if evidence.proposal is not None:
+        write_motion(run.path / MOTION_FILE, evidence.proposal, evidence.command_unit)
+    for name, content in evidence.files.items():
+        write_atomically(run.path / name, content)
+    write_report(evidence, run.path)
+
+
+def _log(evidence: Evidence) -> dict[str, Any]:
+    """All trials one after the other, with what the simulators made of them."""
+    starts, at = [], 0.0
+    for trial in evidence.trials:
+        starts.append(at - trial.trial.t[0])
+        at += trial.trial.duration_s + _GAP_S
+    trials = evidence.trials
+    joined = {
+        "time_s": [trial.trial.t + start for trial, start in zip(trials, starts, strict=True)],
+        "command_bar" if evidence.command_unit == "bar" else "command": [trial.trial.command for trial in trials],
+        "angle_deg": [trial.trial.angle for trial in trials],
+        **{f"{stage}_deg": [getattr(trial, stage) for trial in trials] for stage in STAGES},
+    }
+    texts = {
+        "trial": [trial.name for trial in trials for _ in range(len(trial.trial))],
+        "role": [trial.role for trial in trials for _ in range(len(trial.trial))],
+    }
+    return {name: np.concatenate(parts) for name, parts in joined.items()} | texts
+
+
+def _plain(value: Any) -> Any:
+    """Only what JSON knows: numbers of NumPy as plain ones, tuples as lists, not-a-number and infinity as null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    return None if isinstance(value, float) and not math.isfinite(value) else value

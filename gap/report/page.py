@@ -1,0 +1,173 @@
+"""The report of a diagnosis: verdict and how far, which effect, where, what next; then the tables behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report, Table
+
+from ..next_motion import MOTION_FILE
+from .evidence import Evidence
+from .far_figure import MOST_ROWS, far_figure
+from .heat_figure import heat_figure
+from .look import plain, shown, worst_first
+from .next_figure import next_figure
+from .overlay_figures import loop_figure, time_figure
+from .place_figures import bins_figure, memory_figure, share_figure, spectrum_figure
+from .tables import (
+    candidates_table,
+    check_pieces,
+    confusable_table,
+    effects_table,
+    made_by,
+    parameters_table,
+    retuned_table,
+    trials_table,
+)
+from .which_figure import which_figure
+from .words import choices, floor_words, headline, how_far, percent, what_next
+
+MOST_HEAT, MOST_LOOPS, MOST_TIMES = 6, 6, 3
+
+
+def write_report(evidence: Evidence, folder: Path | str) -> Path:
+    """Write `report.html` into a folder: one page, whole or not at all, that opens offline."""
+    return diagnosis_report(evidence).save(Path(folder) / "report.html")
+
+
+def diagnosis_report(evidence: Evidence) -> Report:
+    """The page of a diagnosis, whatever its verdict."""
+    pieces = (*_verdict(evidence), *_which(evidence), *_where(evidence), *_next(evidence), *_behind(evidence))
+    subtitle = f"simulator {evidence.simulator}, {len(evidence.trials)} logs"
+    return Report("Sim-to-real gap", pieces, subtitle)
+
+
+def _verdict(evidence: Evidence) -> Iterator[Piece]:
+    diagnosis = evidence.diagnosis
+    yield Heading(headline(diagnosis))
+    yield Paragraph(diagnosis.reason)
+    yield Paragraph(how_far(diagnosis))
+    left_out = len(evidence.final) - MOST_ROWS
+    yield Plot(
+        far_figure(evidence),
+        f"RMSE on the {evidence.measured_on}, with 90 % intervals over blocks of 2 s. "
+        + floor_words(diagnosis.gap)
+        + (f" {left_out} further {evidence.measured_on} are in the table below." if left_out > 0 else ""),
+    )
+
+
+def _which(evidence: Evidence) -> Iterator[Piece]:
+    diagnosis = evidence.diagnosis
+    yield Heading("Which effect")
+    if diagnosis.ranking or diagnosis.effects:
+        yield Plot(
+            which_figure(evidence),
+            "Left: calibrated probability. Middle: held-out gain of each effect alone, with two standard errors. "
+            "Right: share of the structural gap that each chosen effect closes on the final trials, with its 90 % "
+            "interval; letters mark sets that these trials cannot tell apart.",
+        )
+    else:
+        yield Paragraph("No effect was weighed.")
+    for letter, words in zip("ABCDEFGHIJ", choices(diagnosis), strict=False):
+        yield Paragraph(
+            f"Set {letter}: {words}. With these trials each explains the gap as well as the others within its "
+            "uncertainty; the data do not say which."
+        )
+    if diagnosis.effects:
+        yield effects_table(evidence)
+
+
+def _where(evidence: Evidence) -> Iterator[Piece]:
+    unit, final, after = evidence.command_unit, evidence.final, evidence.stages[1:]
+    yield Heading("Where the gap lies")
+    heat = shown(evidence.trials, MOST_HEAT)
+    rest = len(evidence.trials) - len(heat)
+    more = f" Drawn are the final trials and the worst others; {rest} more are in the table below." if rest else ""
+    yield Plot(heat_figure(heat, unit, after), f"Above: command. Below: size of the residual along the motion.{more}")
+    if evidence.diagnosis.where:
+        yield Plot(
+            share_figure(evidence.diagnosis.where),
+            "Share of the retuned residual's energy in each part of the motion. Where the bar passes the share of time "
+            "the gap is dense. The parts exclude each other; after reversal: within one loop width of the last turn.",
+        )
+    of = evidence.measured_on
+    yield Plot(loop_figure(shown(final, MOST_LOOPS), unit, after), f"Tip angle over command, real and simulated: {of}.")
+    worst = worst_first(final)[:MOST_TIMES]
+    yield Plot(time_figure(worst, after), f"Tip angle and residual over time: the {of} with the largest gap.")
+    bins = bins_figure(final, after)
+    if bins is not None:
+        yield Plot(bins, "RMSE by command, angle and speed of the command; grey: share of time, of the whole height.")
+    yield from _memory_and_spectrum(evidence)
+    if evidence.ceiling_share is not None:
+        yield Paragraph(
+            f"A flexible model of no particular cause explains {percent(evidence.ceiling_share)} of the structural gap "
+            "on trials left out: about what any effect can reach."
+        )
+
+
+def _memory_and_spectrum(evidence: Evidence) -> Iterator[Piece]:
+    found = evidence.localisation
+    lines = () if found is None else found.spectrum.lines
+    caption = f"Residual over frequency, {evidence.measured_on}; at the noise nothing is left to explain."
+    if found is not None:
+        caption += f" Linear in the command: {percent(found.spectrum.coherent)} of the retuned residual's energy."
+    if lines:
+        at = ", ".join(f"{line.hz:.2f} Hz ({percent(line.share)} of the energy)" for line in lines)
+        caption += f" Lines that the command does not have: {at}."
+    yield Plot(spectrum_figure(evidence.final, evidence.stages[1:], evidence.noise_deg, lines), caption)
+    if found is not None and found.memory:
+        text = "What each memory of the command predicts of the residual. It proposes a cause and decides nothing."
+        yield Plot(memory_figure(found.memory), text)
+
+
+def _next(evidence: Evidence) -> Iterator[Piece]:
+    yield Heading("What to record next")
+    proposal = evidence.proposal
+    if proposal is None:
+        yield Paragraph("Nothing is open that a motion of the safe menu would settle.")
+        return
+    yield Paragraph(what_next(proposal))
+    yield Plot(
+        next_figure(proposal, evidence.command_unit),
+        f"{MOTION_FILE}: command within limits and rate limit, from rest to rest at the lowest command. Middle: what "
+        "each candidate expects. Below: what stays apart when each is retuned to the other.",
+    )
+    rows = [
+        (plain(option.motion.name), option.motion.duration_s, option.probability, option.motion.purpose)
+        for option in sorted(proposal.options, key=lambda option: -option.probability)
+    ]
+    yield Table(("motion", "duration [s]", "expected probability", "what it shows"), rows, "The whole menu.")
+
+
+def _behind(evidence: Evidence) -> Iterator[Piece]:
+    yield Heading("Tables")
+    yield trials_table(evidence)
+    if evidence.diagnosis.retuned:
+        yield retuned_table(evidence)
+    if evidence.parameters:
+        yield parameters_table(evidence)
+    if evidence.candidates:
+        yield candidates_table(evidence)
+    yield Heading("Checks and notes")
+    yield from check_pieces(evidence)
+    yield Heading("What these trials cannot show")
+    if evidence.confusable:
+        yield confusable_table(evidence)
+    for sentence in evidence.cannot_show:
+        yield Paragraph(sentence)
+    if not evidence.confusable and not evidence.cannot_show:
+        yield Paragraph("Nothing was found that these motions leave hidden.")
+    yield Heading("How it was made")
+    yield made_by(evidence, _versions())
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for package in ("hystmpc", "numpy", "scipy"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found

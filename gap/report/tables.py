@@ -1,0 +1,146 @@
+"""Tables of a diagnosis: candidates, trials, parameters, confusable pairs, checks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from hystmpc.trials.html import KeyValues, Paragraph, Piece, Table
+
+from .evidence import STAGES, CandidateRow, Evidence, TrialEvidence
+from .look import LABEL, plain
+from .words import percent
+
+_SIDES = {"command": "command side", "output": "output side", "sensor": "sensor", "trial": "trial to trial"}
+
+
+def effects_table(evidence: Evidence) -> Table:
+    """The chosen effects with what each closes."""
+    rows = [
+        (
+            plain(effect.name),
+            effect.probability,
+            effect.inclusion,
+            effect.closed_share,
+            _interval(effect.closed_ci90),
+            effect.rmse_before_deg,
+            effect.rmse_after_deg,
+        )
+        for effect in evidence.diagnosis.effects
+    ]
+    columns = ("effect", "probability", "inclusion", "closed share", "90 % interval", "without [deg]", "with [deg]")
+    caption = (
+        "Inclusion: share of resamples of the data in which the effect was chosen. Without, with: RMSE on the final "
+        "trials, the other chosen effects present."
+    )
+    return Table(columns, rows, caption)
+
+
+def candidates_table(evidence: Evidence) -> Table:
+    """Every effect of the library, added alone."""
+    columns = ("effect", "acts on", "RMSE [deg]", "gain [deg]", "standard error [deg]", "probability", "")
+    return Table(
+        columns,
+        [_candidate(row) for row in evidence.candidates],
+        "Each effect alone with the baseline refitted, on the trials to select by; gain: retuned RMSE less this one.",
+    )
+
+
+def trials_table(evidence: Evidence) -> Table:
+    """RMSE of every trial; final ones first."""
+    rows = sorted(evidence.trials, key=lambda trial: trial.role != "final")
+    columns = ("trial", "motion", "used to", "s", *(f"{LABEL[stage]} [deg]" for stage in STAGES), "floor [deg]")
+    return Table(columns, [_trial(row) for row in rows], "RMSE of simulated less measured angle.")
+
+
+def confusable_table(evidence: Evidence) -> Table:
+    """What these motions can hardly tell apart; what they cannot comes first."""
+    rows = [
+        (
+            ", ".join(plain(name) for name in row.effects),
+            "one class" if row.one_class else "yes" if row.separable else "no",
+            "nothing: equal by algebra" if row.one_class else row.separated_by,
+            row.found,
+            percent(row.alike_in_sine),
+            percent(row.alike_in_hold),
+        )
+        for row in sorted(evidence.confusable, key=lambda row: row.separable)
+    ]
+    columns = ("effects", "told apart by these logs", "by", "found in these logs", "alike in a sine", "ramp and hold")
+    caption = (
+        "Judged from the commands alone, before any effect was looked for. Alike: share of one effect's gap that the "
+        "other reproduces on a single 0.2 Hz sine, and on a ramp with a hold of 8 s."
+    )
+    return Table(columns, rows, caption)
+
+
+def parameters_table(evidence: Evidence) -> Table:
+    """Identified values and whether the logs determine them."""
+    rows = []
+    for row in evidence.parameters:
+        remarks = [
+            text for flag, text in ((row.at_bound, "at a bound"), (row.flat, "not determined by these logs")) if flag
+        ]
+        neutral = "" if row.neutral is None else row.neutral
+        rows.append((plain(row.owner), row.name, row.value, _interval(row.ci90), neutral, ", ".join(remarks)))
+    columns = ("of", "parameter", "value", "90 % interval", "no effect at", "remark")
+    return Table(columns, rows, "Parameters of the corrected simulator; names carry the unit.")
+
+
+def retuned_table(evidence: Evidence) -> Table:
+    """Baseline quantities before and after the refit."""
+    rows = [
+        (plain(name), given, found, "" if given == 0 else f"{100 * (found / given - 1):+.1f} %")
+        for name, (given, found) in evidence.diagnosis.retuned.items()
+    ]
+    return Table(("quantity", "as given", "retuned", "change"), rows, "Retuning of the simulator: not an effect.")
+
+
+def check_pieces(evidence: Evidence) -> Iterator[Piece]:
+    """What the commands of the logs do, and the notes."""
+    found, unit = evidence.excitation, evidence.command_unit
+    if found is not None:
+        speeds = ", ".join(f"{speed:.3g}" for speed in found.ramp_speeds)
+        rows = {
+            "motions": ", ".join(dict.fromkeys(plain(motion) for motion in found.motions)),
+            "pairs of repeats": len(found.repeats),
+            "opening motion repeated": "yes" if found.opening_repeated else "no",
+            "longest hold": f"{found.longest_hold_s:.1f} s",
+            "fastest command": f"{found.fastest:.3g} {unit}/s",
+            "constant speeds": f"{speeds} {unit}/s" if speeds else "none",
+            "fast steps": found.steps,
+            "small moves above 1.5 Hz": found.fast_small,
+            "time near the lowest command": f"{found.low_s:.1f} s in {found.low_visits} visits",
+            "levels of turning near the top": found.top_levels,
+        }
+        yield KeyValues(rows)
+    for note in evidence.diagnosis.notes:
+        yield Paragraph(note)
+    if found is None and not evidence.diagnosis.notes:
+        yield Paragraph("The checks found nothing to remark.")
+
+
+def made_by(evidence: Evidence, versions: dict[str, str]) -> KeyValues:
+    """How the diagnosis was made: simulator, seed, time, versions."""
+    roles = [trial.role for trial in evidence.trials]
+    split = ", ".join(f"{roles.count(role)} {role}" for role in dict.fromkeys(roles))
+    rows: dict[str, object] = {"simulator": evidence.simulator, "trials": f"{len(roles)} ({split})"}
+    rows["seed"] = evidence.seed
+    if evidence.seconds:
+        parts = ", ".join(f"{plain(name)} {seconds:.1f}" for name, seconds in evidence.seconds.items())
+        rows["time [s]"] = f"{sum(evidence.seconds.values()):.1f} ({parts})"
+    return KeyValues(rows | dict(versions))
+
+
+def _candidate(row: CandidateRow) -> tuple[object, ...]:
+    numbers = (row.rmse_deg, row.gain_deg, row.standard_error_deg, row.probability)
+    return plain(row.name), _SIDES[row.side], *numbers, "chosen" if row.chosen else ""
+
+
+def _trial(row: TrialEvidence) -> tuple[object, ...]:
+    sizes = [row.rmse(stage) for stage in STAGES]
+    return row.name, plain(row.motion), row.role, round(row.trial.duration_s, 1), *sizes, row.floor_deg
+
+
+def _interval(ends: tuple[float, float]) -> str:
+    return f"{ends[0]:.3g} to {ends[1]:.3g}" if all(map(math.isfinite, ends)) else "unknown"

@@ -1,0 +1,85 @@
+"""A diagnosis in words: the headline, the sentence on how far, the sentence on what next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ..diagnosis import Diagnosis, Gap
+from ..next_motion import Proposal
+from .look import plain
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """The verdict in a few words."""
+    names = listed([plain(effect.name) for effect in diagnosis.effects], "and")
+    if diagnosis.verdict == "named":
+        return f"Named: {names or 'no effect'}"
+    if diagnosis.verdict == "one_of":
+        return f"Not told apart: {'; '.join(choices(diagnosis)) or names}"
+    return {
+        "unknown": "Unknown: a gap that no effect of the library explains",
+        "none": "No structural gap: retuning is enough",
+        "too_little": "Too little: these logs do not allow a diagnosis",
+    }[diagnosis.verdict]
+
+
+def choices(diagnosis: Diagnosis) -> list[str]:
+    """Every set of effects that these trials cannot tell apart, as `lag or delay`."""
+    return [listed([plain(name) for name in names], "or") for names in diagnosis.ambiguity]
+
+
+def how_far(diagnosis: Diagnosis) -> str:
+    """Sizes of the gap, before and after, against the floor; without final trials on all of them."""
+    gap, chosen = diagnosis.gap, bool(diagnosis.effects)
+    count = len(gap.final_trials)
+    trials = f"{count} trial{'' if count == 1 else 's'} that nothing was chosen on" if count else "all trials together"
+    sizes = [f"{_deg(gap.nominal_rmse_deg)} with the simulator as given", f"{_deg(gap.retuned_rmse_deg)} retuned"]
+    sizes += [f"{_deg(gap.with_effects_rmse_deg)} with effects"] if chosen else []
+    text = f"On {trials}, the RMSE is {listed(sizes, 'and')}; the floor is {_deg(gap.floor_rmse_deg)}."
+    if not (chosen and math.isfinite(gap.closed_share)):
+        return text
+    low, high = gap.closed_ci90
+    interval = f" (90 % interval {percent(low)} to {percent(high)})" if math.isfinite(low + high) else ""
+    if gap.closed_share <= 0:
+        return f"{text} On these trials the effects close nothing: {percent(gap.closed_share)}{interval}."
+    return (
+        f"{text} The effects close {percent(gap.closed_share)}{interval} of what retuning leaves above the floor; "
+        f"{percent(gap.unexplained_share)} stays unexplained."
+    )
+
+
+def floor_words(gap: Gap) -> str:
+    """What the floor comes from and what follows for the shares."""
+    if gap.floor_kind == "repeats":
+        return "The floor comes from repeats of a motion: what differs between them no simulator can follow."
+    return (
+        "No motion was repeated: the floor is the noise in the upper band of the residual, a lower bound, and every "
+        "share is relative to it."
+    )
+
+
+def what_next(proposal: Proposal) -> str:
+    """The motion to record and why."""
+    chosen = proposal.chosen
+    names = listed([plain(name) for name in proposal.names], "from")
+    return (
+        f"To tell {names}, record {plain(chosen.motion.name)} ({chosen.motion.duration_s:.0f} s): "
+        f"{chosen.motion.purpose}. Expected probability of naming the right one: {percent(chosen.probability)}."
+    )
+
+
+def listed(words: Sequence[str], joint: str) -> str:
+    """Words with commas, and a word before the last."""
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} {joint} {words[-1]}"
+
+
+def percent(share: float) -> str:
+    """A share as a whole percentage."""
+    return f"{100 * share:.0f} %" if math.isfinite(share) else "an unknown share"
+
+
+def _deg(value: float) -> str:
+    return f"{value:.3g} deg" if math.isfinite(value) else "unknown"

@@ -1,0 +1,225 @@
+"""Which causes: forward addition, backward drop and swaps, all by joint fits and held-out free-run errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .candidates import Candidate
+from .hypothesis import Court, Hypothesis, Judged, gain
+from .trial_terms import TrialTerms, strongest_line
+
+Vec = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+OWN_TO_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial anew: has to recur
+
+
+@dataclass(frozen=True)
+class SelectionSettings:
+    """Thresholds of the selection; chosen on development cases and frozen.
+
+    Attributes:
+        most: greatest number of causes.
+        standard_errors: by which the held-out error has to fall for a cause to be added.
+        least_share: of the structural error that remains, by which it has to fall.
+        shift_share: the same for `trial_shift`, which mops up any single bad trial.
+        gap_share, form_share: least fall by the whole structural error, and by the floor.
+        recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
+        judged: candidates of a round that are judged on held-out trials; the others only by their fit.
+        lowest_hz, highest_hz: where a periodic disturbance is looked for.
+    """
+
+    most: int = 4
+    standard_errors: float = 2.0
+    least_share: float = 0.12
+    shift_share: float = 0.25
+    gap_share: float = 0.04
+    form_share: float = 0.1
+    recurs: float = 0.25
+    judged: int = 5
+    lowest_hz: float = 0.15
+    highest_hz: float = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """What was chosen, and what it was chosen from.
+
+    Attributes:
+        baseline: retuned alone.
+        chosen: baseline with the chosen causes; the baseline itself if there are none.
+        tried: everything that was judged, by the names of its causes; the best variant of each.
+    """
+
+    baseline: Judged
+    chosen: Judged
+    tried: dict[frozenset[str], Judged]
+
+
+class Selector:
+    """One selection over a court; see `select`."""
+
+    def __init__(
+        self,
+        court: Court,
+        candidates: Sequence[Candidate],
+        settings: SelectionSettings,
+        floor_mse: float,
+        without: Sequence[str],
+        progress: Progress,
+    ) -> None:
+        self._court, self._candidates, self._settings = court, candidates, settings
+        self._floor, self._without, self._progress = floor_mse, without, progress
+        self._baseline_mse = 0.0
+        self.tried: dict[frozenset[str], Judged] = {}
+
+    def run(self) -> Selection:
+        """Add, drop, swap."""
+        current = baseline = self._judge(self._court.retuned())
+        self._baseline_mse = baseline.mse
+        while len(current.hypothesis.effects) < self._settings.most:
+            added = self._best_addition(current)
+            if added is None:
+                break
+            current = self._dropped(added)
+        if current is not baseline:
+            current = self._swapped(current, baseline)
+        return Selection(baseline, current, self.tried)
+
+    def _judge(self, hypothesis: Hypothesis) -> Judged:
+        judged = self._court.judge(hypothesis)
+        known = self.tried.get(hypothesis.effects)
+        if known is None or judged.mse < known.mse:
+            self.tried[hypothesis.effects] = judged
+        return judged
+
+    def _best_addition(self, current: Judged) -> Judged | None:
+        found = self._additions(current.hypothesis)
+        best: Judged | None = None
+        for hypothesis in found:
+            judged = self._judge(hypothesis)
+            if self._worth_adding(current, judged) and (best is None or judged.mse < best.mse):
+                best = judged
+        return best
+
+    def _worth_adding(self, before: Judged, after: Judged) -> bool:
+        fall, error = gain(before, after)
+        new = after.hypothesis.effects - before.hypothesis.effects
+        share = self._settings.shift_share if "trial_shift" in new else self._settings.least_share
+        useful = before.mse - max(after.mse, self._floor)
+        least = max(
+            share * (before.mse - self._floor),
+            self._settings.gap_share * (self._baseline_mse - self._floor),
+            self._settings.form_share * self._floor,
+        )
+        if new & OWN_TO_TRIALS and not _recurs(before, after, self._settings.recurs):
+            return False
+        return fall > self._settings.standard_errors * error and useful > least
+
+    def _additions(self, base: Hypothesis) -> list[Hypothesis]:
+        """The best variant of every effect that is not there yet, the most promising first."""
+        z = base.problem.retuned(base.q)
+        there = [list(values.values()) for values in base.problem.effect_values(base.q)]
+        best: dict[str, Hypothesis] = {}
+        for k, candidate in enumerate(self._candidates):
+            self._progress(k / len(self._candidates), candidate.label)
+            if candidate.effect in base.effects:
+                continue
+            effects = (*base.problem.effects, candidate)
+            starts = [[*there, start] for start in candidate.starts]
+            made = self._court.with_causes(effects, base.problem.terms, z, starts)
+            if candidate.effect not in best or made.mse < best[candidate.effect].mse:
+                best[candidate.effect] = made
+        for terms in self._terms(base):
+            made = self._court.with_causes(base.problem.effects, terms, z, [there])
+            best[terms.names[-1] if terms.frequency_hz and not base.problem.terms.frequency_hz else "trial_shift"] = (
+                made
+            )
+        order = sorted(best.values(), key=lambda h: h.mse)
+        return order[: self._settings.judged]
+
+    def _terms(self, base: Hypothesis) -> list[TrialTerms]:
+        """Terms of the base with one more."""
+        terms, made = base.problem.terms, []
+        if not terms.shift and "trial_shift" not in self._without and len(self._court.runs) > 1:
+            made.append(replace(terms, shift=True))
+        if not terms.frequency_hz and "periodic_disturbance" not in self._without:
+            errors = [base.problem.error(base.q, run)[0] for run in self._court.runs]
+            line = strongest_line(list(self._court.runs), errors, self._settings.lowest_hz, self._settings.highest_hz)
+            made.append(replace(terms, frequency_hz=line))
+        return made
+
+    def _dropped(self, current: Judged) -> Judged:
+        """Without each cause that is not needed any more."""
+        for effect in sorted(current.hypothesis.effects):
+            if len(current.hypothesis.effects) < 2:
+                break
+            simpler = self._judge(without_effects(self._court, current.hypothesis, {effect}))
+            if not self._worth_adding(simpler, current):
+                current = simpler
+        return current
+
+    def _swapped(self, current: Judged, baseline: Judged) -> Judged:
+        """With each cause exchanged for each other one; the better stands, all are kept for the ambiguity."""
+        for effect in sorted(current.hypothesis.effects):
+            if len(current.hypothesis.effects) == 1:
+                rest = baseline.hypothesis
+            else:
+                rest = without_effects(self._court, current.hypothesis, {effect})
+            for hypothesis in self._additions(rest):
+                if hypothesis.effects in self.tried:
+                    continue
+                judged = self._judge(hypothesis)
+                if judged.mse < current.mse and self._clearly_better(current, judged):
+                    current = judged
+        return current
+
+    def _clearly_better(self, before: Judged, after: Judged) -> bool:
+        fall, error = gain(before, after)
+        return fall > error
+
+
+def _recurs(before: Judged, after: Judged, share: float) -> bool:
+    """Whether a cause does in most trials what it does on average, and not in a single odd one alone."""
+    falls = [float((before.energy - after.energy)[before.run == k].sum()) for k in np.unique(before.run)]
+    return float(np.median(falls)) > share * float(np.mean(falls))
+
+
+def without_effects(court: Court, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
+    """A hypothesis less some of its causes, fitted anew from where it stands."""
+    problem = hypothesis.problem
+    values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
+    kept = [(c, v) for c, v in zip(problem.effects, values, strict=True) if c.effect not in dropped]
+    terms = replace(
+        problem.terms,
+        shift=problem.terms.shift and "trial_shift" not in dropped,
+        frequency_hz=0.0 if "periodic_disturbance" in dropped else problem.terms.frequency_hz,
+    )
+    z = problem.retuned(hypothesis.q)
+    return court.with_causes([c for c, _ in kept], terms, z, [[v for _, v in kept]])
+
+
+def select(
+    court: Court,
+    candidates: Sequence[Candidate],
+    settings: SelectionSettings,
+    floor_mse: float,
+    without: Sequence[str] = (),
+    progress: Progress = lambda share, what: None,
+) -> Selection:
+    """Choose the causes.
+
+    Args:
+        court: development runs and baseline.
+        candidates: effects that may be added.
+        settings: thresholds.
+        floor_mse: below which an error is no news [deg^2].
+        without: effects that are left out of the library.
+        progress: told the share of the present round and what is tried.
+    """
+    return Selector(court, candidates, settings, floor_mse, without, progress).run()

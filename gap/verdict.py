@@ -1,0 +1,120 @@
+"""From a selection to a verdict: named, one of several, unknown, none or too little; and how sure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .diagnosis import Verdict
+from .hypothesis import Judged, gain
+from .select import Selection
+
+_DRAWS = 300
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """Thresholds of the verdict; chosen on development cases and frozen.
+
+    Attributes:
+        no_gap: retuned mean square error over the floor below which there is no gap.
+        least_closed: share of the structural error that the causes have to close, or they do not explain it.
+        still_open: mean square error that is left, by the floor, below which it counts as explained all the same.
+        alike_share: two explanations that differ by less than this share of the error are not told apart ...
+        alike_errors: ... nor those that differ by less than so many standard errors.
+        simplicity: share of the structural error that a resample has to gain by one more cause.
+    """
+
+    no_gap: float = 1.3
+    least_closed: float = 0.4
+    still_open: float = 1.5
+    alike_share: float = 0.06
+    alike_errors: float = 1.0
+    simplicity: float = 0.04
+
+
+@dataclass(frozen=True)
+class Ruling:
+    """What the selection amounts to.
+
+    Attributes:
+        verdict: see `Diagnosis`.
+        ambiguity: sets of effects that stand for one another.
+        inclusion: share of resamples in which each effect is chosen.
+    """
+
+    verdict: Verdict
+    ambiguity: tuple[tuple[str, ...], ...]
+    inclusion: dict[str, float]
+
+
+def rule(selection: Selection, floor_mse: float, settings: VerdictSettings, seed: int) -> Ruling:
+    """Judge a selection.
+
+    Args:
+        selection: see `select`.
+        floor_mse: below which an error is no news [deg^2].
+        settings: thresholds.
+        seed: of the resamples.
+    """
+    inclusion = _inclusion(selection, floor_mse, settings, seed)
+    start, end = selection.baseline.mse, selection.chosen.mse
+    if not selection.chosen.hypothesis.effects:
+        return Ruling("none" if start < settings.no_gap * floor_mse else "unknown", (), inclusion)
+    closed = (start - end) / max(start - floor_mse, 1e-12)
+    if closed < settings.least_closed and end > settings.still_open * floor_mse:
+        return Ruling("unknown", (), inclusion)
+    ambiguity = _ambiguity(selection, floor_mse, settings)
+    return Ruling("one_of" if ambiguity else "named", ambiguity, inclusion)
+
+
+def _ambiguity(selection: Selection, floor_mse: float, settings: VerdictSettings) -> tuple[tuple[str, ...], ...]:
+    """For each chosen effect the others that could stand in its place."""
+    chosen, found = selection.chosen, []
+    names = chosen.hypothesis.effects
+    for effect in sorted(names):
+        rest = names - {effect}
+        others = []
+        for tried, judged in selection.tried.items():
+            if (
+                len(tried) == len(names)
+                and rest < tried
+                and tried != names
+                and _alike(chosen, judged, selection, rest, floor_mse, settings)
+            ):
+                others += sorted(tried - rest)
+        if others:
+            found.append((effect, *others))
+    return tuple(found)
+
+
+def _alike(
+    chosen: Judged,
+    other: Judged,
+    selection: Selection,
+    rest: frozenset[str],
+    floor_mse: float,
+    settings: VerdictSettings,
+) -> bool:
+    """Whether another explanation does as well, measured by what the exchanged cause does."""
+    without = selection.tried.get(rest)
+    effect = (without.mse if without else selection.baseline.mse) - max(chosen.mse, floor_mse)
+    fall, error = gain(other, chosen)
+    return fall < max(settings.alike_share * effect, 0.0) or fall < settings.alike_errors * error
+
+
+def _inclusion(selection: Selection, floor_mse: float, settings: VerdictSettings, seed: int) -> dict[str, float]:
+    """How often each effect is in the best explanation of resampled blocks, more causes at a price."""
+    rng = np.random.default_rng(seed)
+    tried = list(selection.tried.values())
+    energy = np.stack([judged.energy for judged in tried], axis=1)
+    samples = tried[0].samples
+    price = settings.simplicity * max(selection.baseline.mse - floor_mse, 0.0) + 0.05 * floor_mse
+    sizes = np.array([len(judged.hypothesis.effects) for judged in tried])
+    draws = rng.integers(0, samples.size, (_DRAWS, samples.size))
+    counts = np.stack([np.bincount(draw, minlength=samples.size) for draw in draws])
+    mse = (counts @ energy) / (counts @ samples)[:, None] + price * sizes
+    best = np.argmin(mse, axis=1)
+    names = sorted({name for judged in tried for name in judged.hypothesis.effects})
+    return {name: float(np.mean([name in tried[k].hypothesis.effects for k in best])) for name in names}

@@ -1,0 +1,125 @@
+"""`hystmpc diagnose` as a user calls it: what it refuses, and what it prints."""
+
+from __future__ import annotations
+
+import html
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from hystmpc.cli import diagnose
+from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.gap.motion_menu import menu
+from hystmpc.gap.next_motion import Noise, propose, write_motion
+from hystmpc.models.chain_model import ChainModel
+from hystmpc.models.simulator import save_simulator
+from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.trial import Trial
+
+from ..gap.contenders import DELAY, LAG, baseline
+from ..gap.report_examples import REASON, VERDICTS, evidence_of
+from ..models.zoo import CHAINS, simulator
+from .test_verbs import run
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """A log, a simulator, a taken folder and a motion that was proposed."""
+    folder = tmp_path_factory.mktemp("inputs")
+    t = np.arange(0, 10, 0.04)
+    command = 3 - 3 * np.cos(0.8 * np.pi * t)
+    trial = Trial(t, command, 20 + 10 * command)
+    proposal = propose((LAG, DELAY), menu(CommandLimits(0.0, 6.0, 12.0), 0.04), Noise(0.1), baseline)
+    (folder / "taken").mkdir()
+    (folder / "taken" / "thesis.tex").write_text("years of work")
+    return {
+        "log": str(write_csv(trial, folder / "sine.csv")),
+        "sim": str(save_simulator(simulator(CHAINS["backlash"]), folder / "sim.yaml")),
+        "taken": str(folder / "taken"),
+        "planned": str(write_motion(folder / "next_motion.csv", proposal)),
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "lacks LOG..., --sim, --out"),
+        (["{log}"], "lacks --sim, --out"),
+        (["{log}", "--sim", "{sim}"], "lacks --out"),
+        (["{log}", "--sim", "absent.yaml", "--out", "out"], "absent.yaml"),
+        (["{log}", "--sim", "sim.pkl", "--out", "out"], "expected a .yaml simulator or an .onnx model"),
+        (["{log}", "--sim", "{log}", "--out", "out"], "ending .csv"),
+        (["absent.csv", "--sim", "{sim}", "--out", "out"], "absent.csv"),
+        (["{log}", "--sim", "{sim}", "--out", "{taken}"], "holds no diagnosis"),
+        (["{log}", "--sim", "{sim}", "--out", "{log}"], "is a file"),
+        (["{log}", "{planned}", "--sim", "{sim}", "--out", "out"], "is a motion proposed by a diagnosis"),
+        (["{log}", "--sim", "{sim}", "--out", "out", "--preset", "tendon"], "tendon-catheter"),
+    ],
+)
+def test_unusable_input_is_one_line_and_exit_code_2(
+    arguments: list[str],
+    message: str,
+    inputs: dict[str, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(capsys, "diagnose", *(word.format(**inputs) for word in arguments))
+    lines = [line for line in err.splitlines() if line.startswith("error: ")]
+    assert code == 2
+    assert len(lines) == 1
+    assert message in lines[0]
+    assert out == ""
+    assert list(tmp_path.iterdir()) == [], "nothing may stay behind"
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_the_console_says_verdict_size_and_next_motion(
+    verdict: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    diagnosis = next(e for e in (evidence_of(v, 3) for v in VERDICTS if v == verdict)).diagnosis
+    monkeypatch.setattr(diagnose, "out", Console(width=200))
+    diagnose.print_diagnosis(diagnosis)
+    shown = " ".join(capsys.readouterr().out.split())
+    assert REASON[verdict] in shown
+    assert "RMSE" in shown
+    assert ("next: record next_motion.csv" in shown) == (diagnosis.next_motion is not None)
+    for effect in diagnosis.effects:
+        assert all(name in shown for name in effect.parameters)
+
+
+@pytest.mark.slow
+def test_json_is_all_of_standard_output_and_the_folder_is_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    random, model = np.random.default_rng(3), ChainModel(simulator(CHAINS["backlash"]))
+    logs = []
+    for k, hz in enumerate((0.2, 0.3, 0.2)):
+        t = np.arange(0, 12, 0.04)
+        command = (3 - 0.4 * k) * (1 - np.cos(2 * np.pi * hz * t))
+        angle = 1.05 * model.run(command, 23.0) + random.normal(0, 0.2, t.size)
+        logs.append(write_csv(Trial(t, command, angle), tmp_path / f"sine_{k}.csv"))
+    sim = save_simulator(simulator(CHAINS["backlash"]), tmp_path / "sim.yaml")
+    code, out, err = run(capsys, "diagnose", *logs, "--sim", sim, "--out", tmp_path / "d", "--json")
+    assert code == 0, err
+    assert out == (tmp_path / "d" / "diagnosis.json").read_text(encoding="utf-8")
+    found = json.loads(out)
+    assert found["format"] == "hystmpc-diagnosis/1"
+    assert found["verdict"] in VERDICTS
+    files = {path.name for path in (tmp_path / "d").iterdir()}
+    assert {"config.yaml", "meta.json", "log.csv", "diagnosis.json", "report.html", "sim.fixed.yaml"} <= files
+    assert ("next_motion.csv" in files) == (found["next_motion"] is not None)
+    page = html.unescape((tmp_path / "d" / "report.html").read_text(encoding="utf-8"))
+    assert page.count(f"<p>{found['reason']}</p>") == 1
+
+
+def test_help_names_the_options(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    code, out, _ = run(capsys, "diagnose", "--help")
+    assert code == 0
+    for option in ("--sim", "--out", "--preset", "--json", "--seed", "--without", "--self-test"):
+        assert option in out

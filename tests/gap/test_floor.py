@@ -1,0 +1,181 @@
+"""Laws of the floors: noise is found whatever moves, repeats see noise and not the motion; signs of a sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystmpc.gap.floor import find_floor, repaired, sensor_signs, structure_left
+from hystmpc.gap.white import white_noise
+from hystmpc.trials.errors import GapError
+from hystmpc.trials.trial import Trial
+
+from .motions import DT, KINDS, LEVELS, moves, multisine, sine, trial
+
+SINE = sine(0.2, 40.0)
+SEEDS = st.integers(0, 1000)
+SIGMAS = st.sampled_from([0.01, 0.05, 0.2, 1.0])
+
+
+def noise(size: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(size)
+
+
+@given(SIGMAS, SEEDS)
+def test_white_noise_is_known_to_15_percent(sigma: float, seed: int) -> None:
+    assert white_noise([sigma * noise(1000, seed)]) == pytest.approx(sigma, rel=0.15)
+
+
+@given(st.sampled_from([0.1, 0.3, 1.0]), SEEDS, st.floats(0.0, 0.4), st.floats(0.0, 20.0))
+def test_white_noise_does_not_see_a_smooth_signal(sigma: float, seed: int, hz: float, height: float) -> None:
+    t = np.arange(1000) * DT
+    assert white_noise([sigma * noise(1000, seed) + height * np.sin(2 * np.pi * hz * t)]) == pytest.approx(
+        sigma, rel=0.15
+    )
+
+
+@given(SEEDS)
+def test_white_noise_does_not_see_jumps_and_spikes(seed: int) -> None:
+    steps = np.repeat(np.random.default_rng(seed).uniform(0, 50, 20), 50)
+    spikes = np.zeros(1000)
+    spikes[::100] = 7.0
+    assert white_noise([0.1 * noise(1000, seed) + steps + spikes]) == pytest.approx(0.1, rel=0.25)
+
+
+@settings(max_examples=30)
+@given(SIGMAS, SEEDS)
+def test_repeats_see_the_noise_and_not_what_comes_again(sigma: float, seed: int) -> None:
+    own = trial(SINE)
+    again = 3.0 * np.sin(own.command) + 0.2 * own.command**2  # locked to the command: a better simulator would know it
+    floor = find_floor([own], [again + sigma * noise(len(own), seed)], DT)
+    assert floor.kind == "repeats"
+    assert floor.rmse_deg == pytest.approx(sigma, rel=0.15)
+    assert floor.details["offset_deg"] < 0.3 * sigma
+
+
+def test_repeats_see_what_does_not_come_again_and_noise_does_not() -> None:
+    own = trial(SINE)
+    heartbeat = 0.5 * np.sin(2 * np.pi * 1.13 * own.t)
+    floor = find_floor([own], [heartbeat + 0.05 * noise(len(own))], DT)
+    assert floor.rmse_deg > 0.3
+    assert floor.noise_deg == pytest.approx(0.05, rel=0.3)
+
+
+def test_an_offset_between_repeats_is_reported_apart() -> None:
+    trials = [trial(moves(LEVELS, 1.0, 5.0)), trial(moves(LEVELS, 1.0, 5.0))]
+    floor = find_floor(trials, [0.1 * noise(len(t), k) + 2.0 * k for k, t in enumerate(trials)], DT)
+    assert floor.details["without_offset_deg"] == pytest.approx(0.1, rel=0.15)
+    assert floor.details["offset_deg"] == pytest.approx(2 / 2**0.5, rel=0.05)
+    assert floor.rmse_deg == pytest.approx((0.1**2 + 2.0) ** 0.5, rel=0.05)
+
+
+def test_without_repeats_the_floor_is_the_noise() -> None:
+    own = trial(multisine())
+    floor = find_floor([own], [0.3 * noise(len(own))], DT)
+    assert (floor.kind, floor.rmse_deg) == ("noise", floor.noise_deg)
+    assert np.isnan(floor.repeats_deg)
+
+
+def test_residuals_that_do_not_fit_are_refused() -> None:
+    own = trial(SINE)
+    with pytest.raises(GapError, match=r"got 2 residuals for 1 trials, expected one per trial"):
+        find_floor([own], [SINE, SINE], DT)
+    with pytest.raises(GapError, match=r"log.csv: residual has shape \(3,\), expected \(1001,\) as the trial"):
+        find_floor([own], [np.zeros(3)], DT)
+    with pytest.raises(GapError, match=r"log.csv: residual is not finite at sample 7"):
+        find_floor([own], [np.where(np.arange(1001) == 7, np.nan, 0.0)], DT)
+
+
+@given(SEEDS)
+def test_white_residuals_have_no_structure(seed: int) -> None:
+    assert not structure_left([0.2 * noise(600, seed), 0.2 * noise(400, seed + 1)]).left
+
+
+@given(SEEDS, st.sampled_from(["offset", "slow", "line", "ar"]))
+def test_structure_is_found_at_half_the_noise(seed: int, kind: str) -> None:
+    t = np.arange(1000) * DT
+    white = noise(1000, seed)
+    extra = {
+        "offset": np.full(1000, 0.6),
+        "slow": 0.8 * np.sin(0.3 * t),
+        "line": 0.8 * np.sin(2 * np.pi * 1.2 * t),
+        "ar": 0.8 * np.convolve(noise(1000, seed + 1), 0.9 ** np.arange(50))[:1000] * (1 - 0.81) ** 0.5,
+    }[kind]
+    found = structure_left([white + extra])
+    assert found.left
+    assert found.p_value < 1e-6
+
+
+@settings(max_examples=30)
+@given(st.sampled_from([0.02, 0.0879, 0.25, 360 / 4096]), st.floats(-5, 5), st.sampled_from([None, 4]))
+def test_the_quantisation_step_is_recovered(step: float, offset: float, digits: int | None) -> None:
+    own = trial(SINE)
+    y = np.round((own.angle + 0.02 * noise(len(own))) / step) * step + offset
+    y = y if digits is None else np.round(y, digits)
+    signs = sensor_signs([Trial(own.t, own.command, y)])
+    assert signs.quantisation_deg == pytest.approx(step, rel=1e-3)
+    assert signs.on_grid > 0.95
+
+
+@settings(max_examples=30)
+@given(SIGMAS, SEEDS)
+def test_a_continuous_angle_is_on_no_grid(sigma: float, seed: int) -> None:
+    own = trial(SINE, sigma * noise(SINE.size, seed))
+    assert sensor_signs([own]).quantisation_deg == 0
+
+
+def test_a_coarse_grid_counts_and_decimals_do_not() -> None:
+    own = trial(SINE, 0.05 * noise(SINE.size))
+    coarse, fine = (Trial(own.t, own.command, np.round(own.angle / q) * q) for q in (0.5, 0.01))
+    assert sensor_signs([coarse], 0.05).coarse
+    assert not sensor_signs([fine], 0.05).any
+
+
+def test_more_noise_than_nominal_counts() -> None:
+    own = trial(SINE, 0.2 * noise(SINE.size))
+    assert sensor_signs([own], 0.1).noisy
+    assert not sensor_signs([own], 0.2).noisy
+    assert not sensor_signs([own]).noisy
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_spikes_are_counted_and_repaired(kind: str) -> None:
+    clean = trial(KINDS[kind][0], 0.05 * noise(KINDS[kind][0].size))
+    random = np.random.default_rng(3)
+    at = random.choice(np.arange(5, len(clean) - 5, 8), 10, replace=False)
+    angle = clean.angle.copy()
+    angle[at] += random.choice([-1, 1], 10) * random.uniform(3, 6, 10)
+    spiky = Trial(clean.t, clean.command, angle)
+    signs = sensor_signs([spiky])
+    assert signs.spikes
+    assert signs.spike_rate * len(clean) == pytest.approx(10, abs=3)
+    assert signs.spike_deg == pytest.approx(4.6, abs=1.2)
+    before, after = (np.sqrt(np.mean((t.angle - clean.angle) ** 2)) for t in (spiky, repaired(spiky, signs)))
+    assert after < 0.6 * before
+
+
+@pytest.mark.parametrize("kind", ["sine", "sines", "ramps"])
+def test_held_samples_are_counted_and_repaired(kind: str) -> None:
+    clean = trial(KINDS[kind][0], 0.05 * noise(KINDS[kind][0].size))
+    angle = clean.angle.copy()
+    starts = np.arange(20, len(clean) - 20, 60)
+    for k in starts:
+        angle[k : k + 6] = angle[k]
+    held = Trial(clean.t, clean.command, angle)
+    signs = sensor_signs([held])
+    assert signs.drops
+    assert signs.held_rate * len(clean) == pytest.approx(5 * starts.size, rel=0.25)
+    before, after = (np.sqrt(np.mean((t.angle - clean.angle) ** 2)) for t in (held, repaired(held, signs)))
+    assert after < 0.7 * before
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+@pytest.mark.parametrize("sigma", [0.0, 0.05, 0.3])
+def test_a_clean_sensor_shows_no_sign(kind: str, sigma: float) -> None:
+    own = trial(KINDS[kind][0], sigma * noise(KINDS[kind][0].size))
+    signs = sensor_signs([own], sigma)
+    assert not signs.spikes
+    assert not signs.drops
+    assert repaired(own, signs).angle.tolist() == own.angle.tolist()

@@ -1,0 +1,217 @@
+"""Motions that are safe whatever the limits, and a choice that follows the physics of the candidates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.gap.motion_menu import LONGEST_S, PLANS, Motion, menu
+from hystmpc.gap.next_motion import (
+    PLANNED,
+    Contender,
+    Noise,
+    Option,
+    Proposal,
+    expected_probability,
+    propose,
+    separations,
+    write_motion,
+)
+from hystmpc.trajectories.sampled_csv import read_sampled
+from hystmpc.trials.csv_ import read_csv
+from hystmpc.trials.errors import FitError
+
+from .contenders import CREEP, DELAY, LAG, baseline, creep, lag
+
+LIMITS = CommandLimits(0.0, 6.0, 12.0)
+NOISE = Noise(0.1)
+MOTIONS = menu(LIMITS, 0.04)
+
+any_limits = st.builds(
+    lambda lower, span, rate: CommandLimits(lower, lower + span, rate),
+    st.floats(-100, 100),
+    st.floats(1e-3, 1e3),
+    st.floats(1e-3, 1e4),
+)
+
+
+@given(limits=any_limits, dt=st.floats(0.001, 0.2))
+@settings(max_examples=25)
+def test_every_motion_stays_within_box_and_rate_and_rests_at_both_ends(limits: CommandLimits, dt: float) -> None:
+    for motion in menu(limits, dt):
+        u, slack = motion.command, 1e-9 * max(1.0, abs(limits.lower), abs(limits.upper))
+        assert u.min() >= limits.lower
+        assert u.max() <= limits.upper
+        assert np.abs(np.diff(u)).max() <= limits.rate * dt + slack
+        assert motion.duration_s <= LONGEST_S
+        resting = int(0.5 / dt)
+        assert np.abs(u[: resting + 1] - limits.lower).max() <= slack
+        assert np.abs(u[-resting - 1 :] - limits.lower).max() <= slack
+        assert np.ptp(u) > 0
+
+
+def test_a_slow_actuator_gets_a_smaller_motion_not_a_longer_one() -> None:
+    slow = {m.name: m for m in menu(CommandLimits(0.0, 6.0, 0.05), 0.04)}
+    for motion in MOTIONS:
+        assert np.ptp(slow[motion.name].command) < np.ptp(motion.command)
+    assert len({plan.name for plan in PLANS}) == len(MOTIONS) == len(slow)
+
+
+def held_s(motion: Motion) -> float:
+    """Longest time at one command above the lowest."""
+    longest = run = 0
+    for moved, up in zip(np.diff(motion.command), motion.command[1:] > LIMITS.lower + 0.1, strict=True):
+        run = run + 1 if up and abs(moved) < 1e-12 else 0
+        longest = max(longest, run)
+    return longest * motion.dt
+
+
+def fast_share(motion: Motion) -> float:
+    """Share of the command's movement (its energy of speed) above 1 Hz."""
+    power = np.abs(np.fft.rfft(np.diff(motion.command))) ** 2
+    return float(power[np.fft.rfftfreq(motion.t.size - 1, motion.dt) > 1.0].sum() / power.sum())
+
+
+def test_lag_against_creep_is_told_by_holds() -> None:
+    chosen = propose((LAG, CREEP), MOTIONS, NOISE, baseline).chosen
+    assert held_s(chosen.motion) >= 4.0
+    assert chosen.probability > 0.95
+
+
+def test_lag_against_delay_is_told_by_fast_small_motion() -> None:
+    proposal = propose((LAG, DELAY), MOTIONS, NOISE, baseline)
+    odds = {option.motion.name: option.probability for option in proposal.options}
+    assert fast_share(proposal.chosen.motion) > 0.5
+    assert odds["long_holds"] < odds["fast_steps_small_sines"] < proposal.chosen.probability
+
+
+def test_three_candidates_are_told_by_what_separates_the_closest_pair() -> None:
+    three = propose((LAG, DELAY, CREEP), MOTIONS, NOISE, baseline)
+    two = propose((LAG, DELAY), MOTIONS, NOISE, baseline)
+    assert three.names == ("lag", "delay", "creep")
+    assert three.chosen.motion.name == two.chosen.motion.name
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_identical_simulators_leave_it_to_chance(count: int) -> None:
+    same = [Contender(f"copy {k}", lag(0.1)) for k in range(count)]
+    proposal = propose(same, MOTIONS, NOISE)
+    assert proposal.chosen.probability == pytest.approx(1 / count, abs=1e-6)
+    shortest = min(MOTIONS, key=lambda motion: motion.duration_s)
+    assert proposal.chosen.motion.name == shortest.name
+
+
+def test_what_retuning_absorbs_is_no_separation() -> None:
+    def moved(command: np.ndarray, dt: float) -> np.ndarray:
+        return 3 + 1.2 * lag(0.1)(command, dt)
+
+    proposal = propose((Contender("lag", lag(0.1)), Contender("same, mounted anew", moved)), MOTIONS, NOISE)
+    assert proposal.chosen.probability == pytest.approx(0.5, abs=1e-6)
+
+
+@given(
+    distances=st.lists(st.floats(0, 8), min_size=6, max_size=6),
+    more=st.floats(0.01, 3),
+    which=st.integers(0, 5),
+)
+def test_odds_grow_with_every_distance(distances: list[float], more: float, which: int) -> None:
+    def matrix(values: list[float]) -> np.ndarray:
+        out = np.zeros((3, 3))
+        out[~np.eye(3, dtype=bool)] = values
+        return out
+
+    less = expected_probability(matrix(distances))
+    further = expected_probability(matrix([d + more * (k == which) for k, d in enumerate(distances)]))
+    assert 1 / 3 - 1e-12 <= less <= further <= 1.0
+
+
+def test_odds_grow_with_the_size_of_the_effect_and_fall_with_the_floor() -> None:
+    def odds(share: float, floor: float) -> float:
+        pair = (LAG, Contender("creep", creep(share, 5.0), (creep(share + 0.01, 5.0), creep(share, 5.5))))
+        small = menu(CommandLimits(0.0, 0.6, 1.0), 0.04)
+        return propose(pair, small, Noise(floor), baseline).chosen.probability
+
+    sizes = [odds(share, 1.0) for share in (0.1, 0.2, 0.4)]
+    assert sizes == sorted(sizes)
+    floors = [odds(0.2, floor) for floor in (4.0, 1.0, 0.25)]
+    assert floors == sorted(floors)
+    assert sizes[0] < sizes[-1] - 0.01
+    assert floors[0] < floors[-1] - 0.05
+
+
+def test_a_form_error_bounds_the_odds_where_noise_does_not() -> None:
+    quiet = Noise(1e-3)
+    without = propose((LAG, DELAY), MOTIONS, Noise(1e-3, form_error=0.0), baseline).chosen.probability
+    assert propose((LAG, DELAY), MOTIONS, quiet, baseline).chosen.probability < 0.99 < without
+
+
+def test_a_motion_on_which_a_simulator_diverges_is_left_out() -> None:
+    def breaks(command: np.ndarray, dt: float) -> np.ndarray:
+        return lag(0.2)(command, dt) * (np.nan if np.ptp(command) > 5 else 1.0)
+
+    proposal = propose((LAG, Contender("breaks", breaks)), MOTIONS, NOISE)
+    assert 0 < len(proposal.options) < len(MOTIONS)
+    wide = [motion for motion in MOTIONS if np.ptp(motion.command) > 5]
+    with pytest.raises(FitError, match="none of"):
+        propose((LAG, Contender("breaks", breaks)), wide, NOISE)
+
+
+def test_the_file_reads_back_as_log_and_as_reference(tmp_path: Path) -> None:
+    proposal = propose((LAG, DELAY), MOTIONS, NOISE, baseline)
+    motion = proposal.chosen.motion
+    for unit in ("mm", "bar"):
+        path = write_motion(tmp_path / "next_motion.csv", proposal, unit)
+        trial = read_csv(path)
+        assert trial.units.command == unit
+        assert np.array_equal(trial.command, motion.command)
+        assert PLANNED in trial.channels
+        assert np.abs(np.diff(trial.t) - motion.dt).max() < 1e-8
+        reference = read_sampled(path)
+        assert reference.duration_s == pytest.approx(motion.duration_s)
+        assert np.allclose(reference.values, proposal.chosen.angles.mean(axis=0))
+
+
+def test_the_summary_is_the_diagnosis_form() -> None:
+    proposal = propose((LAG, DELAY), MOTIONS, NOISE, baseline)
+    summary = proposal.summary()
+    assert summary.separates == ("lag", "delay")
+    assert summary.duration_s == proposal.chosen.motion.duration_s
+    assert summary.expected_probability == proposal.chosen.probability
+
+
+def test_at_equal_odds_the_shorter_motion_wins() -> None:
+    short = min(MOTIONS, key=lambda motion: motion.duration_s)
+    doubled = Motion(
+        "twice",
+        "the same twice",
+        np.arange(2 * short.t.size) * short.dt,
+        np.concatenate((short.command, short.command)),
+    )
+    proposal = propose((LAG, CREEP), (doubled, short), Noise(1e-3), baseline)
+    assert isinstance(proposal, Proposal)
+    assert all(isinstance(option, Option) for option in proposal.options)
+    assert proposal.chosen.motion is short
+
+
+def test_directions_hold_offset_and_gain_of_each_candidate() -> None:
+    command = MOTIONS[0].command
+    angles, directions = separations((LAG, DELAY), command, 0.04)
+    assert np.array_equal(angles[0], LAG.simulate(command, 0.04))
+    assert all(np.all(basis[0] == 1.0) for basis in directions)
+    assert np.array_equal(directions[1][1], angles[1])
+
+
+@pytest.mark.parametrize("wrong", [{"rmse_deg": 0.0}, {"rmse_deg": float("nan")}, {"rmse_deg": 1.0, "ar": 1.0}])
+def test_noise_of_no_size_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(FitError, match="rmse_deg > 0"):
+        Noise(**wrong)
+
+
+def test_one_candidate_is_not_a_choice() -> None:
+    with pytest.raises(FitError, match="got 1 candidates"):
+        propose((LAG,), MOTIONS, NOISE)
