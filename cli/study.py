@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -11,8 +12,10 @@ import typer
 
 from hystmpc.sim.studies.settings import STAGES, StudySettings
 from hystmpc.sim.studies.tally import Tally
+from hystmpc.trials.errors import ConfigError
 
 from .console import Bar, bar, errors, out
+from .study_control import control, rates
 
 INTERRUPTED = 130
 
@@ -23,13 +26,14 @@ class Name(StrEnum):
     S1 = "s1"
     S2 = "s2"
     REAL = "real"
+    CONTROL = "control"
 
 
 _STAGES = "; ".join(f"{name}: {', '.join(stages)}" for name, stages in STAGES.items())
 
 
 def study(
-    name: Annotated[Name, typer.Argument(help="The papers' studies on simulated devices, or one on recorded logs.")],
+    name: Annotated[Name, typer.Argument(help="The papers' studies, one on recorded logs, or the closed loop.")],
     folder: Annotated[Path, typer.Option("--out", help="Run folder; an unfinished study in it goes on.")],
     logs: Annotated[list[Path] | None, typer.Option(help="Logs or folders of *.csv, for `real`; repeatable.")] = None,
     layout: Annotated[str, typer.Option("--preset", help="Layout of the logs.")] = "auto",
@@ -44,22 +48,39 @@ def study(
         float | None, typer.Option(min=0.001, max=10.0, help="Share of the papers' epochs; s2 has 0.08, the others 1.")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Only prove that everything runs.")] = False,
+    loop_rates: Annotated[str | None, typer.Option("--rates", help="Of `control` [Hz], such as 25,250.")] = None,
+    plants: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
+    controllers: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
+    motions: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
 ) -> None:
-    """Train, export and test every model of a study and write its report; Ctrl-C keeps what is done."""
+    """Do all jobs of a study and write its report; Ctrl-C keeps what is done."""
+    workers = jobs or os.cpu_count() or 1
+    loop = {"rates_hz": rates(loop_rates), "plants": _names(plants), "controllers": _names(controllers)}
+    loop["motions"] = _names(motions)
+    modelling = {"kinds": kinds, "presets": presets, "directions": directions, "stages": stages}
+    _check_options(name, {"logs": logs, "epochs-scale": epochs_scale, **modelling}, loop)
+    if name is Name.CONTROL:
+        control(loop | {"seed": seed, "quick": quick}, folder, workers)
+        return
     settings = StudySettings.for_study(
         name.value,
         logs=[str(log) for log in logs or []],
         layout=layout,
         rate_hz=rate_hz,
         seed=seed,
-        kinds=_names(kinds),
-        presets=_names(presets),
-        directions=_names(directions),
-        stages=_names(stages),
         epochs_scale=epochs_scale,
         quick=quick,
+        **{option: _names(text) for option, text in modelling.items()},
     )
-    _run(settings, folder, jobs or os.cpu_count() or 1)
+    _run(settings, folder, workers)
+
+
+def _check_options(name: Name, modelling: Mapping[str, object], loop: Mapping[str, object]) -> None:
+    """Refuse options that a study has no use for."""
+    foreign = modelling if name is Name.CONTROL else loop
+    for option, value in foreign.items():
+        if value not in (None, (), []):
+            raise ConfigError(f"study {name.value}: got --{option.removesuffix('_hz')}, which it has no use for")
 
 
 def _run(settings: StudySettings, folder: Path, workers: int) -> None:

@@ -12,6 +12,7 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.html import Report
 from hystmpc.trials.run_folder import RunFolder
 
+from .control_settings import ControlSettings
 from .datasets import study_splits
 from .estimate import estimated_seconds, wall_minutes
 from .job import Splits, Task
@@ -75,7 +76,7 @@ def prepare(settings: StudySettings, out: Path | str) -> Study:
     """
     splits = study_splits(settings)
     tasks = _PLANS[settings.study](settings, splits)
-    folder = _folder(Path(out), settings)
+    folder = study_folder(Path(out), settings)
     kept = kept_results(tasks, folder.path)
     costs = estimated_seconds([task for task in tasks if task.job.key not in kept], timed=not settings.quick)
     return Study(settings, splits, tasks, folder, costs)
@@ -104,8 +105,12 @@ def run_study(study: Study, workers: int = 1, progress: Progress | None = None) 
     return outcome
 
 
-def _folder(path: Path, settings: StudySettings) -> RunFolder:
-    """A new run folder, or the one that this study left."""
+def study_folder(path: Path, settings: StudySettings | ControlSettings) -> RunFolder:
+    """A new run folder, or the one that this study left.
+
+    Raises:
+        ConfigError: if the folder holds something else.
+    """
     plain = settings.model_dump(mode="json")
     if not (path / "meta.json").exists():
         return RunFolder.create(path, plain, seed=settings.seed)

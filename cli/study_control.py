@@ -1,0 +1,72 @@
+"""`hystmpc study control`: every controller on every plant along every motion, and the bars."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from hystmpc.sim.studies.control_bars import verdicts
+from hystmpc.sim.studies.control_outcome import ControlOutcome
+from hystmpc.sim.studies.control_settings import ControlSettings
+from hystmpc.sim.studies.control_tables import bars_table
+from hystmpc.sim.studies.tally import Tally
+from hystmpc.trials.errors import ConfigError
+
+from .console import Bar, bar, errors, out, table
+
+INTERRUPTED = 130
+
+
+def control(changes: dict[str, Any], folder: Path, workers: int) -> None:
+    """Say how long it will take, do it, print the bars and what failed.
+
+    Raises:
+        ConfigError: on unknown names, or a folder that holds something else.
+        LogError: if a result in the folder is damaged.
+        typer.Exit: with 130 if the user ended it.
+    """
+    from hystmpc.sim.studies.control_run import prepare_control, run_control  # as other studies: late
+
+    settings = ControlSettings.of(**changes)
+    ready = prepare_control(settings, folder)
+    minutes = ready.minutes(workers)
+    errors.print(f"{len(ready.open)} of {len(ready.jobs)} jobs to do on {workers} cores: about {minutes} min")
+    try:
+        with bar("study control", sum(ready.costs[key] for key in ready.open)) as show:
+            outcome = run_control(ready, workers, lambda tally: _show(show, tally))
+    except KeyboardInterrupt:
+        errors.print(f"interrupted: finished jobs are kept in {folder}, the same command goes on", style="yellow")
+        raise typer.Exit(INTERRUPTED) from None
+    for failed in outcome.failed:
+        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", markup=False, highlight=False)
+    out.print(table("Bars", ("bar", "at most", "met by", "of", "worst", "verdict"), _bar_rows(outcome)))
+    done = len(outcome.results) - len(outcome.failed)
+    out.print(f"{done} jobs done, {len(outcome.failed)} failed; report: {folder / 'report.html'}")
+
+
+def _bar_rows(outcome: ControlOutcome) -> list[list[str]]:
+    """The bars without the place of their worst figure, which the report tells."""
+    rows = bars_table(verdicts(outcome)).rows
+    shown = [[*row[:5], row[6]] for row in rows]
+    return [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in shown]
+
+
+def rates(text: str | None) -> tuple[float, ...]:
+    """Rates between commas [Hz].
+
+    Raises:
+        ConfigError: if one is not a number.
+    """
+    found = []
+    for part in (text or "").split(","):
+        try:
+            found += [float(part)] if part.strip() else []
+        except ValueError:
+            raise ConfigError(f"--rates: got {part.strip()!r}, expected numbers such as 25,250") from None
+    return tuple(found)
+
+
+def _show(show: Bar, tally: Tally) -> None:
+    show(tally.seconds_done, f"{tally.done} of {tally.total} jobs {tally.note}", total=max(tally.seconds_total, 1e-9))
