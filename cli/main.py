@@ -13,12 +13,16 @@ from .check import check
 from .console import errors
 from .data import data
 from .demo import demo
+from .diagnose import diagnose
+from .effects import effects
 from .evaluate import evaluate
 from .export import export
 from .fit import fit
+from .gap import gap
 from .report import report
 from .simulate import simulate
 from .study import study
+from .tune import tune
 
 UNUSABLE = 2
 
@@ -31,9 +35,10 @@ app = typer.Typer(
     help="Inverse-model predictive control for actuators with hysteresis: check and fit recorded trials, export "
     "models to ONNX, track tip angles in simulation, compare controllers.",
 )
-for verb in (check, fit, evaluate, export, simulate, report, demo, bench, study):
+for verb in (check, fit, evaluate, export, diagnose, simulate, report, demo, bench, study, tune, effects):
     app.command()(verb)
 app.add_typer(data, name="data")
+app.add_typer(gap, name="gap")
 
 
 def main() -> None:
