@@ -19,7 +19,12 @@ def _group() -> None:
 
 @data.command()
 def make(
-    name: Annotated[str, typer.Argument(metavar="s1|s2", help="s1: muscle catheter; s2: tendon catheter.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="s1|s2|rod", help="s1: muscle catheter; s2: tendon catheter; rod: the motions of s2 on the rod."
+        ),
+    ],
     folder: Annotated[Path, typer.Option("--out", help="Folder to make; new or empty.")],
     seed: Annotated[int, typer.Option("--seed", help="Of devices, motions and noise.", min=0)] = 0,
 ) -> None:

@@ -181,7 +181,7 @@ def test_a_data_set_travels_to_a_worker() -> None:
 
 
 def test_wrong_names() -> None:
-    with pytest.raises(ConfigError, match="no data set 's3', available: s1, s2"):
+    with pytest.raises(ConfigError, match="no data set 's3', available: rod, s1, s2"):
         make_dataset("s3")
     with pytest.raises(ConfigError, match="seed: got -1"):
         make_dataset("s1", -1)
