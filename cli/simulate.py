@@ -1,7 +1,10 @@
-"""`hystmpc simulate`: every controller of a configuration along every motion on a simulated device."""
+"""`hystmpc simulate`: every controller along every motion on a simulated device; or thousands of such runs."""
 
 from __future__ import annotations
 
+import json
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,25 +13,116 @@ import typer
 from hystmpc.sim.compare import compare
 from hystmpc.sim.config import load_simulation
 from hystmpc.sim.results import Result, StudyResult
+from hystmpc.trials.config import read_yaml
+from hystmpc.trials.errors import ConfigError
 
-from .console import bar, out, table
+from .console import bar, errors, out, table
+
+INTERRUPTED = 130
+DIFFERENT = 1
 
 _COLUMNS = ("controller", "RMSE", "max", "hold", "hold p-p", "step ms", "p99 ms", "beyond")
 
 
 def simulate(
     config: Annotated[
-        Path, typer.Argument(metavar="CONFIG", help="A study: plant, model, motions, controllers (YAML).")
-    ],
-    folder: Annotated[Path, typer.Option("--out", help="Run folder to make; new or empty.")],
+        Path | None, typer.Argument(metavar="[CONFIG]", help="A study: plant, model, motions, controllers (YAML).")
+    ] = None,
+    folder: Annotated[Path | None, typer.Option("--out", help="Run folder; new or empty, or a sweep to go on.")] = None,
     overrides: Annotated[list[str] | None, typer.Option("--set", help="Change a setting: plant.lag_s=0.1.")] = None,
+    controllers: Annotated[
+        list[str] | None, typer.Option("--controller", help="Add a controller from a file: NAME=controller.yaml.")
+    ] = None,
+    sweep: Annotated[Path | None, typer.Option(help="Many studies in one: grid, draws, seeds (YAML).")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes of a sweep; else one a core.")] = None,
+    cluster: Annotated[
+        str | None, typer.Option(help="Dask scheduler of a sweep, tcp://host:8786; `local` starts one.")
+    ] = None,
+    row: Annotated[
+        tuple[Path, str] | None, typer.Option(metavar="DIR ID", help="Make one row of a sweep again and compare.")
+    ] = None,
 ) -> None:
     """Simulate the closed loop and write run folder and report; Ctrl-C keeps the finished runs."""
-    study = load_simulation(config, overrides or [])
+    _check(config, sweep, row, folder)
+    if row is not None:
+        _again(row[0], row[1], folder)
+    elif folder is not None and sweep is not None:
+        _sweep(sweep, overrides or [], folder, jobs or os.cpu_count() or 1, cluster)
+    elif folder is not None and config is not None:
+        _study(config, [*map(_controller, controllers or []), *(overrides or [])], folder)
+
+
+def _check(config: Path | None, sweep: Path | None, row: tuple[Path, str] | None, folder: Path | None) -> None:
+    """One thing to do, and where to.
+
+    Raises:
+        ConfigError: if there is none or more than one, or no folder.
+    """
+    if sum(given is not None for given in (config, sweep, row)) != 1:
+        raise ConfigError("simulate: expected one of CONFIG, --sweep FILE and --row DIR ID")
+    if row is None and folder is None:
+        raise ConfigError("simulate: no --out, expected a run folder")
+
+
+def _study(config: Path, overrides: Sequence[str], folder: Path) -> None:
+    """One study."""
+    study = load_simulation(config, overrides)
     with bar("simulate") as show:
         result = compare(study, folder, lambda done, total: show(done, total=total))
     print_study(result)
     out.print(f"report: {folder / 'report.html'}")
+
+
+def _sweep(file: Path, overrides: Sequence[str], folder: Path, jobs: int, cluster: str | None) -> None:
+    """Do what of a sweep is not done yet."""
+    from hystmpc.sim.parallel.backend import backend_for  # kept out of the way of the other verbs' start
+    from hystmpc.sim.sweep.run import run_sweep
+    from hystmpc.sim.sweep.settings import load_sweep
+
+    settings = load_sweep(file, overrides)
+    backend = backend_for(jobs, cluster, str(folder))
+    try:
+        with bar("sweep") as show:
+            found = run_sweep(
+                settings, folder, backend, lambda done, total, note: show(done, note, total=total), source=file
+            )
+    except KeyboardInterrupt:
+        errors.print(f"interrupted: finished runs are kept in {folder}, the same command goes on", style="yellow")
+        raise typer.Exit(INTERRUPTED) from None
+    if found.failed:
+        errors.print(f"failed: {found.failed} runs, the first: {found.message}", style="red", markup=False)
+    out.print(f"{found.rows} runs, {found.kept} of them from before, {found.failed} failed")
+    out.print(f"table: {found.table}")
+    out.print(f"report: {found.report}")
+
+
+def _again(folder: Path, identity: str, target: Path | None) -> None:
+    """Make a row again; exit code 1 if a figure differs."""
+    from hystmpc.sim.sweep.reproduce import reproduce
+
+    figures = reproduce(folder, identity, target)
+    rows = [[f.name, str(f.before), str(f.again), "yes" if f.equal else "NO"] for f in figures]
+    out.print(table(f"row {identity}", ("figure", "table", "again", "equal"), rows))
+    if target is not None:
+        out.print(f"report: {target / 'report.html'}")
+    if not all(figure.equal for figure in figures):
+        errors.print("the run came out otherwise: another version, machine or library?", style="red")
+        raise typer.Exit(DIFFERENT)
+
+
+def _controller(text: str) -> str:
+    """`NAME=FILE` as the override that puts the file's settings in.
+
+    Raises:
+        ConfigError: if it is not of that form, or the file holds no controller.
+    """
+    name, separator, file = text.partition("=")
+    if not separator or not name or "." in name:
+        raise ConfigError(f"--controller {text}: expected NAME=FILE, a name without dots")
+    data = read_yaml(file)
+    if not isinstance(data, dict) or "kind" not in data:
+        raise ConfigError(f"{file}: expected the settings of one controller, with the key 'kind'")
+    return f"controllers.{name}={json.dumps(data)}"
 
 
 def print_study(result: StudyResult) -> None:

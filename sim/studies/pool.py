@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
-from hystmpc.trials.errors import ConfigError
-
+from ..parallel.backend import backend_for
 from .job import Task
 from .result import JobResult, load_result, save_result
 from .tally import Progress, Tally
 from .worker import run_job
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 def kept_results(tasks: Sequence[Task], folder: Path) -> dict[str, JobResult]:
@@ -49,7 +40,7 @@ def run_jobs(
         progress: called at the start and after every job.
 
     Raises:
-        ConfigError: if a worker process died.
+        ConfigError: if worker processes died again and again.
         LogError: if a result's file is damaged.
         KeyboardInterrupt: if the user ended it; finished jobs are kept.
     """
@@ -61,7 +52,8 @@ def run_jobs(
     total, seconds = sum(costs.get(task.job.key, 0.0) for task in rest), 0.0
     if progress:
         progress(Tally(len(results), len(tasks), 0.0, total))
-    for result in _in_turn(rest, folder) if workers == 1 else _in_parallel(rest, folder, workers):
+    backend = backend_for(workers, where=str(folder))
+    for result in backend.results(partial(do_job, folder=folder), rest):
         results[result.job.key] = result
         seconds += costs.get(result.job.key, 0.0)
         if progress:
@@ -79,38 +71,3 @@ def do_job(task: Task, folder: Path) -> JobResult:
     result = run_job(task, folder)
     save_result(folder, result)
     return result
-
-
-def _in_turn(tasks: Sequence[Task], folder: Path) -> Iterator[JobResult]:
-    with threadpool_limits(limits=1):
-        for task in tasks:
-            yield do_job(task, folder)
-
-
-def _in_parallel(tasks: Sequence[Task], folder: Path, workers: int) -> Iterator[JobResult]:
-    if not tasks:
-        return
-    ours = set(multiprocessing.active_children())
-    # Not forked: torch's and numba's threads do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(workers, len(tasks)), mp_context=context, initializer=_prepare_worker)
-    try:
-        for future in as_completed([pool.submit(do_job, task, folder) for task in tasks]):
-            yield future.result()
-    except BrokenProcessPool:
-        raise ConfigError(
-            f"{folder}: a worker process died (out of memory?); the same command goes on, with fewer --jobs"
-        ) from None
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in set(multiprocessing.active_children()) - ours:
-            child.terminate()
-        raise
-    pool.shutdown()
-
-
-def _prepare_worker() -> None:
-    """One thread; Ctrl-C is the main process's business, a fit that heard it would pass for a finished one."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ.update(dict.fromkeys(_THREADS, "1"))  # for libraries that are loaded later
-    threadpool_limits(limits=1)

@@ -1,0 +1,54 @@
+"""`hystmpc tune`: settings of a controller by search over plants with drawn effects."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .console import bar, errors, out, table
+
+INTERRUPTED = 130
+_COLUMNS = ("settings", "objective", "mean error", "worst plant", "travel", "violations")
+
+
+def tune(
+    config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A tuning: study, ranges, plants (YAML).")],
+    folder: Annotated[Path, typer.Option("--out", help="Run folder; an unfinished tuning in it goes on.")],
+    overrides: Annotated[list[str] | None, typer.Option("--set", help="Change a setting: trials=200.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes, one thread each; else one a core.")] = None,
+    cluster: Annotated[
+        str | None, typer.Option(help="Dask scheduler, tcp://host:8786, or `local`; wants a shared --storage.")
+    ] = None,
+    storage: Annotated[
+        str | None, typer.Option(help="Where trials are kept, such as postgresql://host/db; several machines share it.")
+    ] = None,
+) -> None:
+    """Search the settings of a controller, check them on plants not seen, and write controller.yaml and a report."""
+    from hystmpc.sim.parallel.backend import backend_for  # kept out of the way of the other verbs' start
+    from hystmpc.sim.tuning.run import run_tuning
+    from hystmpc.sim.tuning.settings import load_tuning
+
+    settings = load_tuning(config, overrides or [])
+    backend = backend_for(jobs or os.cpu_count() or 1, cluster, str(folder))
+    try:
+        with bar("tune") as show:
+            found = run_tuning(
+                settings, folder, backend, storage, lambda done, total, note: show(done, note, total=total)
+            )
+    except KeyboardInterrupt:
+        errors.print(f"interrupted: finished trials are kept in {folder}, the same command goes on", style="yellow")
+        raise typer.Exit(INTERRUPTED) from None
+    for failed in found.failed:
+        errors.print(f"failed: trial {failed.slot}: {failed.message}", style="red", markup=False, highlight=False)
+    check = found.check
+    rows = [[name, *(f"{value:.3f}" for value in figures), str(beyond)] for name, *figures, beyond in check.rows()]
+    out.print(table(f"{len(check.given)} plants that the search has not seen [deg]", _COLUMNS, rows))
+    low, high = check.interval()
+    out.print(
+        f"objective {100 * check.gain:.1f} % lower, 90 % interval over plants {100 * low:.1f} to {100 * high:.1f} %"
+    )
+    out.print(f"controller: {folder / 'controller.yaml'}")
+    out.print(f"report: {folder / 'report.html'}")

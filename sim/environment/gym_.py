@@ -1,0 +1,206 @@
+"""A gymnasium environment around the simulated device, with its whole state to be saved and put back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.trajectories import PreviewTable, Trajectory
+from hystmpc.trials.errors import ConfigError, did_you_mean
+
+from ..config import SimulationConfig, load_simulation
+from ..plant import SimulatedPlant
+from ..study import prepare
+from .snapshot import plant_copy
+
+Vec = NDArray[np.float64]
+Signal = Callable[[float], float]
+_ANGLE_DEG = 720.0  # observations are clipped here, so that the space is bounded
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What acts on the device from outside, by the time since the reset [s].
+
+    Attributes:
+        angle_deg: added to the tip angle: a load, breathing.
+        command: added to the command behind its limits: a drive that slips [command unit].
+    """
+
+    angle_deg: Signal | None = None
+    command: Signal | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentState:
+    """Everything that the future of an environment depends on but the actions; never changed once taken.
+
+    Attributes:
+        plant: with its random numbers.
+        random: of the environment, for the seeds of coming resets.
+        motion: name.
+        k: samples since the reset.
+        u: command sent last.
+        y: angle measured last [deg].
+        disturbance: what acts from outside.
+    """
+
+    plant: SimulatedPlant
+    random: np.random.Generator
+    motion: str
+    k: int
+    u: float
+    y: float
+    disturbance: Disturbance
+
+
+@final
+class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """Track a motion with the tip angle of a device with hysteresis.
+
+    Action (1,): the command, -1 and 1 being its limits; the rate limit is kept by the environment. Observation
+    (2 + H,): measured angle [deg], command sent last, reference at the ends of the next H samples [deg]. Reward:
+    -(theta - r)^2 - w (u_k - u_{k-1})^2 with the true angle theta at the end of the sample. An episode is truncated at
+    the end of its motion and never terminated.
+
+    `reset` takes `options={"motion": NAME}`; else the motion is drawn. `info` has `error_deg`, `true_angle_deg`,
+    `reference_deg` and `command`.
+
+    Args:
+        plant: the device; the environment has a copy.
+        motions: references by name.
+        limits: of command and rate.
+        preview: H, samples at least 1.
+        rate_weight: w [deg^2 per squared command unit].
+        disturbance: see `disturb`.
+
+    Raises:
+        ConfigError: if there is no motion or no preview.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium declares it so
+
+    def __init__(
+        self,
+        plant: SimulatedPlant,
+        motions: Mapping[str, Trajectory],
+        limits: CommandLimits,
+        preview: int = 10,
+        rate_weight: float = 0.0,
+        disturbance: Disturbance | None = None,
+    ) -> None:
+        if not motions or preview < 1:
+            raise ConfigError(f"environment: got {len(motions)} motions and a preview of {preview}, expected 1 or more")
+        self._plant, self._limits, self._rate_weight = plant_copy(plant), limits, rate_weight
+        self._tables = {name: PreviewTable(motion, plant.dt, preview) for name, motion in motions.items()}
+        self._disturbance = disturbance or Disturbance()
+        self._motion, self._k = next(iter(self._tables)), 0
+        self._u, self._y = plant.rest_command, plant.true_angle
+        angles = np.full(1 + preview, _ANGLE_DEG)
+        low, high = np.array([limits.lower]), np.array([limits.upper])
+        self._seen_low = np.concatenate([-angles[:1], low, -angles[1:]]).astype(np.float32)
+        self._seen_high = np.concatenate([angles[:1], high, angles[1:]]).astype(np.float32)
+        self.observation_space = Box(self._seen_low, self._seen_high)
+        self.action_space = Box(-1.0, 1.0, (1,), np.float32)
+
+    @classmethod
+    def from_config(cls, config: SimulationConfig | Path | str, **options: Any) -> HysteresisEnv:
+        """The environment of a closed-loop study: its plant, motions and limits; controllers are not looked at.
+
+        Args:
+            config: the study or its file.
+            options: `preview`, `rate_weight`, `disturbance`.
+
+        Raises:
+            HystmpcError: what `load_simulation` and `prepare` raise.
+        """
+        study = prepare(config if isinstance(config, SimulationConfig) else load_simulation(config))
+        return cls(study.plant, study.motions, study.limits, **options)
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self._plant.dt
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Bring the device to rest after its initialisation flexure; see the class.
+
+        Raises:
+            ConfigError: if `options` names a motion that there is not.
+        """
+        super().reset(seed=seed)
+        names = list(self._tables)
+        wanted = (options or {}).get("motion", names[int(self.np_random.integers(len(names)))])
+        if wanted not in self._tables:
+            raise ConfigError(f"environment: no motion {wanted!r}, {did_you_mean(str(wanted), names)}")
+        self._plant = self._plant.reseeded(int(self.np_random.integers(2**31)))
+        self._motion, self._k, self._u = wanted, 0, self._plant.rest_command
+        self._y = self._plant.reset() + self._beside()
+        return self._observation(), self._info()
+
+    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """One sample; an action that is no number holds the command."""
+        half = 0.5 * (self._limits.upper - self._limits.lower)
+        wanted = self._limits.lower + half * (1.0 + float(np.asarray(action, dtype=np.float64).reshape(-1)[0]))
+        u, before = self._limits.clip(wanted, self._u, self.dt), self._u
+        slip = self._disturbance.command
+        y = self._plant.apply(u if slip is None else u + slip(self._k * self.dt))
+        self._u, self._k = u, self._k + 1
+        self._y = y + self._beside()
+        info = self._info()
+        reward = -(info["error_deg"] ** 2) - self._rate_weight * (u - before) ** 2
+        return self._observation(), float(reward), False, self._k >= self._tables[self._motion].steps, info
+
+    def disturb(self, disturbance: Disturbance | None) -> None:
+        """From now on this acts on the device, or nothing."""
+        self._disturbance = disturbance or Disturbance()
+
+    def get_state(self) -> EnvironmentState:
+        """The whole state, to be put back as often as wanted, in this environment or an equal one."""
+        plant, random = plant_copy(self._plant), deepcopy(self.np_random)
+        return EnvironmentState(plant, random, self._motion, self._k, self._u, self._y, self._disturbance)
+
+    def set_state(self, state: EnvironmentState) -> NDArray[np.float32]:
+        """Put a state back and return its observation; the noise to come is that which was to come then.
+
+        Raises:
+            ConfigError: if the state's motion is none of this environment.
+        """
+        if state.motion not in self._tables:
+            raise ConfigError(f"environment: no motion {state.motion!r}, {did_you_mean(state.motion, self._tables)}")
+        self._plant = plant_copy(state.plant)
+        self._np_random = deepcopy(state.random)
+        self._motion, self._k, self._u, self._y = state.motion, state.k, state.u, state.y
+        self._disturbance = state.disturbance
+        return self._observation()
+
+    def _beside(self) -> float:
+        """What acts on the angle now [deg]."""
+        load = self._disturbance.angle_deg
+        return 0.0 if load is None else load(self._k * self.dt)
+
+    def _observation(self) -> NDArray[np.float32]:
+        seen = np.concatenate([[self._y, self._u], self._tables[self._motion].at(self._k)])
+        return np.clip(seen.astype(np.float32), self._seen_low, self._seen_high)
+
+    def _info(self) -> dict[str, Any]:
+        """What is true now; the reference is that of the end of the sample just done, the first one's before it."""
+        theta = self._plant.true_angle + self._beside()
+        reference = float(self._tables[self._motion].at(max(self._k - 1, 0))[0])
+        return {
+            "true_angle_deg": theta,
+            "reference_deg": reference,
+            "error_deg": theta - reference,
+            "command": self._u,
+        }

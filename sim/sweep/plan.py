@@ -1,0 +1,207 @@
+"""The rows of a sweep: what each runs, and an identity that depends on nothing but that."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from hystmpc.models.library import model_path
+from hystmpc.trials.errors import ConfigError
+
+from ..config import SimulationConfig
+from .draws import drawn
+from .paths import changed, path_parts, place
+from .settings import SweepSettings, label
+
+_KNOWLEDGE = ("model", "inverse", "actuator_lag_s")  # costly to open, so that they change last
+_ID_DIGITS = 16
+
+
+@dataclass(frozen=True)
+class Row:
+    """One closed-loop run.
+
+    Attributes:
+        id: of settings and model files, 16 hexadecimal digits.
+        controller, motion: names.
+        factors: what was varied, by path; names of grid values, values of draws.
+        draw: number of the draw.
+        seed: of noise.
+        settings: the study with this controller and motion alone, as JSON.
+        files: SHA-256 of the model files, in the study's order.
+    """
+
+    id: str
+    controller: str
+    motion: str
+    factors: Mapping[str, Any]
+    draw: int
+    seed: int
+    settings: str
+    files: tuple[str, ...]
+
+    def config(self) -> SimulationConfig:
+        """The settings.
+
+        Raises:
+            ConfigError: if they are none of this version.
+        """
+        return SimulationConfig.parse(json.loads(self.settings), f"row {self.id}")
+
+
+class Hashes:
+    """SHA-256 of model files, each read once."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, str] = {}
+
+    def of(self, config: SimulationConfig) -> tuple[str, ...]:
+        """Hashes of plant, model and inverse.
+
+        Raises:
+            ConfigError: if a file cannot be read.
+            ModelError: on an unknown built-in model.
+        """
+        names = [text for text in (config.plant.simulator, config.model, config.inverse) if text is not None]
+        return tuple(self._hash(name) for name in names)
+
+    def _hash(self, name: str) -> str:
+        if name not in self._known:
+            path = model_path(name)
+            try:
+                self._known[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+            except OSError as error:
+                raise ConfigError(f"{path}: cannot be read ({error.strerror}), expected a model file") from None
+        return self._known[name]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All rows of a sweep, made as they are asked for.
+
+    Attributes:
+        settings: with the study in them.
+        source: file of the sweep, for messages.
+    """
+
+    settings: SweepSettings
+    source: Path | None = None
+
+    @cached_property
+    def grid(self) -> tuple[dict[str, tuple[str, Any]], ...]:
+        """Grid points: name and value by path; what is costly to change changes last."""
+        paths = sorted(self.settings.grid, key=lambda path: path_parts(path)[0] not in _KNOWLEDGE)
+        values = [list(self.settings.grid[path].items()) for path in paths]
+        return tuple(dict(zip(paths, point, strict=True)) for point in itertools.product(*values))
+
+    def rows(self) -> Iterator[Row]:
+        """Row after row, none twice.
+
+        Raises:
+            ConfigError: if a path or value does not fit the study.
+        """
+        settings, hashes, seen = self.settings, Hashes(), set()
+        for point in self.grid:
+            at_point = self._with(self.settings.base, {path: value for path, (_, value) in point.items()}, "grid")
+            for number in range(settings.count):
+                values = drawn(settings.draw, settings.draw_seed, number)
+                config = self._study(self._with(at_point, values, "draw"))
+                factors = self._factors({path: name for path, (name, _) in point.items()} | values)
+                for seed in settings.seeds or (config.seed,):
+                    for row in _rows(config.model_copy(update={"seed": seed}), factors, number, hashes):
+                        if row.id not in seen:
+                            seen.add(row.id)
+                            yield row
+
+    def check(self) -> int:
+        """Number of rows, equal ones counted apart, after every grid point and every end of a draw was tried.
+
+        Raises:
+            ConfigError: if a path or value does not fit the study; names the line.
+        """
+        total = 0
+        for point in self.grid:
+            at_point = self._with(self.settings.base, {path: value for path, (_, value) in point.items()}, "grid")
+            values = drawn(self.settings.draw, self.settings.draw_seed, 0)
+            study = self._study(self._with(at_point, values, "draw"))
+            for path, draw in self.settings.draw.items():
+                for end in draw.ends:
+                    self._study(self._with(at_point, {**values, path: end}, "draw"), "draw", path)
+            runs = len(study.controllers) * len(study.motions)
+            total += runs * self.settings.count * max(1, len(self.settings.seeds))
+        return total
+
+    def columns(self) -> dict[str, str]:
+        """Kind of the column of every factor: `number`, or `text` for names and everything else."""
+        grid = {path: _kind(values.values(), values) for path, values in self.settings.grid.items()}
+        return grid | {path: _kind(draw.ends) for path, draw in self.settings.draw.items()}
+
+    def _factors(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        kinds = self.columns()
+        return {path: float(v) if kinds[path] == "number" else label(v) for path, v in values.items()}
+
+    def _with(self, data: Any, values: Mapping[str, Any], block: str) -> Any:
+        for path, value in values.items():
+            try:
+                data = changed(data, path, value)
+            except ConfigError as error:
+                raise ConfigError(f"{place(self.source, block, path)}{block}: {error}") from None
+        return data
+
+    def _study(self, data: Any, *where: str) -> SimulationConfig:
+        """The study of some data; `where` are the keys to blame, else those that the error leads to."""
+        study = SimulationConfig.parse(data, lambda at: self._told(where or self._blamed([str(part) for part in at])))
+        if study.tune_pid is not None:  # a search a row would cost hundreds of runs
+            raise ConfigError(f"{self._told(('base',))}: tune_pid is for `simulate` alone, expected none")
+        return study
+
+    def _told(self, keys: Sequence[str]) -> str:
+        return f"{place(self.source, *keys)}{'.'.join(keys)}"
+
+    def _blamed(self, at: Sequence[str]) -> tuple[str, ...]:
+        """The entry of the sweep with the longest path to a setting; marks of validators between are passed over."""
+        found: tuple[int, tuple[str, ...]] = (0, ("base", *at))
+        for block, paths in (("grid", self.settings.grid), ("draw", self.settings.draw)):
+            for path in paths:
+                parts, left = path_parts(path), iter(at)
+                if len(parts) > found[0] and all(part in left for part in parts):
+                    found = len(parts), (block, path)
+        return found[1]
+
+
+def _rows(config: SimulationConfig, factors: Mapping[str, Any], number: int, hashes: Hashes) -> Iterator[Row]:
+    files = hashes.of(config)
+    for motion in config.motions:
+        for controller in config.controllers:
+            alone = config.model_copy(
+                update={
+                    "motions": {motion: config.motions[motion]},
+                    "controllers": {controller: config.controllers[controller]},
+                    "tuned": (),
+                }
+            )
+            row = Row("", controller, motion, factors, number, config.seed, _text(alone), files)
+            yield replace(row, id=row_id(row))
+
+
+def row_id(row: Row) -> str:
+    """SHA-256 over a row's settings and model files, first 16 digits."""
+    text = json.dumps([row.settings, list(row.files)])
+    return hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS]
+
+
+def _text(config: SimulationConfig) -> str:
+    return json.dumps(config.model_dump(mode="json"), sort_keys=True)
+
+
+def _kind(values: Iterable[Any], names: Iterable[str] | None = None) -> str:
+    """`number` if all values are, and go by no other names."""
+    values = list(values)
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    return "number" if numbers and (names is None or list(names) == [label(value) for value in values]) else "text"

@@ -1,0 +1,211 @@
+"""The report of a sweep: tables by factor, box plots by controller, the worst runs with their ids."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
+from hystmpc.trials.plot_style import REFERENCE, new_figure
+
+from ..figures import colours
+from .axes import plain_log
+from .columns import Column, Vec, chosen, numbers, texts
+from .store import table_of
+
+_FIGURES = ("rmse_deg", "max_abs_deg", "hold_error_deg", "command_travel", "limit_violations", "step_mean_s", "wall_s")
+_NAMES = ("id", "status", "message", "controller", "motion", "seed", *_FIGURES)
+_WORST = 20
+_LEVELS = 8  # a factor with more numbers is shown by its quarters
+_SHORT = 28
+
+
+@dataclass(frozen=True, eq=False)
+class SweepView:
+    """The rows of one plan.
+
+    Attributes:
+        table: columns (N,).
+        factors: kinds of the columns that were varied.
+    """
+
+    table: Mapping[str, Column]
+    factors: Mapping[str, str]
+
+    @classmethod
+    def of(cls, folder: Path, factors: Mapping[str, str], ids: set[str]) -> SweepView:
+        """Read what the report needs.
+
+        Raises:
+            LogError: if a file is damaged.
+        """
+        table = table_of(folder, dict.fromkeys([*_NAMES, *factors]))
+        ours = np.array([str(identity) in ids for identity in table["id"]], dtype=bool)
+        return cls(chosen(table, ours), factors)
+
+    def done(self) -> SweepView:
+        """The rows that have figures."""
+        return SweepView(chosen(self.table, np.array(self.table["status"]) == "done"), self.factors)
+
+    def failed(self) -> list[tuple[str, str]]:
+        """Id and error of every row that has none."""
+        columns = (self.table[name] for name in ("id", "status", "message"))
+        return [(str(i), str(message)) for i, status, message in zip(*columns, strict=True) if status != "done"]
+
+    def where(self, name: str, value: str) -> SweepView:
+        """The rows whose text is this."""
+        return SweepView(chosen(self.table, np.array(texts(self.table, name)) == value), self.factors)
+
+    def names(self, name: str) -> tuple[str, ...]:
+        """The different texts of a column, in order."""
+        return tuple(dict.fromkeys(texts(self.table, name)))
+
+    def figures(self, name: str) -> Vec:
+        """A column of numbers (N,)."""
+        return numbers(self.table, name)
+
+
+def sweep_report(view: SweepView, meta: Mapping[str, Any]) -> Report:
+    """The page of a sweep."""
+    done, failed = view.done(), view.failed()
+    pieces: list[Piece] = [Heading("Runs"), KeyValues(_facts(view, done, meta))]
+    if failed:
+        pieces.append(Table(("row", "error"), failed[:_WORST], f"Runs that could not be made, {len(failed)} in all."))
+    if len(done.table["id"]):
+        pieces += [*_overall(done), *_by_factor(done), *_worst(done)]
+    return Report("Closed-loop sweep", tuple(pieces), f"{len(view.table['id'])} runs, simulated")
+
+
+def _facts(view: SweepView, done: SweepView, meta: Mapping[str, Any]) -> dict[str, object]:
+    wall, beyond = view.figures("wall_s"), done.figures("limit_violations")
+    return {
+        "runs": len(wall),
+        "failed": len(view.failed()),
+        "varied": ", ".join(view.factors) or "nothing but controller, motion and seed",
+        "commands beyond a limit": int(np.sum(beyond)),
+        "runs with one": int(np.sum(beyond > 0)),
+        "processor time": f"{np.sum(wall) / 60:.1f} min, {np.mean(wall):.2f} s a run",
+        "hystmpc": meta["versions"].get("hystmpc"),
+        "started": meta["start"],
+    }
+
+
+def _overall(done: SweepView) -> Iterator[Piece]:
+    columns = ("motion", "controller", "runs", "median", "mean", "90 %", "worst", "hold, median", "travel, median")
+    rows = []
+    for motion in done.names("motion"):
+        for controller in done.names("controller"):
+            part = done.where("motion", motion).where("controller", controller)
+            if e := _summary(part.figures("rmse_deg")):
+                held, travel = _median(part.figures("hold_error_deg")), _median(part.figures("command_travel"))
+                rows.append((motion, controller, len(part.table["id"]), *e, held, travel))
+    yield Heading("Controllers")
+    caption = "RMSE of the tip angle without sensor noise [deg]; error in holds [deg]; command travel [command unit]."
+    yield Table(columns, rows, caption)
+    yield _boxes(done)
+
+
+def _boxes(done: SweepView) -> Plot:
+    motions, controllers = done.names("motion"), done.names("controller")
+    colour = colours(controllers)
+    with new_figure(7.0, 0.8 + len(motions) * (0.5 + 0.28 * len(controllers))) as figure:
+        rows = figure.subplots(len(motions), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, motion in zip(rows, motions, strict=True):
+            part = done.where("motion", motion)
+            sets = {name: part.where("controller", name).figures("rmse_deg") for name in controllers}
+            _box(axes, {name: values for name, values in sets.items() if values.size}, colour)
+            axes.set_title(motion)
+        rows[-1].set_xlabel("RMSE [deg]")
+    caption = (
+        "Tracking error over all runs, logarithmic: box from the first to the third quarter with the median, lines to "
+        "the 5th and 95th percentile, points beyond them."
+    )
+    return Plot(figure, caption)
+
+
+def _box(axes: Axes, sets: Mapping[str, Vec], colour: Mapping[str, str]) -> None:
+    boxes = axes.boxplot(
+        list(sets.values()),
+        orientation="horizontal",
+        widths=0.6,
+        whis=(5, 95),
+        patch_artist=True,
+        tick_labels=list(sets),
+        medianprops={"color": REFERENCE},
+        flierprops={"marker": ".", "markersize": 3, "alpha": 0.5},
+    )
+    for patch, name in zip(boxes["boxes"], sets, strict=True):
+        patch.set(facecolor=colour[name], alpha=0.7)
+    axes.set_xscale("log")
+    plain_log(axes.xaxis)
+    axes.invert_yaxis()
+    axes.grid(visible=False, axis="y")
+
+
+def _by_factor(done: SweepView) -> Iterator[Piece]:
+    if not done.factors:
+        return
+    yield Heading("By factor")
+    yield Paragraph(
+        "Median and, after the stroke, 90th percentile of the RMSE [deg] over all motions and other factors."
+    )
+    controllers = done.names("controller")
+    for path, kind in done.factors.items():
+        rows = []
+        for level, rows_of in _levels(done, path, kind):
+            part = SweepView(chosen(done.table, rows_of), done.factors)
+            errors = [part.where("controller", name).figures("rmse_deg") for name in controllers]
+            rows.append((level, len(part.table["id"]), *(_pair(e) for e in errors)))
+        yield Table((path, "runs", *controllers), rows)
+
+
+def _levels(done: SweepView, path: str, kind: str) -> Iterable[tuple[str, NDArray[np.bool_]]]:
+    """Name and rows of every level of a factor, or of its quarters."""
+    if kind == "number" and len(np.unique(values := done.figures(path))) > _LEVELS:
+        edges = np.quantile(values, [0.0, 0.25, 0.5, 0.75, 1.0])
+        for k in range(4):
+            last = values <= edges[k + 1] if k == 3 else values < edges[k + 1]
+            yield f"{edges[k]:.3g} to {edges[k + 1]:.3g}", (values >= edges[k]) & last
+        return
+    levels = np.array(texts(done.table, path))
+    for level in done.names(path):
+        yield _short(level), levels == level
+
+
+def _worst(done: SweepView) -> Iterator[Piece]:
+    order = np.argsort(-done.figures("rmse_deg"), kind="stable")[:_WORST]
+    shown = ["id", "controller", "motion", "seed", *done.factors, "rmse_deg", "max_abs_deg", "limit_violations"]
+    columns = {name: done.table[name] for name in shown}
+    rows = [[_cell(columns[name][k]) for name in shown] for k in order]
+    yield Heading("Worst runs")
+    yield Table(shown, rows, "`hystmpc simulate --row DIR ID` makes one of them again; with --out it leaves its log.")
+
+
+def _summary(values: Vec) -> tuple[float, ...]:
+    if not values.size:
+        return ()
+    return _median(values), float(np.mean(values)), float(np.quantile(values, 0.9)), float(np.max(values))
+
+
+def _median(values: Vec) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else math.nan
+
+
+def _pair(values: Vec) -> str:
+    return f"{np.median(values):.3g} / {np.quantile(values, 0.9):.3g}" if values.size else "-"
+
+
+def _cell(value: Any) -> object:
+    return _short(value or "") if value is None or isinstance(value, str) else float(value)
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _SHORT else f"{text[: _SHORT - 3]}..."

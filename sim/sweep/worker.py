@@ -1,0 +1,127 @@
+"""Doing one row of a sweep; runs in a process of its own, where what controllers know is kept between rows."""
+
+from __future__ import annotations
+
+import json
+import platform
+import time
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+from hystmpc.trials.errors import HystmpcError
+
+from ..closed_loop import run_closed_loop
+from ..config import SimulationConfig
+from ..metrics import TrackingMetrics
+from ..results import result_of
+from ..study import Knowledge, knowledge, prepare
+from .plan import Hashes, Row
+
+# Columns of every row besides the factors, in the order of the table.
+ROW_COLUMNS: Mapping[str, str] = {
+    "id": "text",
+    "status": "text",
+    "message": "text",
+    "controller": "text",
+    "motion": "text",
+    "draw": "whole",
+    "seed": "whole",
+}
+RESULT_COLUMNS: Mapping[str, str] = {
+    "rmse_deg": "number",
+    "max_abs_deg": "number",
+    "hold_error_deg": "number",
+    "hold_command_range": "number",
+    "command_travel": "number",
+    "limit_violations": "whole",
+    "ladder": "text",
+}
+COST_COLUMNS: Mapping[str, str] = {
+    "samples": "whole",
+    "step_mean_s": "number",
+    "step_p99_s": "number",
+    "wall_s": "number",
+    "cpu_s": "number",
+    "host": "text",
+    "files": "text",
+    "settings": "text",
+}
+_KEPT = 4  # models a process keeps ready
+
+
+def run_row(row: Row) -> dict[str, Any]:
+    """One row of the table; an error becomes a row that says so.
+
+    Raises:
+        KeyboardInterrupt: if the user ended it; half a run is no result.
+    """
+    start, busy = time.perf_counter(), time.process_time()
+    try:
+        if Hashes().of(row.config()) == row.files:
+            metrics, samples = run_settings(row.config())
+            found = {"status": "done", "message": "", "samples": samples} | metrics_columns(metrics)
+        else:
+            found = failed("a model file has changed since the row was planned")
+    except HystmpcError as error:
+        found = failed(str(error))
+    except Exception as error:  # noqa: BLE001  # one row's defect must not cost the others hours
+        found = failed(f"{type(error).__name__}: {error}")
+    return {
+        **found,
+        "id": row.id,
+        "controller": row.controller,
+        "motion": row.motion,
+        "draw": row.draw,
+        "seed": row.seed,
+        **row.factors,
+        "wall_s": time.perf_counter() - start,
+        "cpu_s": time.process_time() - busy,
+        "host": platform.node(),
+        "files": json.dumps(row.files),
+        "settings": row.settings,
+    }
+
+
+def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
+    """Metrics and samples of a study with one controller and one motion.
+
+    Raises:
+        HystmpcError: what `prepare` raises.
+        KeyboardInterrupt: if the user ended it.
+    """
+    study = prepare(config, shared_knowledge(config))
+    ((motion, trajectory),) = study.motions.items()
+    ((name, settings),) = study.config.controllers.items()
+    run = run_closed_loop(study.controller(settings), study.plant, trajectory)
+    if run.log.interrupted:
+        raise KeyboardInterrupt  # the loop ends quietly
+    return result_of(study.config, motion, name, run).metrics, len(run.true_deg)
+
+
+def shared_knowledge(config: SimulationConfig) -> Knowledge:
+    """What controllers know, opened once a process for each model, inverse and lag.
+
+    Raises:
+        HystmpcError: what `knowledge` raises.
+    """
+    return _kept_knowledge(config.model, config.inverse, config.actuator_lag_s, Hashes().of(config)[1:])
+
+
+@lru_cache(maxsize=_KEPT)
+def _kept_knowledge(model: str, inverse: str | None, actuator_lag_s: float, files: tuple[str, ...]) -> Knowledge:
+    del files  # of the key: a file that has changed is opened again
+    return knowledge(model, inverse, actuator_lag_s)
+
+
+def metrics_columns(metrics: TrackingMetrics) -> dict[str, Any]:
+    """Metrics as columns: all that a repetition gives again to the last bit, and the times of a step."""
+    columns = {name: getattr(metrics, name) for name in RESULT_COLUMNS if name != "ladder"}
+    times = {"step_mean_s": metrics.step_mean_s, "step_p99_s": metrics.step_p99_s}
+    return columns | times | {"ladder": json.dumps(metrics.ladder, sort_keys=True)}
+
+
+def failed(message: str) -> dict[str, Any]:
+    """Columns of a row whose run could not be made."""
+    columns = dict.fromkeys((*RESULT_COLUMNS, "samples", "step_mean_s", "step_p99_s"))
+    return {"status": "failed", "message": " ".join(message.split())} | columns

@@ -1,0 +1,191 @@
+"""The search in Optuna: a shared storage in which every trial has a slot, so that none is done twice."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import optuna
+from optuna.exceptions import ExperimentalWarning
+from optuna.trial import FrozenTrial, TrialState
+
+from hystmpc.trials.errors import ConfigError, HystmpcError
+
+from ..sweep.draws import DrawSettings
+from ..sweep.paths import value_at
+from ..sweep.settings import label
+from .objective import plant_config, plant_cost, plant_score, robust
+from .search import Outcome, State, Ticket, Trial
+from .settings import TuneSettings
+
+_HEARTBEAT_S = 5
+_GRACE_S = 20  # without a heartbeat a trial counts as lost
+_BUSY_S = 60.0  # that a process waits for another one's writing
+_STARTUP = 10  # trials before the sampler learns from them, and before any is pruned
+_ENDED = (TrialState.COMPLETE, TrialState.PRUNED)
+_FIGURES = ("error_deg", "travel", "plants")
+
+
+class _TakenError(HystmpcError):
+    """The slot belongs to an earlier trial."""
+
+
+def open_search(storage: str, name: str) -> optuna.Study:
+    """The search in its storage, made where it is not there yet.
+
+    Raises:
+        ConfigError: if the storage cannot be opened.
+    """
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    try:
+        return optuna.create_study(storage=_storage(storage), study_name=name, load_if_exists=True)
+    except Exception as error:  # noqa: BLE001  # whatever the driver of a data base raises
+        reason = " ".join(str(error).split())[:200]
+        raise ConfigError(f"--storage {storage}: cannot be opened ({reason})") from None
+
+
+@lru_cache(maxsize=4)
+def _storage(url: str) -> optuna.storages.RDBStorage:
+    options = {"connect_args": {"timeout": _BUSY_S}} if url.startswith("sqlite") else {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        return optuna.storages.RDBStorage(
+            url, engine_kwargs=options, heartbeat_interval=_HEARTBEAT_S, grace_period=_GRACE_S
+        )
+
+
+def run_ticket(ticket: Ticket) -> Outcome:
+    """Do one trial, unless it is done or another process does it.
+
+    Raises:
+        ConfigError: if the storage cannot be opened.
+        KeyboardInterrupt: if the user ended it; the trial counts as failed and is done again later.
+    """
+    settings = TuneSettings.parse(json.loads(ticket.settings), "ticket")
+    study = open_search(ticket.storage, ticket.study)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        optuna.storages.fail_stale_trials(study)
+    for trial in _of_slot(study, ticket.slot):
+        if trial.state in _ENDED:
+            return Outcome(ticket.slot, "done" if trial.state is TrialState.COMPLETE else "pruned")
+        if trial.state is TrialState.RUNNING:
+            return Outcome(ticket.slot, "elsewhere")
+    study.sampler, study.pruner = _sampler(settings, ticket.slot), _pruner(settings)
+    problems: list[HystmpcError] = []
+
+    def objective(trial: optuna.Trial) -> float:
+        try:
+            return _value(settings, study, trial, ticket.slot)
+        except HystmpcError as error:
+            problems.append(error)
+            raise
+
+    study.optimize(objective, n_trials=1, catch=(HystmpcError,))
+    if problems:
+        taken = isinstance(problems[0], _TakenError)
+        return Outcome(ticket.slot, "elsewhere" if taken else "failed", "" if taken else str(problems[0]))
+    ended = next(trial for trial in _of_slot(study, ticket.slot) if trial.state in _ENDED)
+    return Outcome(ticket.slot, "done" if ended.state is TrialState.COMPLETE else "pruned")
+
+
+def trials_of(storage: str, name: str) -> tuple[Trial, ...]:
+    """All trials that have come to an end, by slot.
+
+    Raises:
+        ConfigError: if the storage cannot be opened.
+    """
+    found = {}
+    for trial in open_search(storage, name).get_trials(deepcopy=False):
+        if trial.state in _ENDED and all(key in trial.user_attrs for key in ("slot", "values", *_FIGURES)):
+            attrs = trial.user_attrs
+            state: State = "done" if trial.state is TrialState.COMPLETE else "pruned"
+            seen = trial.value if state == "done" else trial.intermediate_values[max(trial.intermediate_values)]
+            figures = (attrs["error_deg"], attrs["travel"], int(attrs["plants"]))
+            found[attrs["slot"]] = Trial(attrs["slot"], state, float(seen or 0.0), attrs["values"], *figures)
+    return tuple(found[slot] for slot in sorted(found))
+
+
+def _value(settings: TuneSettings, study: optuna.Study, trial: optuna.Trial, slot: int) -> float:
+    """The robust objective of one point of the search; reported after every plant."""
+    trial.set_user_attr("slot", slot)
+    # Two processes may have taken the slot at once; both see both, and the one that came second leaves it.
+    live = [t for t in _of_slot(study, slot) if t.state in (*_ENDED, TrialState.RUNNING)]
+    if any(other.number < trial.number for other in live):
+        raise _TakenError(f"slot {slot} is done elsewhere")
+    values = {path: _suggested(trial, path, one) for path, one in settings.search.items()}
+    if slot == 0:
+        values = given_values(settings)
+    controller = settings.with_values(values)
+    trial.set_user_attr("values", values)
+    errors, costs, travels = [], [], []
+    for number in range(settings.plants.count):
+        score = plant_score(plant_config(settings, settings.plants, number, controller))
+        errors.append(score.error_deg)
+        travels.append(score.travel)
+        costs.append(plant_cost(score, settings.objective))
+        trial.report(robust(costs, settings.objective), step=number)
+        figures = (robust(errors, settings.objective), float(np.mean(travels)), number + 1)
+        for name, figure in zip(_FIGURES, figures, strict=True):
+            trial.set_user_attr(name, figure)
+        if number + 1 < settings.plants.count and trial.should_prune():
+            raise optuna.TrialPruned
+    return robust(costs, settings.objective)
+
+
+def given_values(settings: TuneSettings) -> dict[str, Any]:
+    """The searched settings as they were given."""
+    given = settings.given.model_dump(mode="json")
+    return {path: value_at(given, path) for path in settings.search}
+
+
+def _suggested(trial: optuna.Trial, path: str, one: DrawSettings) -> Any:
+    """A point of the search; four digits are all that anybody would write down, and what is written is what ran."""
+    if one.choice is not None:
+        named = {label(value): value for value in one.choice}
+        return named[trial.suggest_categorical(path, list(named))]
+    if one.integer is not None:
+        return trial.suggest_int(path, *one.integer)
+    low, high = one.ends
+    value = trial.suggest_float(path, low, high, log=one.log_uniform is not None)
+    return min(max(float(f"{value:.4g}"), low), high)
+
+
+def _sampler(settings: TuneSettings, slot: int) -> optuna.samplers.BaseSampler:
+    """Random numbers that belong to the slot: equal processes would propose equal points otherwise."""
+    seed = int(np.random.SeedSequence([settings.seed, slot]).generate_state(1)[0])
+    sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=_STARTUP, constant_liar=True)
+    if slot > 0:
+        return sampler
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        return optuna.samplers.PartialFixedSampler(_clipped(given_values(settings), settings.search), sampler)
+
+
+def _clipped(values: Mapping[str, Any], search: Mapping[str, DrawSettings]) -> dict[str, Any]:
+    """The given settings as the sampler remembers them: inside their ranges, choices by name."""
+    clipped = {}
+    for path, value in values.items():
+        one = search[path]
+        if one.choice is not None:
+            clipped[path] = label(value) if value in one.choice else label(one.choice[0])
+        else:
+            clipped[path] = min(max(value if value is not None else one.ends[0], one.ends[0]), one.ends[1])
+    return clipped
+
+
+def _pruner(settings: TuneSettings) -> optuna.pruners.BasePruner:
+    plants = settings.plants.count
+    if settings.pruner == "none" or plants < 2:
+        return optuna.pruners.NopPruner()
+    if settings.pruner == "hyperband":
+        return optuna.pruners.HyperbandPruner(min_resource=1, max_resource=plants)
+    return optuna.pruners.MedianPruner(n_startup_trials=_STARTUP, n_warmup_steps=min(2, plants - 1))
+
+
+def _of_slot(study: optuna.Study, slot: int) -> list[FrozenTrial]:
+    return [trial for trial in study.get_trials(deepcopy=False) if trial.user_attrs.get("slot") == slot]

@@ -1,0 +1,154 @@
+"""A whole tuning: search, check on plants not seen, controller, report; in a folder that it goes on from."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystmpc.trials.config import dump_yaml, read_yaml
+from hystmpc.trials.errors import ConfigError, FitError
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.table import format_table
+
+from ..parallel.backend import Backend
+from ..sweep.store import alone_in
+from .held_out import HeldOut, held_out
+from .report import tuning_report
+from .search import Outcome, Ticket, Trial
+from .settings import TuneSettings
+
+Progress = Callable[[int, int, str], None]
+_WAIT_S = 3.0  # until trials that another process does are asked for again
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What a tuning found.
+
+    Attributes:
+        settings: complete.
+        trials: of the search, by slot, pruned ones among them.
+        best: the trial with the least objective.
+        check: given and tuned settings on plants that the search has not seen.
+        failed: trials that raised, with what.
+    """
+
+    settings: TuneSettings
+    trials: tuple[Trial, ...]
+    best: Trial
+    check: HeldOut
+    failed: tuple[Outcome, ...]
+
+
+def run_tuning(
+    settings: TuneSettings,
+    out: Path | str,
+    backend: Backend,
+    storage: str | None = None,
+    progress: Progress | None = None,
+) -> Tuning:
+    """Search, check, and leave controller.yaml, study.yaml, trials.csv, held_out.csv and report.html in `out`.
+
+    Args:
+        settings: complete, as `load_tuning` gives them.
+        out: a new or empty folder, or one of a tuning, whose trials are kept; one for each machine.
+        backend: where trials are done.
+        storage: of the search, as Optuna names it, such as `postgresql://...`; several machines that name the same one
+            share the trials. A file in `out` where left out.
+        progress: called with what is done, how much there is, and a note.
+
+    Raises:
+        ConfigError: if the folder holds something else, the storage cannot be opened, workers die again and again, or
+            optuna is not installed.
+        FitError: if no trial came to an end.
+        KeyboardInterrupt: if the user ended it; finished trials are kept.
+    """
+    folder = _folder(Path(out), settings)
+    with alone_in(folder.path):
+        url = storage or f"sqlite:///{(folder.path / 'search.db').resolve()}"
+        trials, failed = search(settings, backend, url, progress)
+        done = [trial for trial in trials if trial.state == "done"]
+        if not done:
+            reason = failed[0].message if failed else "all were pruned"
+            raise FitError(f"{folder.path}: no trial came to an end ({reason})")
+        best = min(done, key=lambda trial: (trial.value, trial.slot))
+        check = held_out(settings, dict(best.values), backend, progress)
+        found = Tuning(settings, trials, best, check, failed)
+        _write(folder, found)
+    return found
+
+
+def search(
+    settings: TuneSettings, backend: Backend, storage: str, progress: Progress | None = None
+) -> tuple[tuple[Trial, ...], tuple[Outcome, ...]]:
+    """Do the trials that are not done yet; those that others do are waited for.
+
+    Raises:
+        ConfigError: if the storage cannot be opened, or optuna is not installed.
+        KeyboardInterrupt: if the user ended it.
+    """
+    try:
+        from .optuna_ import open_search, run_ticket, trials_of
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"tune: {error.name} is not installed: pip install 'hystmpc[tune]'") from None
+    name = f"hystmpc-{settings.fingerprint}"
+    open_search(storage, name)  # made before the workers meet
+    plain = settings.model_dump_json()
+    slots: Sequence[int] = range(settings.trials)
+    failed: list[Outcome] = []
+    ended = 0
+    while slots:
+        later = []
+        for outcome in backend.results(run_ticket, [Ticket(slot, storage, name, plain) for slot in slots]):
+            if outcome.state == "elsewhere":
+                later.append(outcome.slot)
+                continue
+            ended += 1
+            failed += [outcome] if outcome.state == "failed" else []
+            if progress:
+                progress(ended, settings.trials, f"trial {outcome.slot} {outcome.state}")
+        slots = sorted(later)
+        if slots:
+            time.sleep(_WAIT_S)
+    return tuple(t for t in trials_of(storage, name) if t.slot < settings.trials), tuple(failed)
+
+
+def _folder(path: Path, settings: TuneSettings) -> RunFolder:
+    """A new run folder, or the one that a tuning left."""
+    plain = settings.model_dump(mode="json", exclude_none=True)
+    if not (path / "meta.json").exists():
+        return RunFolder.create(path, plain, seed=settings.seed)
+    folder = RunFolder.open(path)
+    before = read_yaml(path / "config.yaml")
+    if not isinstance(before, dict) or "search" not in before:
+        raise ConfigError(f"{path}: holds another kind of run, expected a new folder or that of a tuning")
+    write_atomically(path / "config.yaml", dump_yaml(plain))
+    return folder
+
+
+def _write(folder: RunFolder, found: Tuning) -> None:
+    settings, check = found.settings, found.check
+    tuned = settings.with_values(dict(found.best.values))
+    head = f"# Tuned by hystmpc over {settings.plants.count} plants: trial {found.best.slot} of {settings.trials}.\n"
+    write_atomically(folder.path / "controller.yaml", head + dump_yaml(tuned.model_dump(mode="json")))
+    study = settings.study.model_copy(update={"controllers": {"given": settings.given, "tuned": tuned}})
+    write_atomically(folder.path / "study.yaml", dump_yaml(study.model_dump(mode="json")))
+    paths = list(settings.search)
+    columns: dict[str, Any] = {
+        "slot": np.array([trial.slot for trial in found.trials]),
+        "state": tuple(trial.state for trial in found.trials),
+        "objective_deg": np.array([trial.value for trial in found.trials]),
+        "error_deg": np.array([trial.error_deg for trial in found.trials]),
+        "travel": np.array([trial.travel for trial in found.trials]),
+        "plants": np.array([trial.plants for trial in found.trials]),
+        **{path: tuple(str(trial.values[path]) for trial in found.trials) for path in paths},
+    }
+    write_atomically(folder.path / "trials.csv", format_table(columns))
+    write_atomically(folder.path / "held_out.csv", format_table(check.columns()))
+    folder.write_report(tuning_report(found, folder.meta).html())

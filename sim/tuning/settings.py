@@ -1,0 +1,176 @@
+"""Settings of a tuning: a study, one controller of it, where its settings are searched, and on which plants."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from hystmpc.ctrl.config import AnyControllerSettings, parse_controller
+from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.errors import ConfigError, did_you_mean
+
+from ..config import SimulationConfig
+from ..sweep.draws import DrawSettings
+from ..sweep.paths import changed, place, value_at
+from ..sweep.settings import study_of
+from .spaces import default_draws, default_space
+
+Count = Annotated[int, Field(ge=1)]
+NotNegative = Annotated[float, Field(ge=0)]
+Seed = Annotated[int, Field(ge=0)]
+
+
+class PlantsSettings(Settings):
+    """A set of plants; `seed` is of the draws and of the plants' noise."""
+
+    count: Count
+    seed: Seed
+
+
+class ObjectiveSettings(Settings):
+    """What is minimised, in degrees; see `objective.robust`.
+
+    Attributes:
+        mean, tail: weights of the mean over the plants and of the mean over the worst of them.
+        tail_share: share of the plants that are the worst.
+        violation_deg: added to the error of a plant on which a command was beyond a limit.
+        chatter_deg: added per command travel beyond what the motion needs, over that need.
+    """
+
+    mean: NotNegative = 0.5
+    tail: NotNegative = 0.5
+    tail_share: Annotated[float, Field(gt=0, le=1)] = 0.1
+    violation_deg: NotNegative = 10.0
+    chatter_deg: NotNegative = 0.1
+
+    @model_validator(mode="after")
+    def _something(self) -> ObjectiveSettings:
+        if self.mean + self.tail <= 0:
+            raise ValueError("got mean 0 and tail 0, expected one of them positive")
+        return self
+
+
+class TuneSettings(Settings):
+    """A tuning.
+
+    Attributes:
+        base: the study: plant, model, motions; a file, or the settings themselves.
+        controller: name of the one that is tuned; may be left out where the study has only one.
+        search: range by dotted path below the controller; `spaces.default_space` of its kind where left out.
+        draw: distribution by dotted path of what differs between plants; `spaces.default_draws` where left out.
+        plants: to search on.
+        held_out: to judge by; drawn with another seed.
+        objective: what is minimised.
+        trials: points of the search, the given settings being the first.
+        pruner: what ends a trial before it has seen all plants.
+        seed: of the search.
+    """
+
+    base: str | dict[str, Any]
+    controller: str | None = None
+    search: dict[str, DrawSettings] = Field(default_factory=dict)
+    draw: dict[str, DrawSettings] = Field(default_factory=dict)
+    plants: PlantsSettings = PlantsSettings(count=10, seed=1)
+    held_out: PlantsSettings = PlantsSettings(count=20, seed=2)
+    objective: ObjectiveSettings = ObjectiveSettings()
+    trials: Count = 60
+    pruner: Literal["median", "hyperband", "none"] = "median"
+    seed: Seed = 0
+
+    @model_validator(mode="after")
+    def _apart(self) -> TuneSettings:
+        if self.plants.seed == self.held_out.seed:
+            raise ValueError(f"held_out.seed: got {self.held_out.seed}, that of `plants`, expected another")
+        return self
+
+    @property
+    def study(self) -> SimulationConfig:
+        """The study, with the tuned controller alone."""
+        return SimulationConfig.parse(self.base, "base")
+
+    @property
+    def given(self) -> AnyControllerSettings:
+        """The controller as it was given."""
+        return next(iter(self.study.controllers.values()))
+
+    @property
+    def fingerprint(self) -> str:
+        """Of everything but the number of trials, of which there may be more later; 12 hexadecimal digits."""
+        text = json.dumps(self.model_dump(mode="json", exclude={"trials", "held_out"}), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+    def with_values(self, values: dict[str, Any]) -> AnyControllerSettings:
+        """The controller with some of its settings changed.
+
+        Raises:
+            ConfigError: if a path or value does not fit it.
+        """
+        data: Any = self.given.model_dump(mode="json")
+        for path, value in values.items():
+            data = changed(data, path, value)
+        return parse_controller(data, "controller")
+
+
+def load_tuning(path: Path | str, overrides: Iterable[str] = ()) -> TuneSettings:
+    """Read a tuning, with the study, the search space and the draws in it.
+
+    Raises:
+        ConfigError: on an unreadable file, an unknown key, a value out of bounds, or a path that leads nowhere.
+        ModelError: on an unknown built-in model.
+    """
+    return complete(load_settings(TuneSettings, path, overrides), Path(path))
+
+
+def complete(settings: TuneSettings, path: Path) -> TuneSettings:
+    """The tuning with everything in it that was left out, checked.
+
+    Raises:
+        ConfigError: if study, controller or a path is wrong; names the line.
+        ModelError: if the plant's file is missing or unusable.
+    """
+    study = study_of(settings.base, path)
+    if study.tune_pid is not None:
+        study = study.model_copy(update={"tune_pid": None})
+    name = _chosen(settings.controller, study, path)
+    alone = study.model_copy(update={"controllers": {name: study.controllers[name]}, "tuned": ()})
+    found = settings.model_copy(
+        update={
+            "base": alone.model_dump(mode="json"),
+            "controller": name,
+            "search": settings.search or default_space(alone.controllers[name]),
+            "draw": settings.draw or default_draws(alone.plant),
+        }
+    )
+    _check(found, path)
+    return found
+
+
+def _chosen(name: str | None, study: SimulationConfig, path: Path) -> str:
+    if name is None and len(study.controllers) == 1:
+        return next(iter(study.controllers))
+    if name not in study.controllers:
+        got = "none" if name is None else repr(name)
+        there = did_you_mean(name or "", study.controllers)
+        raise ConfigError(f"{place(path, 'controller')}controller: got {got}, {there}")
+    return str(name)
+
+
+def _check(settings: TuneSettings, path: Path) -> None:
+    """Try both ends of every range."""
+    given = settings.given.model_dump(mode="json")
+    for block, ranges in (("search", settings.search), ("draw", settings.draw)):
+        for key, one in ranges.items():
+            try:
+                for end in one.ends:
+                    if block == "search":
+                        value_at(given, key)
+                        settings.with_values({key: end})
+                    else:
+                        SimulationConfig.parse(changed(settings.base, key, end), "study")
+            except ConfigError as error:
+                raise ConfigError(f"{place(path, block, key)}{block}: {error}") from None

@@ -1,0 +1,271 @@
+"""What a sweep varies, which rows that gives, and a table that neither loses nor doubles one."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from copy import deepcopy
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystmpc.sim.sweep import csv_rows, store
+from hystmpc.sim.sweep.draws import DrawSettings, drawn
+from hystmpc.sim.sweep.paths import changed, path_parts, value_at
+from hystmpc.sim.sweep.plan import Plan, Row
+from hystmpc.sim.sweep.settings import SweepSettings, load_sweep, with_base
+from hystmpc.sim.sweep.store import Store, files_of, table_of
+from hystmpc.trials.config import dump_yaml
+from hystmpc.trials.errors import ConfigError
+
+from .small import study_data
+
+MISMATCH = 'plant.mismatch."prandtl_ishlinskii.alpha"'
+DRAW = {"plant.lag_s": {"uniform": [0.0, 0.1]}, MISMATCH: {"log_uniform": [0.8, 1.25]}}
+KINDS = {"id": "text", "status": "text", "value": "number", "count": "whole"}
+
+
+def plan(**changes: Any) -> Plan:
+    """A sweep over the small study: two controllers, one motion."""
+    return Plan(with_base(SweepSettings.parse({"base": study_data()} | changes), Path("sweep.yaml")))
+
+
+def rows(**changes: Any) -> list[Row]:
+    return list(plan(**changes).rows())
+
+
+@pytest.mark.parametrize(
+    ("path", "parts"),
+    [
+        ("seed", ("seed",)),
+        ("plant.effects.0.parameters.tau_s", ("plant", "effects", "0", "parameters", "tau_s")),
+        (MISMATCH, ("plant", "mismatch", "prandtl_ishlinskii.alpha")),
+    ],
+)
+def test_a_path_is_split_at_its_dots(path: str, parts: tuple[str, ...]) -> None:
+    assert path_parts(path) == parts
+
+
+@pytest.mark.parametrize("path", ["", ".", "a.", ".a", "a..b", 'a"b', '"a.b'])
+def test_what_is_no_path_is_refused(path: str) -> None:
+    with pytest.raises(ConfigError, match="not a path"):
+        path_parts(path)
+
+
+keys = st.text("abc", min_size=1, max_size=2)
+blocks = st.recursive(
+    st.integers(), lambda inner: st.dictionaries(keys, inner, min_size=1) | st.lists(inner, min_size=1), max_leaves=8
+)
+
+
+@given(data=st.data(), block=blocks.filter(lambda b: not isinstance(b, int)), value=st.integers())
+def test_a_change_is_found_again_and_touches_nothing_else(data: st.DataObject, block: Any, value: int) -> None:
+    parts, node = [], block
+    while not isinstance(node, int):
+        part = data.draw(st.sampled_from(range(len(node)) if isinstance(node, list) else sorted(node)))
+        parts.append(str(part))
+        node = node[part]
+    path, before = ".".join(parts), deepcopy(block)
+    assert value_at(changed(block, path, value), path) == value
+    assert block == before
+    assert changed(changed(block, path, value), path, node) == block
+
+
+@given(seed=st.integers(0, 2**31), number=st.integers(0, 10**6))
+def test_draws_keep_their_ends_and_do_not_depend_on_each_other(seed: int, number: int) -> None:
+    ranges: dict[str, Any] = {
+        "a": {"uniform": [-1.0, 2.0]},
+        "b": {"log_uniform": [1e-3, 1e3]},
+        "c": {"integer": [3, 5]},
+        "d": {"choice": ["x", None, 2.5]},
+    }
+    draws = {name: DrawSettings.parse(one) for name, one in ranges.items()}
+    found = drawn(draws, seed, number)
+    assert -1.0 <= found["a"] <= 2.0
+    assert 1e-3 <= found["b"] <= 1e3
+    assert found["c"] in (3, 4, 5)
+    assert found["d"] in ("x", None, 2.5)
+    assert drawn({"b": draws["b"]}, seed, number) == {"b": found["b"]}
+
+
+def test_rows_are_the_product_and_draws_are_the_same_at_every_grid_point() -> None:
+    changes = {"grid": {"actuator_lag_s": [0, 0.08]}, "draw": DRAW, "count": 3, "seeds": [4, 5]}
+    found = rows(**changes)
+    assert len(found) == plan(**changes).check() == 2 * 3 * 2 * 2
+    assert len({row.id for row in found}) == len(found)
+    lags = {(row.draw, row.factors["plant.lag_s"]) for row in found}
+    assert len(lags) == 3
+    for row in found:
+        config = row.config()
+        assert config.plant.lag_s == row.factors["plant.lag_s"]
+        assert config.actuator_lag_s == row.factors["actuator_lag_s"]
+        assert config.seed == row.seed
+        assert list(config.controllers) == [row.controller]
+        assert list(config.motions) == [row.motion]
+
+
+def test_an_id_is_that_of_what_is_run_and_of_nothing_else() -> None:
+    few, more = rows(draw=DRAW, count=2), rows(draw=DRAW, count=4, seeds=[0, 1])
+    assert {row.id for row in few} < {row.id for row in more}
+    other = study_data()
+    other["plant"] = {**other["plant"], "noise_deg": 0.1}
+    assert not {row.id for row in few} & {row.id for row in rows(base=other, draw=DRAW, count=2)}
+
+
+def test_equal_rows_are_one() -> None:
+    assert len(rows(grid={"plant.lag_s": {"none": 0, "zero": 0.0}})) == 2
+
+
+def test_named_values_stand_in_the_table_by_their_names() -> None:
+    motions = {"short": study_data()["motions"]}
+    swept = plan(grid={"motions": motions, "plant.lag_s": [0, 0.1]})
+    assert swept.columns() == {"motions": "text", "plant.lag_s": "number"}
+    assert {row.factors["motions"] for row in swept.rows()} == {"short"}
+    assert {row.factors["plant.lag_s"] for row in swept.rows()} == {0.0, 0.1}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"gird": {}}, "unknown key 'gird'.*did you mean 'grid'"),
+        ({"grid": {"plant.lag": [0]}}, r"line \d+: .*unknown key 'lag'.*did you mean 'lag_s'"),
+        ({"grid": {"plnat.lag_s": [0]}}, r"line \d+: .*no key 'plnat'.*did you mean 'plant'"),
+        ({"grid": {"controllers.mcp.horizon": [5]}}, r"line \d+: .*no key 'mcp'.*did you mean 'mpc'"),
+        ({"grid": {"plant.lag_s": []}}, "plant.lag_s.*expected a list of values"),
+        ({"grid": {"plant.lag_s": [-1]}}, "lag_s.*greater than or equal to 0"),
+        ({"draw": {"plant.lag_s": {"uniform": [-0.1, 0.1]}}}, r"line \d+: draw.plant.lag_s.*greater than or equal"),
+        ({"draw": {"plant.lag_s": {"unifrom": [0, 1]}}}, "unknown key 'unifrom'.*did you mean 'uniform'"),
+        ({"draw": {"plant.lag_s": {"uniform": [1, 0]}}}, "lower end first"),
+        ({"draw": {"plant.lag_s": {"log_uniform": [0, 1]}}}, "expected a positive one"),
+        ({"draw": {"plant.lag_s": {}}}, "expected one of uniform"),
+        ({"count": 3}, "count: got 3 without anything in `draw`"),
+        ({"grid": {"plant.lag_s": [0]}, "draw": {"plant.lag_s": {"uniform": [0, 1]}}}, "in `grid` too"),
+        ({"base": study_data(tune_pid={"evaluations": 20})}, "tune_pid"),
+        ({"base": "nowhere.yaml"}, r"nowhere\.yaml: cannot be read"),
+    ],
+)
+def test_wrong_settings_are_one_line(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+    file = tmp_path / "sweep.yaml"
+    file.write_text(dump_yaml({"base": study_data()} | changes), encoding="utf-8")
+    with pytest.raises(ConfigError, match=message) as error:
+        Plan(load_sweep(file), file).check()
+    assert "\n" not in str(error.value)
+    assert str(tmp_path) in str(error.value)
+
+
+def test_the_study_may_stand_in_a_file_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "study.yaml").write_text(dump_yaml(study_data()), encoding="utf-8")
+    (tmp_path / "sweep.yaml").write_text(dump_yaml({"base": "study.yaml", "draw": DRAW}), encoding="utf-8")
+    found = load_sweep(tmp_path / "sweep.yaml", ["count=2"])
+    assert {row.id for row in Plan(found).rows()} == {row.id for row in rows(draw=DRAW, count=2)}
+
+
+@pytest.fixture(params=["csv", "parquet"])
+def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """Both formats of a table."""
+    if request.param == "csv":
+        monkeypatch.setattr(store, "find_spec", lambda name: None)
+        return csv_rows
+    pytest.importorskip("pyarrow", reason="pyarrow is an extra")
+    from hystmpc.sim.sweep import parquet_
+
+    return parquet_
+
+
+def record(identity: str, status: str = "done", value: float | None = 0.1, count: int = 1) -> dict[str, Any]:
+    return {"id": identity, "status": status, "value": value, "count": count}
+
+
+def taken(folder: Path, *records: dict[str, Any], kinds: dict[str, str] = KINDS) -> Store:
+    """A store after one more run of a process."""
+    found = Store(folder, kinds)
+    for one in records:
+        found.add(one)
+    found.flush()
+    return found
+
+
+def test_rows_come_back_to_the_last_bit(form: ModuleType, tmp_path: Path) -> None:
+    values = [0.1, 1 / 3, 5e-324, 1.7976931348623157e308, math.nan, -0.0]
+    taken(tmp_path, *(record(f"r{k}", value=value) for k, value in enumerate(values)))
+    for _ in range(2):
+        table = table_of(tmp_path, ["id", "value", "count"])
+        assert [np.float64(v).tobytes() for v in table["value"]] == [np.float64(v).tobytes() for v in values]
+        assert table["id"] == [f"r{k}" for k in range(len(values))]
+        Store(tmp_path, KINDS).merge()
+    assert [path.suffix for path in files_of(tmp_path)] == [form.ENDING]
+
+
+def test_of_a_row_done_again_the_last_that_was_done_counts(form: ModuleType, tmp_path: Path) -> None:
+    taken(tmp_path, record("a", "failed", None), record("b", value=1.0))
+    taken(tmp_path, record("a", value=2.0), record("b", "failed", None))
+    assert taken(tmp_path).done() == {"a", "b"}
+    for _ in range(2):
+        table = table_of(tmp_path, ["id", "value", "status"])
+        assert dict(zip(map(str, table["id"]), map(float, table["value"]), strict=True)) == {"a": 2.0, "b": 1.0}  # type: ignore[arg-type]
+        Store(tmp_path, KINDS).merge()
+
+
+def test_a_process_that_dies_between_merging_and_tidying_doubles_nothing(form: ModuleType, tmp_path: Path) -> None:
+    taken(tmp_path, record("a"), record("b"))
+    shutil.copytree(tmp_path / "shards", tmp_path / "kept")
+    Store(tmp_path, KINDS).merge()
+    shutil.rmtree(tmp_path / "shards")
+    (tmp_path / "kept").rename(tmp_path / "shards")
+    assert len(files_of(tmp_path)) == 2
+    assert table_of(tmp_path, ["id"])["id"] == ["a", "b"]
+    Store(tmp_path, KINDS).merge()
+    assert len(files_of(tmp_path)) == 1
+    assert table_of(tmp_path, ["id"])["id"] == ["a", "b"]
+
+
+def test_half_a_shard_is_no_shard(form: ModuleType, tmp_path: Path) -> None:
+    taken(tmp_path, record("a"))
+    (tmp_path / "shards" / f".00000000000000000000-1{form.ENDING}").write_text("half")
+    assert table_of(tmp_path, ["id"])["id"] == ["a"]
+    Store(tmp_path, KINDS).merge()
+    assert list((tmp_path / "shards").iterdir()) == []
+
+
+def test_a_table_grows_new_columns(form: ModuleType, tmp_path: Path) -> None:
+    taken(tmp_path, record("a"))
+    taken(tmp_path, record("b") | {"more": 7.0}, kinds=KINDS | {"more": "number"}).merge()
+    more = [float(v) for v in np.asarray(table_of(tmp_path, ["id", "more"])["more"], dtype=float)]
+    assert math.isnan(more[0])
+    assert more[1] == 7.0
+
+
+@settings(max_examples=20)
+@given(data=st.data())
+def test_however_a_run_is_cut_every_row_is_there_once(
+    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder, ids = tmp_path_factory.mktemp("cut"), [f"{k:02d}" for k in range(12)]
+    for _ in range(data.draw(st.integers(1, 4))):
+        held = Store(folder, KINDS)
+        open_rows = [identity for identity in ids if identity not in held.done()]
+        reached = data.draw(st.integers(0, len(open_rows)))
+        flushed = data.draw(st.integers(0, reached))
+        for k, identity in enumerate(open_rows[:reached]):
+            held.add(record(identity))
+            if k + 1 == flushed:
+                held.flush()  # what comes after is lost with the process
+        if data.draw(st.booleans()):
+            Store(folder, KINDS).merge()
+    held = Store(folder, KINDS)
+    for identity in ids:
+        if identity not in held.done():
+            held.add(record(identity))
+    held.merge()
+    assert sorted(str(i) for i in table_of(folder, ["id"])["id"]) == ids
+
+
+def test_settings_of_a_row_are_json() -> None:
+    (row, *_) = rows()
+    assert json.loads(row.settings)["model"] == "builtin:pi"
