@@ -42,8 +42,8 @@ Vec = NDArray[np.float64]
 
 LADDER = {"stop_after_failures": 10, "max_missing_samples": 5, "safe_command": 0.0}
 CONTROLLERS: dict[str, dict[str, Any]] = {
-    "linearised MPC, OSQP": {"kind": "linearised_mpc", "weights": {"angle_upper_deg": 80.0}},
-    "linearised MPC, DAQP": {"kind": "linearised_mpc", "solver": "daqp"},
+    "linearised MPC, OSQP": {"kind": "linearised_mpc", "solver": "osqp", "weights": {"angle_upper_deg": 80.0}},
+    "linearised MPC, DAQP": {"kind": "linearised_mpc"},
     "sampling MPC, MPPI": {"kind": "sampling_mpc", "samples": 32},
     "sampling MPC, CEM": {"kind": "sampling_mpc", "samples": 32, "method": "cem"},
     "inverse": {"kind": "inverse"},

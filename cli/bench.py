@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from hystmpc.sim.bench.figures import save_growth
 from hystmpc.sim.bench.report import Report, report_json
 from hystmpc.sim.bench.run import run_bench
 from hystmpc.sim.bench.settings import QUICK, BenchSettings
@@ -24,7 +25,7 @@ _TEXT = ("measured", "against", "ratio", "goal", "note")
 
 
 def bench(
-    folder: Annotated[Path | None, typer.Option("--out", help="Folder for bench.json and bench.txt.")] = None,
+    folder: Annotated[Path | None, typer.Option("--out", help="Folder for table, JSON and figures.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-bench/1 here.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few repetitions: rough ratios.")] = False,
 ) -> None:
@@ -41,6 +42,7 @@ def bench(
     if folder is not None:
         write_atomically(folder / "bench.json", content)
         _write_table(report, folder / "bench.txt")
+        save_growth(report.growth, folder)
     if report.interrupted:
         errors.print("interrupted: what was measured by then is above", style="yellow")
         raise typer.Exit(INTERRUPTED)
@@ -55,6 +57,10 @@ def _print(report: Report, console: Console) -> None:
         if name in _TEXT:
             column.justify = "left"
     console.print(grid)
+    for one in report.growth:
+        verdict = "" if one.reached is None else f", goal at most {one.goal:g}: {'yes' if one.reached else 'no'}"
+        sizes = f"{one.values[-2]} to {one.values[-1]}"
+        console.print(f"{one.what} grows as {one.size}^{one.exponent:.2f} from {sizes}{verdict}", highlight=False)
 
 
 def _title(report: Report) -> str:

@@ -30,7 +30,7 @@ def evaluate(
     skip_first_flexure: SkipFirstFlexure = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-evaluation/1 here.")] = None,
 ) -> None:
-    """Free run from the command alone against the measured angle; errors in degrees."""
+    """Free run from the command alone against the measured angle; an inverse map's from the angle to the command."""
     opened = load_model(model)
     trials = trials_at(logs, preset, 1 / opened.metadata.dt_s)
     results = []
@@ -58,8 +58,9 @@ def warn_outside(results: Sequence[TrialEvaluation], facts: ModelMetadata) -> No
 
 
 def errors_table(title: str, results: Sequence[TrialEvaluation]) -> Table:
-    """Errors a trial and their mean [deg]; `no bias` is the offset-free RMSE."""
+    """Errors a trial and their mean, in the output's unit; `no bias` is the offset-free RMSE."""
     rows = [_row(Path(result.trial.source).name, result.errors) for result in results]
+    title = f"{title}, in {results[0].trial.units.angle}"
     return table(title, _COLUMNS, [*rows, _row("mean", mean_errors(results))], last_apart=True)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,7 @@ from .pid import Pid, PidFeedback, PidGains
 from .planning import Planner, Weights
 from .sampling.cem import CrossEntropyOptions, CrossEntropyPlanner
 from .sampling.noise import coloured_noise, spline_noise
+from .sampling.options import SampleOptions
 from .sampling.planner import SamplingOptions, SamplingPlanner
 
 
@@ -107,24 +109,12 @@ def _planner(
         options = DaqpOptions() if settings.solver == "daqp" else OsqpOptions(eps=settings.solver_eps)
         return LinearisedPlanner(predictor, weights, limits, horizon, settings.iterations, options)
     noise = _noise(settings)
+    common = {f.name: getattr(settings, f.name) for f in fields(SampleOptions)}
     if settings.method == "cem":
-        shared = ("samples", "iterations", "sigma", "finest", "elites", "seed")
-        cem = CrossEntropyOptions(**{name: getattr(settings, name) for name in shared})
+        cem = CrossEntropyOptions(**common, elites=settings.elites)
         return CrossEntropyPlanner(predictor, weights, limits, noise, cem)
-    return SamplingPlanner(
-        predictor,
-        weights,
-        limits,
-        noise,
-        SamplingOptions(
-            samples=settings.samples,
-            iterations=settings.iterations,
-            sigma=settings.sigma,
-            finest=settings.finest,
-            temperature=settings.temperature,
-            seed=settings.seed,
-        ),
-    )
+    mppi = SamplingOptions(**common, temperature=settings.temperature)
+    return SamplingPlanner(predictor, weights, limits, noise, mppi)
 
 
 def _noise(settings: SamplingMpcSettings) -> NDArray[np.float64]:

@@ -53,7 +53,7 @@ class WeightsSettings(Settings):
 
     tracking: Positive = 1.0
     terminal: NotNegative = 2.0
-    rate: Positive = 1.0
+    rate: Positive = 3.0
     effort: NotNegative = 0.01
     soft_limit: NotNegative = 100.0
     angle_lower_deg: float | None = None
@@ -116,7 +116,7 @@ class LinearisedMpcSettings(_Predictive):
 
     kind: Literal["linearised_mpc"] = "linearised_mpc"
     iterations: Count = 1
-    solver: Literal["osqp", "daqp"] = "osqp"
+    solver: Literal["daqp", "osqp"] = "daqp"
     solver_eps: Annotated[float, Field(gt=0, le=1e-4)] = 1e-5
 
 

@@ -111,7 +111,7 @@ class OutputEstimator(Observer):
             ControllerError: if the model is not finite, or further from `y` than the disturbance may be.
         """
         angle, state = self._predictor.advance(self._predictor.initial(y, u), u)
-        if not (math.isfinite(angle) and np.all(np.isfinite(state))):
+        if not (math.isfinite(angle) and math.isfinite(state.sum())):
             raise ControllerError(f"estimator: the model answers {angle} deg to a rest at command {u}, expected finite")
         if abs(y - angle) > self._options.disturbance_limit_deg:
             raise ControllerError(
@@ -134,7 +134,7 @@ class OutputEstimator(Observer):
 
     def advance(self, estimate: Estimate, u: float) -> Estimate:
         angle, state = self._predictor.advance(estimate.state, u)
-        if not (math.isfinite(angle) and np.all(np.isfinite(state))):
+        if not (math.isfinite(angle) and math.isfinite(state.sum())):
             raise ArithmeticError(f"the model answers {angle} deg to command {u:.6g}")
         return self._shifted(estimate, u, float(angle), state)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Generic, TypeVar, final
 
 import numpy as np
@@ -104,6 +105,34 @@ class GuardedController(Generic[M]):
             raise
         except Exception as error:
             raise ControllerError(f"controller: the model fails at rest ({y} deg, command {u}): {error}") from error
+
+    def replay(self, commands: Vec, angles: Vec) -> GuardedState[M]:
+        """State after a recording: as if the controller had seen these angles and sent these commands itself.
+
+        Args:
+            commands: sent last (T,) [mm or bar], the newest at the end.
+            angles: measured when each was sent (T,) [deg]; not-a-number where there was none. The device is taken to
+                have rested at the first usable one, under the command sent then.
+
+        Raises:
+            ControllerError: if no angle is usable, a command is beyond the limits, or the model fails.
+        """
+        usable = np.flatnonzero([math.isfinite(usable_angle(y)) for y in angles])
+        low, high = self._limits.lower, self._limits.upper
+        if commands.shape != angles.shape or not usable.size or not np.all((commands >= low) & (commands <= high)):
+            raise ControllerError(
+                f"replay: got {commands.size} commands and {angles.size} angles, {usable.size} of them usable, "
+                f"expected as many commands within {low} to {high} as angles, at least one of them usable"
+            )
+        first = int(usable[0])
+        state = self.init(float(angles[first]), float(commands[first]))
+        estimate, last = state.estimate, float(angles[usable[-1]])
+        for y, u in zip(angles[first:].tolist(), commands[first:].tolist(), strict=True):
+            after, fault = attempt(partial(self._observer.advance, self._observer.correct(estimate, y), u))
+            if after is None:
+                raise ControllerError(f"replay: the model fails at command {u}: {fault}")
+            estimate = after
+        return replace(state, estimate=estimate, memory=self._law.init(last, estimate.command), due=last)
 
     def stop(self, state: GuardedState[M], cause: str) -> GuardedState[M]:
         """The state after which every step stops: towards the safe command, or stay; only a new `init` releases it."""

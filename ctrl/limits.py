@@ -50,13 +50,11 @@ class CommandLimits:
     def clip_plans(self, plans: Vec, last: float, dt: float) -> Vec:
         """Nearest admissible plans, sample by sample from the first on; shape (..., H).
 
-        Entries that are not finite come out as any admissible value or as NaN; callers pass finite plans.
+        Not-a-number stays what it is, and what follows it too; callers pass finite plans.
         """
-        boxed = np.minimum(np.maximum(plans, self.lower), self.upper)
-        reach = self.rate * dt
-        by_sample = np.moveaxis(boxed, -1, 0)
-        previous = np.full(boxed.shape[:-1], min(max(last, self.lower), self.upper))
-        for k in range(by_sample.shape[0]):
-            previous = np.minimum(np.maximum(by_sample[k], previous - reach), previous + reach)
-            by_sample[k] = previous
-        return boxed
+        from .plan_kernels import clip_plans  # numba takes longer to import than a planner's first call may
+
+        admissible: Vec = np.array(plans, dtype=np.float64, order="C")
+        rows = admissible.reshape(-1, admissible.shape[-1])
+        clip_plans(rows, self.lower, self.upper, self.rate * dt, last)
+        return admissible

@@ -55,12 +55,16 @@ class HoldRule:
         if not (self.tolerance_deg >= 0 and self.patience >= 0):
             raise ControllerError(f"hold: got {self}, expected values >= 0")
 
+    def rests(self, reference: Vec) -> bool:
+        """Whether the preview (H,) [deg] is constant."""
+        return float(reference.max() - reference.min()) <= self.tolerance_deg
+
     def judge(self, before: Hold, reference: Vec, held_angles: Vec, sigma: float) -> Hold:
         """Whether to hold now, from the preview (H,) [deg] and the held command's angles (H,) [deg].
 
         `sigma` is the standard deviation of the disturbance estimate's error [deg].
         """
-        if np.ptp(reference) > self.tolerance_deg:
+        if not self.rests(reference):
             return Hold()
         constant = before.constant + 1
         sigmas = _LEAVE_SIGMAS if before.holding else _ENTER_SIGMAS if constant > self.patience else 0.0
@@ -110,7 +114,9 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         self, memory: PredictiveMemory[P], situation: Situation, watch: Stopwatch
     ) -> Proposal[PredictiveMemory[P]]:
         wanted = situation.reference - situation.disturbance
-        plans = self._candidates.build(situation.state, situation.u_last, wanted, situation.remaining_plan)
+        plans = self._candidates.build(
+            situation.state, situation.u_last, wanted, situation.remaining_plan, self._hold.rests(wanted)
+        )
         watch.lap("candidates")
         low, high = self._angle_limits
         problem = PlanningProblem(

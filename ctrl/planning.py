@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ControllerError
 
+from .plan_kernels import costs
 from .stopwatch import Stopwatch
 
 Vec = NDArray[np.float64]
@@ -40,7 +41,7 @@ class Weights:
 
     tracking: float = 1.0
     terminal: float = 2.0
-    rate: float = 1.0
+    rate: float = 3.0
     effort: float = 0.01
     soft_limit: float = 100.0
     angle_limits_deg: tuple[float, float] = (-math.inf, math.inf)
@@ -105,29 +106,23 @@ class PlanCost:
     """
 
     def __init__(self, weights: Weights, horizon: int) -> None:
-        self._weights = weights
+        soft = weights.soft_limit if weights.limits_angle else 0.0
+        self._factors = weights.rate, weights.effort, soft
         self._tracking = weights.over(horizon)
 
     def __call__(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> Vec:
         """Costs (N,) of the plans (N, H) whose angles are (N, H); infinite where a prediction is not finite."""
-        weights = self._weights
-        error = angles - problem.reference
-        moves = np.diff(plans, axis=1, prepend=np.full((plans.shape[0], 1), problem.u_last))
-        effort = plans - problem.feedforward
-        cost = (error * error) @ self._tracking
-        cost += weights.rate * np.einsum("nh,nh->n", moves, moves)
-        cost += weights.effort * np.einsum("nh,nh->n", effort, effort)
-        if weights.limits_angle:
-            low, high = problem.angle_limits
-            excess = np.maximum(angles - high, 0.0) + np.maximum(low - angles, 0.0)
-            cost += weights.soft_limit * np.einsum("nh,nh->n", excess, excess)
-        return np.where(np.isfinite(cost), cost, np.inf)
+        factors = np.array((*self._factors, *problem.angle_limits))
+        found: Vec = costs(
+            plans, angles, problem.reference, problem.feedforward, problem.u_last, self._tracking, factors
+        )
+        return found
 
     def best(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> Plan:
         """The cheapest of the plans; its cost is infinite where no prediction is finite."""
-        costs = self(plans, angles, problem)
-        row = int(np.argmin(costs))
-        return Plan(plans[row], angles[row], float(costs[row]))
+        found = self(plans, angles, problem)
+        row = int(np.argmin(found))
+        return Plan(plans[row], angles[row], float(found[row]))
 
 
 class Planner(ABC, Generic[P]):

@@ -15,7 +15,7 @@ from hystmpc.trials.errors import ControllerError
 
 from .command import Command
 from .ladder import attempt
-from .tip.memory import Snapshot, fresh, halted, started, tried_to_start, wished
+from .tip.memory import Snapshot, fresh, halted, replayed, started, tried_to_start, wished
 from .tip.reach import Reach
 from .tip.reference import Wish, given, waypoints
 from .tip.settings import TipSettings, read_settings
@@ -193,6 +193,21 @@ class TipController:
             if measured_theta_deg is not None:
                 memory = started(memory, self._assembly.controller, measured_theta_deg)
             self._memory = memory
+
+    def replay(self, commands: ArrayLike, angles_deg: ArrayLike) -> None:
+        """Forget everything, as `reset`, and take up what another has done with the device, hysteresis included.
+
+        Args:
+            commands: the last commands that were sent (T,) [mm or bar], the newest, which the device holds, at the end.
+            angles_deg: tip angles (T,) [deg] measured when each was sent; NaN where there was none. `step` takes the
+                next one.
+
+        Raises:
+            ControllerError: if the lengths differ, no angle is usable, or a command is beyond the limits.
+        """
+        sent, seen = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in (commands, angles_deg))
+        with self._lock:
+            self._memory = replayed(self._assembly.controller, sent, seen)
 
     def snapshot(self) -> Snapshot:
         """Everything remembered; equal futures follow from it."""

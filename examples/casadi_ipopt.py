@@ -25,7 +25,6 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from hystmpc.ctrl import CommandLimits, TipController
-from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.library import library_file, model_path
 from hystmpc.models.load import AnyModel, load_model
 from hystmpc.models.simulator import load_simulator
@@ -44,13 +43,6 @@ class Comparison:
     ipopt: float
     mpc_s: float
     ipopt_s: float
-
-
-def step_function(model: AnyModel) -> ca.Function:
-    """One sample of a model file, (state, u) -> (theta, next state)."""
-    if isinstance(model, ChainModel):  # a simulator in YAML
-        return model.simulator.chain.bound(model.dt)
-    return model.casadi_function()
 
 
 def optimal_control_problem(step: ca.Function, horizon: int, limits: CommandLimits, dt: float) -> Any:
@@ -85,7 +77,7 @@ def run(model_text: str, horizon: int, steps: int) -> list[Comparison]:
     tip = TipController.from_config({"model": model_text, "controller": settings})
     box = model.metadata.command_limits
     limits = CommandLimits(box.lower, box.upper, model.metadata.command_rate)
-    step = step_function(model)
+    step = model.casadi_function()
     problem = optimal_control_problem(step, horizon, limits, tip.dt)
     device = SimulatedPlant(load_simulator(library_file("tendon-catheter")), seed=1)
     y, last = device.reset(), device.rest_command

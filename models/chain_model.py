@@ -61,6 +61,12 @@ class ChainModel(StepFunction):
         self._kernels.simulate(state, full, self._p, self._dt, self._kernels.step_constants, theta)
         return theta[0, self.metadata.warmup_samples :]
 
+    def casadi_function(self) -> ca.Function:
+        """The step as `casadi.Function`: state (S, 1), u (1, 1) -> theta (1, 1), next_state (S, 1)."""
+        function = self.simulator.chain.bound(self.dt)
+        x, u = ca.SX.sym("x", self.state_size), ca.SX.sym("u")
+        return ca.Function("model", [x, u], function(x, u), ["state", "u"], ["theta", "next_state"])
+
     def jacobian(self, state: Array, u: float) -> Array:
         """Derivative of (theta, next state) by (state, u), shape (1 + S, S + 1)."""
         return np.asarray(self._derivative(state, u))

@@ -12,23 +12,18 @@ import numpy as np
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import AnyControllerSettings, LimitsSettings, LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.known import known_model
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.models.chain_model import ChainModel
-from hystmpc.models.contract.load import OnnxModel
-from hystmpc.models.contract.metadata import Range
-from hystmpc.models.inverse.shadow import shadow_simulator
+from hystmpc.models.contract.metadata import ModelMetadata, Range
 from hystmpc.models.library import model_path
-from hystmpc.models.load import AnyModel, load_model
+from hystmpc.models.load import load_model
 from hystmpc.models.model import Inverse, Predictor
-from hystmpc.models.prediction.actuated import ActuatedInverse, ActuatedPredictor
-from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
-from hystmpc.models.prediction.invertible import InvertiblePredictor
-from hystmpc.models.simulator import Simulator, load_simulator
+from hystmpc.models.simulator import load_simulator
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .config import SimulationConfig
-from .plant import Effects, SimulatedPlant, at_sample_time
+from .plant import Effects, SimulatedPlant
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +67,39 @@ class Study:
         return PreviewTable(self.motions[motion], self.plant.dt, 1).steps
 
 
-def prepare(config: SimulationConfig) -> Study:
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """What controllers know of a device: the costly part of a study, which studies of one model may share.
+
+    Attributes:
+        facts: of the model.
+        predictor, inverse, feedforward: see `Study`.
+    """
+
+    facts: ModelMetadata
+    predictor: Predictor
+    inverse: Inverse
+    feedforward: tuple[Predictor, Inverse]
+
+
+def knowledge(model: str, inverse: str | None = None, actuator_lag_s: float = 0.0) -> Knowledge:
+    """Open a model; the arguments are those of `SimulationConfig`.
+
+    Raises:
+        ModelError: if a model file is missing or unusable, or `inverse` is a forward model or of another unit.
+        FitError: if a network has no `inverse` and none can be fitted.
+    """
+    opened = load_model(model_path(model), start="conditioned")
+    known = known_model(opened, None if inverse is None else model_path(inverse), actuator_lag_s)
+    return Knowledge(opened.metadata, *known.predictive, known.feedforward)
+
+
+def prepare(config: SimulationConfig, known: Knowledge | None = None) -> Study:
     """Open and build everything that a study needs; whatever is wrong is found here.
+
+    Args:
+        config: the settings.
+        known: what `knowledge` has found for the same `model`, `inverse` and `actuator_lag_s`; opened where left out.
 
     Raises:
         ModelError: if a model file is missing or unusable, or `inverse` is a forward model or of another unit.
@@ -83,8 +109,9 @@ def prepare(config: SimulationConfig) -> Study:
         FitError: if a network has no `inverse` and none can be fitted.
     """
     files = [model_path(text) for text in (config.plant.simulator, config.model, config.inverse) if text is not None]
-    device, model = load_simulator(files[0]), load_model(files[1], start="conditioned")
-    facts = model.metadata
+    device = load_simulator(files[0])
+    known = known or knowledge(config.model, config.inverse, config.actuator_lag_s)
+    facts = known.facts
     if device.command_unit != facts.command_unit:
         raise ConfigError(
             f"plant {config.plant.simulator} takes {device.command_unit} and model {config.model} "
@@ -95,14 +122,12 @@ def prepare(config: SimulationConfig) -> Study:
     )
     effects = Effects(**config.plant.model_dump(exclude={"simulator"}))
     flexure = Range(lower=limits.lower, upper=limits.upper)
-    known, feedforward = _known(model, files[2] if config.inverse else None)
-    predictor, inverse = _actuated(known, config.actuator_lag_s)
     study = Study(
         config=config.model_copy(update={"limits": limits}),
-        plant=SimulatedPlant(device, effects, predictor.dt, flexure, config.seed),
-        predictor=predictor,
-        inverse=inverse,
-        feedforward=_actuated(feedforward, config.actuator_lag_s),
+        plant=SimulatedPlant(device, effects, known.predictor.dt, flexure, config.seed),
+        predictor=known.predictor,
+        inverse=known.inverse,
+        feedforward=known.feedforward,
         limits=CommandLimits(limits.lower, limits.upper, limits.rate_per_s),
         motions={name: motion.build() for name, motion in config.motions.items()},
         files=tuple(files),
@@ -110,45 +135,6 @@ def prepare(config: SimulationConfig) -> Study:
     for name, settings in config.controllers.items():
         _warm_up(study, name, settings)
     return study
-
-
-def _actuated(model: tuple[Predictor, Inverse], lag_s: float) -> tuple[Predictor, Inverse]:
-    """The model behind an actuator of known lag; the model itself where that is zero."""
-    if lag_s == 0:
-        return model
-    predictor = ActuatedPredictor(model[0], lag_s)
-    return predictor, ActuatedInverse(predictor, model[1])
-
-
-def _known(model: AnyModel, inverse: Path | None) -> tuple[tuple[Predictor, Inverse], tuple[Predictor, Inverse]]:
-    """What predictive controllers know, and what controllers know that only invert.
-
-    Raises:
-        ModelError: if the file of the inverse cannot be used.
-    """
-    companion = _companion(model) if inverse is None else _given_inverse(inverse, model.metadata.dt_s)
-    known = predictor_and_inverse(model, companion)
-    if isinstance(companion, Simulator):
-        return known, predictor_and_inverse(ChainModel(companion))
-    return known, known
-
-
-def _given_inverse(file: Path, dt_s: float) -> Simulator | AnyModel:
-    """A simulator to invert, or an inverse map.
-
-    Raises:
-        ModelError: if the file cannot be used.
-    """
-    given = load_model(file)
-    if isinstance(given, OnnxModel):
-        return given
-    simulator = at_sample_time(given.simulator, dt_s)
-    return ChainModel(simulator) if given.metadata.inverted else simulator
-
-
-def _companion(model: AnyModel) -> Simulator | None:
-    """A backlash that stands in where the model has no inverse of its own."""
-    return None if isinstance(predictor_for(model), InvertiblePredictor) else shadow_simulator(model)
 
 
 def _warm_up(study: Study, name: str, settings: AnyControllerSettings) -> None:

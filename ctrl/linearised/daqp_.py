@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import Any, final
 
+import daqp
 import numpy as np
 from numpy.typing import NDArray
-
-from hystmpc.trials.errors import ControllerError
 
 from .problem import QpData, QpPattern
 from .solver import QpSolution, QpSolver
@@ -41,24 +39,17 @@ class DaqpSolver(QpSolver):
 
     The identity rows of the pattern are handed over as simple bounds. Memory for one program is kept and filled anew;
     it is made anew after a failure.
-
-    Raises:
-        ControllerError: if daqp is not installed.
     """
 
     name = "DAQP"
 
     def __init__(self, pattern: QpPattern, options: DaqpOptions) -> None:
-        if find_spec("daqp") is None:
-            raise ControllerError("solver: daqp is not installed, expected osqp, or pip install daqp")
         self._pattern, self._options = pattern, options
         self._upper = _positions(pattern.hessian)
         self._rows = _positions(pattern.constraints)
         self._memory: tuple[Vec, Vec] | None = None
 
     def solve(self, data: QpData) -> QpSolution:
-        import daqp  # optional
-
         hessian, rows = self._filled(data)
         answer: Any = daqp.solve(
             hessian,

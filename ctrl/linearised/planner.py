@@ -36,7 +36,7 @@ class LinearisedPlanner(Planner[None]):
         limits: hard limits.
         horizon: H.
         iterations: linearisations per step.
-        options: of the solver, which their class chooses; OSQP where left out.
+        options: of the solver, which their class chooses; DAQP where left out.
 
     Raises:
         ControllerError: if `iterations` is less than 1.
@@ -94,6 +94,6 @@ class LinearisedPlanner(Planner[None]):
 
 
 def _solver(pattern: QpPattern, options: OsqpOptions | DaqpOptions | None) -> QpSolver:
-    if isinstance(options, DaqpOptions):
-        return DaqpSolver(pattern, options)
-    return OsqpSolver(pattern, options or OsqpOptions())
+    if isinstance(options, OsqpOptions):
+        return OsqpSolver(pattern, options)
+    return DaqpSolver(pattern, options or DaqpOptions())

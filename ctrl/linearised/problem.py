@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ..limits import CommandLimits
+from ..plan_kernels import condense
 from ..planning import Plan, PlanningProblem, Weights
 
 Vec = NDArray[np.float64]
@@ -79,7 +80,8 @@ class TrackingQp:
         self._reach = limits.rate * dt
         self._tracking = weights.over(horizon)
         self._difference = np.eye(horizon) - np.eye(horizon, k=-1)
-        self._constant = weights.rate * self._difference.T @ self._difference + weights.effort * np.eye(horizon)
+        self._slope = 2.0 * weights.rate * np.ascontiguousarray(self._difference.T)
+        self._constant = self._slope @ self._difference + 2.0 * weights.effort * np.eye(horizon)
         self._triangle = np.tril_indices(horizon)  # of a symmetric matrix: its upper triangle, column by column
         # the Jacobian is lower triangular too; column by column its entries are those of the transpose, row by row
         self._columns = np.triu_indices(horizon)
@@ -87,12 +89,12 @@ class TrackingQp:
 
     def data(self, problem: PlanningProblem, around: Plan, jacobian: Mat) -> QpData:
         """The program around the plan `around` with Jacobian (H, H), lower triangular [deg per command unit]."""
-        weights, plan = self._weights, around.commands
-        weighted = jacobian.T * self._tracking
-        hessian = 2.0 * (weighted @ jacobian + self._constant)
-        moves = np.diff(plan, prepend=problem.u_last)
-        slope = weights.rate * (self._difference.T @ moves) + weights.effort * (plan - problem.feedforward)
-        gradient = 2.0 * (weighted @ (around.angles - problem.reference) + slope)
+        plan = around.commands
+        hessian = self._constant.copy()
+        moves = plan - np.concatenate([[problem.u_last], plan[:-1]])
+        gradient = 2.0 * self._weights.effort * (plan - problem.feedforward)
+        gradient += self._slope @ moves
+        condense(jacobian, around.angles - problem.reference, self._tracking, hessian, gradient)
         hard = QpData(
             hessian[self._triangle],
             gradient,
@@ -101,7 +103,7 @@ class TrackingQp:
             None,
             np.concatenate([np.zeros(self._horizon), self._rate_multipliers(gradient, moves)]),
         )
-        return self._softened(hard, problem, around, jacobian) if weights.limits_angle else hard
+        return self._softened(hard, problem, around, jacobian) if self._weights.limits_angle else hard
 
     def _rate_multipliers(self, gradient: Vec, moves: Vec) -> Vec:
         """Multipliers that hold the plan where it already moves at the greatest rate.

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import NamedTuple, final
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.model import Predictor
-from hystmpc.trials.errors import ControllerError
 
 from ..limits import CommandLimits
 from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
 from ..stopwatch import Stopwatch
 from .noise import random_numbers
+from .options import SampleOptions
 from .planner import SampleCounter
 
 Vec = NDArray[np.float64]
@@ -24,35 +25,19 @@ Mat = NDArray[np.float64]
 _KEPT = 0.3  # share of the elites that take part in the next iteration again (Pinneri et al. 2020)
 
 
+@final
 @dataclass(frozen=True)
-class CrossEntropyOptions:
-    """How plans are sampled.
+class CrossEntropyOptions(SampleOptions):
+    """Mean and deviation fitted again in every iteration; the deviation of the first is `sigma`.
 
     Attributes:
-        samples: plans per iteration N.
-        iterations: times that mean and deviation are fitted to the elites per step.
-        sigma: standard deviation of the perturbations of the first iteration [mm or bar].
-        finest: least standard deviation as a share of `sigma`.
         elites: share of the samples that mean and deviation are fitted to, at least two plans.
-        seed: of the random numbers.
-
-    Raises:
-        ControllerError: if a value is out of bounds.
     """
 
-    samples: int = 256
-    iterations: int = 2
-    sigma: float = 0.3
-    finest: float = 0.01
-    elites: float = 0.1
-    seed: int = 0
+    title: ClassVar[str] = "cross-entropy MPC"
+    most: ClassVar[Mapping[str, float]] = {"finest": 1.0, "elites": 0.5}
 
-    def __post_init__(self) -> None:
-        positive = all(getattr(self, f.name) > 0 for f in fields(self) if f.name != "seed")
-        if not positive or self.finest > 1 or self.elites > 0.5 or self.seed < 0:
-            raise ControllerError(
-                f"cross-entropy MPC: got {self}, expected positive values, finest <= 1, elites <= 0.5 and seed >= 0"
-            )
+    elites: float = 0.1
 
 
 class _Search(NamedTuple):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
 
 from hystmpc.trials.errors import ControllerError
 
@@ -23,6 +22,8 @@ def spline_noise(horizon: int, knots: int) -> Mat:
     """
     if not 2 <= knots <= horizon:
         raise ControllerError(f"spline noise: got {knots} knots, expected 2 to the horizon of {horizon}")
+    from scipy.interpolate import make_interp_spline  # takes half a second, which the linearised controller spares
+
     at = np.linspace(0.0, 1.0, knots)
     spline = make_interp_spline(at, np.eye(knots), k=min(3, knots - 1))
     return _unit_rows(spline(np.linspace(0.0, 1.0, horizon)))

@@ -2,52 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.model import Predictor
-from hystmpc.trials.errors import ControllerError
 
 from ..limits import CommandLimits
 from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
 from ..stopwatch import Stopwatch
 from .noise import random_numbers
+from .options import SampleOptions
 
 Vec = NDArray[np.float64]
 Mat = NDArray[np.float64]
 
 
+@final
 @dataclass(frozen=True)
-class SamplingOptions:
-    """How plans are sampled.
+class SamplingOptions(SampleOptions):
+    """Samples spread geometrically from `sigma` to its finest share, so that one iteration both explores and refines.
 
     Attributes:
-        samples: plans per iteration N.
-        iterations: times the mean is moved per step.
-        sigma: largest standard deviation of the perturbations [mm or bar].
-        finest: smallest one as a share of `sigma`; samples are spread geometrically between the two, so that one
-            iteration both explores and refines.
         temperature: of the weights exp(-(J - J_min) / lambda), with lambda = temperature (median J - J_min).
-        seed: of the random numbers.
-
-    Raises:
-        ControllerError: if a value is out of bounds.
     """
 
-    samples: int = 256
-    iterations: int = 2
-    sigma: float = 0.3
-    finest: float = 0.01
     temperature: float = 0.02
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        positive = all(getattr(self, f.name) > 0 for f in fields(self) if f.name != "seed")
-        if not positive or self.finest > 1 or self.seed < 0:
-            raise ControllerError(f"sampling MPC: got {self}, expected positive values, finest <= 1 and seed >= 0")
 
 
 @dataclass(frozen=True)

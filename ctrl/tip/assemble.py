@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hystmpc.models.chain_model import ChainModel
-from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.contract.metadata import ModelMetadata
-from hystmpc.models.inverse.shadow import shadow_simulator
 from hystmpc.models.library import model_path
-from hystmpc.models.load import AnyModel, load_model
-from hystmpc.models.model import Inverse, Predictor
-from hystmpc.models.operators.delay import Delay
-from hystmpc.models.prediction.actuated import ActuatedInverse, ActuatedPredictor
-from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
-from hystmpc.models.prediction.invertible import InvertiblePredictor
-from hystmpc.models.simulator import Simulator
+from hystmpc.models.load import load_model
+from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
 
 from ..build import build_controller
 from ..config import AnyControllerSettings, LinearisedMpcSettings, SamplingMpcSettings
 from ..guarded import GuardedController
+from ..known import known_model
 from ..limits import CommandLimits
 from .reach import Workspace, angles_at_rest
 from .settings import TipSettings
@@ -60,13 +53,10 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
     """
     model = load_model(model_path(settings.model, folder), start="conditioned")
     facts = model.metadata
-    companion = _companion(model, settings, folder)
-    pair = predictor_and_inverse(model, companion)
+    file = None if settings.inverse is None else model_path(settings.inverse, folder)
+    known = known_model(model, file, settings.actuator_lag_s)
     predictive = isinstance(settings.controller, LinearisedMpcSettings | SamplingMpcSettings)
-    # corrected by the network at every sample, a stand-in's inverse alone would go back and forth in the dead band
-    alone = companion if isinstance(companion, Simulator) and not predictive else None
-    known = pair if alone is None else predictor_and_inverse(ChainModel(alone))
-    predictor, inverse = _actuated(known, settings.actuator_lag_s)
+    predictor, inverse = known.predictive if predictive else known.feedforward
     device = _device_limits(settings, facts)
     controller = build_controller(settings.controller, predictor, inverse, device)
     own = settings.controller.limits
@@ -77,35 +67,6 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
     return Assembly(
         controller, predictor, limits, Workspace(ends, _soft(settings.controller), trained), facts.command_unit
     )
-
-
-def _companion(model: AnyModel, settings: TipSettings, folder: Path) -> Simulator | AnyModel | None:
-    """What is inverted or asked in the model's place; None where the model has an inverse of its own."""
-    if settings.inverse is None:
-        return None if isinstance(predictor_for(model), InvertiblePredictor) else shadow_simulator(model)
-    given, dt = load_model(model_path(settings.inverse, folder)), model.metadata.dt_s
-    if isinstance(given, OnnxModel):
-        return given
-    simulator = _at_sample_time(given.simulator, dt)
-    return ChainModel(simulator) if given.metadata.inverted else simulator
-
-
-def _at_sample_time(simulator: Simulator, dt_s: float) -> Simulator:
-    """The simulator at another sample time: delays get the store that they need at it."""
-    chain = simulator.chain
-    before, after = (
-        tuple(Delay.at_rate(o.delay_s, dt_s) if isinstance(o, Delay) else o for o in side)
-        for side in (chain.before, chain.after)
-    )
-    return replace(simulator, chain=replace(chain, before=before, after=after), dt_s=dt_s)
-
-
-def _actuated(model: tuple[Predictor, Inverse], lag_s: float) -> tuple[Predictor, Inverse]:
-    """The model behind an actuator of known lag; the model itself where that is zero."""
-    if lag_s == 0:
-        return model
-    predictor = ActuatedPredictor(model[0], lag_s)
-    return predictor, ActuatedInverse(predictor, model[1])
 
 
 def _device_limits(settings: TipSettings, facts: ModelMetadata) -> CommandLimits:

@@ -6,6 +6,9 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hystmpc.trials.errors import ControllerError
 
 from ..command import Command, Source
@@ -14,6 +17,8 @@ from ..inputs import usable_angle
 from ..ladder import attempt
 from .reference import Reference, Wish, rest_at
 from .ruckig_ import Kinematics
+
+Vec = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +80,17 @@ def started(memory: Snapshot, controller: GuardedController[Any], y: float) -> S
     wish, start = memory.wish, Kinematics(float(y))
     reference = rest_at(float(y), 0.0) if wish is None else wish(start, 0.0)
     return replace(memory, steps=0, control=control, reference=reference, wish=None)
+
+
+def replayed(controller: GuardedController[Any], commands: Vec, angles: Vec) -> Snapshot:
+    """At time 0 after a recording of commands and angles, with a reference that stays at the last measured angle.
+
+    Raises:
+        ControllerError: if the recording cannot be used.
+    """
+    control = controller.replay(commands, angles)
+    held = Command(control.estimate.command, Source.HOLD, "replayed")
+    return Snapshot(held, control=control, reference=rest_at(control.due, 0.0))
 
 
 def tried_to_start(memory: Snapshot, controller: GuardedController[Any], y: object) -> Snapshot:

@@ -19,28 +19,30 @@ class AccompaniedPredictor(Predictor):
 
     def __init__(self, predictor: Predictor, companion: Predictor, angle: float = 0.0) -> None:
         self.dt, self.command_range = predictor.dt, predictor.command_range
-        self._predictor, self._companion = predictor, companion
-        self._size = predictor.initial(angle, predictor.command_range[0]).size
+        self.predictor, self.companion = predictor, companion
+        self.size = predictor.initial(angle, predictor.command_range[0]).size
 
     def initial(self, y: float, u: float) -> Array:
         # What the two show before their first step is the measured angle for both: no difference is known yet.
-        return np.concatenate([self._predictor.initial(y, u), [y], self._companion.initial(y, u), [y]])
+        return np.concatenate([self.predictor.initial(y, u), [y], self.companion.initial(y, u), [y]])
 
     def advance(self, state: Array, u: float) -> tuple[float, Array]:
         own, _, beside, _ = self.parts(state)
-        theta, own = self._predictor.advance(own, u)
-        theta_beside, beside = self._companion.advance(beside, u)
-        return theta, np.concatenate([own, [theta], beside, [theta_beside]])
+        size, after = self.size, np.empty(state.size)
+        theta, after[:size] = self.predictor.advance(own, u)
+        after[-1], after[size + 1 : -1] = self.companion.advance(beside, u)
+        after[size] = theta
+        return theta, after
 
     def rollout(self, state: Array, plans: Array) -> Array:
-        return self._predictor.rollout(self.parts(state)[0], plans)
+        return self.predictor.rollout(self.parts(state)[0], plans)
 
     def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
-        return self._predictor.linearise(self.parts(state)[0], plan)
+        return self.predictor.linearise(self.parts(state)[0], plan)
 
     def parts(self, state: Array) -> tuple[Array, float, Array, float]:
         """Model state, model angle [deg], companion state, companion angle [deg]."""
-        return state[: self._size], float(state[self._size]), state[self._size + 1 : -1], float(state[-1])
+        return state[: self.size], float(state[self.size]), state[self.size + 1 : -1], float(state[-1])
 
 
 @final
@@ -51,8 +53,8 @@ class CompanionInverse(Inverse):
     """
 
     def __init__(self, predictor: AccompaniedPredictor, inverse: Inverse) -> None:
-        self._predictor, self._inverse = predictor, inverse
+        self.predictor, self.inverse = predictor, inverse
 
     def command(self, state: Array, theta: float, u_last: float) -> float:
-        _, own, beside, angle = self._predictor.parts(state)
-        return self._inverse.command(beside, theta + angle - own, u_last)
+        _, own, beside, angle = self.predictor.parts(state)
+        return self.inverse.command(beside, theta + angle - own, u_last)

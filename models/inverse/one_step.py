@@ -18,7 +18,7 @@ class CompiledInverse(Inverse):
     """
 
     def __init__(self, predictor: InvertiblePredictor, low: float, high: float) -> None:
-        self._predictor, self._low, self._high = predictor, low, high
+        self.predictor, self.low, self.high = predictor, low, high
 
     def command(self, state: Array, theta: float, u_last: float) -> float:
-        return self._predictor.command_for(state, theta, self._low, self._high, u_last)
+        return self.predictor.command_for(state, theta, self.low, self.high, u_last)

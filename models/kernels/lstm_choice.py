@@ -7,13 +7,13 @@ import os
 from hystmpc.trials.errors import ConfigError
 
 from ..lstm.weights import LstmWeights
-from .lstm_route import LstmRoute
+from .network_route import NetworkRoute
 from .vector_shape import SHAPES, host_shape
 
 VARIABLE = "HYSTMPC_LSTM_KERNEL"
 
 
-def chosen_route(weights: LstmWeights) -> LstmRoute:
+def chosen_route(weights: LstmWeights) -> NetworkRoute:
     """The vector kernel in the processor's own shape, the plain route where it has none; or what the user says.
 
     Environment variable HYSTMPC_LSTM_KERNEL: `auto`, `plain`, or the name of a shape, `avx512` or `avx2`.

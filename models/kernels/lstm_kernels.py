@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..lstm.weights import LstmWeights
 from .lstm_gates import add_multiple, add_row, cell_row, derivative_row, differentiated_cell_row, dot_row
@@ -30,6 +30,7 @@ class PackedLstm(NamedTuple):
         bias: (L, 4H).
         head: (H,).
         head_bias: (1,).
+        scaling: u_offset, u_scale, theta_offset, theta_scale; float64.
     """
 
     entry: Float32
@@ -38,21 +39,29 @@ class PackedLstm(NamedTuple):
     bias: Float32
     head: Float32
     head_bias: Float32
+    scaling: NDArray[np.float64]
 
 
 def pack_lstm(weights: LstmWeights) -> PackedLstm:
     """Arrange weights for the kernels; sigmoid(z) = 1/2 + 1/2 tanh(z/2), the inner half is applied here."""
     hidden, layers = weights.hidden, weights.layers
     half = np.repeat([0.5, 0.5, 1.0, 0.5], hidden)
-    arrays = (
-        layers[0].w_ih[:, 0] * half,
-        np.reshape([layer.w_ih.T * half for layer in layers[1:]], (len(layers) - 1, hidden, 4 * hidden)),
-        np.stack([layer.w_hh.T * half for layer in layers]),
-        np.stack([layer.bias * half for layer in layers]),
-        weights.head_weight,
-        np.array([weights.head_bias]),
+    s = weights.scaling
+    return PackedLstm(
+        entry=_single(layers[0].w_ih[:, 0] * half),
+        inputs=_single(
+            np.reshape([layer.w_ih.T * half for layer in layers[1:]], (len(layers) - 1, hidden, 4 * hidden))
+        ),
+        recurrent=_single(np.stack([layer.w_hh.T * half for layer in layers])),
+        bias=_single(np.stack([layer.bias * half for layer in layers])),
+        head=_single(weights.head_weight),
+        head_bias=_single([weights.head_bias]),
+        scaling=np.array([s.u_offset, s.u_scale, s.theta_offset, s.theta_scale]),
     )
-    return PackedLstm(*(np.array(array, dtype=np.float32, order="C") for array in arrays))
+
+
+def _single(values: ArrayLike) -> Float32:
+    return np.array(values, dtype=np.float32, order="C")
 
 
 @njit(cache=True, error_model="numpy")
@@ -71,6 +80,18 @@ def advance(packed: Any, state: Any, plan: Any, angles: Any) -> None:
                 add_multiple(z, plan[k], packed.entry)
             cell_row(z, packed.bias[layer], c, h)
         angles[k] = dot_row(packed.head, state[-2]) + packed.head_bias[0]
+
+
+@njit(cache=True, error_model="numpy")
+def sample(packed: Any, states: Any, rows: int, v: Any, theta: Any) -> None:
+    """One sample of the first `rows` states (2, S) under commands v (2,), in place; theta (2,) takes the angles."""
+    scaling, plan, y = packed.scaling, np.empty(1, np.float32), np.empty(1, np.float32)
+    for row in range(rows):
+        layers = states[row].astype(np.float32).reshape(2 * len(packed.recurrent), packed.head.size)
+        plan[0] = (v[row] - scaling[0]) / scaling[1]
+        advance(packed, layers, plan, y)
+        states[row] = layers.ravel()
+        theta[row] = scaling[2] + scaling[3] * y[0]
 
 
 @njit(cache=True, error_model="numpy")

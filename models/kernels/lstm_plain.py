@@ -11,25 +11,26 @@ from numpy.typing import NDArray
 from ..lstm.onnxruntime_ import RolloutSession
 from ..lstm.weights import LstmWeights
 from . import lstm_kernels
-from .lstm_route import Array, LstmRoute
+from .network_route import Array, NetworkRoute
 
 Float32 = NDArray[np.float32]
 
 
 @final
-class PlainRoute(LstmRoute):
+class PlainRoute(NetworkRoute):
     """Matrix products of the library, on as many threads as the process gives BLAS; roll-outs on one."""
 
     name = "plain"
 
     def __init__(self, weights: LstmWeights) -> None:
-        self._packed, self._roll = lstm_kernels.pack_lstm(weights), RolloutSession(weights)
+        self.packed, self._roll = lstm_kernels.pack_lstm(weights), RolloutSession(weights)
+        self.sample = lstm_kernels.sample
         self._scaling = weights.scaling
         self._shape = (2 * len(weights.layers), weights.hidden)
 
     def advance(self, state: Array, plan: Array) -> tuple[Array, Array]:
         following, y = self._layers(state), np.empty(plan.size, np.float32)
-        lstm_kernels.advance(self._packed, following, self._scaled(plan), y)
+        lstm_kernels.advance(self.packed, following, self._scaled(plan), y)
         return self._angles(y), following.ravel().astype(np.float64)
 
     def rollout(self, state: Array, plans: Array) -> Array:
@@ -37,7 +38,7 @@ class PlainRoute(LstmRoute):
 
     def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
         y, by_plan = np.empty(plan.size, np.float32), np.zeros((plan.size, plan.size), np.float32)
-        lstm_kernels.linearise(self._packed, self._layers(state), self._scaled(plan), y, by_plan)
+        lstm_kernels.linearise(self.packed, self._layers(state), self._scaled(plan), y, by_plan)
         gain = self._scaling.theta_scale / self._scaling.u_scale
         return self._angles(y), gain * by_plan.astype(np.float64)
 

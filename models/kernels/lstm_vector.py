@@ -11,7 +11,7 @@ import numpy as np
 from hystmpc.trials.errors import ModelError
 
 from ..lstm.weights import LstmWeights
-from .lstm_route import Array, LstmRoute
+from .network_route import Array, NetworkRoute
 from .threads import allowed_threads, share
 from .vector_kernels import pack_panels, vector_kernels
 from .vector_shape import VectorShape
@@ -21,7 +21,7 @@ _SPANS = 4  # of each thread: one that is interrupted leaves the rest to the oth
 
 
 @final
-class VectorRoute(LstmRoute):
+class VectorRoute(NetworkRoute):
     """Steps, roll-outs and Jacobians by the vector kernel, roll-outs on as many threads as the process gives BLAS.
 
     A plan's angles do not depend, to the last bit, on the plans beside it and on the number of threads. Making one
@@ -38,12 +38,13 @@ class VectorRoute(LstmRoute):
 
     def __init__(self, weights: LstmWeights, shape: VectorShape, threads: Callable[[], int] = allowed_threads) -> None:
         self.name = f"vectors of {shape.lanes}, {shape.rows} rows"
-        self._kernels, self._packed = vector_kernels(shape), pack_panels(weights, shape.lanes)
+        self._kernels, self.packed = vector_kernels(shape), pack_panels(weights, shape.lanes)
+        self.sample = self._kernels.sample
         self._rows, self._threads, self._size = shape.rows, threads, weights.state_size
 
     def advance(self, state: Array, plan: Array) -> tuple[Array, Array]:
         angles, following = np.empty((1, plan.size)), np.empty((1, state.size))
-        self._kernels.rollout(self._packed, self._state(state), _own(plan)[None], 0, 1, angles, following)
+        self._kernels.rollout(self.packed, self._state(state), _own(plan)[None], 0, 1, angles, following)
         return angles[0], following[0]
 
     def rollout(self, state: Array, plans: Array) -> Array:
@@ -51,7 +52,7 @@ class VectorRoute(LstmRoute):
         count, state, plans = len(plans), self._state(state), _own(plans)
 
         def roll(begin: int, end: int) -> None:
-            self._kernels.rollout(self._packed, state, plans, begin, end, angles, nothing)
+            self._kernels.rollout(self.packed, state, plans, begin, end, angles, nothing)
 
         threads = min(self._threads(), count // _LEAST_ROWS)
         if threads > 1:
@@ -62,7 +63,7 @@ class VectorRoute(LstmRoute):
 
     def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
         angles, jacobian = np.empty(plan.size), np.zeros((plan.size, plan.size))
-        self._kernels.linearise(self._packed, self._state(state), _own(plan), angles, jacobian)
+        self._kernels.linearise(self.packed, self._state(state), _own(plan), angles, jacobian)
         return angles, jacobian
 
     def _state(self, state: Array) -> Array:

@@ -58,6 +58,7 @@ class VectorKernels:
 
     rollout: Callable[..., None]
     linearise: Callable[..., None]
+    sample: Callable[..., None]
 
 
 @lru_cache(maxsize=4)
@@ -65,7 +66,7 @@ def vector_kernels(shape: VectorShape) -> VectorKernels:
     """Functions for vectors of this shape: compiled, or read from numba's cache, before this returns."""
     module = generated_module(kernel_source(shape, resources.files("hystmpc.models.kernels")))
     _compile(module, shape.lanes)
-    return VectorKernels(module.rollout, module.linearise)
+    return VectorKernels(module.rollout, module.linearise, module.sample)
 
 
 def kernel_source(shape: VectorShape, folder: Traversable) -> str:

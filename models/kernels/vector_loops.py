@@ -138,3 +138,19 @@ def linearise(packed, state, plan, angles, jacobian):
         angles[k] = scaling[2] + scaling[3] * (head_of(head, x, 0) + packed.head_bias)
         for j in range(k + 1):
             jacobian[k, j] = gain * head_of(head, x, 1 + j)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def sample(packed, states, rows, v, theta):
+    """One sample of the first `rows` states (2, S) under commands v (2,), in place; theta (2,) takes the angles."""
+    head, scaling, layers = packed.head, packed.scaling, packed.weights.shape[0]
+    x = np.zeros((rows, LANES + layers * head.size), np.float32)
+    c = np.zeros((layers, rows, head.size), np.float32)
+    h = np.empty((rows, head.size), np.float32)
+    for row in range(rows):
+        load(states[row], packed.hidden, layers, x, c, row)
+        x[row, LANES - 1] = (v[row] - scaling[0]) / scaling[1]
+    move(packed.weights, rows, x, c, h)
+    for row in range(rows):
+        theta[row] = scaling[2] + scaling[3] * (head_of(head, x, row) + packed.head_bias)
+        unload(states[row], packed.hidden, layers, x, c, row)

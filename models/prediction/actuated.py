@@ -69,9 +69,9 @@ class ActuatedInverse(Inverse):
     """
 
     def __init__(self, predictor: ActuatedPredictor, inverse: Inverse) -> None:
-        self._gain, self._inverse = predictor.gain, inverse
+        self.gain, self.inverse = predictor.gain, inverse
 
     def command(self, state: Array, theta: float, u_last: float) -> float:
         del u_last  # in a dead band the travel stays where it is
         v = float(state[-1])
-        return v + (self._inverse.command(state[:-1], theta, v) - v) / self._gain
+        return v + (self.inverse.command(state[:-1], theta, v) - v) / self.gain

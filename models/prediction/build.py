@@ -26,7 +26,7 @@ def predictor_for(model: AnyModel) -> Predictor:
     """The fastest predictor that there is for a model.
 
     Compiled for operator chains and exported graphs of few elementwise operations, kernels of their own for models of
-    kind `lstm` and `play_kernel`, onnxruntime and CasADi's derivatives for anything else.
+    kind `lstm`, `gru` and `play_kernel`, onnxruntime and CasADi's derivatives for anything else.
 
     Raises:
         ModelError: if the model is an inverse map.
@@ -42,6 +42,10 @@ def predictor_for(model: AnyModel) -> Predictor:
         from .lstm import LstmPredictor  # its kernels take a moment to load, which operators need not wait for
 
         return LstmPredictor.of_model(model)
+    if model.metadata.kind == "gru":
+        from .gru import GruPredictor  # as above
+
+        return GruPredictor(model)
     if model.metadata.kind == "play_kernel":
         from .play_kernel import PlayKernelPredictor  # as above
 

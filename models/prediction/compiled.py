@@ -17,13 +17,18 @@ from .invertible import InvertiblePredictor
 
 @final
 class CompiledPredictor(InvertiblePredictor):
-    """Compiled roll-out and linearisation of a symbolic step (state, u, p, dt) -> (theta, next state)."""
+    """Compiled roll-out and linearisation of a symbolic step (state, u, p, dt) -> (theta, next state).
+
+    Attributes:
+        kernels: the compiled step and loops.
+        parameters, sample_s: p (P,) and dt (1,) [s], as the kernels take them.
+    """
 
     def __init__(self, transition: Any, p: Array, metadata: ModelMetadata, rule: InitialRule) -> None:
         self.dt = metadata.dt_s
         self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
-        self._kernels = compile_step(transition)
-        self._p, self._dt = np.asarray(p, dtype=np.float64), np.array([metadata.dt_s])
+        self.kernels = compile_step(transition)
+        self.parameters, self.sample_s = np.asarray(p, dtype=np.float64), np.array([metadata.dt_s])
         self._rule, self._warmup = rule, metadata.warmup_samples
 
     @classmethod
@@ -47,23 +52,23 @@ class CompiledPredictor(InvertiblePredictor):
         return state
 
     def advance(self, state: Array, u: float) -> tuple[float, Array]:
-        following, theta = state.reshape(1, -1).copy(), np.empty((1, 1))
-        self._kernels.simulate(following, np.array([[u]]), self._p, self._dt, self._kernels.step_constants, theta)
+        following, theta, run = state.reshape(1, -1).copy(), np.empty((1, 1)), self.kernels
+        run.simulate(following, np.array([[u]]), self.parameters, self.sample_s, run.step_constants, theta)
         return float(theta[0, 0]), following[0]
 
     def rollout(self, state: Array, plans: Array) -> Array:
         plans = np.ascontiguousarray(plans, dtype=np.float64)
-        theta = np.empty(plans.shape)
-        self._kernels.rollout(state, plans, self._p, self._dt, self._kernels.step_constants, theta)
+        theta, run = np.empty(plans.shape), self.kernels
+        run.rollout(state, plans, self.parameters, self.sample_s, run.step_constants, theta)
         return theta
 
     def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
         plan = np.ascontiguousarray(plan, dtype=np.float64)
-        theta, jacobian = np.empty(plan.size), np.empty((plan.size, plan.size))
-        self._kernels.linearise(state, plan, self._p, self._dt, self._kernels.tangent_constants, theta, jacobian)
+        theta, jacobian, run = np.empty(plan.size), np.empty((plan.size, plan.size)), self.kernels
+        run.linearise(state, plan, self.parameters, self.sample_s, run.tangent_constants, theta, jacobian)
         return theta, jacobian
 
     def command_for(self, state: Array, theta: float, low: float, high: float, last: float) -> float:
-        return float(
-            self._kernels.command_for(state, theta, low, high, last, self._p, self._dt, self._kernels.tangent_constants)
-        )
+        run = self.kernels
+        u = run.command_for(state, theta, low, high, last, self.parameters, self.sample_s, run.tangent_constants)
+        return float(u)

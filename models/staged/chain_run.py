@@ -75,31 +75,34 @@ class StagedChain:
             signal = following
         return signal, x
 
+    def rest_with_slope(self, command: float, angle: float, values: Vec | None = None) -> tuple[Vec, Vec]:
+        """State (S,) of one row at rest, see `rest`, and its derivative by the parameters (S, P)."""
+        slope = np.zeros((self.state_size, self.parameter_count))
+        return self._rest_of(command, angle, self._rows(values, 1)[:, 0], slope), slope
+
     def differentiate(
-        self, commands: Vec, dt_s: float, command: float, angle: float, values: Vec | None = None
+        self, commands: Vec, dt_s: float, state: Vec, slope: Vec, values: Vec | None = None
     ) -> tuple[Vec, Vec]:
-        """One row from rest, and its derivative by every parameter.
+        """One row's free run, and its derivative by every parameter.
 
         Args:
             commands: (T,) [cmd].
             dt_s: sample time [s].
-            command, angle: where the device rests before, [cmd] and [deg]; the state there depends on the parameters,
-                and so its derivative is counted in.
+            state, slope: before the first sample (S,), and its derivative by the parameters (S, P).
             values: parameters (P,); the chain's where left out.
 
         Returns:
             Angles (T,) [deg] and their derivatives (T, P).
         """
-        p, count = self._rows(values, 1), self.parameter_count
-        slope = np.zeros((self.state_size, count))
-        x = self._rest_of(command, angle, p[:, 0], slope)
-        signal, moving = np.ascontiguousarray(commands, dtype=np.float64), np.zeros((commands.size, count))
-        for kernels, state, parameters in self._stages:
+        p, x, m = self._rows(values, 1), state.copy(), slope.copy()
+        signal = np.ascontiguousarray(commands, dtype=np.float64)
+        moving = np.zeros((commands.size, self.parameter_count))
+        for kernels, states, parameters in self._stages:
             kept = np.empty((kernels.kept[1], 1))
             kernels.prepare_slopes(p[parameters], dt_s, kernels.constants[1], kept)
             following, moved = np.empty_like(signal), np.zeros_like(moving)
             kernels.differentiate(
-                x[state], slope[state], signal, moving, kept, parameters.start, parameters.stop, following, moved
+                x[states], m[states], signal, moving, kept, parameters.start, parameters.stop, following, moved
             )
             signal, moving = following, moved
         return signal, moving

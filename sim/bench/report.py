@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -84,6 +85,36 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
+class Growth:
+    """How one step's time grows with one size.
+
+    Attributes:
+        what: is measured.
+        size: that is changed, `H`, `N` or `hidden`.
+        values: of it, ascending (K,).
+        times: of a step at each (K,).
+        goal: greatest exponent; None for none.
+    """
+
+    what: str
+    size: str
+    values: tuple[int, ...]
+    times: tuple[Times, ...]
+    goal: float | None = None
+
+    @property
+    def exponent(self) -> float:
+        """p of time ~ size^p between the two greatest sizes, by the shortest calls, which a busy machine leaves."""
+        (a, b), (s, t) = self.values[-2:], (times.least_s for times in self.times[-2:])
+        return math.log(t / s) / math.log(b / a)
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether the goal is reached; None without one."""
+        return None if self.goal is None else self.exponent <= self.goal
+
+
+@dataclass(frozen=True, eq=False)
 class Report:
     """A whole run.
 
@@ -92,6 +123,7 @@ class Report:
         machine: processor, cores and versions.
         models: what was controlled, by name.
         rows: the comparisons.
+        growth: how steps take longer with their sizes.
         interrupted: whether the keyboard ended the run.
     """
 
@@ -100,6 +132,7 @@ class Report:
     models: Mapping[str, str]
     rows: Sequence[Row]
     interrupted: bool
+    growth: Sequence[Growth] = ()
 
 
 def report_json(report: Report) -> dict[str, Any]:
@@ -111,6 +144,7 @@ def report_json(report: Report) -> dict[str, Any]:
         "models": dict(report.models),
         "interrupted": report.interrupted,
         "rows": [_row_json(row) for row in report.rows],
+        "growth": [_growth_json(one) for one in report.growth],
     }
 
 
@@ -130,6 +164,18 @@ def _row_json(row: Row) -> dict[str, Any]:
         "state": row.state,
         "facts": dict(row.facts),
         "note": row.note,
+    }
+
+
+def _growth_json(growth: Growth) -> dict[str, Any]:
+    points = [{"size": v, **_times_json(t)} for v, t in zip(growth.values, growth.times, strict=True)]
+    return {
+        "what": growth.what,
+        "size": growth.size,
+        "points": points,
+        "exponent": growth.exponent,
+        "goal": growth.goal,
+        "reached": growth.reached,
     }
 
 

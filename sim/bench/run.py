@@ -10,10 +10,11 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from .growth import GROWTHS
 from .kernels import kernel_rows
 from .linearised import linearised_rows
 from .programs import program_rows
-from .report import Report, Row
+from .report import Growth, Report, Row
 from .sampling import sampling_rows
 from .settings import BenchSettings
 from .subjects import lstm_subject, operator_subjects
@@ -21,7 +22,7 @@ from .timing import Clock, thread_limit
 
 Progress = Callable[[float, str, float], None]  # rounds done, what is being measured, rounds in all
 _PACKAGES = ("numpy", "numba", "casadi", "osqp", "onnxruntime", "daqp", "torch", "pytorch-mppi")
-_SECTIONS = 8
+_SECTIONS = 8 + len(GROWTHS)
 
 
 def run_bench(settings: BenchSettings, progress: Progress | None = None) -> Report:
@@ -33,6 +34,7 @@ def run_bench(settings: BenchSettings, progress: Progress | None = None) -> Repo
     """
     rows: list[Row] = []
     models: dict[str, str] = {}
+    growth: list[Growth] = []
     done, title = 0, ""
 
     def show(rounds: int) -> None:
@@ -50,9 +52,14 @@ def run_bench(settings: BenchSettings, progress: Progress | None = None) -> Repo
                 rows += section()
             if clock.interrupted:
                 break
+        for name, series in () if clock.interrupted else GROWTHS.items():
+            title = name
+            show(0)
+            with thread_limit(1):
+                growth += series(settings, clock)
     except KeyboardInterrupt:  # between two measurements
         clock.interrupted = True
-    return Report(settings.plain(), surroundings, models, rows, clock.interrupted)
+    return Report(settings.plain(), surroundings, models, rows, clock.interrupted, growth)
 
 
 def _sections(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -23,10 +22,10 @@ from .plays import BROKEN, PLAY, SOUND, Case
 LIMITS = [CommandLimits(0.0, 6.0, 12.0), CommandLimits(-1.0, 2.5, 0.7), CommandLimits(0.0, 0.01, 500.0)]
 CASES = {case.name: case for case in [*SOUND, *BROKEN]}
 VARIANTS: dict[str, dict[str, Any]] = {
-    "linearised_mpc, DAQP": {"kind": "linearised_mpc", "solver": "daqp"},
+    "linearised_mpc, OSQP": {"kind": "linearised_mpc", "solver": "osqp"},
     "sampling_mpc, CEM": {"kind": "sampling_mpc", "method": "cem"},
 }
-KINDS = [*CONTROLLERS, *(name for name in VARIANTS if "DAQP" not in name or find_spec("daqp"))]
+KINDS = [*CONTROLLERS, *VARIANTS]
 QUICK: dict[str, dict[str, Any]] = {
     "linearised_mpc": {"horizon": 6, "weights": {"angle_upper_deg": 60.0}},
     "sampling_mpc": {"horizon": 6, "samples": 16, "noise": {"kind": "coloured"}},

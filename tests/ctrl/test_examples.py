@@ -45,8 +45,10 @@ def test_scan_is_followed() -> None:
 
 
 @pytest.mark.slow
-def test_ipopt_with_the_same_model_file_finds_the_same_commands() -> None:
-    compared = script("examples/casadi_ipopt.py").run("builtin:lstm", 5, 8)
+@pytest.mark.parametrize(("model", "steps"), [("builtin:lstm", 8), ("builtin:pi", 5)])
+def test_ipopt_with_the_same_model_file_finds_the_same_commands(model: str, steps: int) -> None:
+    """A network and a simulator; on kinks of plays, which the scan meets later, two local searches may part."""
+    compared = script("examples/casadi_ipopt.py").run(model, 5, steps)
     assert compared[-1].mpc > compared[0].mpc + 0.3  # there is something to compare
     for sample in compared:
         assert sample.mpc == pytest.approx(sample.ipopt, abs=2e-3)
@@ -60,6 +62,17 @@ def test_faults_neither_raise_nor_leave_the_limits() -> None:
         assert (name, tally.exceptions, tally.violations) == (name, 0, 0), tally.first_exception
         assert tally.steps == 300
     assert {source for tally in tallies.values() for source in tally.sources} == set(map(str, Source))
+
+
+@pytest.mark.slow
+def test_endurance_counts_what_it_says() -> None:
+    endure = script("benchmarks/endurance.py").endure
+    settings = {"model": "builtin:backlash", "controller": {"kind": "linearised_mpc"}}
+    run = endure(settings, 1e-3, 60, False)
+    assert (run.misses, run.steps, sum(run.sources.values())) == (0, 60, 60)
+    assert run.greatest_s >= run.p99_s >= run.median_s > 0
+    assert endure(settings, 1e7, 20, False).misses == 20
+    assert endure(settings, 1e7, 20, True).misses == 20
 
 
 @pytest.mark.parametrize("u", [math.nan, math.inf, -0.1, 6.1, 3.9, 2.1])

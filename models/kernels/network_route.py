@@ -1,8 +1,10 @@
-"""The ways to run a stacked LSTM fast; all take and give what `Predictor` does."""
+"""The ways to run a recurrent network fast; all take and give what `Predictor` does."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,16 +12,20 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class LstmRoute(ABC):
-    """Predictions of one network in single precision; state (S,) as in `LstmWeights`, everything finite.
+class NetworkRoute(ABC):
+    """Predictions of one network in single precision; state (S,) as in its model file, everything finite.
 
     The gates may clamp, and would turn not-a-number into a plausible angle: callers check.
 
     Attributes:
         name: for tables.
+        packed: weights as the kernels read them.
+        sample: kernel that moves a few states by one sample, see `follow_loops`.
     """
 
     name: str
+    packed: Any
+    sample: Callable[..., None]
 
     @abstractmethod
     def advance(self, state: Array, plan: Array) -> tuple[Array, Array]:

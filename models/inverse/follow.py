@@ -1,0 +1,106 @@
+"""The inverse followed along a horizon: where the commands should be, and where the rate limit lets them be."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from ..kernels.follow_kernels import compile_follow
+from ..model import Array, Inverse, Predictor
+from ..prediction.actuated import ActuatedInverse
+from ..prediction.compiled import CompiledPredictor
+from ..prediction.routed import RoutedPredictor
+from .companion import CompanionInverse
+from .one_step import CompiledInverse
+
+
+class Bounds(NamedTuple):
+    """Least and greatest command, and greatest change per sample [mm or bar]."""
+
+    low: float
+    high: float
+    reach: float
+
+
+class Follower(ABC):
+    """The inverse, sample by sample from what the commands before have led to."""
+
+    @abstractmethod
+    def follow(self, state: Array, wanted: Array, u_last: float, bounds: Bounds) -> Array:
+        """Commands (2, H) along the angles `wanted` (H,) [deg]: within the box alone, and within the rate limit too."""
+
+
+@final
+class StepwiseFollower(Follower):
+    """One call of model and inverse a sample: for any model."""
+
+    def __init__(self, predictor: Predictor, inverse: Inverse) -> None:
+        self._predictor, self._inverse = predictor, inverse
+
+    def follow(self, state: Array, wanted: Array, u_last: float, bounds: Bounds) -> Array:
+        free = self._followed(state, wanted, u_last, bounds._replace(reach=np.inf))
+        moves = np.abs(np.diff(free, prepend=u_last))
+        return np.stack(
+            [free, free if np.max(moves) <= bounds.reach else self._followed(state, wanted, u_last, bounds)]
+        )
+
+    def _followed(self, state: Array, wanted: Array, u_last: float, bounds: Bounds) -> Array:
+        plan = np.empty(wanted.size)
+        for k, theta in enumerate(wanted.tolist()):
+            u = self._inverse.command(state, theta, u_last)
+            u = min(max(u if np.isfinite(u) else u_last, bounds.low), bounds.high)
+            u_last = min(max(u, u_last - bounds.reach), u_last + bounds.reach)
+            _, state = self._predictor.advance(state, u_last)
+            plan[k] = u_last
+        return plan
+
+
+@final
+class CompiledFollower(Follower):
+    """All samples in one compiled call: for chains, and for networks beside a chain, behind a lag or not.
+
+    Args:
+        inverse: of the chain.
+        chain: what is inverted.
+        network: what the chain stands in for; None for itself.
+        size: entries of the network's state.
+        gain: of the actuator's lag, see `ActuatedPredictor`; 1 for none.
+    """
+
+    def __init__(
+        self,
+        inverse: CompiledInverse,
+        chain: CompiledPredictor,
+        network: RoutedPredictor | None = None,
+        size: int = 0,
+        gain: float = 1.0,
+    ) -> None:
+        route = None if network is None else network.route
+        self._packed: Any = 0 if route is None else route.packed
+        self._kernel: Callable[..., Any] = compile_follow(chain.kernels, None if route is None else route.sample)
+        kernels = chain.kernels
+        self._chain = (chain.parameters, chain.sample_s, kernels.step_constants, kernels.tangent_constants)
+        self._inverted = np.array([inverse.low, inverse.high])
+        self._size, self._gain = size, gain
+
+    def follow(self, state: Array, wanted: Array, u_last: float, bounds: Bounds) -> Array:
+        plans = np.full((2, wanted.size), u_last)
+        if np.isfinite(state).all():  # a clamp of the gates would turn what is no number into one
+            ends = np.array(bounds), self._inverted, self._gain
+            self._kernel(self._packed, self._size, state, *self._chain, wanted, u_last, *ends, plans)
+        return plans
+
+
+def follower_for(predictor: Predictor, inverse: Inverse) -> Follower:
+    """The fastest way to follow an inverse with the memory of its predictor."""
+    inner, gain = (inverse.inverse, inverse.gain) if isinstance(inverse, ActuatedInverse) else (inverse, 1.0)
+    if isinstance(inner, CompiledInverse) and isinstance(inner.predictor, CompiledPredictor):
+        return CompiledFollower(inner, inner.predictor, gain=gain)
+    if isinstance(inner, CompanionInverse) and isinstance(inner.inverse, CompiledInverse):
+        network, chain = inner.predictor.predictor, inner.inverse.predictor
+        if isinstance(network, RoutedPredictor) and isinstance(chain, CompiledPredictor):
+            return CompiledFollower(inner.inverse, chain, network, inner.predictor.size, gain)
+    return StepwiseFollower(predictor, inverse)

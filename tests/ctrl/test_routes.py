@@ -1,0 +1,53 @@
+"""Every kind of model by its fast route and by the reference route through CasADi: one command."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hystmpc.ctrl.linearised.daqp_ import DaqpOptions
+from hystmpc.models.inverse.companion import AccompaniedPredictor, CompanionInverse
+from hystmpc.models.kinds.catalogue import KINDS
+from hystmpc.models.kinds.kind import ModelKind
+from hystmpc.models.library import library_file
+from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
+from hystmpc.models.prediction.casadi_ import CasadiPredictor
+from hystmpc.models.prediction.invertible import InvertiblePredictor
+from hystmpc.models.simulator import load_simulator
+
+from ..models.tiny_kinds import FORWARD, example
+from .test_solvers import compared, controller_for
+
+pytest.importorskip("torch", reason="torch is an extra")
+pytestmark = pytest.mark.slow
+
+Pair = tuple[Predictor, Inverse]
+
+
+def routes(kind: str) -> tuple[Pair, Pair]:
+    """The fast route and the reference, each with its own inverse, over the same state."""
+    model = example(kind, FORWARD).model
+    invertible = isinstance(predictor_for(model), InvertiblePredictor)
+    fast = predictor_and_inverse(model, None if invertible else load_simulator(library_file("backlash")))
+    slow = CasadiPredictor(model.casadi_function(), model.metadata)
+    if invertible:
+        return fast, (slow, fast[1])
+    predictor, inverse = fast
+    assert isinstance(predictor, AccompaniedPredictor)
+    assert isinstance(inverse, CompanionInverse)
+    beside = AccompaniedPredictor(slow, predictor.companion)
+    return fast, (beside, CompanionInverse(beside, inverse.inverse))
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_two_routes_give_one_command(kind: ModelKind) -> None:
+    fast, slow = (controller_for(*pair, DaqpOptions()) for pair in routes(kind.name))
+    y = float(fast.init(45.0, 1.0).estimate.angles[0])
+    ours, theirs = compared(fast, slow, y, 1.0, 15)
+    assert np.ptp(ours) > 0.1
+    np.testing.assert_allclose(theirs, ours, rtol=0, atol=TOLERANCE.get(kind.name, 1e-6))
+
+
+# Networks run in single precision: 1e-7 of 85 deg over 10 deg/mm, amplified by the weight of an error against a move.
+TOLERANCE = dict.fromkeys(("lstm", "gru", "hb1", "hb2", "fnn", "fnn_hib", "svr"), 5e-6)
