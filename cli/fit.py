@@ -44,7 +44,7 @@ def fit(
     rate_hz: Annotated[float, typer.Option(help="Rate to which the logs are resampled [Hz].")] = 25.0,
     skip_first_flexure: SkipFirstFlexure = False,
     direction: Annotated[Direction, typer.Option(help="Command to angle, or the inverse map.")] = Direction.FORWARD,
-    plays: Annotated[int, typer.Option(min=1, max=50, help="Plays of a pi.")] = 4,
+    plays: Annotated[int | None, typer.Option(min=1, max=50, help="Plays of a pi (4) or drdpi (10).")] = None,
     training: Annotated[str | None, typer.Option(help="Preset of the training: best, paper, ...")] = None,
     epochs: Annotated[int | None, typer.Option(min=1, help="Epochs (paper) or updates (best) of a network.")] = None,
     hold_out: Annotated[

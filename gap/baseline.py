@@ -128,7 +128,7 @@ class FreeCoreBaseline(Baseline):
         object.__setattr__(self, "effects", named)
 
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
-        return z.copy(), np.eye(z.size)
+        return np.clip(z, self.lower, self.upper), np.eye(z.size)
 
     def quantities(self, z: Vec) -> Mapping[str, float]:
         """Read off the major loop of the core over the command's range."""

@@ -156,9 +156,13 @@ def _delay(s: Scale) -> list[Candidate]:
 
 
 def _rate_dependence(s: Scale) -> list[Candidate]:
-    del s
-    free = (Freedom("width_s", 0.0, 0.5, 0.01),)
-    return [Candidate("rate_dependence", "command", "command", 60, (RateDependence(0.0),), free, ((0.01,), (0.05,)))]
+    free, kept = (Freedom("width_s", 0.0, 0.5, 0.01),), Freedom("recovery_s", 0.5 * s.dt_s, 30.0, 0.0)
+    starts = ((0.01,), (0.05,))
+    return [
+        Candidate("rate_dependence", "command", "command", 60, (RateDependence(0.0),), free, starts),
+        Candidate("rate_dependence", "output", "output", 7, (RateDependence(0.0),), free, starts),
+        Candidate("rate_dependence", "kept", "command", 60, (RateDependence(0.0),), (*free, kept), ((0.02, 0.5),)),
+    ]
 
 
 def _creep(s: Scale) -> list[Candidate]:
@@ -198,16 +202,22 @@ def _first_flexure(s: Scale) -> list[Candidate]:
 def _slack(s: Scale) -> list[Candidate]:
     free = (Freedom("slack", 0.0, 0.6 * s.span + max(s.low, 0.0), 0.05 * s.span),)
     starts = tuple((max(s.low, 0.0) + share * s.span,) for share in (0.03, 0.15))
-    return [Candidate("slack", "command", "command", 50, (Slack(0.0),), free, starts)]
+    toe = Freedom("toe", 1e-3 * s.span, 0.4 * s.span, 0.0)
+    rounded = tuple((*start, 0.05 * s.span) for start in starts)
+    return [
+        Candidate("slack", "sharp", "command", 50, (Slack(0.0),), free, starts),
+        Candidate("slack", "rounded", "command", 50, (Slack(0.0),), (*free, toe), rounded),
+    ]
 
 
 def _stick_slip(s: Scale) -> list[Candidate]:
-    free = (
-        Freedom("break_away", 0.0, 0.5 * s.span, 0.02 * s.span),
-        Freedom("stribeck_speed", 1e-2 * s.span, 20 * s.span, 0.0),
-    )
-    starts = tuple((0.03 * s.span, speed * s.span) for speed in (0.1, 1.0))
-    return [Candidate("stick_slip", "command", "command", 70, (StickSlip(0.0, 1.0),), free, starts)]
+    return [_stick_slip_on("command", 70, s.span), _stick_slip_on("output", 5, s.angle_span)]
+
+
+def _stick_slip_on(side: Side, order: int, span: float) -> Candidate:
+    free = (Freedom("break_away", 0.0, 0.5 * span, 0.02 * span), Freedom("stribeck_speed", 1e-2 * span, 20 * span, 0.0))
+    starts = tuple((0.03 * span, speed * span) for speed in (0.1, 1.0))
+    return Candidate("stick_slip", side, side, order, (StickSlip(0.0, 1.0),), free, starts)
 
 
 def _contact(s: Scale) -> list[Candidate]:

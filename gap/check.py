@@ -30,6 +30,7 @@ MOST_HZ = 50.0
 _NEAR_RATE = 1.5
 _LEAST_S = 2.0
 _WRONG_SIGN = -0.3  # correlation: a lag of a third of a period is no wrong sign
+_SURELY_WRONG = -0.7  # of a single trial: a short one may run against its loop for once
 _WRONG_SCALE = 5.0
 _SMALL_COMMAND = 1 / 50  # of the simulator's range: a small motion, not another unit, is larger
 _TELLING_SPAN = 0.3  # of the simulator's trained command: in less, backlash may swallow the angle
@@ -114,19 +115,28 @@ def _require_motion(trials: Sequence[Trial]) -> None:
     names = ", ".join(Path(trial.source).name for trial in trials)
     if all(np.ptp(trial.command) == 0 for trial in trials):
         raise GapError(f"{names}: the command is constant in every trial, expected one that moves")
+    pooled = _pooled_correlation(trials)
     for trial in trials:
         if np.ptp(trial.command) > 0 and np.ptp(trial.angle) == 0:
             raise GapError(
                 f"{trial.source}: the angle is {trial.angle[0]:g} deg throughout while the command moves, expected an "
                 "angle that follows it"
             )
-        if np.ptp(trial.command) > 0 and (together := _correlation(trial)) < _WRONG_SIGN:
+        limit = _SURELY_WRONG if pooled >= _WRONG_SIGN else _WRONG_SIGN
+        if np.ptp(trial.command) > 0 and (together := _correlation(trial)) < limit:
             raise GapError(
                 f"{trial.source}: the angle falls as the command rises (correlation {together:.2f}), expected it to "
                 "rise; flip the sign of one of them"
             )
         if trial.duration_s < _LEAST_S:
             raise GapError(f"{trial.source}: {trial.duration_s:.3g} s long, expected {_LEAST_S:g} s or more")
+
+
+def _pooled_correlation(trials: Sequence[Trial]) -> float:
+    """Correlation of command and angle about each trial's means, over all trials."""
+    u = np.concatenate([trial.command - trial.command.mean() for trial in trials])
+    y = np.concatenate([trial.angle - trial.angle.mean() for trial in trials])
+    return float(u @ y / math.sqrt(max((u @ u) * (y @ y), 1e-300)))
 
 
 def _correlation(trial: Trial) -> float:

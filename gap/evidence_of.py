@@ -2,132 +2,118 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.simulator import Simulator
 
-from .confusable import confusability
+from .confusable import Confusable, confusability
 from .diagnosis import Diagnosis
-from .hypothesis import Hypothesis, Judged, gain
+from .findings import Findings
+from .fixed_simulator import fixed_simulator, network_effects
+from .hypothesis import Judged, gain
+from .memory import ceiling
 from .next_motion import Proposal
-from .preparation import Prepared
-from .report.evidence import CandidateRow, Evidence, ParameterRow, Side, TrialEvidence
-from .select import Selection
-from .where import Localisation
+from .parameter_rows import parameter_rows
+from .report.evidence import CandidateRow, Evidence, Role, Side, TrialEvidence
 
 Vec = NDArray[np.float64]
-_AT_BOUND = 1e-3
 
 
-def evidence_of(
-    prepared: Prepared,
-    selection: Selection,
-    retuned: Hypothesis,
-    chosen: Hypothesis,
-    diagnosis: Diagnosis,
-    places: Localisation | None,
-    proposal: Proposal | None,
-    simulator: Simulator | OnnxModel,
-    seed: int,
-    seconds: float,
-) -> Evidence:
-    """Put together what the report shows; see `Evidence`."""
-    sure = dict(diagnosis.ranking)
+def evidence_of(findings: Findings, diagnosis: Diagnosis, proposal: Proposal | None) -> Evidence:
+    """Put together what the report shows; see `Evidence`.
+
+    Args:
+        findings: of every step.
+        diagnosis: made of them.
+        proposal: what to record next, if anything.
+    """
+    prepared, simulator = findings.prepared, findings.simulator
+    chain_based = isinstance(simulator, Simulator)
     rows = confusability(prepared.checked.excitation)
     return Evidence(
         diagnosis=diagnosis,
         simulator="simulator",
-        trials=_trials(prepared, retuned, chosen, diagnosis.gap.floor_rmse_deg),
+        trials=_trials(findings),
         excitation=prepared.checked.excitation,
-        candidates=_candidates(selection, chosen, sure),
+        candidates=_candidates(findings, diagnosis),
         confusable=rows,
-        parameters=_parameters(chosen),
+        parameters=parameter_rows(findings.chosen, prepared.development, diagnosis.effects),
+        localisation=findings.places,
+        noise_deg=findings.floor.noise_deg,
+        ceiling_share=_ceiling(findings),
         proposal=proposal,
-        cannot_show=tuple(
-            f"{' and '.join(row.effects)}: {row.found}; {row.separated_by} would tell them apart"
-            for row in rows
-            if not row.separable and not row.one_class
-        ),
-        fixed=fixed_simulator(simulator, chosen, prepared) if isinstance(simulator, Simulator) else None,
-        seed=seed,
-        seconds={"diagnosis": seconds},
-        **_localised(prepared, places),
+        cannot_show=tuple(_sentence(row) for row in rows if not row.separable and not row.one_class),
+        fixed=fixed_simulator(simulator, findings.chosen, prepared) if isinstance(simulator, Simulator) else None,
+        files={} if chain_based else network_effects(findings.chosen, prepared, "the network"),
+        seed=findings.seed,
+        seconds=findings.seconds,
     )
 
 
-def fixed_simulator(simulator: Simulator, chosen: Hypothesis, prepared: Prepared) -> Simulator:
-    """The simulator retuned and with its causes; its residuals are those on the development trials."""
-    chain = chosen.problem.fitted_chain(chosen.q)
-    note = f"{simulator.identification.method}; diagnosed: {chosen.label}"
-    identification = replace_model(simulator, note)
-    del prepared
-    return replace(simulator, chain=chain, identification=identification)
+def _sentence(row: Confusable) -> str:
+    names = " and ".join(name.replace("_", " ") for name in row.effects)
+    return f"{names[:1].upper()}{names[1:]} cannot be told apart ({row.found}); {row.separated_by} would do it."
 
 
-def replace_model(simulator: Simulator, note: str) -> object:
-    """The identification of a simulator with a note and without residuals, which were another chain's."""
-    return simulator.identification.model_copy(update={"method": note, "residuals": (), "training_data_hash": ""})
-
-
-def _trials(prepared: Prepared, retuned: Hypothesis, chosen: Hypothesis, floor_deg: float) -> tuple[TrialEvidence, ...]:
-    final = {run.name for run in prepared.final}
+def _trials(findings: Findings) -> tuple[TrialEvidence, ...]:
+    """Every trial with its free runs; of one that is cut in parts, the part that counts at the end."""
+    prepared, retuned, chosen = findings.prepared, findings.retuned, findings.chosen
+    final = {run.name: int(np.flatnonzero(run.counts)[0]) for run in prepared.final}
     nominal_q = retuned.problem.start(prepared.baseline.nominal, [])
     made = []
     for trial, run, motion in zip(
         prepared.checked.trials, prepared.everything, prepared.checked.excitation.motions, strict=True
     ):
+        role: Role = "final" if run.name in final else "fit"
         made.append(
             TrialEvidence(
                 trial=trial,
-                role="final" if run.name in final else "fit",
+                role=role,
                 motion=motion,
                 nominal=retuned.problem.angles(nominal_q, run),
                 retuned=retuned.problem.angles(retuned.q, run),
                 with_effects=run.angle + chosen.problem.held_out_error(chosen.q, run),
-                floor_deg=floor_deg,
+                floor_deg=findings.far.gap.floor_rmse_deg,
+                start=final.get(run.name, 0),
             )
         )
     return tuple(made)
 
 
-def _candidates(selection: Selection, chosen: Hypothesis, sure: dict[str, float]) -> tuple[CandidateRow, ...]:
-    """Each effect that was judged alone."""
-    rows = []
-    before = selection.baseline
-    for names, judged in selection.tried.items():
-        if len(names) == 1:
-            (name,) = names
-            rows.append(_row(name, before, judged, sure.get(name, 0.0), name in chosen.effects))
+def _candidates(findings: Findings, diagnosis: Diagnosis) -> tuple[CandidateRow, ...]:
+    """Each effect that was judged alone, and a faulty sensor."""
+    sure, before = dict(diagnosis.ranking), findings.selection.baseline
+    chosen = {effect.name for effect in diagnosis.effects}
+    rows = [
+        _row(name, before, judged, sure.get(name, 0.0), name in chosen)
+        for names, judged in findings.selection.tried.items()
+        if len(names) == 1
+        for name in names
+    ]
+    for effect in diagnosis.effects:
+        if effect.name == "sensor":
+            mended = float(np.sqrt(before.mse))
+            raw = diagnosis.gap.retuned_rmse_deg
+            rows.append(CandidateRow("sensor", "sensor", mended, raw - mended, 0.0, effect.probability, True))
     return tuple(sorted(rows, key=lambda row: (-row.probability, row.rmse_deg)))
 
 
 def _row(name: str, before: Judged, after: Judged, probability: float, chosen: bool) -> CandidateRow:
     _, error = gain(before, after)
-    rmse, retuned = np.sqrt(after.mse), np.sqrt(before.mse)
+    rmse, retuned = float(np.sqrt(after.mse)), float(np.sqrt(before.mse))
     effects = after.hypothesis.problem.effects
     side: Side = effects[0].side if effects else "trial"
-    return CandidateRow(
-        name, side, float(rmse), float(retuned - rmse), float(error / (2 * retuned)), probability, chosen
-    )
+    return CandidateRow(name, side, rmse, retuned - rmse, error / (rmse + retuned), probability, chosen)
 
 
-def _parameters(chosen: Hypothesis) -> tuple[ParameterRow, ...]:
-    problem = chosen.problem
-    rows = []
-    plain = problem.plain(chosen.q)
-    k = problem.size - sum(len(c.free) for c in problem.effects)
-    for c in problem.effects:
-        for freedom in c.free:
-            edge = min(abs(chosen.q[k] - problem.lower[k]), abs(chosen.q[k] - problem.upper[k])) < _AT_BOUND
-            rows.append(ParameterRow(c.effect, freedom.name, float(plain[k]), (np.nan, np.nan), at_bound=bool(edge)))
-            k += 1
-    return tuple(rows)
-
-
-def _localised(prepared: Prepared, places: Localisation | None) -> dict[str, object]:
-    del prepared, places
-    return {}
+def _ceiling(findings: Findings) -> float | None:
+    """Share of the structural gap that a flexible model of the command's past explains held out; None without a gap."""
+    prepared, retuned = findings.prepared, findings.retuned
+    errors = [run.angle - retuned.problem.angles(retuned.q, run) for run in prepared.everything]
+    mse = float(np.mean(np.concatenate(errors) ** 2))
+    structural = mse - findings.far.gap.floor_rmse_deg**2
+    if structural <= 0 or findings.ruling.verdict == "none":
+        return None
+    explained = ceiling(prepared.checked.trials, errors, findings.seed) * mse
+    return float(np.clip(explained / structural, 0.0, 1.0))

@@ -15,6 +15,8 @@ from .recording import Run
 
 Vec = NDArray[np.float64]
 _EDGE = 1e-9
+_JITTER = 1e-13
+_DIVERGED = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,28 +58,50 @@ def fit(problem: Problem, runs: Sequence[Run], start: Vec, evaluations: int = 25
         gtol=1e-12,
         max_nfev=evaluations,
     )
-    return Fit(result.x, float(np.mean(search.residuals(result.x) ** 2)), search.evaluations)
+    return Fit(result.x, search.mse(result.x), search.evaluations)
 
 
 class _Search:
-    """Residuals and Jacobian apart, computed once."""
+    """Errors and derivatives of all runs, condensed: the triangle R of a QR factorisation of (J, r).
+
+    Least squares needs no more than the norm of r, J^T r and the singular values of J, and R has them all; with ten
+    thousand samples the solver's own decompositions would cost more than the free runs.
+    """
 
     def __init__(self, problem: Problem, runs: Sequence[Run]) -> None:
         self._problem, self._runs = problem, runs
         self._at: Vec | None = None
-        self._residuals: Vec = np.empty(0)
-        self._jacobian: Vec = np.empty((0, 0))
+        self._triangle: Vec = np.empty((0, 0))
         self.evaluations = 0
 
     def residuals(self, q: Vec) -> Vec:
-        if self._at is None or not np.array_equal(q, self._at):
-            pairs = [self._problem.error(q, run) for run in self._runs]
-            self._residuals = np.nan_to_num(np.concatenate([r for r, _ in pairs]), nan=1e6, posinf=1e6, neginf=-1e6)
-            self._jacobian = np.nan_to_num(np.vstack([j for _, j in pairs]))
-            self._at = q.copy()
-            self.evaluations += 1
-        return self._residuals
+        return self._condensed(q)[:, -1]
 
     def jacobian(self, q: Vec) -> Vec:
-        self.residuals(q)
-        return self._jacobian
+        return self._condensed(q)[:, :-1]
+
+    def mse(self, q: Vec) -> float:
+        """Mean square of the errors that count [deg^2]."""
+        return float(np.sum(self.residuals(q) ** 2)) / sum(int(run.counts.sum()) for run in self._runs)
+
+    def _condensed(self, q: Vec) -> Vec:
+        if self._at is None or not np.array_equal(q, self._at):
+            square = np.zeros((q.size + 1, q.size + 1))
+            for run in self._runs:
+                error, by_q = self._problem.error(q, run)
+                both = np.column_stack([by_q, error])
+                square += both.T @ both
+            self._triangle = _triangle(square)
+            self._at = q.copy()
+            self.evaluations += 1
+        return self._triangle
+
+
+def _triangle(square: Vec) -> Vec:
+    """R with R^T R = square; a run that is not finite counts as a very bad one without a direction."""
+    size = square.shape[0]
+    if not np.all(np.isfinite(square)):
+        return np.vstack([np.zeros((size - 1, size)), np.append(np.zeros(size - 1), _DIVERGED)[None]])
+    scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
+    correlation = square / np.outer(scale, scale) + _JITTER * np.eye(size)
+    return np.asarray(np.linalg.cholesky(correlation).T * scale)

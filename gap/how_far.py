@@ -51,52 +51,76 @@ def measure(
         court: what hypotheses are fitted on.
         retuned, chosen: the simulator without and with its causes.
         floor: from repeats or noise.
-        sensor: whether the sensor may be a cause.
+        sensor: whether the sensor is a cause.
         seed: of the resampling.
     """
-    runs = prepared.final
-    nominal = Hypothesis(retuned.problem, retuned.problem.start(prepared.baseline.nominal, []), np.nan)
-    before, after = _raw_blocks(prepared, retuned), final_blocks(chosen, runs)
-    sensor = sensor and prepared.signs.any
-    if not sensor:
-        after = _raw_blocks(prepared, chosen)
-    floor_mse = min(floor.rmse_deg**2, after.mse, before.mse)
-    names = sorted(chosen.effects)
-    subsets: dict[frozenset[str], Blocks] = {frozenset(names): final_blocks(chosen, runs)}
-
-    def blocks(kept: frozenset[str]) -> Blocks:
-        if kept not in subsets:
-            subsets[kept] = final_blocks(_part(court, retuned, chosen, kept), runs)
-        return subsets[kept]
-
-    base = blocks(frozenset())
-    worth = shapley(names, lambda kept: closed_share(before.mse, blocks(kept).mse, floor_mse)) if names else {}
-    intervals, left = {}, {}
+    opened = _Opened(prepared, court, retuned, chosen, floor, sensor)
+    names, everything = sorted(chosen.effects), frozenset(chosen.effects)
+    worth = shapley(names, lambda kept: opened.closed(opened.blocks(kept).mse)) if names else {}
+    intervals: dict[str, Interval] = {}
+    left: dict[str, float] = {}
     for name in names:
-        less = blocks(frozenset(names) - {name})
-        low, high = closed_interval(before, less, subsets[frozenset(names)], floor_mse, seed)
+        less = opened.blocks(everything - {name})
+        low, high = opened.interval(less, opened.blocks(everything), seed)
         # The interval of what dropping the cause costs, moved to its Shapley value, which shares the overlap.
-        moved = worth[name] - closed_share(before.mse, before.mse - less.mse + subsets[frozenset(names)].mse, floor_mse)
+        moved = worth[name] - opened.closed(opened.before.mse - less.mse + opened.blocks(everything).mse)
         intervals[name], left[name] = (low + moved, high + moved), float(np.sqrt(less.mse))
     parameters = _parameters(chosen, prepared)
-    if sensor:
-        worth["sensor"] = closed_share(before.mse, before.mse - (before.mse - base.mse), floor_mse)
-        intervals["sensor"] = closed_interval(before, before, base, floor_mse, seed)
+    if opened.sensor:
+        base = opened.blocks(frozenset())
+        worth["sensor"] = opened.closed(base.mse)
+        intervals["sensor"] = opened.interval(opened.before, base, seed)
         left["sensor"] = float(np.sqrt(_raw_blocks(prepared, chosen).mse))
         parameters["sensor"] = _sensor_parameters(prepared)
-    closed = closed_share(before.mse, after.mse, floor_mse)
-    gap = Gap(
-        nominal_rmse_deg=float(np.sqrt(_raw_blocks(prepared, nominal).mse)),
-        retuned_rmse_deg=float(np.sqrt(before.mse)),
-        with_effects_rmse_deg=float(np.sqrt(after.mse)),
-        floor_rmse_deg=float(np.sqrt(floor_mse)),
-        floor_kind=floor.kind,
-        closed_share=closed,
-        unexplained_share=1.0 - closed,
-        closed_ci90=closed_interval(before, before, after, floor_mse, seed),
-        final_trials=tuple(dict.fromkeys(run.name for run in runs)),
-    )
-    return HowFar(retuned, gap, worth, intervals, left, parameters)
+    return HowFar(retuned, opened.gap(seed), worth, intervals, left, parameters)
+
+
+class _Opened:
+    """Errors on the final trials of the simulator with any of its causes."""
+
+    def __init__(
+        self, prepared: Prepared, court: Court, retuned: Hypothesis, chosen: Hypothesis, floor: Floor, sensor: bool
+    ) -> None:
+        self._prepared, self._court, self._retuned, self._chosen = prepared, court, retuned, chosen
+        self._floor, self.sensor = floor, sensor
+        self._parts = {frozenset(chosen.effects): final_blocks(chosen, prepared.final)}
+        self.before = _raw_blocks(prepared, retuned)
+        self.after = self.blocks(frozenset(chosen.effects)) if sensor else _raw_blocks(prepared, chosen)
+        self.floor_mse = min(floor.rmse_deg**2, self.after.mse, self.before.mse)
+
+    def blocks(self, kept: frozenset[str]) -> Blocks:
+        """Errors with some of the causes, fitted anew on the development runs."""
+        if kept not in self._parts:
+            part = self._retuned
+            if kept:
+                part = self._court.polished(without_effects(self._court, self._chosen, self._chosen.effects - kept))
+            self._parts[kept] = final_blocks(part, self._prepared.final)
+        return self._parts[kept]
+
+    def closed(self, mse: float) -> float:
+        """Share of the structural gap that is closed at that error."""
+        return closed_share(self.before.mse, mse, self.floor_mse)
+
+    def interval(self, before: Blocks, after: Blocks, seed: int) -> Interval:
+        """Of the share that lies between two stages."""
+        return closed_interval(self.before, before, after, self.floor_mse, seed)
+
+    def gap(self, seed: int) -> Gap:
+        """The sizes."""
+        problem = self._retuned.problem
+        nominal = Hypothesis(problem, problem.start(self._prepared.baseline.nominal, []), np.nan)
+        closed = self.closed(self.after.mse)
+        return Gap(
+            nominal_rmse_deg=float(np.sqrt(_raw_blocks(self._prepared, nominal).mse)),
+            retuned_rmse_deg=float(np.sqrt(self.before.mse)),
+            with_effects_rmse_deg=float(np.sqrt(self.after.mse)),
+            floor_rmse_deg=float(np.sqrt(self.floor_mse)),
+            floor_kind=self._floor.kind,
+            closed_share=closed,
+            unexplained_share=1.0 - closed,
+            closed_ci90=self.interval(self.before, self.after, seed),
+            final_trials=tuple(dict.fromkeys(run.name for run in self._prepared.final)),
+        )
 
 
 def _raw_blocks(prepared: Prepared, hypothesis: Hypothesis) -> Blocks:
@@ -106,13 +130,6 @@ def _raw_blocks(prepared: Prepared, hypothesis: Hypothesis) -> Blocks:
         raw = prepared.raw[[r.name for r in prepared.everything].index(run.name)]
         errors.append(hypothesis.problem.held_out_error(hypothesis.q, run) + (run.angle - raw)[run.counts])
     return blocks_of(errors, prepared.final)
-
-
-def _part(court: Court, retuned: Hypothesis, chosen: Hypothesis, kept: frozenset[str]) -> Hypothesis:
-    """The chosen hypothesis with some of its causes, fitted anew on the development runs."""
-    if not kept:
-        return retuned
-    return court.polished(without_effects(court, chosen, chosen.effects - kept))
 
 
 def _parameters(chosen: Hypothesis, prepared: Prepared) -> dict[str, Mapping[str, float]]:

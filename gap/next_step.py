@@ -2,87 +2,136 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.simulator import Simulator
 
+from .candidates import Scale, candidates
+from .confusable import confusability
 from .diagnosis import NextMotion
-from .floor import Floor
-from .hypothesis import Hypothesis
+from .findings import Findings
+from .hypothesis import Court, Hypothesis
 from .motion_menu import menu
-from .next_motion import Contender, Noise, Proposal, propose
-from .preparation import Prepared
-from .recording import Run
+from .next_motion import Noise, Proposal, propose
+from .planned import contender_of
+from .problem import Problem
 from .select import Selection
-from .verdict import Ruling
 
-Vec = NDArray[np.float64]
-_STEP = 0.3  # of the unknowns' typical changes
+_LEAST_NOISE_DEG = 1e-3
+_TYPICAL = ("lag", "creep", "stick_slip", "contact")  # one of each family, where nothing is left to choose between
+_MOST = 4  # contenders of a gap that nothing explains
+_SMALLEST_WHITE = 0.05
 
 
-def next_step(
-    prepared: Prepared, selection: Selection, ruling: Ruling, floor: Floor
-) -> tuple[Proposal | None, NextMotion | None]:
-    """A motion for the first set of effects that stand for one another; none where nothing is open.
+def next_step(findings: Findings) -> tuple[Proposal | None, NextMotion | None]:
+    """A motion for what is open; none where nothing is.
+
+    First comes a set of effects that stand for one another on these trials. Without one, an effect that was named
+    although these motions cannot tell it from another (`confusability`) is put beside that other. Where a gap has no
+    explanation, the motion is proposed on which effects of different families differ most.
 
     Args:
-        prepared: trials and baseline.
-        selection: with every explanation that was judged.
-        ruling: with its ambiguity.
-        floor: what a separation counts against.
+        findings: of all earlier steps.
     """
-    if not ruling.ambiguity:
+    rest, fitted = _open(findings)
+    if len(fitted) < 2:
         return None, None
-    rivals = ruling.ambiguity[0]
-    chosen = selection.chosen.hypothesis
-    rest = chosen.effects - {rivals[0]}
-    fitted = {name: selection.tried.get(rest | {name}) for name in rivals}
-    contenders = [
-        _contender(name, judged.hypothesis, prepared)
-        for name, judged in fitted.items()
-        if judged is not None and judged.hypothesis.problem.effects
-    ]
-    if len(contenders) < 2:
-        return None, None
-    noise = Noise(max(floor.noise_deg, 1e-3))
-    proposal = propose(contenders, menu(_limits(prepared), prepared.checked.dt), noise)
+    prepared = findings.prepared
+    contenders = [contender_of(name, hypothesis, prepared) for name, hypothesis in fitted.items()]
+    baseline = contender_of("baseline", rest, prepared).simulate
+    proposal = propose(contenders, menu(_limits(findings), prepared.checked.dt), _noise(findings), baseline)
     return proposal, proposal.summary()
 
 
-def _limits(prepared: Prepared) -> CommandLimits:
-    """Commands and speeds that were recorded, and no others."""
-    low = min(float(run.command.min()) for run in prepared.everything)
-    high = max(float(run.command.max()) for run in prepared.everything)
-    fastest = max(float(np.abs(np.diff(run.command)).max()) / run.dt_s for run in prepared.everything)
-    return CommandLimits(low, high, fastest)
+def _open(findings: Findings) -> tuple[Hypothesis, dict[str, Hypothesis]]:
+    """What the simulator is without the question, and each of its answers, fitted."""
+    ruling, chosen = findings.ruling, findings.chosen
+    if ruling.verdict in ("unknown", "too_little"):
+        return findings.retuned, _families(findings)
+    rivals = ruling.ambiguity[0] if ruling.ambiguity else _unseparated(findings)
+    if not rivals:
+        return findings.retuned, {}
+    rest = chosen.effects - {rivals[0]}
+    fitted = {name: _with(findings, rest, name) for name in rivals}
+    known = findings.selection.tried.get(frozenset(rest))
+    base = known.hypothesis if known else findings.retuned
+    return base, {name: hypothesis for name, hypothesis in fitted.items() if hypothesis is not None}
 
 
-def _contender(name: str, hypothesis: Hypothesis, prepared: Prepared) -> Contender:
-    problem, q = hypothesis.problem, hypothesis.q
-    start = prepared.everything[0]
+def _unseparated(findings: Findings) -> tuple[str, ...]:
+    """A named effect and what these motions cannot tell it from, by their commands."""
+    if findings.ruling.verdict != "named":
+        return ()
+    for row in confusability(findings.prepared.checked.excitation):
+        named = [name for name in row.effects if name in findings.chosen.effects]
+        if named and not row.separable and not row.one_class:
+            others = [n for n in row.effects if n not in findings.chosen.effects and n not in findings.left_out]
+            if others:
+                return (named[0], *others)
+    return ()
 
-    def simulated(at: Vec, command: Vec, dt: float) -> Vec:
-        return problem.angles(at, _planned(start, command, dt))
 
-    def at(point: Vec) -> object:
-        return lambda command, dt: simulated(point, command, dt)
+def _with(findings: Findings, rest: frozenset[str], name: str) -> Hypothesis | None:
+    """The causes `rest` and one more; as it was judged, else fitted now."""
+    names = rest | {name}
+    if names == findings.chosen.effects:
+        return findings.chosen
+    if names in findings.selection.tried:
+        return findings.selection.tried[names].hypothesis
+    kept = findings.selection.tried.get(rest)
+    base = kept.hypothesis if kept else findings.retuned
+    return _fitted(findings.court, base, name)
 
-    nudges = [np.clip(q + _STEP * row, problem.lower, problem.upper) for row in np.eye(problem.size)]
-    return Contender(name, at(q), [at(point) for point in nudges])  # type: ignore[arg-type,misc]
+
+def _fitted(court: Court, base: Hypothesis, name: str) -> Hypothesis | None:
+    """The best variant of an effect added to a hypothesis; None where it is no operator."""
+    problem = base.problem
+    z, there = problem.retuned(base.q), [list(values.values()) for values in problem.effect_values(base.q)]
+    library = candidates(Scale.of(court.runs), court.baseline.effects)
+    made = [
+        court.with_causes((*problem.effects, c), problem.terms, z, [[*there, start] for start in c.starts])
+        for c in library
+        if c.effect == name
+    ]
+    return min(made, key=lambda h: h.mse, default=None)
 
 
-def _planned(start: Run, command: Vec, dt: float) -> Run:
-    """A motion that was not recorded yet, from where the first trial rested."""
-    return Run(
-        name="planned",
-        command=np.ascontiguousarray(command),
-        angle=np.zeros(command.size),
-        dt_s=dt,
-        rest_command=float(command[0]),
-        rest_angle=start.rest_angle,
-        counts=np.ones(command.size, dtype=np.bool_),
-        bent_before=start.bent_before,
-        clock_s=0.0,
-        correction=np.zeros(command.size),
-    )
+def _families(findings: Findings) -> dict[str, Hypothesis]:
+    """Single effects that were judged, the best first; without two of them, one of each family at a typical size."""
+    tried = _singles(findings.selection)
+    if len(tried) >= 2:
+        return dict(list(tried.items())[:_MOST])
+    baseline, z = findings.prepared.baseline, findings.retuned.problem.retuned(findings.retuned.q)
+    made: dict[str, Hypothesis] = {}
+    for c in candidates(Scale.of(findings.court.runs), (), findings.left_out):
+        if c.effect in _TYPICAL and c.effect not in made:
+            problem = Problem(baseline, (c,))
+            made[c.effect] = Hypothesis(problem, problem.start(z, [c.starts[-1]]), np.nan)
+    return made
+
+
+def _singles(selection: Selection) -> dict[str, Hypothesis]:
+    judged = sorted((j for names, j in selection.tried.items() if len(names) == 1), key=lambda j: j.mse)
+    return {next(iter(j.hypothesis.effects)): j.hypothesis for j in judged if j.hypothesis.problem.effects}
+
+
+def _noise(findings: Findings) -> Noise:
+    """What the best explanation leaves, white as far as the floor is."""
+    gap, white = findings.far.gap, max(findings.floor.noise_deg, _LEAST_NOISE_DEG)
+    if findings.ruling.verdict in ("unknown", "too_little"):
+        return Noise(white)
+    left = max(gap.with_effects_rmse_deg, white)
+    return Noise(left, white=float(np.clip((white / left) ** 2, _SMALLEST_WHITE, 1.0)))
+
+
+def _limits(findings: Findings) -> CommandLimits:
+    """Commands that were recorded, and no others; as fast as was recorded or as the simulator's file allows."""
+    simulator, runs = findings.simulator, findings.prepared.everything
+    facts: ModelMetadata = simulator.metadata() if isinstance(simulator, Simulator) else simulator.metadata
+    fastest = max(float(np.abs(np.diff(run.command)).max()) / run.dt_s for run in runs)
+    commands: Sequence[float] = [float(v) for run in runs for v in (run.command.min(), run.command.max())]
+    return CommandLimits(min(commands), max(commands), max(fastest, facts.command_rate))

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hystmpc.models.chain import Chain
 from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.fit.operators import OperatorFitSettings, fit_chain
 from hystmpc.models.fit.starts import prandtl_ishlinskii_starts
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.models.simulator import Identification, Simulator
 from hystmpc.trials.trial import Trial
 
-from .baseline import Baseline, ScaledBaseline, baseline_of
+from .baseline import Baseline, FreeCoreBaseline, ScaledBaseline, baseline_of
 from .check import Checked, check_trials
+from .fit import fit
 from .form_error import form_error_mse, nominal_noise_deg
 from .problem import Problem
 from .recording import Run, runs_of
@@ -25,7 +26,7 @@ from .sensor import SensorSigns, repaired, sensor_signs
 from .split import split_runs
 
 Vec = NDArray[np.float64]
-_STAND_IN_PLAYS = 8
+_STAND_IN_PLAYS, _EVALUATIONS, _TOLERANCE = 8, 40, 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,7 @@ class Prepared:
     """What the selection works on.
 
     Attributes:
+        given: trials as recorded.
         checked: trials at one rate, and what their commands excite.
         signs: of the sensor.
         baseline: the nominal simulator and what retuning may change.
@@ -42,6 +44,7 @@ class Prepared:
         form_mse: what model form alone explains [deg^2].
     """
 
+    given: tuple[Trial, ...]
     checked: Checked
     signs: SensorSigns
     baseline: Baseline
@@ -77,6 +80,7 @@ def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel) -> Prepar
     motions = checked.excitation.motions
     development, final = split_runs(runs, motions)
     return Prepared(
+        tuple(trials),
         checked,
         signs,
         baseline,
@@ -98,10 +102,20 @@ def _stand_in(model: OnnxModel, trials: Sequence[Trial], command: Range) -> tupl
     for trial in trials:
         state = predictor.initial(float(trial.angle[0]), float(trial.command[0]))
         said.append(predictor.rollout(state, trial.command[None])[0])
-    copies = [Trial(t.t, t.command, y, units=t.units, source=t.source) for t, y in zip(trials, said, strict=True)]
-    settings = OperatorFitSettings(restarts=0, evaluations=60, tolerance=1e-6)
-    chain = fit_chain(prandtl_ishlinskii_starts(copies, _STAND_IN_PLAYS), copies, settings, fixed=("beta",)).chain
-    baseline = ScaledBaseline(chain, command)
+    copies = [replace(trial, angle=y) for trial, y in zip(trials, said, strict=True)]
+    baseline = ScaledBaseline(_plays(copies, command), command)
     problem = Problem(baseline)
     start = problem.start(baseline.nominal, [])
     return baseline, [y - problem.angles(start, run) for y, run in zip(said, runs_of(trials), strict=True)]
+
+
+def _plays(copies: Sequence[Trial], command: Range) -> Chain:
+    """Plays fitted to a network's own free runs; their widths do not depend on the rate."""
+    runs, found = runs_of(copies), []
+    for start in prandtl_ishlinskii_starts(copies, _STAND_IN_PLAYS):
+        values = [0.0 if p.name == "beta" else v for p, v in zip(start.parameters, start.values, strict=True)]
+        baseline = FreeCoreBaseline(start.with_values(values), command)
+        problem = Problem(baseline)
+        found.append((problem, fit(problem, runs, problem.start(baseline.nominal, []), _EVALUATIONS, _TOLERANCE)))
+    problem, best = min(found, key=lambda pair: pair[1].mse)
+    return problem.fitted_chain(best.q)

@@ -17,7 +17,6 @@ from .recording import Run
 from .trial_terms import NO_TERMS, TrialTerms
 
 Vec = NDArray[np.float64]
-_REST_ROUNDS = 3
 
 
 @final
@@ -83,7 +82,9 @@ class Problem:
     def plain(self, q: Vec) -> Vec:
         """Values from unknowns q."""
         own = q[: self._z] * self.baseline.scale[self._active]
-        effects = [v * f.scale if f.scale else np.exp(v) for v, (f, _) in zip(q[self._z :], self._freedoms, strict=True)]
+        effects = [
+            v * f.scale if f.scale else np.exp(v) for v, (f, _) in zip(q[self._z :], self._freedoms, strict=True)
+        ]
         return np.array([*own, *effects])
 
     def retuned(self, q: Vec) -> Vec:
@@ -156,20 +157,10 @@ class Problem:
         return found
 
     def _start(self, run: Run, p: Vec) -> tuple[Vec, Vec]:
-        state, slope = self._staged.rest_with_slope(run.rest_command, self._core_angle(run, p), p)
+        state, slope = self._staged.settled(run.rest_command, run.rest_angle, run.dt_s, p)
         for what, index in self._carried:
-            state[index] = run.bent_before if what == "bend" else run.clock_s
+            state[index], slope[index] = (run.bent_before if what == "bend" else run.clock_s), 0.0
         return state, slope
-
-    def _core_angle(self, run: Run, p: Vec) -> float:
-        """Angle of the core at rest for which the whole chain shows the angle seen; it is the same without effects."""
-        angle = run.rest_angle
-        if self.chain.after:
-            held = np.array([[run.rest_command]])
-            for _ in range(_REST_ROUNDS):
-                state = self._staged.rest(held[0], np.array([angle]), p)
-                angle += run.rest_angle - float(self._staged.simulate(held, run.dt_s, state, p)[0][0, 0])
-        return angle
 
     def _places(self) -> tuple[list[int], list[int]]:
         """First parameter and first state of each operator."""

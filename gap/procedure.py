@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,18 +15,19 @@ from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
 
 from .candidates import Scale, candidates
-from .diagnosis import Diagnosis, FoundEffect
+from .diagnosis import Diagnosis, FoundEffect, NextMotion, Verdict
 from .evidence_of import evidence_of
+from .findings import Findings
 from .floor import Floor, find_floor
-from .how_far import HowFar, measure
+from .how_far import measure
 from .hypothesis import Court, Hypothesis
 from .next_step import next_step
 from .preparation import Prepared, prepare
 from .probability import margins, probability, ranking
 from .reason import reason_for
 from .report.evidence import Evidence
-from .select import Selection, SelectionSettings, select
-from .verdict import Ruling, VerdictSettings, rule
+from .select import SelectionSettings, select
+from .verdict import VerdictSettings, rule, sensor_matters
 from .where import Localisation, localise
 
 Vec = NDArray[np.float64]
@@ -94,42 +95,58 @@ def run_diagnosis(
     """The diagnosis with everything that its report shows; see `diagnose`."""
     left_out = _left_out(without, only)
     told = progress or (lambda done, total, note="": None)
-    started = time.perf_counter()
+    clock = _Clock()
     told(0, _STEPS, "checking the trials")
     prepared = prepare(trials, simulator)
     court = Court(prepared.baseline, prepared.development)
     retuned = court.retuned()
     floor_mse = selection_floor(prepared, retuned)
-    selection = select(
-        court,
-        candidates(Scale.of(prepared.development), prepared.baseline.effects, left_out),
-        settings.selection,
-        floor_mse,
-        left_out,
-        lambda share, what: told(5 + int(80 * share), _STEPS, what),
-    )
-    ruling = rule(selection, floor_mse, settings.verdict, seed)
+    clock.lap("check and retune")
+    library = candidates(Scale.of(prepared.development), prepared.baseline.effects, left_out)
+    selection = select(court, library, settings.selection, floor_mse, left_out, _advance(told))
+    sensor = "sensor" not in left_out and sensor_matters(prepared, selection, settings.verdict)
+    ruling = rule(selection, floor_mse, prepared.form_mse, sensor, settings.verdict, seed)
+    sensor = sensor and ruling.verdict != "none"
+    clock.lap("which")
     told(88, _STEPS, "measuring the gap on the final trials")
     chosen = court.polished(selection.chosen.hypothesis) if ruling.verdict in ("named", "one_of") else retuned
     floor = _floor(prepared, chosen)
-    far = measure(prepared, court, retuned, chosen, floor, "sensor" not in left_out, seed)
+    far = measure(prepared, court, retuned, chosen, floor, sensor, seed)
+    clock.lap("how far")
     told(94, _STEPS, "where and what next")
     places = _places(prepared, retuned, seed)
-    diagnosis, proposal = _diagnosis(prepared, selection, ruling, far, floor, floor_mse, places, left_out)
-    evidence = evidence_of(
-        prepared,
-        selection,
-        retuned,
-        chosen,
-        diagnosis,
-        places,
-        proposal,
-        simulator,
-        seed,
-        time.perf_counter() - started,
-    )
+    clock.lap("where")
+    parts = (simulator, prepared, court, selection, ruling, retuned, chosen, floor, floor_mse, far, places, left_out)
+    findings = Findings(*parts, seed, clock.seconds)
+    proposal, motion = next_step(findings)
+    clock.lap("what next")
+    diagnosis = _diagnosis(findings, motion, settings.verdict.least_closed)
+    evidence = evidence_of(findings, diagnosis, proposal)
     told(_STEPS, _STEPS, diagnosis.verdict)
     return diagnosis, evidence
+
+
+def _advance(told: Progress) -> Callable[[float, str], None]:
+    """The selection's part of the progress; every round counts its candidates anew, so that it only ever grows."""
+    done = [5]
+
+    def advance(share: float, what: str) -> None:
+        done[0] = max(done[0], 5 + int(80 * share))
+        told(done[0], _STEPS, what)
+
+    return advance
+
+
+class _Clock:
+    """Time of each step."""
+
+    def __init__(self) -> None:
+        self._last = time.perf_counter()
+        self.seconds: dict[str, float] = {}
+
+    def lap(self, step: str) -> None:
+        now = time.perf_counter()
+        self.seconds[step], self._last = now - self._last, now
 
 
 def selection_floor(prepared: Prepared, retuned: Hypothesis) -> float:
@@ -161,41 +178,15 @@ def _places(prepared: Prepared, retuned: Hypothesis, seed: int) -> Localisation 
     return localise(prepared.checked.trials, errors, width, seed)
 
 
-def _diagnosis(
-    prepared: Prepared,
-    selection: Selection,
-    ruling: Ruling,
-    far: HowFar,
-    floor: Floor,
-    floor_mse: float,
-    places: Localisation | None,
-    left_out: Sequence[str],
-) -> tuple[Diagnosis, object]:
-    margin = margins(selection, floor_mse)
-    names = tuple(far.shares)
-    sure = {
-        name: probability(ruling.inclusion.get(name, 1.0), margin.get(name, 1.0), far.gap.closed_share)
-        for name in names
-    }
-    effects = tuple(
-        FoundEffect(
-            name=name,
-            probability=sure[name],
-            inclusion=ruling.inclusion.get(name, 1.0),
-            closed_share=far.shares[name],
-            closed_ci90=far.intervals[name],
-            rmse_before_deg=far.before_deg[name],
-            rmse_after_deg=far.gap.with_effects_rmse_deg,
-            parameters=far.parameters[name],
-        )
-        for name in sorted(names, key=lambda n: -far.shares[n])
-    )
-    verdict = "named" if ruling.verdict == "none" and "sensor" in names else ruling.verdict
+def _diagnosis(findings: Findings, motion: NextMotion | None, least_closed: float) -> Diagnosis:
+    ruling, far, prepared = findings.ruling, findings.far, findings.prepared
+    sure = _sure(findings)
+    effects = _effects(findings, sure)
+    verdict = _verdict(findings, least_closed)
     z = far.retuned.problem.retuned(far.retuned.q)
     nominal, retuned = prepared.baseline.quantities(prepared.baseline.nominal), prepared.baseline.quantities(z)
-    proposal, motion = next_step(prepared, selection, ruling, floor)
-    library = [name for name in LIBRARY if name not in left_out]
-    diagnosis = Diagnosis(
+    library = [name for name in LIBRARY if name not in findings.left_out]
+    return Diagnosis(
         verdict=verdict,
         reason=reason_for(verdict, effects, ruling, far.gap),
         effects=effects,
@@ -203,8 +194,42 @@ def _diagnosis(
         ranking=ranking(sure, ruling.inclusion, library),
         gap=far.gap,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
-        where=dict(places.places) if places else {},
+        where=dict(findings.places.places) if findings.places else {},
         notes=prepared.checked.notes,
         next_motion=motion,
     )
-    return diagnosis, proposal
+
+
+def _verdict(findings: Findings, least_closed: float) -> Verdict:
+    """The ruling; but a faulty sensor is a name too where it explains enough."""
+    verdict, far = findings.ruling.verdict, findings.far
+    if "sensor" not in far.shares or verdict != "unknown":
+        return verdict
+    return "named" if far.gap.closed_share >= least_closed else verdict
+
+
+def _sure(findings: Findings) -> dict[str, float]:
+    """Probability of each effect found."""
+    margin, ruling, far = margins(findings.selection, findings.floor_mse), findings.ruling, findings.far
+    return {
+        name: probability(ruling.inclusion.get(name, 1.0), margin.get(name, 1.0), far.gap.closed_share)
+        for name in far.shares
+    }
+
+
+def _effects(findings: Findings, sure: Mapping[str, float]) -> tuple[FoundEffect, ...]:
+    """What was found, largest share first."""
+    far = findings.far
+    return tuple(
+        FoundEffect(
+            name=name,
+            probability=sure[name],
+            inclusion=findings.ruling.inclusion.get(name, 1.0),
+            closed_share=far.shares[name],
+            closed_ci90=far.intervals[name],
+            rmse_before_deg=far.before_deg[name],
+            rmse_after_deg=far.gap.with_effects_rmse_deg,
+            parameters=far.parameters[name],
+        )
+        for name in sorted(far.shares, key=lambda n: -far.shares[n])
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
@@ -30,17 +30,22 @@ class SelectionSettings:
         shift_share: the same for `trial_shift`, which mops up any single bad trial.
         gap_share, form_share: least fall by the whole structural error, and by the floor.
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
+        gives_way: effects that bend to almost anything, and the share of what they explain by which another cause may
+            be worse and is preferred.
+        variants: forms of one effect that are tried again once it was tried alone.
         judged: candidates of a round that are judged on held-out trials; the others only by their fit.
         lowest_hz, highest_hz: where a periodic disturbance is looked for.
     """
 
     most: int = 4
     standard_errors: float = 2.0
-    least_share: float = 0.12
+    least_share: float = 0.2
     shift_share: float = 0.25
-    gap_share: float = 0.04
+    gap_share: float = 0.08
     form_share: float = 0.1
     recurs: float = 0.25
+    gives_way: tuple[tuple[str, float], ...] = (("trial_shift", 0.06), ("nonlinear_gain", 0.015), ("asymmetry", 0.015))
+    variants: int = 2
     judged: int = 5
     lowest_hz: float = 0.15
     highest_hz: float = 5.0
@@ -73,7 +78,7 @@ class Selector:
         without: Sequence[str],
         progress: Progress,
     ) -> None:
-        self._court, self._candidates, self._settings = court, candidates, settings
+        self._court, self._candidates, self._settings = court, tuple(candidates), settings
         self._floor, self._without, self._progress = floor_mse, without, progress
         self._baseline_mse = 0.0
         self.tried: dict[frozenset[str], Judged] = {}
@@ -126,6 +131,7 @@ class Selector:
         z = base.problem.retuned(base.q)
         there = [list(values.values()) for values in base.problem.effect_values(base.q)]
         best: dict[str, Hypothesis] = {}
+        reached: dict[Candidate, float] = {}
         for k, candidate in enumerate(self._candidates):
             self._progress(k / len(self._candidates), candidate.label)
             if candidate.effect in base.effects:
@@ -133,8 +139,11 @@ class Selector:
             effects = (*base.problem.effects, candidate)
             starts = [[*there, start] for start in candidate.starts]
             made = self._court.with_causes(effects, base.problem.terms, z, starts)
+            reached[candidate] = made.mse
             if candidate.effect not in best or made.mse < best[candidate.effect].mse:
                 best[candidate.effect] = made
+        if not base.effects:
+            self._candidates = _favourites(reached, self._settings.variants)
         for terms in self._terms(base):
             made = self._court.with_causes(base.problem.effects, terms, z, [there])
             best[terms.names[-1] if terms.frequency_hz and not base.problem.terms.frequency_hz else "trial_shift"] = (
@@ -167,21 +176,42 @@ class Selector:
     def _swapped(self, current: Judged, baseline: Judged) -> Judged:
         """With each cause exchanged for each other one; the better stands, all are kept for the ambiguity."""
         for effect in sorted(current.hypothesis.effects):
+            if effect not in current.hypothesis.effects:
+                continue
             if len(current.hypothesis.effects) == 1:
                 rest = baseline.hypothesis
             else:
                 rest = without_effects(self._court, current.hypothesis, {effect})
+                self._judge(rest)
             for hypothesis in self._additions(rest):
-                if hypothesis.effects in self.tried:
-                    continue
-                judged = self._judge(hypothesis)
-                if judged.mse < current.mse and self._clearly_better(current, judged):
+                known = self.tried.get(hypothesis.effects)
+                judged = known if known is not None else self._judge(hypothesis)
+                if self._better(current, judged, baseline):
                     current = judged
         return current
 
-    def _clearly_better(self, before: Judged, after: Judged) -> bool:
-        fall, error = gain(before, after)
+    def _better(self, present: Judged, other: Judged, baseline: Judged) -> bool:
+        """Whether an exchange is an improvement; what bends to anything gives way to what does nearly as well."""
+        if len(other.hypothesis.effects) != len(present.hypothesis.effects) or other is present:
+            return False
+        fall, error = gain(present, other)
+        left = present.hypothesis.effects - other.hypothesis.effects
+        come = other.hypothesis.effects - present.hypothesis.effects
+        for generic, share in self._settings.gives_way:
+            if generic in left:
+                return fall > -share * (baseline.mse - present.mse)
+            if generic in come:
+                return fall > share * (baseline.mse - other.mse)
         return fall > error
+
+
+def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidate, ...]:
+    """The variants of each effect that did best alone: later rounds try no others."""
+    kept = []
+    for effect in dict.fromkeys(candidate.effect for candidate in reached):
+        own = sorted((c for c in reached if c.effect == effect), key=lambda c: reached[c])
+        kept += own[:most]
+    return tuple(kept)
 
 
 def _recurs(before: Judged, after: Judged, share: float) -> bool:

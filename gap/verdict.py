@@ -8,6 +8,7 @@ import numpy as np
 
 from .diagnosis import Verdict
 from .hypothesis import Judged, gain
+from .preparation import Prepared
 from .select import Selection
 
 _DRAWS = 300
@@ -23,14 +24,18 @@ class VerdictSettings:
         still_open: mean square error that is left, by the floor, below which it counts as explained all the same.
         alike_share: two explanations that differ by less than this share of the error are not told apart ...
         alike_errors: ... nor those that differ by less than so many standard errors.
+        noise_share: share of the error that is left, from which noise and resolution of the sensor are named.
+        mended_share: the same for outliers and dropouts.
         simplicity: share of the structural error that a resample has to gain by one more cause.
     """
 
-    no_gap: float = 1.3
+    no_gap: float = 2.2
     least_closed: float = 0.4
     still_open: float = 1.5
     alike_share: float = 0.06
     alike_errors: float = 1.0
+    noise_share: float = 0.3
+    mended_share: float = 0.1
     simplicity: float = 0.04
 
 
@@ -49,19 +54,35 @@ class Ruling:
     inclusion: dict[str, float]
 
 
-def rule(selection: Selection, floor_mse: float, settings: VerdictSettings, seed: int) -> Ruling:
+def sensor_matters(prepared: Prepared, selection: Selection, settings: VerdictSettings) -> bool:
+    """Whether the sensor's signs are a good part of the error that the chosen causes leave."""
+    signs, left = prepared.signs, selection.chosen.mse
+    noise = signs.noise_deg**2 if signs.noisy or signs.coarse else 0.0
+    mended = np.concatenate([raw - run.angle for raw, run in zip(prepared.raw, prepared.everything, strict=True)])
+    return noise > settings.noise_share * left or float(np.mean(mended**2)) > settings.mended_share * left
+
+
+def rule(
+    selection: Selection, floor_mse: float, form_mse: float, sensor: bool, settings: VerdictSettings, seed: int
+) -> Ruling:
     """Judge a selection.
 
     Args:
         selection: see `select`.
         floor_mse: below which an error is no news [deg^2].
+        form_mse: what the simulator left unexplained on its own device [deg^2]; zero where that is unknown.
+        sensor: whether the sensor's signs matter.
         settings: thresholds.
         seed: of the resamples.
     """
     inclusion = _inclusion(selection, floor_mse, settings, seed)
     start, end = selection.baseline.mse, selection.chosen.mse
+    if start < settings.no_gap * (form_mse or floor_mse):
+        return Ruling("none", (), inclusion)
     if not selection.chosen.hypothesis.effects:
-        return Ruling("none" if start < settings.no_gap * floor_mse else "unknown", (), inclusion)
+        if sensor:
+            return Ruling("named", (), inclusion)
+        return Ruling("unknown", (), inclusion)
     closed = (start - end) / max(start - floor_mse, 1e-12)
     if closed < settings.least_closed and end > settings.still_open * floor_mse:
         return Ruling("unknown", (), inclusion)

@@ -57,10 +57,11 @@ _LIST = (
     ),
     _effect(
         RateDependence,
-        "play of half-width width_s |u'|",
+        "play of half-width width_s |u'|, which a slower motion keeps for recovery_s",
         "From lag and delay: nothing left of it in a hold, from its first sample on; ramps at three speeds.",
         {"width_s": 0.0},
         (Free("width_s", "1", 0.0, 0.5, (0.05,)),),
+        defaults={"recovery_s": 0.0},
     ),
     _effect(
         Creep,
@@ -89,11 +90,12 @@ _LIST = (
     ),
     _effect(
         Slack,
-        "y = max(u - slack, 0), y = u below 0",
+        "y = max(u - slack, 0), rounded over a toe, y = u below 0",
         "From a curved gain: other pretensions, and slow motion near zero.",
         {"slack": 0.0},
         (Free("slack", "span", 0.0, 0.5, (0.05, 0.15)),),
         sides=("command",),
+        defaults={"toe": 0.0},
         why_side="the angle has no zero below which nothing is transmitted",
     ),
     _effect(

@@ -23,3 +23,4 @@ class DrdpiKind(OperatorKind):
     title: ClassVar[str] = "DRDPI"
     presets: ClassVar[tuple[str, ...]] = tuple(_METHODS)
     methods: ClassVar[Mapping[str, str]] = _METHODS
+    plays: ClassVar[int] = 10  # as S1 has them

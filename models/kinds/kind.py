@@ -28,7 +28,7 @@ class FitRequest:
         hold_out: whole trials held out of those given to stop early; None for the preset's.
         validation: trials that only judge, in place of held-out ones.
         constancy_weight: beta of the constant-in, constant-out term, S2 eq. (12); None for the preset's.
-        plays: number of plays of a Prandtl-Ishlinskii model.
+        plays: number of plays of a Prandtl-Ishlinskii model; None for the kind's own.
         skip_first_flexure: score each trial from the first reversal of its command on.
         limits: what the device may be sent.
     """
@@ -39,7 +39,7 @@ class FitRequest:
     hold_out: int | None = None
     validation: tuple[Trial, ...] = ()
     constancy_weight: float | None = None
-    plays: int = 4
+    plays: int | None = None
     skip_first_flexure: bool = False
     limits: DeviceLimits = field(default_factory=DeviceLimits)
 

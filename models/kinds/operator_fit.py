@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -60,14 +61,14 @@ def identify_operator(
         request: what is asked for.
         presets: methods by preset.
         progress: gets the iterations so far and the best error.
-        structure: sizes of the chain; the request's plays where left out.
+        structure: sizes of the chain; the request's plays, or the default's, where left out.
 
     Raises:
         FitError: as `identify_chain` and `simulator_of` do.
     """
     inverted = bool(trials) and trials[0].inverted
     method, settings = METHODS[presets[request.preset]]
-    sizes = structure or Structure(plays=request.plays)
+    sizes = structure or (Structure() if request.plays is None else Structure(plays=request.plays))
     name = f"inverse_{kind}" if inverted else kind
     chain, fit = identify_chain(name, trials, method, settings(request), progress=progress, structure=sizes)
     # The limits of the request are those of the device's command, which an inverse map gives and does not take.
@@ -84,14 +85,17 @@ class OperatorKind(ModelKind):
 
     Attributes:
         methods: method by preset, the default first; see `METHODS`.
+        plays: number of plays where the request leaves it open.
     """
 
     methods: ClassVar[Mapping[str, str]]
     readable: ClassVar[bool] = True
+    plays: ClassVar[int] = 4
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
         self.check(trials, request)
-        return identify_operator(self.name, trials, request, self.methods, progress)
+        plays = self.plays if request.plays is None else request.plays
+        return identify_operator(self.name, trials, replace(request, plays=plays), self.methods, progress)
 
     def steps(self, request: FitRequest) -> int | None:
         del request

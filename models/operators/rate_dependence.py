@@ -7,26 +7,32 @@ from typing import ClassVar, Self, final
 
 import casadi as ca
 
-from .operator import Operator, Parameter, Symbol, check_values
+from .operator import Operator, Parameter, Symbol, check_values, maximum
 from .play import play
+
+_AT_ONCE = 1e-6  # s: nothing is left after a sample
 
 
 @final
 @dataclass(frozen=True)
 class RateDependence(Operator):
-    """A play whose half-width grows with the speed of its input.
+    """A play whose half-width grows with the speed of its input, and narrows again in a time of its own.
 
-    r_k = width_s |u_k - u_{k-1}| / dt,  z_k = max(u_k - r_k, min(u_k + r_k, z_{k-1})),  y = z
+    v_k = |u_k - u_{k-1}| / dt,  r_k = max(width_s v_k, exp(-dt / recovery_s) r_{k-1})
+    z_k = max(u_k - r_k, min(u_k + r_k, z_{k-1})),  y = z
 
-    At rest it has no width: the output comes up to the input in the first sample of a hold. Width 0 is the identity.
+    With recovery 0 it has no width at rest: the output comes up to the input in the first sample of a hold. With a
+    long one, as of a lubricant film or a friction that relaxes slowly, it stays behind. Width 0 is the identity.
 
     Attributes:
         width_s: half-width by speed [s], in units per unit per second.
+        recovery_s: time in which the width of a fast motion is lost [s].
 
-    Source: S2 eq. (5) with the rate-dependent part of the threshold alone.
+    Source: S2 eq. (5) with the rate-dependent part of the threshold alone; the recovery is ours.
     """
 
     width_s: float
+    recovery_s: float = 0.0
     name: ClassVar[str] = "rate_dependence"
 
     def __post_init__(self) -> None:
@@ -39,11 +45,14 @@ class RateDependence(Operator):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("width_s", "s", 0.0, 1e2, "half-width by speed"),)
+        return (
+            Parameter("width_s", "s", 0.0, 1e2, "half-width by speed"),
+            Parameter("recovery_s", "s", 0.0, 1e4, "time in which the width of a fast motion is lost"),
+        )
 
     @property
     def states(self) -> tuple[str, ...]:
-        return ("u", "z")
+        return ("u", "z", "r")
 
     @property
     def settling_samples(self) -> int:
@@ -51,9 +60,11 @@ class RateDependence(Operator):
         return 2
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
-        z = play(u, x[1], p[0] * ca.fabs(u - x[0]) / dt)
-        return ca.vertcat(u, z), z
+        left = ca.exp(-dt / maximum(p[1], _AT_ONCE)) * x[2]
+        r = maximum(p[0] * ca.fabs(u - x[0]) / dt, left)
+        z = play(u, x[1], r)
+        return ca.vertcat(u, z, r), z
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
         del y, p
-        return ca.vertcat(u, u)
+        return ca.vertcat(u, u, 0)

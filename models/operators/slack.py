@@ -9,21 +9,28 @@ import casadi as ca
 
 from .operator import Operator, Parameter, Symbol, check_values, maximum, minimum
 
+_SHARP = 1e-9  # a toe of zero is never divided by: no command lies strictly inside it
+
 
 @final
 @dataclass(frozen=True)
 class Slack(Operator):
-    """A dead zone at low command.
+    """A dead zone at low command, with a toe where one fibre or tendon after another is taken up.
 
-    y = max(u - slack, 0) for u >= 0,  y = u for u < 0
+    y = 0                          u <= slack - toe
+    y = (u - slack + toe)^2 / (4 toe)   between, where the slope rises from 0 to 1
+    y = u - slack                  u >= slack + toe
 
-    Slack 0 is the identity; commands below zero, which devices do not take, pass so that it is one everywhere.
+    and y = u where that is less, so that commands below zero, which devices do not take, pass. Slack 0 and toe 0 are
+    the identity; a sharp corner has no toe.
 
     Attributes:
-        slack: command that is taken up before anything moves [cmd].
+        slack: command that is taken up in all [cmd].
+        toe: half the travel over which it is taken up [cmd].
     """
 
     slack: float
+    toe: float = 0.0
     name: ClassVar[str] = "slack"
 
     def __post_init__(self) -> None:
@@ -36,7 +43,10 @@ class Slack(Operator):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("slack", "in", 0.0, 1e3, "command that is taken up before anything moves"),)
+        return (
+            Parameter("slack", "in", 0.0, 1e3, "command that is taken up before all of it arrives"),
+            Parameter("toe", "in", 0.0, 1e3, "half the travel over which it is taken up"),
+        )
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -44,8 +54,11 @@ class Slack(Operator):
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         del x, dt
-        # Where the branches tie, u = 0 or u = slack, the one that moves when the command rises is active.
-        y = minimum(maximum(u - p[0], 0), u)
+        over, toe = u - p[0], p[1]
+        curved = (over + toe) * (over + toe) / (4 * maximum(toe, _SHARP))
+        # Where branches tie the one that moves when the command rises is active.
+        loaded = ca.if_else(over >= toe, over, ca.if_else(over > -toe, curved, 0))
+        y = minimum(loaded, u)
         return y, y
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:

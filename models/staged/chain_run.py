@@ -15,6 +15,9 @@ from .kernels import StageKernels, stage_kernels
 Vec = NDArray[np.float64]
 
 
+_ROUNDS, _CLOSE, _FLAT = 4, 1e-9, 1e-3
+
+
 @final
 class StagedChain:
     """Compiled free runs of a chain, batched, with exact sensitivities to all parameters.
@@ -80,6 +83,51 @@ class StagedChain:
         slope = np.zeros((self.state_size, self.parameter_count))
         return self._rest_of(command, angle, self._rows(values, 1)[:, 0], slope), slope
 
+    def settled(self, command: float, angle: float, dt_s: float, values: Vec | None = None) -> tuple[Vec, Vec]:
+        """State (S,) of one row that was held at a command and shows an angle, and its derivative (S, P).
+
+        Unlike `rest`, every operator starts at what the one before it really hands on, and the core at the angle for
+        which the whole chain shows the one that was seen: a creep, a stop or a curve behind the core is no offset.
+        Newton's method on the core's angle a; dx/dp = dx/dp|_a - dx/da (dy/dp|_a) / (dy/da) by the implicit function
+        theorem. Where the core cannot show that angle it shows the nearest that it can.
+
+        Args:
+            command: held [cmd].
+            angle: seen [deg].
+            dt_s: sample time [s].
+            values: parameters (P,); the chain's where left out.
+        """
+        p, at = self._rows(values, 1), angle
+        for _ in range(_ROUNDS):
+            x, slope, shown, by = self._held(command, at, dt_s, p)
+            if abs(by[-1]) < _FLAT or abs(angle - shown) < _CLOSE:
+                break
+            at += (angle - shown) / by[-1]
+        follows = slope[:, :-1]
+        if abs(by[-1]) >= _FLAT:
+            follows = follows - np.outer(slope[:, -1], by[:-1] / by[-1])
+        return x, np.ascontiguousarray(follows)
+
+    def _held(self, command: float, core_angle: float, dt_s: float, p: Vec) -> tuple[Vec, Vec, float, Vec]:
+        """State, its derivative by the parameters and the core's angle (S, P + 1), angle shown and its derivative."""
+        count = self.parameter_count + 1
+        x, slope = np.empty(self.state_size), np.zeros((self.state_size, count))
+        signal, moving = np.array([command]), np.zeros((1, count))
+        for k, (kernels, states, parameters) in enumerate(self._stages):
+            core = k == self._core
+            seen, by_seen = (core_angle, np.eye(count)[-1]) if core else (float(signal[0]), moving[0])
+            own, by_input, by_output = _stage_at_rest(kernels, float(signal[0]), seen, p[parameters, 0], x[states])
+            slope[states] = np.outer(by_input, moving[0]) + np.outer(by_output, by_seen)
+            slope[states, parameters] += own
+            kept = np.empty((kernels.kept[1], 1))
+            kernels.prepare_slopes(p[parameters], dt_s, kernels.constants[1], kept)
+            following, moved = np.empty(1), np.zeros((1, count))
+            kernels.differentiate(
+                x[states].copy(), slope[states].copy(), signal, moving, kept, parameters.start, count, following, moved
+            )
+            signal, moving = following, moved
+        return x, slope, float(signal[0]), moving[0]
+
     def differentiate(
         self, commands: Vec, dt_s: float, state: Vec, slope: Vec, values: Vec | None = None
     ) -> tuple[Vec, Vec]:
@@ -111,9 +159,8 @@ class StagedChain:
         """State (S,) of one row at rest; `slope` (S, P) receives its derivative."""
         x = np.empty(self.state_size)
         for k, (kernels, state, parameters) in enumerate(self._stages):
-            own = np.zeros((state.stop - state.start, parameters.stop - parameters.start))
             seen_in, seen_out = (command if k <= self._core else angle), (command if k < self._core else angle)
-            kernels.rest(seen_in, seen_out, np.ascontiguousarray(p[parameters]), kernels.constants[2], x[state], own)
+            own, _, _ = _stage_at_rest(kernels, seen_in, seen_out, p[parameters], x[state])
             if slope is not None:
                 slope[state, parameters] = own
         return x
@@ -134,3 +181,10 @@ class StagedChain:
                 f"got commands of shape {commands.shape} and states of shape {states.shape}, expected (T, N) and "
                 f"({self.state_size}, N)"
             )
+
+
+def _stage_at_rest(kernels: StageKernels, u: float, seen: float, p: Vec, x: Vec) -> tuple[Vec, Vec, Vec]:
+    """Fill one operator's state (S,) at rest; its derivatives by own parameters (S, P), input (S,) and output (S,)."""
+    own, by_u, by_seen = np.zeros((x.size, p.size)), np.zeros(x.size), np.zeros(x.size)
+    kernels.rest(u, seen, np.ascontiguousarray(p), kernels.constants[2], x, own, by_u, by_seen)
+    return own, by_u, by_seen

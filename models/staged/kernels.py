@@ -28,7 +28,8 @@ class StageKernels:
         prepare_slopes, differentiate: the same for one row with tangents, (x (S,), m (S, Q), u (T,), du (T, Q), c,
             own, count, y (T,), dy (T, Q)): of the Q directions the first `count` are in use, the operator's own
             parameters from `own` on.
-        rest: (u, seen, p (P,), k, x (S,), slope (S, P)) the state at rest at input u and output seen.
+        rest: (u, seen, p (P,), k, x (S,), slope (S, P), by_u (S,), by_seen (S,)) the state at rest at input u and
+            output seen, and its derivatives.
         constants: arguments k of `prepare`, `prepare_slopes` and `rest`.
         kept: rows of c for `simulate` and `differentiate`.
     """

@@ -63,7 +63,9 @@ def stage_source(operator: Operator) -> StageSource:
     exact = _split(dense("slopes", [x, u, p, dt], [y, following, slopes.values]))
     seen = ca.SX.sym("seen")
     rest = ca.densify(ca.SX(operator.at_rest(u, seen, p)))
-    at_rest = _split(dense("rest", [seen, u, p, dt], [rest, ca.jacobian(rest, p)]))
+    at_rest = _split(
+        dense("rest", [seen, u, p, dt], [rest, ca.jacobian(rest, p), ca.jacobian(rest, u), ca.jacobian(rest, seen)])
+    )
     text = "\n\n".join(
         [
             _prepare("prepare", plain),
@@ -196,11 +198,13 @@ def _differentiate(split: _Split, slopes: _Slopes, size: int) -> str:
 
 
 def _rest(split: _Split, size: int, count: int) -> str:
-    """`rest(u, seen, p, k, x, slope)`: one row's state (S,) and its derivative by p, (S, P)."""
+    """`rest(u, seen, p, k, x, slope, by_u, by_seen)`: one row's state (S,) and its derivatives."""
     reads = [f"p{j} = p[{j}]" for j in sorted(set(split.parameters))] + ["x0 = seen", "u0 = u"]
     writes = [f"x[{i}] = {split.outputs[0, i]}" for i in range(size)]
     writes += [f"slope[{i}, {j}] = {split.outputs[1, i + j * size]}" for j in range(count) for i in range(size)]
-    return _function("rest(u, seen, p, k, x, slope)", [*reads, *split.once, *split.always, *writes])
+    writes += [f"by_u[{i}] = {split.outputs[2, i]}" for i in range(size)]
+    writes += [f"by_seen[{i}] = {split.outputs[3, i]}" for i in range(size)]
+    return _function("rest(u, seen, p, k, x, slope, by_u, by_seen)", [*reads, *split.once, *split.always, *writes])
 
 
 def _function(header: str, lines: Sequence[str]) -> str:

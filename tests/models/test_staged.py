@@ -16,6 +16,7 @@ from .zoo import BACKLASH, CHAINS, DT, EXAMPLES, RATE_PI
 CASES = [*(Chain(example) for example in EXAMPLES), *CHAINS.values()]
 IDS = [*(f"{example.name}-{k}" for k, example in enumerate(EXAMPLES)), *CHAINS]
 ANGLE = 41.0
+HELD = 2.7  # no example has a kink there
 
 
 def wandering(samples: int = 240, seed: int = 3) -> np.ndarray:
@@ -63,6 +64,22 @@ def test_sensitivities_equal_those_of_the_whole_chain(chain: Chain) -> None:
     )
     np.testing.assert_allclose(theta, reference, rtol=0, atol=1e-9)
     np.testing.assert_allclose(gradient, by_p, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("chain", CASES, ids=IDS)
+def test_a_settled_chain_shows_what_was_seen_and_knows_its_derivative(chain: Chain) -> None:
+    staged, held = StagedChain(chain), np.full((3, 1), HELD)
+    p = chain.values
+    x, slope = staged.settled(HELD, ANGLE, DT, p)
+    shown = staged.simulate(held, DT, x[:, None], p)[0]
+    reachable = staged.simulate(held[:1], DT, staged.settled(HELD, float(shown[0, 0]), DT, p)[0][:, None], p)[0]
+    np.testing.assert_allclose(reachable, shown[:1], atol=1e-6)  # what it shows once, it can show again
+    for k, value in enumerate(p):
+        step = 1e-6 * max(abs(value), 1.0)
+        ends = [staged.settled(HELD, ANGLE, DT, p + s * step * np.eye(p.size)[k])[0] for s in (1, -1)]
+        sides = [(ends[0] - x) / step, (x - ends[1]) / step]
+        near = np.minimum(np.abs(slope[:, k] - sides[0]), np.abs(slope[:, k] - sides[1]))  # one side of a kink
+        assert np.all(near < 1e-3 * (1 + np.abs(slope[:, k]))), chain.labels[k]
 
 
 def test_rows_are_independent_and_have_their_own_parameters() -> None:

@@ -11,6 +11,7 @@ from hystmpc.models.operators.contact import Contact
 from hystmpc.models.operators.creep import Creep
 from hystmpc.models.operators.deadband import Deadband
 from hystmpc.models.operators.delay import Delay
+from hystmpc.models.operators.directional_gain import DirectionalGain
 from hystmpc.models.operators.drdpi import Drdpi
 from hystmpc.models.operators.drift import Drift
 from hystmpc.models.operators.first_flexure import FirstFlexure
@@ -51,12 +52,15 @@ EXAMPLES: tuple[Operator, ...] = (
     Lag(0.08),
     Delay(0.1, 4),
     Lag(0.08, (0.25,)),
+    RateDependence(0.05, 0.5),
     RateDependence(0.05),
     Creep((0.3,), (6.0,)),
     Creep((0.2, -0.15), (2.0, 40.0)),
     Drift(0.5, -0.02, 0.003),
     FirstFlexure(0.2, 1.5),
     Slack(0.6),
+    Slack(0.6, 0.4),
+    DirectionalGain(-0.1, 40.0, 3.0),
     StickSlip(0.3, 4.0),
     Contact(4.0, 0.3),
     NonlinearGain(0.03, -0.002, 2.0),

@@ -1,0 +1,53 @@
+"""What the steps of a diagnosis found, for those that put it into words, numbers and files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from hystmpc.models.contract.load import OnnxModel
+from hystmpc.models.simulator import Simulator
+
+from .floor import Floor
+from .how_far import HowFar
+from .hypothesis import Court, Hypothesis
+from .preparation import Prepared
+from .select import Selection
+from .verdict import Ruling
+from .where import Localisation
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """Every step's result.
+
+    Attributes:
+        simulator: as given.
+        prepared: trials and the baseline.
+        court: development runs.
+        selection: every explanation that was judged.
+        ruling: what it amounts to.
+        retuned, chosen: the simulator refitted, and with its causes; the same where there are none.
+        floor: from repeats or noise.
+        floor_mse: what was no news in the selection [deg^2].
+        far: sizes on the final trials.
+        places: where the retuned gap lies; None where nothing is left of it.
+        left_out: effects that the library went without.
+        seed: of everything drawn at random.
+        seconds: time of each step.
+    """
+
+    simulator: Simulator | OnnxModel
+    prepared: Prepared
+    court: Court
+    selection: Selection
+    ruling: Ruling
+    retuned: Hypothesis
+    chosen: Hypothesis
+    floor: Floor
+    floor_mse: float
+    far: HowFar
+    places: Localisation | None
+    left_out: tuple[str, ...]
+    seed: int
+    seconds: Mapping[str, float]

@@ -1,0 +1,75 @@
+"""What a simulator's file says on its own form error counts only where it comes from other trials."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from hystmpc.gap.form_error import form_error_mse, nominal_noise_deg
+from hystmpc.models.chain import Chain
+from hystmpc.models.fit.trial_set import fingerprint
+from hystmpc.models.simulator import Identification, Residual
+
+from ..models.zoo import BACKLASH
+from .engine_examples import moves, trials_of
+
+TRIALS = trials_of(Chain(BACKLASH), [moves(1), moves(2)])
+OTHERS = trials_of(Chain(BACKLASH), [moves(3), moves(4)])
+MOTIONS = ("sine", "holds")
+
+
+def residual(
+    motion: Literal["holds", "continuous"], rmse_deg: float, print_of: int | None = None, lag_one: float = 0.5
+) -> Residual:
+    """One line of a simulator's file."""
+    mark = "" if print_of is None else fingerprint([OTHERS[print_of]])
+    return Residual(
+        log="a.csv", motion=motion, samples=100, rmse_deg=rmse_deg, bias_deg=0.0, lag_one=lag_one, fingerprint=mark
+    )
+
+
+def test_a_file_that_does_not_say_has_no_form_error() -> None:
+    assert form_error_mse(Identification(method="known"), TRIALS, MOTIONS) == 0.0
+    assert nominal_noise_deg(Identification(method="known")) is None
+
+
+def test_it_is_taken_by_motion_type() -> None:
+    stored = (residual("continuous", 1.0, 0), residual("continuous", 2.0, 1), residual("holds", 3.0))
+    known = Identification(method="fit", residuals=stored)
+    assert form_error_mse(known, TRIALS, ("sine", "sines")) == pytest.approx(2.5)
+    assert form_error_mse(known, TRIALS, ("holds", "point_to_point")) == pytest.approx(9.0)
+    assert form_error_mse(known, TRIALS, MOTIONS) == pytest.approx((2.5 + 9.0) / 2)
+
+
+def test_a_motion_it_never_saw_takes_the_mean_of_all() -> None:
+    known = Identification(method="fit", residuals=(residual("continuous", 1.0), residual("continuous", 3.0)))
+    assert form_error_mse(known, TRIALS, ("holds", "steps")) == pytest.approx(5.0)
+
+
+def test_trials_that_it_was_identified_from_say_nothing() -> None:
+    """Their residuals hold the gap itself."""
+    stored = (residual("continuous", 2.0, 0), residual("holds", 2.0, 1))
+    known = Identification(method="fit", residuals=stored)
+    assert form_error_mse(known, TRIALS, MOTIONS) > 0
+    assert form_error_mse(known, [TRIALS[0], OTHERS[1]], MOTIONS) == 0.0
+    older = Identification(method="fit", residuals=(residual("holds", 2.0),), training_data_hash=fingerprint(TRIALS))
+    assert form_error_mse(older, TRIALS, MOTIONS) == 0.0
+    assert form_error_mse(older, OTHERS, MOTIONS) > 0
+
+
+def test_white_noise_is_bounded_by_the_correlation_of_neighbours() -> None:
+    """AR(1) of correlation a, variance s^2, and white noise w^2: the bound is s^2 (1 - a) + w^2."""
+    random, a, s, w = np.random.default_rng(0), 0.97, 0.5, 0.1
+    slow = np.zeros(200_000)
+    steps = s * np.sqrt(1 - a**2) * random.standard_normal(slow.size)
+    for k in range(1, slow.size):
+        slow[k] = a * slow[k - 1] + steps[k]
+    signal = slow + w * random.standard_normal(slow.size)
+    lag_one = float(np.corrcoef(signal[1:], signal[:-1])[0, 1])
+    rmse = float(np.std(signal))
+    noise = nominal_noise_deg(Identification(method="fit", residuals=(residual("holds", rmse, lag_one=lag_one),)))
+    assert noise == pytest.approx(np.sqrt(s**2 * (1 - a) + w**2), rel=0.05)
+    assert noise is not None
+    assert noise > w
