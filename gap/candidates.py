@@ -157,11 +157,12 @@ def _delay(s: Scale) -> list[Candidate]:
 
 def _rate_dependence(s: Scale) -> list[Candidate]:
     free, kept = (Freedom("width_s", 0.0, 0.5, 0.01),), Freedom("recovery_s", 0.5 * s.dt_s, 30.0, 0.0)
-    starts = ((0.01,), (0.05,))
+    growth = Freedom("growth", -0.5 / s.span, 5.0 / s.span, 0.2 / s.span)
+    starts, graded = ((0.01,), (0.05,)), ((0.02, 0.08, 0.0), (0.02, 0.5, 0.5 / s.span))
     return [
         Candidate("rate_dependence", "command", "command", 60, (RateDependence(0.0),), free, starts),
         Candidate("rate_dependence", "output", "output", 7, (RateDependence(0.0),), free, starts),
-        Candidate("rate_dependence", "kept", "command", 60, (RateDependence(0.0),), (*free, kept), ((0.02, 0.5),)),
+        Candidate("rate_dependence", "graded", "command", 60, (RateDependence(0.0),), (*free, kept, growth), graded),
     ]
 
 

@@ -61,7 +61,7 @@ _LIST = (
         "From lag and delay: nothing left of it in a hold, from its first sample on; ramps at three speeds.",
         {"width_s": 0.0},
         (Free("width_s", "1", 0.0, 0.5, (0.05,)),),
-        defaults={"recovery_s": 0.0},
+        defaults={"recovery_s": 0.0, "growth": 0.0},
     ),
     _effect(
         Creep,

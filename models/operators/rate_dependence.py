@@ -18,21 +18,24 @@ _AT_ONCE = 1e-6  # s: nothing is left after a sample
 class RateDependence(Operator):
     """A play whose half-width grows with the speed of its input, and narrows again in a time of its own.
 
-    v_k = |u_k - u_{k-1}| / dt,  r_k = max(width_s v_k, exp(-dt / recovery_s) r_{k-1})
+    v_k = |u_k - u_{k-1}| / dt,  r_k = max(width_s max(1 + growth u_k, 0) v_k, exp(-dt / recovery_s) r_{k-1})
     z_k = max(u_k - r_k, min(u_k + r_k, z_{k-1})),  y = z
 
     With recovery 0 it has no width at rest: the output comes up to the input in the first sample of a hold. With a
-    long one, as of a lubricant film or a friction that relaxes slowly, it stays behind. Width 0 is the identity.
+    long one, as of a lubricant film or a friction that relaxes slowly, it stays behind. Friction that is in proportion
+    to a tendon's tension grows with the command. Width 0 is the identity.
 
     Attributes:
         width_s: half-width by speed [s], in units per unit per second.
         recovery_s: time in which the width of a fast motion is lost [s].
+        growth: of the width with the input [1/in].
 
     Source: S2 eq. (5) with the rate-dependent part of the threshold alone; the recovery is ours.
     """
 
     width_s: float
     recovery_s: float = 0.0
+    growth: float = 0.0
     name: ClassVar[str] = "rate_dependence"
 
     def __post_init__(self) -> None:
@@ -48,6 +51,7 @@ class RateDependence(Operator):
         return (
             Parameter("width_s", "s", 0.0, 1e2, "half-width by speed"),
             Parameter("recovery_s", "s", 0.0, 1e4, "time in which the width of a fast motion is lost"),
+            Parameter("growth", "1/in", -1e3, 1e3, "growth of the width with the input"),
         )
 
     @property
@@ -61,7 +65,8 @@ class RateDependence(Operator):
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         left = ca.exp(-dt / maximum(p[1], _AT_ONCE)) * x[2]
-        r = maximum(p[0] * ca.fabs(u - x[0]) / dt, left)
+        width = p[0] * maximum(1 + p[2] * u, 0)
+        r = maximum(width * ca.fabs(u - x[0]) / dt, left)
         z = play(u, x[1], r)
         return ca.vertcat(u, z, r), z
 

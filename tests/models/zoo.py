@@ -52,7 +52,7 @@ EXAMPLES: tuple[Operator, ...] = (
     Lag(0.08),
     Delay(0.1, 4),
     Lag(0.08, (0.25,)),
-    RateDependence(0.05, 0.5),
+    RateDependence(0.05, 0.5, 0.1),
     RateDependence(0.05),
     Creep((0.3,), (6.0,)),
     Creep((0.2, -0.15), (2.0, 40.0)),
