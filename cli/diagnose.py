@@ -25,15 +25,16 @@ if TYPE_CHECKING:
 FAILED = 1
 _READABLE = (".yaml", ".yml")
 
+Logs = Annotated[
+    list[Path] | None,
+    typer.Argument(metavar="LOG...", help="Trials of one device in recording order, or folders of *.csv."),
+]
+Sim = Annotated[Path | None, typer.Option("--sim", help="Simulator: .yaml of `fit`, or an exported .onnx model.")]
+
 
 def diagnose(
-    logs: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="LOG...", help="Trials of one device in recording order, or folders of *.csv."),
-    ] = None,
-    sim: Annotated[
-        Path | None, typer.Option("--sim", help="Simulator: .yaml of `fit`, or an exported .onnx model.")
-    ] = None,
+    logs: Logs = None,
+    sim: Sim = None,
     folder: Annotated[
         Path | None, typer.Option("--out", help="Folder to write: new, empty, or an older diagnosis.")
     ] = None,

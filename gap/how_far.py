@@ -14,6 +14,11 @@ from .preparation import Prepared
 from .select import without_effects
 from .shares import Blocks, blocks_of, closed_interval, closed_share, final_blocks, shapley
 
+_NORMAL = 1.645  # of a 90 % interval
+_LEAST_FLOOR = 0.02  # of the floor found that is left once a sensor's noise is taken out
+_GAP_FACTOR = 2.0  # of the floor, from which a single trial says anything about shares
+_UNKNOWN_SPREAD, _LEAST_SHARE = 0.1, 0.1
+
 
 @dataclass(frozen=True, eq=False)
 class HowFar:
@@ -68,8 +73,9 @@ def measure(
     parameters = _parameters(chosen, prepared)
     if opened.sensor:
         base = opened.blocks(frozenset())
-        worth["sensor"] = opened.closed(base.mse)
-        intervals["sensor"] = opened.interval(opened.before, base, seed)
+        mended = opened.mended(base)
+        worth["sensor"] = opened.closed(mended.mse)
+        intervals["sensor"] = opened.interval(opened.before, mended, seed)
         left["sensor"] = float(np.sqrt(_raw_blocks(prepared, chosen).mse))
         parameters["sensor"] = _sensor_parameters(prepared)
     return HowFar(retuned, opened.gap(seed), worth, intervals, left, parameters)
@@ -85,8 +91,28 @@ class _Opened:
         self._floor, self.sensor = floor, sensor
         self._parts = {frozenset(chosen.effects): final_blocks(chosen, prepared.final)}
         self.before = _raw_blocks(prepared, retuned)
-        self.after = self.blocks(frozenset(chosen.effects)) if sensor else _raw_blocks(prepared, chosen)
-        self.floor_mse = min(floor.rmse_deg**2, self.after.mse, self.before.mse)
+        excess = prepared.excess_mse if sensor else 0.0
+        self.after = self.mended(self.blocks(frozenset(chosen.effects))) if sensor else _raw_blocks(prepared, chosen)
+        lowest = max(floor.rmse_deg**2 - excess, _LEAST_FLOOR * floor.rmse_deg**2)
+        self.floor_mse = min(lowest, self.after.mse, self.before.mse)
+        self._spread = self._between_trials()
+
+    def mended(self, blocks: Blocks) -> Blocks:
+        """Errors less the energy of noise that a sensor in the simulator would have, too."""
+        return Blocks(np.maximum(blocks.energy - self._prepared.excess_mse * blocks.samples, 0.0), blocks.samples)
+
+    def _between_trials(self) -> float:
+        """Half of the 90 % interval that comes from trials being different, as a share of what is closed."""
+        shares = []
+        for run in self._prepared.everything:
+            before, after = (
+                float(np.mean(h.problem.held_out_error(h.q, run) ** 2)) for h in (self._retuned, self._chosen)
+            )
+            if before > _GAP_FACTOR * self.floor_mse:
+                shares.append(closed_share(before, after, self.floor_mse))
+        if len(shares) < 2:
+            return _UNKNOWN_SPREAD
+        return _NORMAL * float(np.std(shares, ddof=1)) / float(np.sqrt(len(self._prepared.final)))
 
     def blocks(self, kept: frozenset[str]) -> Blocks:
         """Errors with some of the causes, fitted anew on the development runs."""
@@ -103,7 +129,10 @@ class _Opened:
 
     def interval(self, before: Blocks, after: Blocks, seed: int) -> Interval:
         """Of the share that lies between two stages."""
-        return closed_interval(self.before, before, after, self.floor_mse, seed)
+        low, high = closed_interval(self.before, before, after, self.floor_mse, seed)
+        middle = self.closed(self.before.mse - before.mse + after.mse)
+        further = self._spread * max(abs(middle), _LEAST_SHARE)
+        return middle - float(np.hypot(middle - low, further)), middle + float(np.hypot(high - middle, further))
 
     def gap(self, seed: int) -> Gap:
         """The sizes."""

@@ -42,6 +42,8 @@ class Prepared:
         everything: all runs in recording order, every sample counted.
         raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
         form_mse: what model form alone explains [deg^2].
+        excess_mse: energy of the sensor's noise beyond what it had when the simulator was identified [deg^2]; zero where
+            that is unknown.
     """
 
     given: tuple[Trial, ...]
@@ -53,6 +55,7 @@ class Prepared:
     everything: tuple[Run, ...]
     raw: tuple[Vec, ...]
     form_mse: float
+    excess_mse: float = 0.0
 
 
 def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel) -> Prepared:
@@ -65,7 +68,8 @@ def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel) -> Prepar
     chain_based = isinstance(simulator, Simulator)
     checked = check_trials(trials, simulator if isinstance(simulator, Simulator) else simulator.metadata)
     identification = simulator.identification if isinstance(simulator, Simulator) else Identification(method="network")
-    signs = sensor_signs(checked.recorded, nominal_noise_deg(identification))
+    nominal = nominal_noise_deg(identification)
+    signs = sensor_signs(checked.recorded, nominal)
     mended = [repaired(trial, signs) for trial in checked.trials]
     command = Range(
         lower=min(float(t.command.min()) for t in mended), upper=max(float(t.command.max()) for t in mended)
@@ -88,8 +92,13 @@ def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel) -> Prepar
         final,
         runs,
         tuple(trial.angle for trial in checked.trials),
-        form_error_mse(identification, trials, motions),
+        form_error_mse(identification, trials, motions, _sample_time(simulator)),
+        max(signs.noise_deg**2 - nominal**2, 0.0) if nominal is not None and (signs.noisy or signs.coarse) else 0.0,
     )
+
+
+def _sample_time(simulator: Simulator | OnnxModel) -> float:
+    return simulator.dt_s if isinstance(simulator, Simulator) else simulator.metadata.dt_s
 
 
 def _stand_in(model: OnnxModel, trials: Sequence[Trial], command: Range) -> tuple[Baseline, list[Vec]]:

@@ -5,48 +5,42 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from .hypothesis import gain
-from .select import Selection
+# Ridge logistic regression on the 56 names that the diagnosis gave on development seed 102 (docs/diagnosis.md); frozen.
+_BIAS, _GENERIC, _SEVERAL, _AMBIGUOUS, _SHARE = 1.3, -1.3, -0.3, -0.3, 0.4
+# Effects that bend to almost anything: a name of theirs is worth less.
+GENERIC = frozenset({"asymmetry", "nonlinear_gain", "trial_shift"})
 
-# Weights of the signs, fitted by logistic regression on development cases (docs/diagnosis.md) and frozen.
-_BIAS, _INCLUSION, _CLEAR, _CLOSED = -2.0, 2.5, 1.0, 1.5
 
-
-def probability(inclusion: float, clear: float, closed: float) -> float:
+def probability(name: str, share: float, several: bool, ambiguous: bool) -> float:
     """Probability that a chosen effect is there.
 
-    logit P = b_0 + b_1 inclusion + b_2 clear + b_3 closed
+    logit P = b_0 + b_1 generic + b_2 several + b_3 ambiguous + b_4 share
 
     Args:
-        inclusion: share of resamples in which it was chosen.
-        clear: margin to the best other effect in its place, as a share of what it closes, 0 to 1.
-        closed: share of the structural gap that all causes close together, 0 to 1.
+        name: of the effect; whether it is one that bends to almost anything.
+        share: of the structural gap that it closes, 0 to 1.
+        several: whether other effects were chosen, too.
+        ambiguous: whether anything could stand in the place of one of them.
     """
-    logit = _BIAS + _INCLUSION * inclusion + _CLEAR * min(max(clear, 0.0), 1.0) + _CLOSED * min(max(closed, 0.0), 1.0)
-    return 1 / (1 + math.exp(-logit))
-
-
-def margins(selection: Selection, floor_mse: float) -> dict[str, float]:
-    """Of each chosen effect the margin to the best other in its place, as a share of what the effect does."""
-    chosen, found = selection.chosen, {}
-    names = chosen.hypothesis.effects
-    for effect in names:
-        rest = names - {effect}
-        without = selection.tried.get(rest, selection.baseline)
-        does = max(without.mse - max(chosen.mse, floor_mse), 1e-12)
-        others = [
-            gain(judged, chosen)[0]
-            for tried, judged in selection.tried.items()
-            if len(tried) == len(names) and rest < tried and tried != names
-        ]
-        found[effect] = max(min(min(others, default=does) / does, 1.0), 0.0)
-    return found
+    logit = _BIAS + _GENERIC * (name in GENERIC) + _SEVERAL * several + _AMBIGUOUS * ambiguous
+    return 1 / (1 + math.exp(-logit - _SHARE * min(max(share, 0.0), 1.0)))
 
 
 def ranking(
-    chosen: Mapping[str, float], inclusion: Mapping[str, float], library: Sequence[str]
+    chosen: Mapping[str, float],
+    inclusion: Mapping[str, float],
+    ambiguity: Sequence[Sequence[str]],
+    library: Sequence[str],
 ) -> tuple[tuple[str, float], ...]:
-    """Every effect of the library with its probability; those not chosen share what is left by their inclusion."""
+    """Every effect of the library with its probability.
+
+    What stands in the place of a chosen effect shares what that one leaves; the others have what they were included.
+    """
     left = 1 - max(chosen.values(), default=0.0)
-    rows = [(name, chosen.get(name, left * min(inclusion.get(name, 0.0), 1.0))) for name in library]
+    rivals = {name for names in ambiguity for name in names[1:]}
+    even = left / max(len(rivals), 1)
+    rows = []
+    for name in library:
+        sure = chosen.get(name, even if name in rivals else 0.5 * left * min(inclusion.get(name, 0.0), 1.0))
+        rows.append((name, sure))
     return tuple(sorted(rows, key=lambda row: -row[1]))

@@ -23,7 +23,7 @@ from .how_far import measure
 from .hypothesis import Court, Hypothesis
 from .next_step import next_step
 from .preparation import Prepared, prepare
-from .probability import margins, probability, ranking
+from .probability import probability, ranking
 from .reason import reason_for
 from .report.evidence import Evidence
 from .select import SelectionSettings, select
@@ -191,7 +191,7 @@ def _diagnosis(findings: Findings, motion: NextMotion | None, least_closed: floa
         reason=reason_for(verdict, effects, ruling, far.gap),
         effects=effects,
         ambiguity=ruling.ambiguity,
-        ranking=ranking(sure, ruling.inclusion, library),
+        ranking=ranking(sure, ruling.inclusion, ruling.ambiguity, library),
         gap=far.gap,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
         where=dict(findings.places.places) if findings.places else {},
@@ -210,11 +210,8 @@ def _verdict(findings: Findings, least_closed: float) -> Verdict:
 
 def _sure(findings: Findings) -> dict[str, float]:
     """Probability of each effect found."""
-    margin, ruling, far = margins(findings.selection, findings.floor_mse), findings.ruling, findings.far
-    return {
-        name: probability(ruling.inclusion.get(name, 1.0), margin.get(name, 1.0), far.gap.closed_share)
-        for name in far.shares
-    }
+    shares, ambiguous = findings.far.shares, bool(findings.ruling.ambiguity)
+    return {name: probability(name, share, len(shares) > 1, ambiguous) for name, share in shares.items()}
 
 
 def _effects(findings: Findings, sure: Mapping[str, float]) -> tuple[FoundEffect, ...]:

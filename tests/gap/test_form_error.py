@@ -18,6 +18,7 @@ from .engine_examples import moves, trials_of
 TRIALS = trials_of(Chain(BACKLASH), [moves(1), moves(2)])
 OTHERS = trials_of(Chain(BACKLASH), [moves(3), moves(4)])
 MOTIONS = ("sine", "holds")
+DT = TRIALS[0].dt
 
 
 def residual(
@@ -31,32 +32,32 @@ def residual(
 
 
 def test_a_file_that_does_not_say_has_no_form_error() -> None:
-    assert form_error_mse(Identification(method="known"), TRIALS, MOTIONS) == 0.0
+    assert form_error_mse(Identification(method="known"), TRIALS, MOTIONS, DT) == 0.0
     assert nominal_noise_deg(Identification(method="known")) is None
 
 
 def test_it_is_taken_by_motion_type() -> None:
     stored = (residual("continuous", 1.0, 0), residual("continuous", 2.0, 1), residual("holds", 3.0))
     known = Identification(method="fit", residuals=stored)
-    assert form_error_mse(known, TRIALS, ("sine", "sines")) == pytest.approx(2.5)
-    assert form_error_mse(known, TRIALS, ("holds", "point_to_point")) == pytest.approx(9.0)
-    assert form_error_mse(known, TRIALS, MOTIONS) == pytest.approx((2.5 + 9.0) / 2)
+    assert form_error_mse(known, TRIALS, ("sine", "sines"), DT) == pytest.approx(2.5)
+    assert form_error_mse(known, TRIALS, ("holds", "point_to_point"), DT) == pytest.approx(9.0)
+    assert form_error_mse(known, TRIALS, MOTIONS, DT) == pytest.approx((2.5 + 9.0) / 2)
 
 
 def test_a_motion_it_never_saw_takes_the_mean_of_all() -> None:
     known = Identification(method="fit", residuals=(residual("continuous", 1.0), residual("continuous", 3.0)))
-    assert form_error_mse(known, TRIALS, ("holds", "steps")) == pytest.approx(5.0)
+    assert form_error_mse(known, TRIALS, ("holds", "steps"), DT) == pytest.approx(5.0)
 
 
 def test_trials_that_it_was_identified_from_say_nothing() -> None:
     """Their residuals hold the gap itself."""
     stored = (residual("continuous", 2.0, 0), residual("holds", 2.0, 1))
     known = Identification(method="fit", residuals=stored)
-    assert form_error_mse(known, TRIALS, MOTIONS) > 0
-    assert form_error_mse(known, [TRIALS[0], OTHERS[1]], MOTIONS) == 0.0
+    assert form_error_mse(known, TRIALS, MOTIONS, DT) > 0
+    assert form_error_mse(known, [TRIALS[0], OTHERS[1]], MOTIONS, DT) == 0.0
     older = Identification(method="fit", residuals=(residual("holds", 2.0),), training_data_hash=fingerprint(TRIALS))
-    assert form_error_mse(older, TRIALS, MOTIONS) == 0.0
-    assert form_error_mse(older, OTHERS, MOTIONS) > 0
+    assert form_error_mse(older, TRIALS, MOTIONS, DT) == 0.0
+    assert form_error_mse(older, OTHERS, MOTIONS, DT) > 0
 
 
 def test_white_noise_is_bounded_by_the_correlation_of_neighbours() -> None:
