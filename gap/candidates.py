@@ -183,7 +183,7 @@ def _drift(s: Scale) -> list[Candidate]:
     for variant, free, starts in (("offset", (offset,), ((0.0,),)), ("gain", (gain,), ((0.0,),))):
         for carries in ("clock", ""):
             kind = f"{variant}, {'over all trials' if carries else 'in each trial'}"
-            made.append(Candidate("drift", kind, "output", 60, (Drift(0.0, 0.0, 0.0),), free, starts, carries))  # type: ignore[arg-type]
+            made.append(Candidate("drift", kind, "output", 60, (Drift(0.0, 0.0, 0.0),), free, starts, carries))
     return made
 
 

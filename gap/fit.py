@@ -104,4 +104,4 @@ def _triangle(square: Vec) -> Vec:
         return np.vstack([np.zeros((size - 1, size)), np.append(np.zeros(size - 1), _DIVERGED)[None]])
     scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
     correlation = square / np.outer(scale, scale) + _JITTER * np.eye(size)
-    return np.asarray(np.linalg.cholesky(correlation).T * scale)
+    return np.asarray(np.linalg.cholesky(correlation).T * scale, dtype=np.float64)

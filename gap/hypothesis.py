@@ -123,8 +123,8 @@ def _blocked(hypothesis: Hypothesis, runs: Sequence[Run], errors: Sequence[Vec])
     for k, (run, error) in enumerate(zip(runs, errors, strict=True)):
         blocks = run.blocks(BLOCK_S)
         blocks = blocks - blocks.min()
-        energy.append(np.bincount(blocks, error**2))
-        samples.append(np.bincount(blocks).astype(float))
+        energy.append(np.bincount(blocks, error**2).astype(np.float64))
+        samples.append(np.bincount(blocks).astype(np.float64))
         owner.append(np.full(energy[-1].size, k))
     filled = np.concatenate(samples) > 0
     return Judged(

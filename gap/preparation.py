@@ -42,8 +42,8 @@ class Prepared:
         everything: all runs in recording order, every sample counted.
         raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
         form_mse: what model form alone explains [deg^2].
-        excess_mse: energy of the sensor's noise beyond what it had when the simulator was identified [deg^2]; zero where
-            that is unknown.
+        excess_mse: energy of the sensor's noise beyond what it had when the simulator was identified [deg^2]; zero
+            where that is unknown.
     """
 
     given: tuple[Trial, ...]

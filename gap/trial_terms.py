@@ -61,7 +61,7 @@ class TrialTerms:
 
     def _weights(self, run: Run, theta: Vec, by_q: Vec) -> Vec:
         columns = self.columns(run, theta[run.counts], by_q[run.counts])
-        return np.asarray(np.linalg.lstsq(columns, (theta - run.angle)[run.counts], rcond=None)[0])
+        return np.asarray(np.linalg.lstsq(columns, (theta - run.angle)[run.counts], rcond=None)[0], dtype=np.float64)
 
     def projected(self, run: Run, theta: Vec, error: Vec, by_q: Vec) -> tuple[Vec, Vec]:
         """Error (C,) and derivative (C, Q) less what the terms explain of them."""

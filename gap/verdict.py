@@ -77,7 +77,7 @@ def rule(
     """
     inclusion = _inclusion(selection, floor_mse, settings, seed)
     start, end = selection.baseline.mse, selection.chosen.mse
-    # On the trials it was retuned on, too: what held-out trials add where the motion is new to it is no gap of structure.
+    # On the trials it was retuned on, too: what held-out trials add where the motion is new is no gap of structure.
     if min(start, selection.baseline.hypothesis.mse) < settings.no_gap * (form_mse or floor_mse):
         return Ruling("none", (), inclusion)
     if not selection.chosen.hypothesis.effects:

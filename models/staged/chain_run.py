@@ -98,15 +98,16 @@ class StagedChain:
             values: parameters (P,); the chain's where left out.
         """
         p, at = self._rows(values, 1), angle
+        x, slope, shown, by = self._held(command, at, dt_s, p)
         for _ in range(_ROUNDS):
-            x, slope, shown, by = self._held(command, at, dt_s, p)
             if abs(by[-1]) < _FLAT or abs(angle - shown) < _CLOSE:
                 break
-            at += (angle - shown) / by[-1]
+            at += (angle - shown) / float(by[-1])
+            x, slope, shown, by = self._held(command, at, dt_s, p)
         follows = slope[:, :-1]
         if abs(by[-1]) >= _FLAT:
-            follows = follows - np.outer(slope[:, -1], by[:-1] / by[-1])
-        return x, np.ascontiguousarray(follows)
+            follows = follows - slope[:, -1:] * (by[:-1] / by[-1])[None]
+        return x, np.ascontiguousarray(follows, dtype=np.float64)
 
     def _held(self, command: float, core_angle: float, dt_s: float, p: Vec) -> tuple[Vec, Vec, float, Vec]:
         """State, its derivative by the parameters and the core's angle (S, P + 1), angle shown and its derivative."""
