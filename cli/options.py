@@ -15,8 +15,12 @@ from hystmpc.trials.trial import Trial
 
 _LAYOUTS = ", ".join(preset.name for preset in PRESETS)
 
-Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded trials, or folders of *.csv.")]
-Layout = Annotated[str, typer.Option("--preset", help=f"Layout of the logs: auto, {_LAYOUTS}.")]
+Logs = Annotated[
+    list[Path], typer.Argument(metavar="LOG...", help="Recorded trials (csv, mcap, ROS 2 bag, mat) or folders of them.")
+]
+Layout = Annotated[
+    str, typer.Option("--preset", help=f"Layout of the logs: auto, {_LAYOUTS}, or a mapping file *.yaml.")
+]
 SkipFirstFlexure = Annotated[
     bool, typer.Option("--skip-first-flexure", help="Count each trial only from the command's first reversal on.")
 ]

@@ -13,7 +13,9 @@ from .check_motion import motion_findings
 from .check_time import time_findings
 from .csv_ import read_columns
 from .findings import CheckReport, Finding, Severity
+from .log_mapping import LogMapping
 from .presets import CANONICAL, Preset
+from .read import is_text, read_raw, resolve
 from .trial import Trial, Units
 
 Vec = NDArray[np.float64]
@@ -30,41 +32,55 @@ class _Signals:
     units: Units
     preset: Preset
     where: Callable[[int], str]  # how messages name a sample
+    note: str = ""  # on the file itself
 
 
 def check_trial(log: Trial | Path | str, preset: str | Preset = "auto") -> CheckReport:
     """Look at time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
-    A file is read leniently: what `read_csv` would refuse becomes a finding.
+    A file is read leniently: what `read_log` would refuse becomes a finding.
 
     Args:
         log: a trial, or the path of a log.
         preset: layout of the log, for a path.
 
     Raises:
-        LogError: if the file is not a table, or lacks a column.
-        ConfigError: on an unknown preset.
+        LogError: if the file cannot be read, or lacks a column or signal.
+        ConfigError: on an unknown preset or a wrong mapping file.
     """
     if isinstance(log, Trial):
         source, name = log.source, ""
         signals = _Signals(log.t, log.command, log.angle, log.channels, log.units, CANONICAL, lambda k: f"sample {k}")
     else:
-        columns = read_columns(log, preset)
-        source, name = columns.source, columns.preset.name
-        signals = _Signals(
-            columns.t,
-            columns.command,
-            columns.angle,
-            columns.channels,
-            columns.units,
-            columns.preset,
-            lambda k: f"row {columns.row(k)}",
-        )
+        source, name, signals = _read(log, preset)
     return CheckReport(source, name, tuple(_findings(signals, source)))
+
+
+def _read(log: Path | str, preset: str | Preset) -> tuple[str, str, _Signals]:
+    """Path, layout and signals of a file."""
+    layout = resolve(preset)
+    if not is_text(log) or isinstance(layout, LogMapping):
+        raw = read_raw(log, layout)
+        channels, where = raw.channels, "sample {}".format
+        signals = _Signals(raw.t, raw.command, raw.angle, channels, raw.units, CANONICAL, where, raw.note)
+        return raw.source, raw.preset, signals
+    columns = read_columns(log, layout)
+    signals = _Signals(
+        columns.t,
+        columns.command,
+        columns.angle,
+        columns.channels,
+        columns.units,
+        columns.preset,
+        lambda k: f"row {columns.row(k)}",
+    )
+    return columns.source, columns.preset.name, signals
 
 
 def _findings(signals: _Signals, source: str) -> Iterator[Finding]:
     """All findings; those on the motion are made on the samples that are finite and in order of time."""
+    if signals.note:
+        yield Finding(Severity.NOTE, "file", signals.note)
     yield from _value_findings(signals)
     yield from time_findings(signals.t, signals.command, signals.angle, signals.where)
     rows = np.column_stack((signals.t, signals.command, signals.angle))

@@ -141,30 +141,34 @@ def write_csv(trial: Trial, path: Path | str) -> Path:
 
 
 def expand_logs(paths: Iterable[Path | str]) -> list[Path]:
-    """Files to read: a folder stands for its `*.csv` in the order of their names.
+    """Logs to read: a folder stands for its `*.csv`, or else its logs of other formats, in the order of their names.
 
     Raises:
         LogError: if nothing is given, or a folder holds no log.
     """
+    from .read import logs_in  # the readers of all formats build on this module
+
     files: list[Path] = []
     for path in map(Path, paths):
-        inside = sorted(path.glob("*.csv")) if path.is_dir() else [path]
+        inside = logs_in(path) if path.is_dir() else [path]
         if not inside:
-            raise LogError(f"{path}: no *.csv in this folder, expected recorded logs")
+            raise LogError(f"{path}: no *.csv (nor *.mcap, *.db3, *.mat) in this folder, expected recorded logs")
         files += inside
     if not files:
-        raise LogError("no logs given, expected files or folders of *.csv")
+        raise LogError("no logs given, expected files or folders of logs")
     return files
 
 
 def read_trials(paths: Iterable[Path | str], preset: str | Preset = "auto") -> list[Trial]:
-    """Read several trials; see `expand_logs` for folders.
+    """Read several trials of any format; see `expand_logs` for folders and `read_log` for formats and presets.
 
     Raises:
         LogError: if nothing is found, or a log cannot be read.
-        ConfigError: on an unknown preset.
+        ConfigError: on an unknown preset or a wrong mapping file.
     """
-    return [read_csv(file, preset) for file in expand_logs(paths)]
+    from .read import read_all
+
+    return read_all(expand_logs(paths), preset)
 
 
 def _detect(lines: Sequence[str], source: str) -> Preset:

@@ -82,11 +82,15 @@ def first_row(lines: Sequence[str], delimiter: str) -> tuple[int, tuple[str, ...
 def read_table(lines: Sequence[str], source: str, delimiter: str = ",", names: Sequence[str] = ()) -> Table:
     """Columns of delimited text, named by its first row or, where given, by `names`.
 
+    A last line that has no line end and too few cells was cut off while it was written: it is left out.
+
     Raises:
         LogError: on a column named twice, no rows, a ragged row or text among numbers; names row and column.
     """
     index, cells = first_row(lines, delimiter)
     header, start = (tuple(names), index) if names else (cells, index + 1)
+    if start < len(lines) and _is_unfinished(lines[-1], delimiter, len(header)):
+        lines = lines[:-1]
     twice = sorted({name for name in header if name and header.count(name) > 1})
     if twice:
         raise LogError(f"{source}, row {index + 1}: column {twice[0]!r} occurs twice, expected each once")
@@ -125,6 +129,11 @@ def _rows(lines: Sequence[str], start: int, delimiter: str, source: str) -> Iter
                 yield start + reader.line_num, cells
     except csv.Error as error:  # a quote that is never closed
         raise LogError(f"{source}, row {start + reader.line_num}: {error}, expected delimited text") from None
+
+
+def _is_unfinished(line: str, delimiter: str, width: int) -> bool:
+    """Whether the last line, which has no line end, was cut off before its last cell."""
+    return bool(line.strip()) and len(next(csv.reader([line], delimiter=delimiter), [])) < width
 
 
 def _number(cell: str) -> float | None:

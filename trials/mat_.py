@@ -1,0 +1,163 @@
+"""Signals out of MATLAB files: variables, fields of structs, columns of matrices; up to version 7.3."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import LogError
+from .extras import require
+from .log_mapping import HEADER_TIME, LOG_TIME
+from .signals import Series, missing, split_path, walk
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_DEEPEST = 8  # structs within structs; deeper is no log
+_MOST_COLUMNS = 64  # of a matrix that are listed as signals
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class MatLog:
+    """A `Source` over the variables of a MATLAB file.
+
+    Attributes:
+        path: the file.
+        variables: by name; a struct is a mapping, a struct array a list, numbers are arrays.
+        note: empty; a MATLAB file is read whole or refused.
+    """
+
+    path: str
+    variables: Mapping[str, Any]
+    note: str = ""
+
+    def names(self) -> tuple[str, ...]:
+        """Vectors, and columns of matrices: `t`, `run.tip`, `data[1]`; columns count from 0."""
+        return tuple(_vectors(self.variables, ""))
+
+    def series(self, signals: Sequence[str], time: str) -> list[Series]:
+        """The signals asked for; see `Source`.
+
+        Raises:
+            LogError: on an unknown signal, one that is no vector, or one of another length than time.
+        """
+        values = [self._vector(signal) for signal in signals]
+        if time in (LOG_TIME, HEADER_TIME):
+            return [Series(np.full(y.size, np.nan), y) for y in values]
+        t = self._vector(time)
+        for signal, y in zip(signals, values, strict=True):
+            if y.size != t.size:
+                raise LogError(f"{self.path}: {signal!r} has {y.size} samples, expected {t.size} as in {time!r}")
+        return [Series(t, y) for y in values]
+
+    def _vector(self, signal: str) -> NDArray[np.float64]:
+        *way, last = split_path(signal)
+        try:
+            found = walk(self.variables, way)
+            is_matrix = isinstance(found, np.ndarray) and found.ndim == 2
+            value = found[:, last] if is_matrix and isinstance(last, int) else walk(found, [last])
+        except (KeyError, IndexError, TypeError):
+            raise missing(self.path, signal, self.names()) from None
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub" or sum(size > 1 for size in array.shape) > 1:
+            shape = "x".join(map(str, array.shape)) or "single"
+            raise LogError(
+                f"{self.path}: {signal!r} is a {shape} {array.dtype} value, expected a vector of real numbers"
+                f"{'; name a column, counted from 0: ' + signal + '[0]' if array.ndim == 2 else ''}"
+            )
+        return array.astype(np.float64).reshape(-1)
+
+
+def open_mat(path: Path | str) -> MatLog:
+    """Read the variables of a MATLAB file, version 4 to 7.3.
+
+    Tables, timetables and other objects of MATLAB are left out: only MATLAB can read them; save them as structs.
+
+    Raises:
+        LogError: if the file is missing, cut off or no MATLAB file, or `h5py` (version 7.3) is not installed.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            head = file.read(520)
+    except FileNotFoundError:
+        raise LogError(f"{path}: no such file") from None
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror})") from None
+    is_hdf5 = _HDF5 in (head[:8], head[512:520])
+    if is_hdf5:
+        require("h5py", "logs", f"{path}: reading MATLAB 7.3 files")
+    reader: Callable[[str], dict[str, Any]] = _read_hdf5 if is_hdf5 else _read_scipy
+    try:
+        variables = reader(str(path))
+    except Exception as error:  # noqa: BLE001 - on damaged files both libraries raise whatever they meet
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise LogError(f"{path}: not a readable MATLAB file, or cut off ({reason})") from None
+    if not variables:
+        raise LogError(f"{path}: holds no variable")
+    return MatLog(str(path), variables)
+
+
+def _read_scipy(path: str) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    # Without a name of its own scipy would add .mat to a path that has another ending.
+    found = loadmat(path, appendmat=False, struct_as_record=True, squeeze_me=False, chars_as_strings=True)
+    return {name: _plain(value) for name, value in found.items() if not name.startswith("__")}
+
+
+def _plain(value: Any, depth: int = 0) -> Any:
+    """Structs as mappings, struct arrays and cells as lists; MATLAB's 1x1 wrappings fall away."""
+    if not isinstance(value, np.ndarray) or depth > _DEEPEST:
+        return value
+    if value.dtype.names and value.dtype.kind == "V":
+        records = [
+            {name: _plain(record[name], depth + 1) for name in value.dtype.names} for record in value.reshape(-1)
+        ]
+        return records[0] if len(records) == 1 else records
+    if value.dtype.kind == "O":
+        cells = [_plain(cell, depth + 1) for cell in value.reshape(-1)]
+        return cells[0] if len(cells) == 1 else cells
+    return value
+
+
+def _read_hdf5(path: str) -> dict[str, Any]:
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        return {name: _hdf5(item, file, 0) for name, item in file.items() if not name.startswith("#")}
+
+
+def _hdf5(item: Any, file: Any, depth: int) -> Any:
+    """Groups as mappings; matrices the way MATLAB shows them, which stores them transposed."""
+    import h5py
+
+    if depth > _DEEPEST:
+        return None
+    if isinstance(item, h5py.Group):
+        return {name: _hdf5(inner, file, depth + 1) for name, inner in item.items()}
+    if h5py.check_ref_dtype(item.dtype) is not None:  # a cell, or one field of a struct array
+        cells = [_hdf5(file[reference], file, depth + 1) for reference in np.asarray(item[()]).reshape(-1) if reference]
+        return cells[0] if len(cells) == 1 else cells
+    if "MATLAB_empty" in item.attrs:
+        return np.empty(0)
+    if item.attrs.get("MATLAB_class") == b"char":  # stored as the numbers of its letters
+        return "".join(map(chr, np.asarray(item[()]).reshape(-1).tolist()))
+    return np.asarray(item[()]).T
+
+
+def _vectors(value: Any, prefix: str) -> list[str]:
+    """Names of everything that is a vector of numbers."""
+    if isinstance(value, Mapping):
+        inner = [(f"{prefix}.{name}" if prefix else str(name), item) for name, item in value.items()]
+        return [name for path, item in inner for name in _vectors(item, path)]
+    if isinstance(value, list):
+        return [name for k, item in enumerate(value[:_MOST_COLUMNS]) for name in _vectors(item, f"{prefix}[{k}]")]
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.size < 2 or value.ndim > 2:
+        return []
+    if value.ndim == 1 or 1 in value.shape:
+        return [prefix]
+    return [f"{prefix}[{k}]" for k in range(min(value.shape[1], _MOST_COLUMNS))]

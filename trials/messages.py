@@ -1,0 +1,159 @@
+"""Signals out of logs of messages: a signal is a topic and a field, `/joints.position[0]`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, final
+
+import numpy as np
+
+from .errors import LogError
+from .log_mapping import HEADER_TIME, LOG_TIME
+from .ros_messages_ import UnreadableError, fields_of
+from .signals import Series, listed, split_path, walk
+
+Decoder = Callable[[bytes], Any]
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic of a log.
+
+    Attributes:
+        name: as published.
+        kind: message type or schema, for messages.
+        decode: from the bytes of a message to mappings, sequences and numbers, or to an object with fields.
+    """
+
+    name: str
+    kind: str
+    decode: Decoder
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class MessageLog:
+    """A `Source` over messages.
+
+    Attributes:
+        path: the log.
+        topics: by name.
+        messages: topic, time of the log [ns] and bytes of every message, in the order of the log.
+        note: what a user should know about the file.
+    """
+
+    path: str
+    topics: Mapping[str, Topic]
+    messages: Sequence[tuple[str, int, bytes]]
+    note: str = ""
+
+    def names(self) -> tuple[str, ...]:
+        """Every topic and field that held a number in the topic's first message."""
+        return tuple(self._fields)
+
+    @cached_property
+    def _fields(self) -> dict[str, float]:
+        firsts: dict[str, bytes] = {}
+        for topic, _, raw in self.messages:
+            firsts.setdefault(topic, raw)
+        found: dict[str, float] = {}
+        for topic, raw in firsts.items():
+            try:
+                fields = fields_of(self.topics[topic].decode(raw))
+            except (UnreadableError, RecursionError, OverflowError):
+                continue  # what cannot be read is not on offer; asking for it says why
+            found |= {f"{topic}.{name}" if name else topic: value for name, value in fields.items()}
+        return found
+
+    def series(self, signals: Sequence[str], time: str) -> list[Series]:
+        """The signals asked for; see `Source`.
+
+        A time signal is a field of the same message: `/tip.time_s`, or `time_s` for one of that name in every topic.
+
+        Raises:
+            LogError: on an unknown topic or field, a message that cannot be read, or a time on another topic.
+        """
+        places = [self._place(signal) for signal in signals]
+        clocks = [self._clock(time, topic) for topic, _ in places]
+        stamps: list[list[float]] = [[] for _ in signals]
+        values: list[list[float]] = [[] for _ in signals]
+        wanted = {topic for topic, _ in places}
+        # Nanoseconds since 1970 are too many digits for a float: they are counted from the first message.
+        origin_ns: int | None = None
+        for topic, logged_ns, raw in self.messages:
+            if topic not in wanted:
+                continue
+            message = self._decoded(topic, raw)
+            stamp_ns = self._header_ns(message, topic) if time == HEADER_TIME else logged_ns
+            origin_ns = stamp_ns if origin_ns is None else origin_ns
+            since = 1e-9 * (stamp_ns - origin_ns)
+            for k, (name, steps) in enumerate(places):
+                if name == topic:
+                    clock = clocks[k]
+                    stamps[k].append(since if clock is None else self._value(message, topic, clock))
+                    values[k].append(self._value(message, topic, steps))
+        return [Series(np.array(t), np.array(y)) for t, y in zip(stamps, values, strict=True)]
+
+    def _place(self, signal: str) -> tuple[str, list[str | int]]:
+        """Topic and way into its messages."""
+        fitting = [name for name in self.topics if signal == name or signal.startswith((f"{name}.", f"{name}["))]
+        if not fitting:
+            topics = sorted(self.topics)
+            raise LogError(f"{self.path}: no topic of signal {signal!r}; topics: {listed(topics)}")
+        topic = max(fitting, key=len)
+        return topic, split_path(signal[len(topic) :])
+
+    def _clock(self, time: str, topic: str) -> list[str | int] | None:
+        """Way to the time field; None where time is the log's or the header's."""
+        if time in (LOG_TIME, HEADER_TIME):
+            return None
+        if not time.startswith("/"):
+            return split_path(time)
+        home, steps = self._place(time)
+        if home != topic:
+            raise LogError(
+                f"{self.path}: time {time!r} is on another topic than {topic!r}, expected {LOG_TIME}, {HEADER_TIME}, "
+                "or a field that all topics have"
+            )
+        return steps
+
+    def _header_ns(self, message: Any, topic: str) -> int:
+        parts = [self._value(message, topic, ["header", "stamp", name], HEADER_TIME) for name in ("sec", "nanosec")]
+        if not all(map(math.isfinite, parts)):
+            raise LogError(f"{self.path}: topic {topic!r}: header.stamp is no time")
+        return 1_000_000_000 * int(parts[0]) + int(parts[1])
+
+    def _decoded(self, topic: str, raw: bytes) -> Any:
+        try:
+            return self.topics[topic].decode(raw)
+        except (UnreadableError, RecursionError) as error:
+            raise LogError(f"{self.path}: topic {topic!r}: a message cannot be read: {error}") from None
+
+    def _value(self, message: Any, topic: str, steps: Iterable[str | int], what: str = "") -> float:
+        steps = list(steps)
+        try:
+            value = walk(message, steps)
+        except (KeyError, TypeError) as error:
+            asked, kind, fields = what or path_text(steps), self.topics[topic].kind, listed(list(fields_of(message)))
+            raise LogError(
+                f"{self.path}: topic {topic!r} ({kind}) has no {asked!r} (at {error}); available: {fields}"
+            ) from None
+        if value is None:
+            return math.nan
+        if isinstance(value, str | bytes) or not (isinstance(value, int | float) or hasattr(value, "item")):
+            raise LogError(
+                f"{self.path}: topic {topic!r}: {path_text(steps)!r} is {type(value).__name__}, expected a number"
+            )
+        try:
+            return float(value)
+        except (OverflowError, TypeError, ValueError):
+            raise LogError(f"{self.path}: topic {topic!r}: {path_text(steps)!r} is no single number") from None
+
+
+def path_text(steps: Iterable[str | int]) -> str:
+    """`["position", 0]` as `position[0]`."""
+    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
+    return text.removeprefix(".")

@@ -1,0 +1,250 @@
+"""Signals with time stamps of their own, brought to one time base: what the readers of all formats have in common."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import LogError, did_you_mean
+from .log_mapping import COMMAND_UNIT_OF, DEGREES, HEADER_TIME, LOG_TIME, SECONDS, LogMapping, SignalSettings
+from .trial import Trial, Units
+
+Vec = NDArray[np.float64]
+_STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One signal.
+
+    Attributes:
+        t: time stamps [s], (T,); of a log whose samples have none, not-a-number throughout.
+        values: as logged, (T,); not-a-number where the log says null.
+    """
+
+    t: Vec
+    values: Vec
+
+
+class Source(Protocol):
+    """An open log of named signals."""
+
+    @property
+    def path(self) -> str:
+        """The file or folder, for messages."""
+        ...
+
+    @property
+    def note(self) -> str:
+        """What a user should know about the file, such as that it is cut off; empty if nothing."""
+        ...
+
+    def names(self) -> tuple[str, ...]:
+        """Every signal that can be asked for."""
+        ...
+
+    def series(self, signals: Sequence[str], time: str) -> list[Series]:
+        """The signals asked for.
+
+        Args:
+            signals: names, as in `names`.
+            time: `log`, `header`, or the name of a signal that holds time.
+
+        Raises:
+            LogError: on a signal that is not there; names it and those that are.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Raw:
+    """A log on one time base, its values not yet judged.
+
+    Attributes:
+        t, command, angle: (T,).
+        channels: further signals, (T,) each.
+        units: of command and angle.
+        source: path of the log.
+        preset: name of the layout it was read with.
+        note: what a user should know about the file; empty if nothing.
+    """
+
+    t: Vec
+    command: Vec
+    angle: Vec
+    channels: Mapping[str, Vec]
+    units: Units
+    source: str
+    preset: str
+    note: str = ""
+
+    def trial(self) -> Trial:
+        """The log as a trial.
+
+        Raises:
+            LogError: if values are not finite, time does not increase, or fewer than two samples are left.
+        """
+        return Trial(self.t, self.command, self.angle, self.channels, self.units, self.source)
+
+
+def read_mapped(source: Source, mapping: LogMapping) -> Raw:
+    """Bring the signals of a mapping to one time base.
+
+    The base is the time stamps of the angle (or of the command, as the mapping says) that lie inside the span of the
+    other one. The command keeps its last value until the next (it is what the device was told); measured signals are
+    interpolated linearly; a channel is not-a-number outside its own span. Time starts at zero with the first message
+    where it is the log's or the header's; a time signal keeps its origin.
+
+    Raises:
+        LogError: if a signal is missing, is empty, or command and angle have no time in common.
+    """
+    wanted = [signal.signal for signal in mapping.signals()]
+    own_time = mapping.rate_hz is None and mapping.time not in (LOG_TIME, HEADER_TIME)
+    found = source.series(wanted, mapping.time if mapping.rate_hz is None else LOG_TIME)
+    for name, series in zip(wanted, found, strict=True):
+        if not series.values.size:
+            raise LogError(f"{source.path}: signal {name!r} is empty, expected samples{_and(source.note)}")
+    if mapping.rate_hz is not None:
+        found = [Series(np.arange(s.values.size) / mapping.rate_hz, s.values) for s in found]
+    elif own_time:
+        found = [Series(s.t * SECONDS[mapping.time_unit], s.values) for s in found]
+    elif np.isnan(found[0].t).all():
+        raise LogError(f"{source.path}: no time stamps of its own, expected `time: SIGNAL` or `rate_hz` in the mapping")
+    else:
+        start = min(float(np.min(s.t)) for s in found)
+        found = [Series(s.t - start, s.values) for s in found]
+    return _joined(source, mapping, found)
+
+
+def canonical_mapping(names: Sequence[str], path: str) -> LogMapping:
+    """The mapping of a log whose signals have the names of canonical columns, told from the names alone.
+
+    Raises:
+        LogError: if they have not; lists what there is and says what to do.
+    """
+    commands = {"command": "mm"} | {f"command_{unit}": unit for unit in COMMAND_UNIT_OF}
+    ends = {name.rpartition(".")[2]: name for name in reversed(names)}
+    command = next((name for name in commands if name in ends), None)
+    if command is None or "time_s" not in ends or "angle_deg" not in ends:
+        raise LogError(
+            f"{path}: holds no time_s, command, angle_deg; expected these, or a mapping file after --preset; "
+            f"available: {listed(names)}"
+        )
+    keys = ends["time_s"], ends[command], ends["angle_deg"]
+    home = keys[0].rpartition(".")[0]
+    others = [name for name in names if name not in keys and name.rpartition(".")[0] == home]
+    channels = {name.rpartition(".")[2]: {"signal": name} for name in others}
+    return LogMapping.parse(
+        {
+            "time": keys[0],
+            "command": {"signal": keys[1], "unit": commands[command]},
+            "angle": keys[2],
+            "channels": channels,
+        },
+        path,
+    )
+
+
+def split_path(path: str) -> list[str | int]:
+    """`position[0]` as `["position", 0]`; `[tendon]` stays a text."""
+    found = [plain or key for plain, key in _STEP.findall(path)]
+    return [int(part) if part.lstrip("-").isdigit() else part for part in found]
+
+
+def walk(value: Any, steps: Sequence[str | int]) -> Any:
+    """Follow keys, attributes and indices into a message; a text index looks up the message's list `name`.
+
+    Raises:
+        KeyError: where the way ends; holds the step.
+    """
+    owner: Any = None
+    for step in steps:
+        found = _enter(value, step, owner)
+        if found is KeyError:
+            raise KeyError(step)
+        owner, value = value, found
+    return value
+
+
+def listed(names: Sequence[str], most: int = 20) -> str:
+    """The first names, for an error line."""
+    return ", ".join(names[:most]) + (f", ... ({len(names)} in all)" if len(names) > most else "") or "none"
+
+
+def missing(path: str, name: str, names: Sequence[str]) -> LogError:
+    """What to raise where a signal is not in the log."""
+    choice = did_you_mean(name, names) if len(names) <= 20 else f"available: {listed(names)}"
+    return LogError(f"{path}: no signal {name!r}; {choice if names else 'the log holds no numbers'}")
+
+
+def _enter(value: Any, step: str | int, owner: Any) -> Any:
+    """One step of `walk`; KeyError, not raised, where there is no such way."""
+    if isinstance(value, Mapping):
+        return value.get(step, KeyError)
+    if not hasattr(value, "__len__") or isinstance(value, str):
+        return KeyError if isinstance(step, int) or step.startswith("_") else getattr(value, step, KeyError)
+    if isinstance(step, str):  # position[tendon] of a JointState, whose `name` lists the joints
+        joints = list(owner.get("name", ()) if isinstance(owner, Mapping) else getattr(owner, "name", ()))
+        step = joints.index(step) if step in joints else len(value)
+    return value[step] if -len(value) <= step < len(value) else KeyError
+
+
+def _joined(source: Source, mapping: LogMapping, found: Sequence[Series]) -> Raw:
+    command, angle = (_ordered(s) for s in found[:2])
+    base, other = (found[1], command) if mapping.base == "angle" else (found[0], angle)
+    with np.errstate(invalid="ignore"):
+        inside = ~((base.t < other.t[0]) | (base.t > other.t[-1]))  # stamps that are no number stay and are reported
+    t = base.t[inside]
+    if t.size < 2:
+        spans = " and ".join(f"{s.t[0]:.6g} to {s.t[-1]:.6g} s" for s in (command, angle))
+        raise LogError(
+            f"{source.path}: command and angle share {t.size} samples (they span {spans}), expected 2 or more"
+        )
+    signals = [_at(t, series, settings) for series, settings in zip(found, mapping.signals(), strict=True)]
+    # What gives the base keeps its values as they are: nothing of it is interpolated, not even where a stamp repeats.
+    own = 1 if mapping.base == "angle" else 0
+    signals[own] = mapping.signals()[own].scale * base.values[inside] + mapping.signals()[own].offset
+    unit, factor = COMMAND_UNIT_OF[mapping.command.unit]
+    return Raw(
+        t,
+        factor * signals[0],
+        DEGREES[mapping.angle.unit] * signals[1],
+        dict(zip(mapping.channels, signals[2:], strict=True)),
+        Units(command=unit),
+        source.path,
+        mapping.name,
+        source.note,
+    )
+
+
+def _ordered(series: Series) -> Series:
+    """In order of time, finite stamps only; of equal stamps the last one counts."""
+    order = np.argsort(series.t, kind="stable")
+    order = order[np.isfinite(series.t[order])]
+    t = series.t[order]
+    last = np.append(np.diff(t) > 0, True)[: t.size]
+    if not t.size:
+        return Series(np.array([np.nan]), np.array([np.nan]))
+    return Series(t[last], series.values[order][last])
+
+
+def _at(t: Vec, series: Series, settings: SignalSettings) -> Vec:
+    """Values at times t, scaled."""
+    if t.size == series.t.size and np.array_equal(t, series.t):
+        return settings.scale * series.values + settings.offset
+    own = _ordered(series)
+    if settings.hold:
+        values = own.values[np.clip(np.searchsorted(own.t, t, side="right") - 1, 0, None)]
+    else:
+        values = np.interp(t, own.t, own.values)
+    values = np.where((t < own.t[0]) | (t > own.t[-1]), np.nan, values)
+    return settings.scale * values + settings.offset
+
+
+def _and(note: str) -> str:
+    return f" ({note})" if note else ""
