@@ -12,10 +12,14 @@ from numpy.typing import NDArray
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.errors import ControllerError
 
+from .adaptive.estimator import LearningEstimator, LearningOptions
+from .adaptive.predictor import LearnedInverse, LearnedOptions, LearnedPredictor
 from .candidates import Candidates
 from .config import (
+    AdaptationSettings,
     AnyControllerSettings,
     EstimatorSettings,
+    HoldSettings,
     InverseControllerSettings,
     InversePidControllerSettings,
     LimitsSettings,
@@ -28,6 +32,7 @@ from .config import (
 )
 from .estimator import EstimatorOptions, OutputEstimator
 from .guarded import GuardedController
+from .hold import HoldRule
 from .inverse_feedforward import InverseFeedforward
 from .inverse_pid import InversePid
 from .ladder import Ladder, LadderOptions
@@ -36,7 +41,7 @@ from .limits import CommandLimits
 from .linearised.daqp_ import DaqpOptions
 from .linearised.osqp_ import OsqpOptions
 from .linearised.planner import LinearisedPlanner
-from .mpc import HoldRule, PredictiveLaw
+from .mpc import PredictiveLaw
 from .observer import Observer, WithoutModel
 from .pid import Pid, PidFeedback, PidGains
 from .planning import Planner, Weights
@@ -44,6 +49,8 @@ from .sampling.cem import CrossEntropyOptions, CrossEntropyPlanner
 from .sampling.noise import coloured_noise, spline_noise
 from .sampling.options import SampleOptions
 from .sampling.planner import SamplingOptions, SamplingPlanner
+
+_WithModel = InverseControllerSettings | InversePidControllerSettings | LinearisedMpcSettings | SamplingMpcSettings
 
 
 def build_controller(
@@ -64,20 +71,21 @@ def build_controller(
         ControllerError: if the settings contradict each other or go beyond the device's limits.
     """
     limits = _narrowed(limits, settings.limits)
+    predictor, inverse = learned_pair(settings, predictor, inverse)
     ladder_options = LadderOptions(settings.ladder.stop_after_failures, settings.ladder.safe_command)
     if isinstance(settings, PidControllerSettings):
         observer: Observer = WithoutModel()
         law: Law[Any] = PidFeedback(_pid(settings.gains, limits, predictor.dt), limits)
         ladder = Ladder(limits, ladder_options, inverse=None)
     else:
-        observer = OutputEstimator(predictor, _estimator_options(settings.estimator))
+        observer = _estimator(settings, predictor)
         law = _model_law(settings, predictor, inverse, limits)
         ladder = Ladder(limits, ladder_options, inverse)
     return GuardedController(law, observer, ladder, limits, predictor.dt, settings.ladder.max_missing_samples)
 
 
 def _model_law(
-    settings: InverseControllerSettings | InversePidControllerSettings | LinearisedMpcSettings | SamplingMpcSettings,
+    settings: _WithModel,
     predictor: Predictor,
     inverse: Inverse,
     limits: CommandLimits,
@@ -94,8 +102,40 @@ def _model_law(
         _planner(settings, predictor, weights, limits),
         weights,
         settings.horizon,
-        HoldRule(settings.hold_tolerance_deg, patience=settings.horizon // 2),
+        _hold_rule(settings.hold, predictor.dt),
     )
+
+
+def learned_pair(settings: AnyControllerSettings, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
+    """Model and inverse with a learned part on top where the settings ask for one and there is none yet.
+
+    Who predicts from a controller's own state, as `TipController.predict` does, needs the predictor that it has.
+
+    Raises:
+        ControllerError: if the settings of the learned part are out of bounds.
+    """
+    asked = settings.adaptation if isinstance(settings, LinearisedMpcSettings | SamplingMpcSettings) else None
+    if asked is None or isinstance(predictor, LearnedPredictor):
+        return predictor, inverse
+    learned = LearnedPredictor(predictor, LearnedOptions(asked.plays, asked.widest_share, asked.lag_s))
+    return learned, LearnedInverse(learned, inverse)
+
+
+def _estimator(settings: _WithModel, predictor: Predictor) -> Observer:
+    options = _estimator_options(settings.estimator)
+    if isinstance(predictor, LearnedPredictor) and isinstance(settings, LinearisedMpcSettings | SamplingMpcSettings):
+        asked = settings.adaptation or AdaptationSettings()
+        learning = LearningOptions(asked.share_sigma, asked.slope_sigma, asked.rate_sigma_s, asked.walk_share)
+        return LearningEstimator(predictor, options, learning)
+    return OutputEstimator(predictor, options)
+
+
+def _hold_rule(settings: HoldSettings, dt: float) -> HoldRule:
+    patience, lead, after, settle = (
+        round(seconds / dt)
+        for seconds in (settings.patience_s, settings.lead_s, settings.settle_after_s, settings.settle_s)
+    )
+    return HoldRule(settings.tolerance_deg, patience, max(lead, 1), after, settle)
 
 
 def _planner(

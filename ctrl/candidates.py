@@ -7,9 +7,11 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.models.inverse.follow import Bounds, follower_for
+from hystmpc.models.inverse.follow import Bounds, Follower, follower_for
 from hystmpc.models.model import Inverse, Predictor
 
+from .adaptive.follow import LearnedFollower
+from .adaptive.predictor import LearnedInverse
 from .limits import CommandLimits
 from .plan_kernels import clip_plans, fill_candidates
 
@@ -41,7 +43,10 @@ class Candidates:
         self._horizon = horizon
         reach = limits.rate * predictor.dt
         self._bounds = Bounds(limits.lower, limits.upper, reach)
-        self._follower = follower_for(predictor, inverse)
+        if isinstance(inverse, LearnedInverse):
+            self._follower: Follower = LearnedFollower(inverse)
+        else:
+            self._follower = follower_for(predictor, inverse)
         self._reversals = _reversals(reach, horizon)
         steps = np.repeat(reach * np.array(_STEPS)[:, None], horizon, axis=1)
         self._all = np.concatenate([self._reversals, steps, -steps])

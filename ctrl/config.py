@@ -40,6 +40,31 @@ class EstimatorSettings(Settings):
     disturbance_limit_deg: Positive = 30.0
 
 
+class AdaptationSettings(Settings):
+    """What is learned on top of the model; see `LearnedOptions` and `LearningOptions`.
+
+    `widest_share` is of the command's range, `share_sigma` and `slope_sigma` are shares of the model's mean slope.
+    """
+
+    plays: Annotated[int, Field(ge=0, le=20)] = 6
+    widest_share: Annotated[float, Field(gt=0, le=1)] = 0.2
+    lag_s: NotNegative = 0.0
+    share_sigma: NotNegative = 0.25
+    slope_sigma: NotNegative = 0.2
+    rate_sigma_s: NotNegative = 0.05
+    walk_share: NotNegative = 0.05
+
+
+class HoldSettings(Settings):
+    """When a command is held, and how gently it is corrected; see `HoldRule`, which counts samples."""
+
+    tolerance_deg: NotNegative = 0.03
+    patience_s: NotNegative = 0.4
+    lead_s: NotNegative = 0.0
+    settle_after_s: NotNegative = 0.4
+    settle_s: NotNegative = 0.12
+
+
 class LadderSettings(Settings):
     """When prediction, fallback and stop set in; see `LadderOptions` and `GuardedController`."""
 
@@ -106,9 +131,10 @@ class _Predictive(_Common):
     """What both predictive controllers have."""
 
     estimator: EstimatorSettings = EstimatorSettings()
+    adaptation: AdaptationSettings | None = None
     horizon: Count = 20
     weights: WeightsSettings = WeightsSettings()
-    hold_tolerance_deg: NotNegative = 0.03
+    hold: HoldSettings = HoldSettings()
 
 
 class LinearisedMpcSettings(_Predictive):

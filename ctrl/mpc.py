@@ -10,66 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.model import Predictor
-from hystmpc.trials.errors import ControllerError
 
 from .candidates import HOLD, INVERSE, Candidates
 from .command import Source
+from .hold import Hold, HoldRule
+from .ladder import attempt
 from .law import Law, Proposal, Situation
 from .planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
+from .slope import mean_slope
 from .stopwatch import Stopwatch
 
 Vec = NDArray[np.float64]
 P = TypeVar("P")
-
-_LEAVE_SIGMAS = 5.0  # two independent estimates of one disturbance differ by more than this once in 10^4 samples
-_ENTER_SIGMAS = 2.0
-
-
-@dataclass(frozen=True)
-class Hold:
-    """Whether the command is held on purpose, and for how many samples the preview has been constant."""
-
-    holding: bool = False
-    constant: int = 0
-
-
-@dataclass(frozen=True)
-class HoldRule:
-    """When a constant reference counts as reached: the held command keeps the angle close over the whole horizon.
-
-    Close is `tolerance_deg` at first; with patience, `tolerance_deg` and two standard deviations of the disturbance
-    estimate, since noise may never let it come closer; once held, five.
-
-    Attributes:
-        tolerance_deg: closeness that is always good enough [deg].
-        patience: samples of constant preview after which noise is allowed for.
-
-    Raises:
-        ControllerError: if a value is negative.
-    """
-
-    tolerance_deg: float = 0.03
-    patience: int = 10
-
-    def __post_init__(self) -> None:
-        if not (self.tolerance_deg >= 0 and self.patience >= 0):
-            raise ControllerError(f"hold: got {self}, expected values >= 0")
-
-    def rests(self, reference: Vec) -> bool:
-        """Whether the preview (H,) [deg] is constant."""
-        return float(reference.max() - reference.min()) <= self.tolerance_deg
-
-    def judge(self, before: Hold, reference: Vec, held_angles: Vec, sigma: float) -> Hold:
-        """Whether to hold now, from the preview (H,) [deg] and the held command's angles (H,) [deg].
-
-        `sigma` is the standard deviation of the disturbance estimate's error [deg].
-        """
-        if not self.rests(reference):
-            return Hold()
-        constant = before.constant + 1
-        sigmas = _LEAVE_SIGMAS if before.holding else _ENTER_SIGMAS if constant > self.patience else 0.0
-        error = float(np.max(np.abs(held_angles - reference)))
-        return Hold(error <= self.tolerance_deg + sigmas * sigma, constant)
 
 
 @dataclass(frozen=True)
@@ -105,6 +57,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         self._angle_limits = weights.angle_limits_deg
         self._cost = PlanCost(weights, horizon)
         self._hold = hold
+        self._slope = attempt(lambda: mean_slope(predictor))[0] or 0.0  # a model may fail where no plan ever is
 
     def init(self, y: float, u: float) -> PredictiveMemory[P]:
         del y, u
@@ -115,7 +68,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
     ) -> Proposal[PredictiveMemory[P]]:
         wanted = situation.reference - situation.disturbance
         plans = self._candidates.build(
-            situation.state, situation.u_last, wanted, situation.remaining_plan, self._hold.rests(wanted)
+            situation.state, situation.u_last, wanted, situation.remaining_plan, memory.hold.constant > 0
         )
         watch.lap("candidates")
         low, high = self._angle_limits
@@ -127,7 +80,8 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
             angle_limits=(low - situation.disturbance, high - situation.disturbance),
         )
         angles = self._predictor.rollout(situation.state, plans)
-        hold = self._hold.judge(memory.hold, wanted, angles[HOLD], situation.disturbance_sigma)
+        held = angles[HOLD] + situation.disturbance
+        hold = self._hold.judge(memory.hold, situation.reference, held, situation.disturbance_sigma)
         chosen = plans[HOLD : HOLD + 1] if hold.holding else plans
         start = self._cost.best(chosen, angles[: len(chosen)], problem)
         watch.lap("rollout")
@@ -136,6 +90,9 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         if hold.holding:
             return self._proposal(start, "ok", PredictiveMemory(memory.planner, hold))
         plan, status, planner = self._planner.improve(problem, start, memory.planner, watch)
+        commands = self._hold.gentle(hold, plan.commands, situation.u_last, self._hold.error(hold, held), self._slope)
+        if commands is not plan.commands:
+            plan = Plan(commands, self._predictor.rollout(situation.state, commands[None])[0], plan.cost)
         return self._proposal(plan, status, PredictiveMemory(planner, hold))
 
     @staticmethod

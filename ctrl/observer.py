@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
@@ -32,6 +32,8 @@ class Estimate:
         measured: the last accepted measurement [deg].
         missing: number of samples since the last accepted measurement.
         stalled: number of samples since the model was last advanced; above zero it has failed.
+        covariance: of the errors of disturbance and learned weights, where weights are learned.
+        features: what the weights are multiplied by, for each of the angles, where weights are learned.
     """
 
     state: Vec
@@ -44,6 +46,8 @@ class Estimate:
     measured: float
     missing: int = 0
     stalled: int = 0
+    covariance: Vec = field(default_factory=lambda: EMPTY)
+    features: tuple[Vec, ...] = ()
 
 
 class Observer(ABC):

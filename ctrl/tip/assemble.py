@@ -15,7 +15,7 @@ from hystmpc.models.load import load_model
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
 
-from ..build import build_controller
+from ..build import build_controller, learned_pair
 from ..config import AnyControllerSettings, LinearisedMpcSettings, SamplingMpcSettings
 from ..guarded import GuardedController
 from ..known import known_model
@@ -57,6 +57,7 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
     known = known_model(model, file, settings.actuator_lag_s)
     predictive = isinstance(settings.controller, LinearisedMpcSettings | SamplingMpcSettings)
     predictor, inverse = known.predictive if predictive else known.feedforward
+    predictor, inverse = learned_pair(settings.controller, predictor, inverse)
     device = _device_limits(settings, facts)
     controller = build_controller(settings.controller, predictor, inverse, device)
     own = settings.controller.limits

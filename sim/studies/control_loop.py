@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hystmpc.ctrl.config import InversePidControllerSettings, PidControllerSettings, PidSettings
+from hystmpc.ctrl.protocols import Controller
 from hystmpc.models.lstm.initial import initialisation_flexure
 from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.errors import ConfigError
@@ -27,10 +29,13 @@ from .control_models import backlash_file, companion_file, network_file
 from .control_motions import motion
 from .control_oracle import RestedPredictor
 from .control_plants import PLANTS, Plant, half_width
+from .control_rehearsal import RehearsedController, watched_flexure
 from .control_result import save_signals
 from .control_rivals import CONTROLLERS, NETWORKS, Rival
 from .control_settings import ControlSettings
 
+_WHOLE = 1e-9
+_REHEARSAL = 1000
 _SETTLED_LAGS = 20.0  # after the flexure, as `SimulatedPlant` waits
 
 
@@ -44,7 +49,7 @@ def run_along(
         KeyboardInterrupt: if the user ended it.
     """
     study = study_of(job, settings, folder, (job.motion,))
-    controller = study.controller(study.config.controllers[job.subject])
+    controller = _ready(study, job, settings.seed)
     run = run_closed_loop(controller, study.plant, study.motions[job.motion])
     if run.log.interrupted:
         raise KeyboardInterrupt
@@ -52,9 +57,18 @@ def run_along(
     signals = {"time_s": log.time_s, "reference_deg": log.reference_deg, "true_deg": run.true_deg}
     save_signals(folder, job, signals | {"command": log.command})
     width = half_width(PLANTS[job.plant].simulator(1 / job.rate_hz))
-    figures = control_figures(run, study.limits, width, controller.horizon)
+    delay = math.ceil(PLANTS[job.plant].effects.delay_s * job.rate_hz - _WHOLE)
+    figures = control_figures(run, study.limits, width, controller.horizon, delay)
     counts = {str(source): log.source.count(source) for source in dict.fromkeys(log.source)}
     return figures, counts
+
+
+def _ready(study: Study, job: ControlJob, seed: int) -> Controller[Any]:
+    """The job's controller; one that learns has watched the flexure, under another realisation of the noise."""
+    controller = study.controller(study.config.controllers[job.subject])
+    if not CONTROLLERS[job.subject].learns:
+        return controller
+    return RehearsedController(controller, *watched_flexure(study.plant, seed + _REHEARSAL))
 
 
 def tune(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[str, Mapping[str, float]]:
@@ -107,7 +121,7 @@ def study_of(job: ControlJob, settings: ControlSettings, folder: Path, motions: 
             "model": str(backlash_file(folder, plant, job.rate_hz)),
             "actuator_lag_s": nominal.effects.lag_s,
         }
-    controller = rival.settings(dt_s, delay) | _gains(job, rival, settings, folder)
+    controller = rival.settings(dt_s, delay, nominal.effects.lag_s) | _gains(job, rival, settings, folder)
     study = prepare(SimulationConfig.parse(data | {"controllers": {job.subject: controller}}, job.key))
     return _rested(study, plant.effects, dt_s) if rival.oracle else study
 

@@ -20,7 +20,10 @@ _ESTIMATOR = {
 }
 # An exact model needs no disturbance; this lets what is left of the first guess decay, and no noise in.
 _TRUST = {"drift_sigma_deg_per_sqrt_s": 0.01, "motion_sigma_deg_per_sqrt_unit": 0.0, "dead_band_gain_deg_per_unit": 0}
+# What is left over by a model that is not the plant is learned; with it, less of an error is the disturbance's.
+_LEARNING = _ESTIMATOR | {"motion_sigma_deg_per_sqrt_unit": 0.8}
 _RATE_WEIGHT = 3.0  # at 25 Hz
+_LEARNING_RATE_WEIGHT = 10.0  # a model that is being learned is not to be trusted with jumps
 _BASE_DT_S = 0.04
 _FAST_DT_S = 0.01
 
@@ -52,6 +55,11 @@ class Rival:
         return self.kind in ("pid", "inverse_pid")
 
     @property
+    def learns(self) -> bool:
+        """Whether it learns what its model leaves over, from the flexure before the run on."""
+        return self.predictive and not self.oracle
+
+    @property
     def oracle(self) -> bool:
         """Whether its model is the plant."""
         return self.model == "oracle"
@@ -60,7 +68,7 @@ class Rival:
         """Whether its model holds at a rate."""
         return self.model not in NETWORKS or rate_hz == NETWORK_RATE_HZ
 
-    def settings(self, dt_s: float, delay_samples: int) -> dict[str, Any]:
+    def settings(self, dt_s: float, delay_samples: int, lag_s: float = 0.0) -> dict[str, Any]:
         """Settings of the controller, as in a simulation file.
 
         The weight of the command's rate is scaled so that the same motion costs the same share at any sample time:
@@ -69,6 +77,7 @@ class Rival:
         Args:
             dt_s: sample time [s].
             delay_samples: whole samples of delay that it is told of.
+            lag_s: of the actuator, that it is told of [s].
         """
         if self.kind == "pid":
             return {"kind": self.kind}
@@ -78,10 +87,15 @@ class Rival:
         settings: dict[str, Any] = {
             "kind": self.kind,
             "horizon": 50 if fast else 20 if linearised else 10,
-            "estimator": (_TRUST if self.trusting else _ESTIMATOR) | {"delay_samples": delay_samples},
-            "weights": {"rate": _RATE_WEIGHT * (_BASE_DT_S / dt_s) ** 2},
+            "estimator": self._estimator() | {"delay_samples": delay_samples},
+            "weights": {"rate": (_LEARNING_RATE_WEIGHT if self.learns else _RATE_WEIGHT) * (_BASE_DT_S / dt_s) ** 2},
         }
+        if self.learns:
+            settings["adaptation"] = {"lag_s": lag_s}
         return settings if linearised else settings | {"iterations": 3}
+
+    def _estimator(self) -> dict[str, Any]:
+        return dict(_LEARNING if self.learns else _TRUST if self.trusting else _ESTIMATOR)
 
 
 def _named(*rivals: Rival) -> Mapping[str, Rival]:
@@ -103,4 +117,4 @@ CONTROLLERS: Mapping[str, Rival] = _named(
     Rival(ORACLE, "linearised_mpc", "oracle"),
     Rival("oracle_trusting", "linearised_mpc", "oracle", trusting=True),
 )
-"""All controllers by name; `oracle` differs from `linearised_backlash` in its model alone."""
+"""All controllers by name; `oracle` is `linearised_backlash` with the plant as its model and nothing to learn."""

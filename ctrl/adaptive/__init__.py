@@ -1,0 +1,1 @@
+"""What a model leaves over, learned while the loop runs."""
