@@ -67,7 +67,7 @@ distclean: clean ## also remove the venvs
 
 VENVS := $(VENV) $(DEMO_VENV)
 EXTRAS :=
-$(VENV)/.installed: EXTRAS := [train,tune,env,logs,bench,dev]
+$(VENV)/.installed: EXTRAS := [train,tune,env,logs,rig,bench,dev]
 # Editable, so that nothing is installed again after a change of code.
 $(VENVS:%=%/.installed): %/.installed: %/.python-$(VERSION) pyproject.toml constraints.txt
 	$*/bin/python $(INSTALL) --editable ".$(EXTRAS)"

@@ -13,13 +13,17 @@ from .check import check
 from .console import errors
 from .data import data
 from .demo import demo
+from .device import device
 from .diagnose import diagnose
 from .effects import effects
 from .evaluate import evaluate
 from .export import export
+from .faults import faults
 from .fit import fit
 from .gap import gap
+from .record import record
 from .report import report
+from .run import run
 from .simulate import simulate
 from .study import study
 from .tune import tune
@@ -35,7 +39,24 @@ app = typer.Typer(
     help="Inverse-model predictive control for actuators with hysteresis: check and fit recorded trials, export "
     "models to ONNX, track tip angles in simulation, compare controllers.",
 )
-for verb in (check, fit, evaluate, export, diagnose, simulate, report, demo, bench, study, tune, effects):
+for verb in (
+    check,
+    fit,
+    evaluate,
+    export,
+    diagnose,
+    simulate,
+    report,
+    demo,
+    bench,
+    study,
+    tune,
+    effects,
+    run,
+    record,
+    device,
+    faults,
+):
     app.command()(verb)
 app.add_typer(data, name="data")
 app.add_typer(gap, name="gap")

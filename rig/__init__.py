@@ -1,1 +1,1 @@
-"""What the loop talks to in a lab: transports, replay, watchdog. Empty so far."""
+"""What the loop talks to in a lab: transports, the loop itself, preparation, safe stop, recordings."""

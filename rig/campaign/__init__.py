@@ -1,0 +1,1 @@
+"""Faults on purpose, over a real connection, and what became of them."""

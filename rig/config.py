@@ -1,0 +1,155 @@
+"""Settings of everything that moves a device: what `run` and `record` have in common, and what each adds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from hystmpc.ctrl.config import LimitsSettings
+from hystmpc.ctrl.tip.settings import TipSettings
+from hystmpc.models.library import model_path
+from hystmpc.trajectories.config import Motion, SampledSettings
+from hystmpc.trials.config import Settings, load_settings
+
+from .excitation import Excitation, MotionFileSettings
+from .intake import SensorSettings
+from .prepare import PrepareStep
+from .ramp import RampSettings
+from .realtime_ import RealtimeSettings
+from .settings_types import NotNegative, Positive
+from .transports.settings import ReplaySettings, TransportSettings
+from .transports.units import WireUnits
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
+
+
+class BenchSettings(Settings):
+    """What a bench is.
+
+    Attributes:
+        name: of the device; a latched stop belongs to it.
+        rate_hz: samples per second.
+        command_unit: of every command here, in logs and in trials.
+        limits: hard limits of value and rate, applied once more right before the wire.
+        ramps: how the loop moves the command by itself.
+        start_command: what the device holds at the start; null asks the device, which has to tell then.
+        safe_command: where a stop leads.
+        sensor: plausibility of the angle.
+        wire: units of the device.
+        transport: the wire itself.
+        prepare: steps before the first sample of the experiment.
+        realtime: scheduling.
+        connect_timeout_s: how long to wait for the first angle.
+        latch_file: where a stop is remembered; by name of the device in the user's state folder where left out.
+    """
+
+    name: Name
+    rate_hz: float = Field(ge=1, le=500)
+    command_unit: Literal["mm", "bar"]
+    limits: LimitsSettings
+    ramps: RampSettings = RampSettings()
+    start_command: float | None = None
+    safe_command: float
+    sensor: SensorSettings
+    wire: WireUnits = WireUnits()
+    transport: TransportSettings
+    prepare: tuple[PrepareStep, ...] = ()
+    realtime: RealtimeSettings = RealtimeSettings()
+    connect_timeout_s: Positive = 5.0
+    latch_file: Path | None = None
+
+    @model_validator(mode="after")
+    def _inside(self) -> BenchSettings:
+        low, high = self.limits.lower, self.limits.upper
+        wanted = {"safe_command": self.safe_command, "start_command": self.start_command}
+        for name, value in wanted.items():
+            if value is not None and not low <= value <= high:
+                raise ValueError(f"got {name} {value}, expected it within limits {low} to {high}")
+        if self.ramps.velocity_per_s > self.limits.rate_per_s:
+            raise ValueError(
+                f"got ramps.velocity_per_s {self.ramps.velocity_per_s}, expected at most limits.rate_per_s "
+                f"{self.limits.rate_per_s}"
+            )
+        return self
+
+    @property
+    def dt_s(self) -> float:
+        """Sample time [s]."""
+        return 1.0 / self.rate_hz
+
+
+class ReviewSettings(Settings):
+    """Block `review`: from which error of the model's free run on something is due; see `review`."""
+
+    due_above_deg: Positive = 1.0
+
+
+class DrillSettings(Settings):
+    """Block `drill`: an exercise in which the controller's law fails for a time; counted from the tracking's start."""
+
+    solver_fails_from_s: NotNegative
+    solver_fails_for_s: Positive
+
+
+class RunSettings(BenchSettings):
+    """A closed-loop experiment: `hystmpc run`."""
+
+    controller: TipSettings
+    reference: Motion
+    review: ReviewSettings = ReviewSettings()
+    drill: DrillSettings | None = None
+
+
+class RecordSettings(BenchSettings):
+    """Recordings for identification: `hystmpc record`. Every excitation becomes one trial."""
+
+    excitations: Mapping[Name, Excitation] = Field(min_length=1)
+    settle_s: NotNegative = 1.0
+
+
+def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
+    """Read an experiment; file names in it start at its own folder and come out absolute.
+
+    Raises:
+        ConfigError: on an unreadable file, an unknown key or a value out of bounds.
+        ModelError: on an unknown built-in model.
+    """
+    settings, folder = load_settings(RunSettings, path, overrides), Path(path).resolve().parent
+    tip = settings.controller
+    files = {"model": _file(tip.model, folder), "inverse": None if tip.inverse is None else _file(tip.inverse, folder)}
+    changes: dict[str, Any] = {"controller": tip.model_copy(update=files), **_common(settings, folder)}
+    if isinstance(settings.reference, SampledSettings):
+        motion = settings.reference
+        changes["reference"] = motion.model_copy(update={"file": folder / motion.file})
+    return settings.model_copy(update=changes)
+
+
+def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettings:
+    """Read a recording; as `load_run`.
+
+    Raises:
+        ConfigError: on an unreadable file, an unknown key or a value out of bounds.
+    """
+    settings, folder = load_settings(RecordSettings, path, overrides), Path(path).resolve().parent
+    excitations = {
+        name: e.model_copy(update={"file": folder / e.file}) if isinstance(e, MotionFileSettings) else e
+        for name, e in settings.excitations.items()
+    }
+    return settings.model_copy(update={"excitations": excitations, **_common(settings, folder)})
+
+
+def _common(settings: BenchSettings, folder: Path) -> dict[str, Any]:
+    changes: dict[str, Any] = {}
+    if isinstance(settings.transport, ReplaySettings):
+        changes["transport"] = settings.transport.model_copy(update={"run": folder / settings.transport.run})
+    if settings.latch_file is not None:
+        changes["latch_file"] = folder / settings.latch_file
+    return changes
+
+
+def _file(text: str, folder: Path) -> str:
+    path = model_path(text, folder)
+    return text if text.startswith("builtin:") else str(path)

@@ -1,0 +1,74 @@
+"""The first contact with a device: wait for an angle, and for the command that it holds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hystmpc.trials.errors import ConfigError
+
+from .clock import Clock
+from .config import BenchSettings
+from .loop import StopFlag
+from .transports.reading import Transport
+
+_PAUSE_NS = 1_000_000
+_ENOUGH = 3  # plausible angles before anything is believed
+
+
+@dataclass(frozen=True)
+class Contact:
+    """What is known of a device that has answered.
+
+    Attributes:
+        held: the command that it holds.
+        received_ns: monotonic time at which its last angle came [ns]; the loop keeps half a sample's distance.
+    """
+
+    held: float
+    received_ns: int
+
+
+def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, flag: StopFlag) -> Contact:
+    """Wait until the device answers; it is not moved.
+
+    Raises:
+        ConfigError: if no plausible angle comes in time, the device and `start_command` disagree, neither tells what
+            is held, or a signal has ended the wait.
+    """
+    sensor, held, seen, angle, received = settings.sensor, math.nan, 0, math.nan, clock.now_ns()
+    enough = 1 if settings.transport.kind in ("simulated", "replay") else _ENOUGH
+    deadline = clock.now_ns() + round(1e9 * settings.connect_timeout_s)
+    while seen < enough:
+        if flag.cause:
+            raise ConfigError(f"{settings.name}: {flag.cause} before the device answered; nothing was sent")
+        if clock.now_ns() > deadline:
+            got = "no angle" if math.isnan(angle) else f"angle {angle:.3f} deg"
+            rejected = ", ".join(f"{n} {cause}" for cause, n in transport.counters.items())
+            raise ConfigError(
+                f"{settings.name}: got {got} within {settings.connect_timeout_s:g} s, expected one within "
+                f"{sensor.lower_deg} to {sensor.upper_deg} deg{f'; {rejected}' if rejected else ''}; is the device on?"
+            )
+        try:
+            reading = transport.read()
+        except OSError:  # nobody listens yet
+            reading = None
+        if reading is None:
+            clock.wait_until(clock.now_ns() + _PAUSE_NS)
+            continue
+        angle, held, received = reading.angle_deg, reading.held, reading.received_ns
+        seen += sensor.lower_deg <= angle <= sensor.upper_deg
+    return Contact(_start(settings, held), received)
+
+
+def _start(settings: BenchSettings, held: float) -> float:
+    wanted = settings.start_command
+    if not math.isfinite(held):
+        if wanted is None:
+            raise ConfigError(f"{settings.name}: the device does not tell its command, expected the key start_command")
+        return wanted
+    if wanted is not None and abs(held - wanted) > 1e-3 * (settings.limits.upper - settings.limits.lower):
+        raise ConfigError(f"{settings.name}: the device holds command {held:.6g}, expected start_command {wanted:.6g}")
+    low, high = settings.limits.lower, settings.limits.upper
+    slack = 1e-9 * (high - low)  # of a conversion of units
+    return min(max(held, low), high) if low - slack <= held <= high + slack else held

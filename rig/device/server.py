@@ -1,0 +1,194 @@
+"""A simulated device behind a real wire, with a drive that returns to rest when nobody commands it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TextIO, final
+
+from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.protocols import Plant
+from hystmpc.trials.errors import ConfigError
+
+from ..clock import MonotonicClock
+from ..loop import StopFlag
+from ..signals_ import stopping_on_signals
+from ..transports.build import require_dds
+from ..transports.link import DeviceLink, Outgoing
+from ..transports.udp import UdpLink
+from ..transports.units import Conversion
+from .config import DeviceSettings, UdpListenSettings
+from .faults import FaultyWire
+
+_MESSAGES = 64  # taken at most in one sample
+
+
+@dataclass(frozen=True)
+class Served:
+    """What a device has seen.
+
+    Attributes:
+        samples: samples computed.
+        commands: commands taken.
+        beyond: commands beyond the drive's limits of value or rate, which were clipped; the rate is that over the time
+            since the last command.
+        watchdog: how often the controller fell silent.
+        rejected: messages rejected, by cause.
+    """
+
+    samples: int
+    commands: int
+    beyond: int
+    watchdog: int
+    rejected: dict[str, int]
+
+
+def open_link(settings: DeviceSettings) -> DeviceLink:
+    """The device's end of the wire.
+
+    Raises:
+        ConfigError: if it cannot be opened, or a package is missing for it.
+    """
+    if isinstance(settings.link, UdpListenSettings):
+        return UdpLink(settings.link.bind_host, settings.link.bind_port, settings.watchdog_s)
+    require_dds()
+    from ..transports.dds_ import DdsLink
+
+    return DdsLink(settings.link)
+
+
+@final
+class Device:
+    """One simulated device.
+
+    Args:
+        settings: of the server.
+        plant: what moves; it is reset.
+        held: the command that it holds after its reset, and returns to.
+        link: its wire.
+        log: gets a line a sample: time since the start, command received (NaN for none), command applied, angle.
+
+    Raises:
+        ConfigError: if the plant's sample time is another.
+    """
+
+    def __init__(
+        self, settings: DeviceSettings, plant: Plant, held: float, link: DeviceLink, log: TextIO | None = None
+    ) -> None:
+        if abs(plant.dt * settings.rate_hz - 1) > 1e-6:
+            raise ConfigError(f"device: got a plant at {1 / plant.dt:g} Hz, expected rate_hz {settings.rate_hz:g}")
+        limits = settings.limits
+        self._limits = CommandLimits(limits.lower, limits.upper, limits.rate_per_s)
+        self._settings, self._plant, self._link, self._log = settings, plant, link, log
+        self._conversion = Conversion.of(settings.wire, settings.command_unit)
+        self._wire = FaultyWire(settings.faults, settings.seed)
+        self._dt, self._rest, self._held, self._target = settings.dt_s, held, held, held
+        self._silent, self._first = math.inf, math.nan
+        self._samples = self._commands = self._beyond = self._bites = 0
+        self._angle = plant.reset()
+
+    def serve(self, flag: StopFlag, duration_s: float = math.inf) -> Served:
+        """Compute and send until the flag is set or the time is over."""
+        clock = MonotonicClock(0.0)
+        start = deadline = clock.now_ns()
+        dt_ns = round(1e9 * self._dt)
+        while not flag.cause and 1e-9 * (deadline - start) < duration_s:
+            deadline += dt_ns
+            clock.wait_until(deadline)
+            behind = clock.now_ns() - deadline
+            deadline += max(0, behind // dt_ns) * dt_ns  # a stalled machine: samples are left out, not crowded
+            self.sample(1e-9 * (clock.now_ns() - start))
+        return Served(self._samples, self._commands, self._beyond, self._bites, dict(self._link.counters))
+
+    def sample(self, t_s: float) -> None:
+        """Take commands, move for one sample, measure, send what the faults leave."""
+        received = self._receive()
+        if math.isfinite(received):
+            self._first = t_s if math.isnan(self._first) else self._first
+        self._watch()
+        self._held = self._limits.clip(self._target, self._held, self._dt)
+        self._angle = self._plant.apply(self._held)
+        since = t_s - self._first if math.isfinite(self._first) else -1.0
+        raw = self._conversion.raw_angle(self._angle), self._conversion.raw_command(self._held)
+        self._wire.put(Outgoing(*raw, self._samples, time.monotonic_ns()), since)
+        for message in self._wire.due(since):
+            self._link.send(message)
+        if self._log is not None:
+            self._log.write(f"{time.monotonic_ns()},{t_s:.6f},{received!r},{self._held!r},{self._angle!r}\n")
+        self._samples += 1
+
+    def _receive(self) -> float:
+        """The newest command of this sample, NaN where there is none."""
+        newest = math.nan
+        for _ in range(_MESSAGES):
+            message = self._link.receive()
+            if message is None:
+                break
+            if message.stopped:
+                self._silent = math.inf  # it has left the device where it wanted it
+                continue
+            newest = self._conversion.command(message.command)
+            low, high = self._limits.lower, self._limits.upper
+            slack = 1e-9 * (high - low)
+            self._beyond += not low - slack <= newest <= high + slack
+            self._target, self._silent = newest, 0.0
+            self._commands += 1
+        return newest
+
+    def _watch(self) -> None:
+        """Return to rest when the controller that moved the device has fallen silent."""
+        if math.isinf(self._silent):
+            return
+        self._silent += self._dt
+        if self._silent <= self._settings.watchdog_s:
+            return
+        self._bites += self._silent - self._dt <= self._settings.watchdog_s
+        step = self._settings.watchdog_rate_per_s * self._dt
+        self._target = self._held + min(max(self._rest - self._held, -step), step)
+
+
+def serve(
+    settings: DeviceSettings,
+    plant: Plant,
+    held: float,
+    ready: Callable[[DeviceLink], None],
+    duration_s: float = math.inf,
+) -> Served:
+    """Open the wire and serve until SIGINT, SIGTERM or the end of the time.
+
+    Args:
+        settings: of the server.
+        plant: what moves.
+        held: the command that it holds after its reset.
+        ready: called once the wire is open.
+        duration_s: how long at most [s].
+
+    Raises:
+        ConfigError: if the wire or the log cannot be opened, or the plant does not fit.
+    """
+    flag, link = StopFlag(), open_link(settings)
+    log = None
+    try:
+        if settings.log is not None:
+            log = _open_log(settings)
+        device = Device(settings, plant, held, link, log)
+        with stopping_on_signals(flag):
+            ready(link)
+            return device.serve(flag, duration_s)
+    finally:
+        link.close()
+        if log is not None:
+            log.close()
+
+
+def _open_log(settings: DeviceSettings) -> TextIO:
+    assert settings.log is not None
+    try:
+        settings.log.parent.mkdir(parents=True, exist_ok=True)
+        log = settings.log.open("a", encoding="utf-8", buffering=1)
+    except OSError as error:
+        raise ConfigError(f"{settings.log}: cannot be written ({error.strerror}), expected a place to log") from None
+    log.write("monotonic_ns,time_s,received,held,angle_deg\n")
+    return log

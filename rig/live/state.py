@@ -1,0 +1,118 @@
+"""The last seconds of a run, and what has happened since its start."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hystmpc.trials.errors import ConfigError
+
+from ..histogram import Histogram
+from ..sample import Sample
+
+Vec = NDArray[np.float64]
+
+WINDOW_S = 20.0
+"""How much of the run is plotted [s]."""
+
+_POINTS_PER_S = 50.0  # of the plots; the figures are made of all samples
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """What the views show.
+
+    Attributes:
+        last: the newest sample.
+        t, reference, angle, command: the last 20 s, thinned out, (P,); not-a-number without an angle.
+        rms_deg: tracking error over these 20 s.
+        rate_hz: rate that the loop really has, over these 20 s.
+        late, total: histograms of lateness and of the whole work of a sample, since the start.
+        missed: deadlines missed since the start.
+        faults: samples with each fault since the start.
+        fault_s: when each fault was last seen [s].
+        notes: lines from elsewhere, such as that recording has stopped.
+    """
+
+    last: Sample
+    t: Vec
+    reference: Vec
+    angle: Vec
+    command: Vec
+    rms_deg: float
+    rate_hz: float
+    late: Histogram
+    total: Histogram
+    missed: int
+    faults: dict[str, int]
+    fault_s: dict[str, float]
+    notes: tuple[str, ...]
+
+
+@final
+class LiveState:
+    """Gathers samples for the views; used by one thread.
+
+    Args:
+        rate_hz: rate of the loop [Hz].
+
+    Raises:
+        ConfigError: if the rate is not positive.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        if not (math.isfinite(rate_hz) and rate_hz > 0):
+            raise ConfigError(f"live view: got a rate of {rate_hz} Hz, expected a positive number")
+        self._recent: deque[tuple[float, float, float, float]] = deque(maxlen=max(round(WINDOW_S * rate_hz), 2))
+        self._stride = max(round(rate_hz / _POINTS_PER_S), 1)
+        self._late, self._total = Histogram(2 / rate_hz), Histogram(2 / rate_hz)
+        self._missed = self._count = 0
+        self._faults: Counter[str] = Counter()
+        self._fault_s: dict[str, float] = {}
+        self._last: Sample | None = None
+        self.notes: deque[str] = deque(maxlen=3)
+
+    def update(self, samples: Iterable[Sample]) -> None:
+        """Take in samples in the order of the run."""
+        for sample in samples:
+            self._recent.append((sample.t_s, sample.reference_deg, sample.measured_deg, sample.command))
+            self._late.add(sample.lateness_s)
+            self._total.add(dict(sample.stages_s).get("total", math.fsum(spent for _, spent in sample.stages_s)))
+            self._missed += bool(sample.missed)
+            for fault in sample.faults:
+                self._faults[fault] += 1
+                self._fault_s[fault] = sample.t_s
+            self._last = sample
+            self._count += 1
+
+    def snapshot(self) -> Snapshot | None:
+        """What there is to show, None before the first sample."""
+        if self._last is None:
+            return None
+        rows = np.array(self._recent)
+        error = rows[:, 1] - rows[:, 2]
+        known = error[np.isfinite(error)]
+        span = float(rows[-1, 0] - rows[0, 0])
+        # Counted from the start, so that a point that was shown stays where it was.
+        shown = rows[(self._stride - 1 - (self._count - len(rows))) % self._stride :: self._stride]
+        return Snapshot(
+            last=self._last,
+            t=shown[:, 0],
+            reference=shown[:, 1],
+            angle=shown[:, 2],
+            command=shown[:, 3],
+            rms_deg=float(np.sqrt(np.mean(known**2))) if known.size else math.nan,
+            rate_hz=(len(rows) - 1) / span if span > 0 else math.nan,
+            late=self._late,
+            total=self._total,
+            missed=self._missed,
+            faults=dict(self._faults),
+            fault_s=dict(self._fault_s),
+            notes=tuple(self.notes),
+        )

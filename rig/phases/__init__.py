@@ -1,0 +1,1 @@
+"""Parts of a run: ramps, rests, checks, excitations, tracking, the safe stop."""

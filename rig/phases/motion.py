@@ -1,0 +1,125 @@
+"""Phases that play commands: ramps, flexures, rests, excitations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .phase import Decision, Now, Past
+
+Vec = NDArray[np.float64]
+
+
+@final
+class CommandMotion:
+    """Plays commands that are worked out when it begins, from the command held then.
+
+    Args:
+        name: of the phase.
+        commands: held command to the commands (N,) to send.
+    """
+
+    def __init__(self, name: str, commands: Callable[[float], Vec]) -> None:
+        self.name, self._plan = name, commands
+        self._commands: list[float] = []
+        self._k = 0
+
+    def begin(self, now: Now, past: Past) -> None:
+        """Work the commands out."""
+        del past
+        self._commands, self._k = self._plan(now.held).tolist(), 0
+
+    def step(self, now: Now) -> Decision:
+        """The next command; samples that were skipped are not left out, the motion is late by them."""
+        del now
+        u = self._commands[self._k]
+        self._k += 1
+        return Decision(u, self.name, finished=self._k >= len(self._commands))
+
+
+@final
+class PretensionCheck:
+    """Ramps the command up and back and checks that the angle is there and moves with it.
+
+    Args:
+        commands: held command to the commands (N,) of the way up, and of the way back.
+        least_deg, most_deg: what the angle has to move, with its sign: negative where more command means less angle.
+    """
+
+    name = "pretension check"
+
+    def __init__(self, commands: Callable[[float], tuple[Vec, Vec]], least_deg: float, most_deg: float) -> None:
+        self._plan, self._bounds = commands, (least_deg, most_deg)
+        self._commands: list[float] = []
+        self._k, self._top = 0, 0
+        self._before = self._angle = math.nan
+
+    def begin(self, now: Now, past: Past) -> None:
+        """Work the way out; the angle at rest is that of the moments before."""
+        del past
+        up, back = self._plan(now.held)
+        self._commands, self._top, self._k = [*up.tolist(), *back.tolist()], up.size, 0
+        self._before = self._angle = now.angle_deg
+
+    def step(self, now: Now) -> Decision:
+        """The next command; at the top the verdict."""
+        if math.isfinite(now.angle_deg):
+            self._angle = now.angle_deg
+            self._before = self._angle if math.isnan(self._before) else self._before
+        if self._k == self._top and (fault := self._verdict()):
+            return Decision(now.held, self.name, fault, fault=fault)
+        u = self._commands[self._k]
+        self._k += 1
+        return Decision(u, self.name, finished=self._k >= len(self._commands))
+
+    def _verdict(self) -> str:
+        moved, (least, most) = self._angle - self._before, self._bounds
+        if least <= moved <= most:
+            return ""
+        return (
+            f"pretension check: the angle moved {moved:.2f} deg, expected {least:g} to {most:g} deg: "
+            "is the tendon slack, the sensor fixed, the sign right?"
+        )
+
+
+@final
+class SafeStop:
+    """Leads the command to rest at the safe one, within the ramp's limits, and ends there.
+
+    The safe command is sent `repeats` times, since a wire may lose some.
+
+    Args:
+        commands: held command to the commands (N,) to send; where it fails, the safe command itself is wanted, and the
+            gate lets the device there as fast as the limits allow.
+        safe: the safe command.
+        cause: why.
+        repeats: how often it is sent at the end.
+    """
+
+    name = "stop"
+
+    def __init__(self, commands: Callable[[float], Vec], safe: float, cause: str, repeats: int = 5) -> None:
+        self._plan, self._safe, self.cause, self._repeats = commands, safe, cause, repeats
+        self._commands: list[float] = []
+        self._k, self._rested = 0, 0
+
+    def begin(self, now: Now, past: Past) -> None:
+        """Work the way out; never raises."""
+        del past
+        try:
+            self._commands = self._plan(now.held).tolist()
+        except Exception:  # noqa: BLE001 - a stop cannot fail: the gate's limits lead there as well
+            self._commands = []
+        self._k = 0
+
+    def step(self, now: Now) -> Decision:
+        """The next command; finished once the safe one is held."""
+        u = self._commands[self._k] if self._k < len(self._commands) else self._safe
+        self._k += 1
+        self._rested += abs(now.held - self._safe) <= 1e-9 * (1 + abs(self._safe))
+        there = self._k >= len(self._commands) and self._rested >= self._repeats
+        return Decision(u, "stop", f"safe stop: {self.cause}", finished=there)

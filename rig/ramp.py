@@ -1,0 +1,73 @@
+"""Commands of jerk-limited ramps, sample by sample."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hystmpc.ctrl.tip.ruckig_ import Kinematics, move_to_rest
+from hystmpc.ctrl.tip.settings import MotionSettings as AngleMotion
+from hystmpc.trajectories.piecewise import PiecewiseCubic, hold
+from hystmpc.trials.config import Settings
+from hystmpc.trials.errors import TrajectoryError
+
+from .settings_types import Positive
+
+Vec = NDArray[np.float64]
+
+
+class RampSettings(Settings):
+    """How fast the loop itself moves the command: preparation, lead-in and safe stop, in command units."""
+
+    velocity_per_s: Positive = 2.0
+    acceleration_per_s2: Positive = 10.0
+    jerk_per_s3: Positive = 100.0
+
+    @property
+    def limits(self) -> AngleMotion:
+        """The same numbers for ruckig, to which a unit is nothing."""
+        return AngleMotion(
+            velocity_deg_s=self.velocity_per_s,
+            acceleration_deg_s2=self.acceleration_per_s2,
+            jerk_deg_s3=self.jerk_per_s3,
+        )
+
+
+def ramp_commands(start: float, velocity: float, target: float, ramps: RampSettings, dt_s: float) -> Vec:
+    """Commands (N,) that lead from `start`, moving at `velocity`, to rest at `target`, which is the last one.
+
+    Raises:
+        TrajectoryError: if ruckig finds no motion.
+    """
+    segments = move_to_rest(Kinematics(start, velocity), target, ramps.limits)
+    if not segments.size:
+        return np.array([target])
+    motion = PiecewiseCubic(segments)
+    steps = max(1, math.ceil(motion.duration_s / dt_s - 1e-9))
+    commands = motion(dt_s * np.arange(1, steps + 1))
+    commands[-1] = target
+    return commands
+
+
+def way_commands(
+    start: float, stops: Sequence[float], holds_s: Sequence[float], ramps: RampSettings, dt_s: float
+) -> Vec:
+    """Commands (N,) from rest at `start` by ramps to every stop, each followed by its hold.
+
+    Raises:
+        TrajectoryError: if ruckig finds no motion, or there is nothing to do.
+    """
+    pieces, now = [], start
+    for stop, rest_s in zip(stops, holds_s, strict=True):
+        pieces += [move_to_rest(Kinematics(now), stop, ramps.limits), hold(stop, rest_s)]
+        now = stop
+    segments = np.vstack(pieces) if pieces else np.empty((0, 5))
+    segments = segments[segments[:, 0] > 0]
+    if not segments.size:
+        raise TrajectoryError(f"command motion: got stops {list(stops)} from {start}, expected some motion or hold")
+    motion = PiecewiseCubic(segments)
+    steps = max(1, math.ceil(motion.duration_s / dt_s - 1e-9))
+    return motion(dt_s * np.arange(1, steps + 1))

@@ -1,0 +1,36 @@
+"""Signals that end a run: they set a flag, and the loop stops safely."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from .loop import StopFlag
+
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+
+
+@contextmanager
+def stopping_on_signals(flag: StopFlag) -> Iterator[None]:
+    """SIGINT (Ctrl-C), SIGTERM and SIGHUP set the flag while the block runs; once more changes nothing.
+
+    Outside the main thread, where Python has no signals, nothing is changed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: Any) -> None:
+        del frame
+        flag.set(signal.Signals(number).name)
+
+    known = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
+    before = {number: signal.signal(number, stop) for number in known}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,1 @@
+"""The wire between loop and device, behind one small protocol."""

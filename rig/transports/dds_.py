@@ -1,0 +1,191 @@
+"""Two DDS topics that ROS 2 nodes understand, by Eclipse Cyclone DDS (extra `rig`); ROS itself is not needed."""
+
+from __future__ import annotations
+
+import math
+import secrets
+import time
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, final
+
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+from hystmpc.trials.errors import ConfigError
+
+from .dds_types_ import Float64, Float64Stamped, Header, Time
+from .link import Incoming, Outgoing
+from .order import NEW, RESTARTED, Order
+from .reading import Reading
+from .settings import DdsSettings
+from .units import Conversion
+
+_NS = 1_000_000_000
+_STOP = "stop"  # frame_id of a controller's last message
+
+# Discovery and data on one interface; unicast, so that nothing is announced beyond it.
+_XML = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{name}"/></Interfaces>
+<AllowMulticast>{multicast}</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
+<MaxAutoParticipantIndex>60</MaxAutoParticipantIndex>{peers}</Discovery></Domain></CycloneDDS>"""
+_PEERS = '<Peers><Peer address="127.0.0.1"/></Peers>'
+
+
+class _Wire:
+    """One topic to write and one to read."""
+
+    def __init__(self, settings: DdsSettings, out: str, into: str) -> None:
+        local = settings.interface is None
+        xml = _XML.format(
+            name=settings.interface or "lo",
+            multicast="false" if local else "default",
+            peers=_PEERS if local else "",
+        )
+        self.stamped = settings.message == "float64_stamped"
+        kind: Any = Float64Stamped if self.stamped else Float64
+        qos = _qos(settings)
+        try:
+            self._domain = Domain(settings.domain, xml)
+        except Exception:  # noqa: BLE001 - this process has opened the domain already; its settings stand
+            self._domain = None
+        try:
+            participant = DomainParticipant(settings.domain)
+            self._writer = DataWriter(participant, Topic(participant, f"rt/{out}", kind, qos=qos), qos=qos)
+            self._reader = DataReader(participant, Topic(participant, f"rt/{into}", kind, qos=qos), qos=qos)
+        except Exception as error:
+            text = " ".join(str(error).split())
+            raise ConfigError(f"dds: domain {settings.domain} cannot be joined ({text})") from error
+        self._participant: Any = participant
+        self.session, self._sequence = secrets.randbits(32), 0
+
+    def write(
+        self, value: float, held: float, sequence: int | None = None, stamp_ns: int | None = None, note: str = ""
+    ) -> None:
+        self._sequence += 1
+        if not self.stamped:
+            self._writer.write(Float64(data=value))
+            return
+        now = time.time_ns() if stamp_ns is None else stamp_ns
+        header = Header(stamp=Time(sec=now // _NS, nanosec=now % _NS), frame_id=note)
+        number = (self._sequence if sequence is None else sequence) & 0xFFFFFFFF
+        self._writer.write(Float64Stamped(header=header, session=self.session, sequence=number, data=value, held=held))
+
+    def take(self) -> Any | None:
+        samples = self._reader.take(1)
+        sample = samples[0] if samples else None
+        return sample if sample is not None and hasattr(sample, "data") else None
+
+    def close(self) -> None:
+        self._writer = self._reader = self._participant = self._domain = None
+
+
+def _qos(settings: DdsSettings) -> Qos:
+    wanted = settings.qos
+    reliable = Policy.Reliability.Reliable(max_blocking_time=0)  # a full queue drops; it must not block the loop
+    return Qos(
+        reliable if wanted.reliability == "reliable" else Policy.Reliability.BestEffort,
+        Policy.Durability.TransientLocal if wanted.durability == "transient_local" else Policy.Durability.Volatile,
+        Policy.History.KeepLast(wanted.depth),
+    )
+
+
+@final
+class DdsTransport:
+    """The controller's end: reads the angle's topic, writes the command's.
+
+    Plain Float64 carries neither sequence nor session: DDS keeps the order, age counts from the sender's DDS stamp, and
+    a restarted device is not noticed.
+
+    Args:
+        settings: topics, message, domain, quality of service.
+        conversion: of the wire's units.
+
+    Raises:
+        ConfigError: if the domain cannot be joined.
+    """
+
+    def __init__(self, settings: DdsSettings, conversion: Conversion) -> None:
+        self._wire: _Wire | None = _Wire(settings, settings.command_topic, settings.angle_topic)
+        self._conversion, self._count = conversion, 0
+        self._counters: Counter[str] = Counter()
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Messages rejected, by cause."""
+        return self._counters
+
+    def read(self) -> Reading | None:
+        """The oldest measurement that has not been read yet."""
+        message = None if self._wire is None else self._wire.take()
+        if message is None:
+            return None
+        self._count += 1
+        now, angle = time.monotonic_ns(), self._conversion.angle_deg(message.data)
+        if isinstance(message, Float64Stamped):
+            stamp = message.header.stamp
+            sent, held = stamp.sec * _NS + stamp.nanosec, self._conversion.command(message.held)
+            return Reading(angle, message.sequence, message.session, sent, now, held)
+        sent = int(message.sample_info.source_timestamp)
+        return Reading(angle, self._count, 0, sent - time.time_ns() + now, now, math.nan)
+
+    def write(self, command: float) -> None:
+        """Send a command."""
+        if self._wire is not None:
+            self._wire.write(self._conversion.raw_command(command), 0.0)
+
+    def stop(self) -> None:
+        """Say goodbye, where the message can, and leave the domain."""
+        wire, self._wire = self._wire, None
+        if wire is not None:
+            if wire.stamped:
+                wire.write(math.nan, 0.0, note=_STOP)
+                time.sleep(0.02)  # the last message leaves before the writer does
+            wire.close()
+
+
+@final
+class DdsLink:
+    """The device's end: reads the command's topic, writes the angle's.
+
+    Args:
+        settings: topics, message, domain, quality of service.
+
+    Raises:
+        ConfigError: if the domain cannot be joined.
+    """
+
+    def __init__(self, settings: DdsSettings) -> None:
+        self._wire = _Wire(settings, settings.angle_topic, settings.command_topic)
+        self._order = Order()
+        self._counters: Counter[str] = Counter()
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Messages rejected, by cause."""
+        return self._counters
+
+    def receive(self) -> Incoming | None:
+        """The oldest command not yet taken."""
+        while (message := self._wire.take()) is not None:
+            if isinstance(message, Float64Stamped):
+                if self._order.judge(message.session, message.sequence) not in (NEW, RESTARTED):
+                    self._counters["replayed-or-reordered"] += 1
+                    continue
+                if message.header.frame_id == _STOP:
+                    return Incoming(math.nan, stopped=True)
+            if math.isfinite(message.data):
+                return Incoming(message.data)
+            self._counters["not-a-number"] += 1
+        return None
+
+    def send(self, message: Outgoing) -> None:
+        """Send a measurement."""
+        stamp_ns = message.stamp_ns + time.time_ns() - time.monotonic_ns()  # ROS stamps are those of the wall clock
+        self._wire.write(message.angle, message.held, message.sequence, stamp_ns)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._wire.close()

@@ -1,0 +1,115 @@
+"""A device in this process: one sample of a plant for every command."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hystmpc.ctrl.protocols import Plant
+from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.run_folder import RunFolder
+
+from .reading import Reading
+
+Vec = NDArray[np.float64]
+
+
+@final
+class SimulatedTransport:
+    """A `Plant` behind the wire's interface; its time is the number of commands, so it never lags.
+
+    Args:
+        plant: the device, which is reset.
+        dt_s: sample time of the loop [s].
+        held: the command that the plant holds after its reset.
+        now_ns: monotonic clock.
+
+    Raises:
+        ConfigError: if the plant has another sample time.
+    """
+
+    def __init__(self, plant: Plant, dt_s: float, held: float, now_ns: Callable[[], int]) -> None:
+        if abs(plant.dt - dt_s) > 1e-9 * dt_s:
+            raise ConfigError(f"simulated device: got a plant at {plant.dt} s, expected the loop's {dt_s} s")
+        self._plant, self._held, self._now = plant, held, now_ns
+        self._angle, self._sequence = plant.reset(), 0
+        self._fresh, self._moved = True, False
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Nothing is lost on this wire."""
+        return {}
+
+    def read(self) -> Reading | None:
+        """The angle at the end of the last sample, once; that at rest, before the first command, as often as asked."""
+        if not self._fresh:
+            self._fresh = not self._moved
+            return None
+        self._fresh = False
+        now = self._now()
+        return Reading(self._angle, self._sequence, 0, now, now, self._held)
+
+    def write(self, command: float) -> None:
+        """Let one sample pass under the command."""
+        self._angle, self._held = self._plant.apply(command), command
+        self._sequence, self._fresh, self._moved = self._sequence + 1, True, True
+
+    def stop(self) -> None:
+        """Leave the plant in its safe state."""
+        self._plant.stop()
+
+
+@final
+class ReplayTransport:
+    """The angles of a recorded run, one for every command, whatever that is; not-a-number after its end.
+
+    Args:
+        angles_deg: recorded angles (T,) [deg].
+        held: the command before the first.
+        now_ns: monotonic clock.
+    """
+
+    def __init__(self, angles_deg: Vec, held: float, now_ns: Callable[[], int]) -> None:
+        self._angles, self._held, self._now = angles_deg.tolist(), held, now_ns
+        self._k, self._fresh, self._moved = 0, True, False
+
+    @classmethod
+    def of_run(cls, run: RunFolder, now_ns: Callable[[], int]) -> ReplayTransport:
+        """The replay of a run folder.
+
+        Raises:
+            LogError: if its log lacks the columns of a run.
+        """
+        log = run.log()
+        names = [name for name in log if name == "command" or name.startswith("command_")]
+        if "angle_deg" not in log or not names:
+            raise LogError(f"{run.path}: the log has columns {', '.join(log)}, expected angle_deg and command")
+        angles, commands = (np.asarray(log[name], dtype=np.float64) for name in ("angle_deg", names[0]))
+        return cls(angles, float(commands[0]), now_ns)
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """Nothing is lost on this wire."""
+        return {}
+
+    def read(self) -> Reading | None:
+        """The next recorded angle, once; the first one, before the first command, as often as asked."""
+        if not self._fresh:
+            self._fresh = not self._moved
+            return None
+        self._fresh = False
+        angle = self._angles[self._k] if self._k < len(self._angles) else math.nan
+        now = self._now()
+        return Reading(angle, self._k, 0, now, now, self._held)
+
+    def write(self, command: float) -> None:
+        """Go on to the next row."""
+        self._held = command
+        self._k, self._fresh, self._moved = self._k + 1, True, True
+
+    def stop(self) -> None:
+        """Nothing to do."""

@@ -1,0 +1,189 @@
+"""The loop: limits whatever happens, safe stops, misses and skips, on a clock that obeys."""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystmpc.rig.phases.motion import CommandMotion, PretensionCheck
+from hystmpc.rig.phases.phase import Decision, Now, Past
+from hystmpc.rig.ramp import ramp_commands, way_commands
+
+from .bench_parts import DT, LIMITS, RAMPS, Rig, following, travel
+
+STEP = LIMITS.rate * DT + 1e-12
+
+
+def within_limits(commands: list[float], held: float = 0.0) -> bool:
+    steps = [abs(b - a) for a, b in pairwise([held, *commands])]
+    return all(LIMITS.lower <= u <= LIMITS.upper for u in commands) and max(steps, default=0.0) <= STEP
+
+
+@dataclass
+class Wild:
+    """A phase that wants anything, or raises."""
+
+    seed: int
+    raises_at: int
+    name = "wild"
+
+    def begin(self, now: Now, past: Past) -> None:
+        del now, past
+        self.random, self.k = random.Random(self.seed), 0
+
+    def step(self, now: Now) -> Decision:
+        del now
+        self.k += 1
+        if self.k == self.raises_at:
+            raise RuntimeError("wild")
+        wanted = self.random.choice((math.nan, math.inf, -math.inf, 1e308, self.random.uniform(-20, 20)))
+        return Decision(wanted, "wild", finished=self.k >= 60)
+
+
+def test_a_run_without_fault_ends_by_itself() -> None:
+    rig = Rig(following)
+    outcome = rig.run([travel()])
+    assert outcome.cause == ""
+    assert max(rig.transport.sent) == pytest.approx(3.0)
+    assert rig.transport.sent[-1] == 0.0
+    assert rig.transport.stopped == 1
+    assert [s.sequence for s in rig.sink.samples] == list(range(outcome.samples))
+    assert (outcome.clipped, outcome.faults, rig.loop.timings.missed) == (0, {}, 0)
+    assert all(s.period_s == pytest.approx(DT) for s in rig.sink.samples)
+
+
+@given(
+    angles=st.lists(st.one_of(st.none(), st.floats(), st.floats(0, 120)), min_size=1, max_size=200),
+    seed=st.integers(0, 1000),
+    raises_at=st.integers(1, 80),
+    held=st.floats(0, 6),
+    signal_at=st.integers(0, 80),
+    late=st.dictionaries(st.integers(0, 60), st.integers(0, 900_000_000), max_size=5),
+)
+@settings(max_examples=80)
+def test_no_command_leaves_the_limits_whatever_comes(
+    angles: list[float | None], seed: int, raises_at: int, held: float, signal_at: int, late: dict[int, int]
+) -> None:
+    """Any sensor, any wish, any signal, any delay: within limits, and at rest at the safe command in the end."""
+
+    def script(k: int, command: float) -> float | None:
+        if k == signal_at:
+            rig.flag.set("signal")
+        return angles[k % len(angles)]
+
+    rig = Rig(script, held=held, safe=1.0, costs_ns=late)
+    outcome = rig.run([Wild(seed, raises_at), CommandMotion("return", lambda u: ramp_commands(u, 0.0, 1.0, RAMPS, DT))])
+    assert within_limits(rig.transport.sent, held)
+    assert rig.transport.sent[-1] == pytest.approx(1.0)
+    assert rig.transport.stopped == 1
+    assert math.isfinite(outcome.safe_s) == bool(outcome.cause)
+
+
+@pytest.mark.parametrize("bad", [None, math.nan, 1e4, -5.0, math.inf])
+def test_a_dead_or_implausible_sensor_stops_safely(bad: float | None) -> None:
+    rig = Rig(lambda k, u: following(k, u) if k < 30 else bad)
+    outcome = rig.run([travel(hold_s=5.0)])
+    assert outcome.cause.startswith("sensor dead")
+    assert outcome.stop_s == pytest.approx(30 * DT + 0.5, abs=3 * DT)
+    assert outcome.safe_s - outcome.stop_s < 3.0
+    assert rig.transport.sent[-1] == 0.0
+    assert within_limits(rig.transport.sent)
+
+
+def test_a_frozen_sensor_is_found_while_the_command_moves_and_not_in_a_hold() -> None:
+    rest = CommandMotion("rest", lambda u: way_commands(u, [u], [4.0], RAMPS, DT))
+    assert Rig(lambda k, u: 30.0).run([rest]).cause == ""
+    rig = Rig(lambda k, u: 30.0)
+    outcome = rig.run([travel(hold_s=5.0)])
+    assert "frozen" in outcome.cause
+    assert rig.transport.sent[-1] == 0.0
+
+
+def test_a_missing_angle_is_bridged_and_named() -> None:
+    rig = Rig(lambda k, u: None if k in (40, 41) else following(k, u))
+    assert rig.run([travel()]).cause == ""
+    assert [s.sequence for s in rig.sink.samples if math.isnan(s.measured_deg)] == [40, 41]
+    assert rig.sink.samples[40].faults == ("no-angle",)
+
+
+def test_a_signal_stops_by_a_ramp_that_respects_velocity_and_jerk() -> None:
+    def script(k: int, command: float) -> float:
+        if k == 20:
+            rig.flag.set("SIGTERM")
+        return following(k, command)
+
+    rig = Rig(script)
+    outcome = rig.run([travel(hold_s=5.0)])
+    assert outcome.cause == "SIGTERM"
+    speeds = [abs(b - a) / DT for a, b in pairwise(rig.transport.sent)]
+    assert max(speeds) <= RAMPS.velocity_per_s * (1 + 1e-9)
+    bends = [abs(b - a) / DT for a, b in pairwise(speeds[:20])]
+    assert max(bends) <= RAMPS.acceleration_per_s2 * (1 + 1e-6)
+
+
+def test_a_late_command_is_a_miss_and_whole_samples_are_skipped() -> None:
+    """A write of 1.5 samples is a miss; one of 3.5 samples also skips two sequence numbers."""
+    seen: list[Now] = []
+
+    class Watching:
+        name = "watching"
+
+        def begin(self, now: Now, past: Past) -> None:
+            del now, past
+            self.k = 0
+
+        def step(self, now: Now) -> Decision:
+            seen.append(now)
+            self.k += 1
+            return Decision(now.held, "watching", finished=self.k >= 20)
+
+    rig = Rig(following, costs_ns={5: round(1.5e9 * DT), 10: round(3.5e9 * DT)})
+    outcome = rig.run([Watching()])
+    assert (rig.loop.timings.missed, rig.loop.timings.skipped) == (2, 2)
+    assert [k for k, now in enumerate(seen) if now.late] == [6, 11]
+    assert [now.skipped for now in seen if now.skipped] == [2]
+    missed = [s for s in rig.sink.samples if s.missed]
+    assert [s.sequence for s in missed] == [5, 10]
+    assert rig.sink.samples[11].sequence == 13
+    assert outcome.faults["deadline-missed"] == 2
+
+
+def test_a_loop_that_stood_still_stops() -> None:
+    rig = Rig(following, costs_ns={8: 2_000_000_000})
+    outcome = rig.run([travel(hold_s=5.0)])
+    assert "stood still" in outcome.cause
+    assert rig.transport.sent[-1] == 0.0
+    assert within_limits(rig.transport.sent)
+
+
+def test_a_wall_clock_that_jumps_changes_nothing() -> None:
+    def script(k: int, command: float) -> float:
+        rig.clock.wall += 3_600_000_000_000 if k == 10 else -7_200_000_000_000 if k == 20 else 0
+        return following(k, command)
+
+    rig = Rig(script)
+    assert rig.run([travel()]).cause == ""
+    plain = Rig(following)
+    plain.run([travel()])
+    assert rig.transport.sent == plain.transport.sent
+
+
+@pytest.mark.parametrize(("gain", "cause"), [(10.0, ""), (0.0, "pretension check"), (-10.0, "pretension check")])
+def test_pretension_check_wants_an_angle_that_moves_with_the_command(gain: float, cause: str) -> None:
+    def script(k: int, command: float) -> float:
+        return 40.0 + gain * command + 1e-6 * k
+
+    rig = Rig(script)
+    way = way_commands(0.0, [1.0], [0.5], RAMPS, DT), ramp_commands(1.0, 0.0, 0.0, RAMPS, DT)
+    check = PretensionCheck(lambda held: way, least_deg=5.0, most_deg=20.0)
+    outcome = rig.run([check])
+    assert outcome.cause.startswith(cause)
+    assert bool(outcome.cause) == bool(cause)
+    assert max(rig.transport.sent) == pytest.approx(1.0)
+    assert rig.transport.sent[-1] == 0.0

@@ -1,0 +1,207 @@
+"""Histogram arithmetic, units, the judge of measurements, the latch, settings."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.rig.config import load_record, load_run
+from hystmpc.rig.device.faults import FaultSettings, FaultyWire
+from hystmpc.rig.gate import Gate
+from hystmpc.rig.histogram import BINS, Histogram
+from hystmpc.rig.intake import Intake, SensorSettings
+from hystmpc.rig.latch import RUNNING, Latch
+from hystmpc.rig.realtime_ import RealtimeSettings, control_process
+from hystmpc.rig.transports.link import Outgoing
+from hystmpc.rig.transports.order import NEW, REPLAYED, RESTARTED, Order
+from hystmpc.rig.transports.reading import Reading
+from hystmpc.rig.transports.units import Conversion, WireUnits
+from hystmpc.trials.errors import ConfigError
+
+from ..conftest import ROOT
+
+MS = 1_000_000
+EXAMPLES = ROOT / "examples"
+
+
+@given(st.lists(st.floats(0, 0.2), min_size=1, max_size=200))
+def test_histogram_counts_everything_once_and_bounds_its_quantiles(times: list[float]) -> None:
+    histogram = Histogram(0.08)
+    for seconds in times:
+        histogram.add(seconds)
+    summary = histogram.summary()
+    assert int(histogram.counts.sum()) == summary.count == len(times)
+    assert summary.greatest_s == max(times)
+    assert summary.mean_s == pytest.approx(np.mean(times))
+    assert summary.median_s <= summary.p99_s <= summary.p999_s <= summary.greatest_s
+    exact = sorted(times)[math.ceil(0.5 * len(times)) - 1]
+    if exact < 0.08 * (BINS - 1) / BINS:
+        assert exact <= summary.median_s + 1e-12 <= exact + 0.08 / BINS + 1e-9
+
+
+@given(st.floats(allow_nan=True), st.floats(0, 6))
+def test_gate_admits_nothing_beyond_its_limits(wanted: float, held: float) -> None:
+    gate = Gate(CommandLimits(0.0, 6.0, 10.0), 0.04, held)
+    u = gate.admit(wanted)
+    assert 0 <= u <= 6
+    assert abs(u - held) <= 0.4 + 1e-12
+    assert gate.last == u
+
+
+@given(
+    st.sampled_from([("mm", "mm"), ("m", "mm"), ("bar", "bar"), ("kPa", "bar"), ("Pa", "bar")]),
+    st.sampled_from(["deg", "rad"]),
+    st.sampled_from([1, -1]),
+    st.floats(-1e3, 1e3),
+)
+def test_units_go_out_and_come_back(units: tuple[str, str], angle: str, sign: int, value: float) -> None:
+    wire = WireUnits.parse({"angle_unit": angle, "angle_sign": sign, "angle_offset_deg": 3.0, "command_unit": units[0]})
+    conversion = Conversion.of(wire, units[1])
+    assert conversion.angle_deg(conversion.raw_angle(value)) == pytest.approx(value, abs=1e-9)
+    assert conversion.command(conversion.raw_command(value)) == pytest.approx(value, abs=1e-9)
+
+
+def test_units_are_those_of_physics() -> None:
+    conversion = Conversion.of(WireUnits(angle_unit="rad", command_unit="kPa"), "bar")
+    assert conversion.angle_deg(math.pi) == pytest.approx(180)
+    assert conversion.raw_command(2.0) == pytest.approx(200)
+    with pytest.raises(ConfigError, match="expected a unit of the run's mm"):
+        Conversion.of(WireUnits(command_unit="bar"), "mm")
+
+
+@given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 1000), min_size=1, max_size=30))
+def test_sequence_numbers_rise_also_over_their_end(start: int, jumps: list[int]) -> None:
+    order, sequence = Order(), start
+    assert order.judge(1, sequence) == NEW
+    for jump in jumps:
+        before, sequence = sequence, (sequence + jump) % 2**32
+        assert order.judge(1, sequence) == NEW
+        assert order.judge(1, sequence) == REPLAYED
+        assert order.judge(1, before) == REPLAYED
+    assert order.lost == sum(jumps) - len(jumps)
+    assert order.judge(2, 0) == RESTARTED
+    assert order.judge(1, (sequence + 1) % 2**32) == REPLAYED
+
+
+def intake() -> Intake:
+    return Intake(SensorSettings(lower_deg=0, upper_deg=120, rate_limit_deg_s=400), 0)
+
+
+def reading(k: int, angle: float, *, sent_ms: float | None = None, received_ms: float | None = None) -> Reading:
+    received = 40 * (k + 1) if received_ms is None else received_ms
+    sent = received if sent_ms is None else sent_ms
+    return Reading(angle, k, 1, round(sent * MS), round(received * MS), 0.0)
+
+
+def test_a_packet_that_queued_on_the_way_is_stale_without_a_common_clock() -> None:
+    judge = intake()
+    for k in range(5):  # the sender's clock is hours off; that alone is nothing
+        assert judge.judge([reading(k, 30.0 + k, sent_ms=40 * (k + 1) + 9e6)], 40 * (k + 1) * MS, 0.0).faults == ()
+    late = reading(5, 35.0, sent_ms=240 + 9e6, received_ms=240 + 150)
+    assert judge.judge([late], (240 + 150) * MS, 0.0).faults == ("stale",)
+
+
+def test_an_old_angle_in_the_queue_is_passed_over_for_the_newest() -> None:
+    seen = intake().judge([reading(0, 30.0), reading(1, 31.0), reading(1, 99.0)], 80 * MS, 0.0)
+    assert seen.angle_deg == 31.0
+    assert seen.faults == ("replayed-or-reordered",)
+
+
+def test_a_jump_is_rejected_until_it_is_plausible() -> None:
+    judge = intake()
+    judge.judge([reading(0, 30.0)], 40 * MS, 0.0)
+    assert judge.judge([reading(1, 70.0)], 80 * MS, 0.0).faults == ("jump",)  # 1000 deg/s
+    assert judge.judge([reading(2, 30.5)], 120 * MS, 0.0).angle_deg == 30.5
+
+
+def test_a_restarted_device_stops_the_run() -> None:
+    judge = intake()
+    judge.judge([reading(0, 30.0)], 40 * MS, 0.0)
+    other = Reading(30.0, 0, 2, 80 * MS, 80 * MS, 0.0)
+    assert "restarted" in judge.judge([other], 80 * MS, 0.0).dead
+
+
+def test_latch_stays_until_it_is_released(tmp_path: Path) -> None:
+    latch = Latch(tmp_path / "deep" / "latched.json")
+    latch.require_released()
+    latch.set("sensor dead")
+    with pytest.raises(ConfigError, match="sensor dead; look at the device, then start with --reset"):
+        Latch(latch.file).require_released()
+    latch.release()
+    latch.require_released()
+
+
+def test_a_killed_program_leaves_the_latch_set_and_a_living_one_keeps_others_out(tmp_path: Path) -> None:
+    latch = Latch(tmp_path / "latched.json")
+    latch.set(RUNNING)
+    with pytest.raises(ConfigError, match="killed while it controlled"):
+        latch.require_released()
+    record = json.loads(latch.file.read_text()) | {"pid": os.getppid()}
+    latch.file.write_text(json.dumps(record))
+    with pytest.raises(ConfigError, match="controls this device now"):
+        latch.require_unused()
+    latch.file.write_text("{")
+    with pytest.raises(ConfigError, match="unreadable latch"):
+        latch.require_released()
+
+
+def test_realtime_that_is_refused_says_so_and_everything_is_put_back() -> None:
+    import gc
+
+    cores = os.sched_getaffinity(0)
+    with control_process(RealtimeSettings(cpu=10_000)) as notes:
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    assert len(notes) == 1
+    assert "core 10000 refused" in notes[0]
+    assert os.sched_getaffinity(0) == cores
+
+
+def out(wire: FaultyWire, count: int = 50) -> list[Outgoing]:
+    arrived = []
+    for k in range(count):
+        wire.put(Outgoing(float(k), 0.0, k, k * 40 * MS), 0.04 * k)
+        arrived += wire.due(0.04 * k)
+    return arrived
+
+
+@pytest.mark.parametrize("name", ["freeze", "nan", "outlier", "dropout", "delay", "jitter", "reorder", "duplicate"])
+def test_faults_begin_and_end_when_they_have_to(name: str) -> None:
+    fault = FaultSettings.parse({"fault": name, "start_s": 0.8, "duration_s": 0.4})
+    arrived = out(FaultyWire([fault], seed=0))
+    clean = [Outgoing(float(k), 0.0, k, k * 40 * MS) for k in range(50)]
+    assert arrived[:20] == clean[:20]
+    assert arrived[-5:] == clean[-5:]
+    assert arrived != clean
+
+
+def test_examples_are_valid() -> None:
+    drill = ["drill.solver_fails_from_s=1", "drill.solver_fails_for_s=2"]
+    run = load_run(EXAMPLES / "bench_udp.yaml", ["rate_hz=50", *drill])
+    assert run.rate_hz == 50
+    assert run.transport.kind == "udp"
+    assert len(load_record(EXAMPLES / "bench_record.yaml").excitations) == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ("safe_command=7", "safe_command 7.0, expected it within limits 0.0 to 6.0"),
+        ("ramps.velocity_per_s=11", "at most limits.rate_per_s"),
+        ("transport.host=192.0.2.1", "expected a loopback address, or `allow_network: true`"),
+        ("transport.bind_host=0.0.0.0", "expected a loopback address"),
+        ("saffe_command=0", "did you mean 'safe_command'"),
+        ("sensor.dead_after_s=0.01", "expected at least age_limit_s"),
+    ],
+)
+def test_unsafe_settings_are_refused(change: str, expected: str) -> None:
+    with pytest.raises(ConfigError, match=expected.replace("(", r"\(")):
+        load_run(EXAMPLES / "bench_udp.yaml", [change])

@@ -1,0 +1,157 @@
+"""A real device process, a real controller process, a real socket between them, and real signals."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hystmpc.rig.campaign.cases import CASES
+from hystmpc.rig.campaign.judge import judge
+from hystmpc.rig.campaign.play import device_log, play
+from hystmpc.rig.campaign.setup import write_device, write_run
+from hystmpc.trials.csv_ import read_csv
+from hystmpc.trials.run_folder import RunFolder
+
+PROGRAM = (sys.executable, "-c", "from hystmpc.cli.main import main; main()")
+PLAIN = CASES[0]
+
+
+@pytest.fixture
+def device(tmp_path: Path) -> Iterator[tuple[int, subprocess.Popen[str]]]:
+    """A device process; its port, and itself."""
+    command = [*PROGRAM, "device", str(write_device(PLAIN, tmp_path))]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert process.stdout is not None
+    found = re.search(r"udp port (\d+)", process.stdout.readline())
+    assert found is not None
+    yield int(found[1]), process
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+
+
+@pytest.mark.slow
+def test_a_signal_ends_a_run_at_the_safe_command_and_latches(
+    device: tuple[int, subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    """SIGTERM of the controller, then the refusal, then the reset; SIGINT of the device ends it cleanly."""
+    config = write_run(PLAIN, tmp_path, device[0])
+    command = [*PROGRAM, "run", str(config), "--out"]
+    first = subprocess.Popen(
+        [*command, str(tmp_path / "first")], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    until = time.monotonic() + 60
+    while time.monotonic() < until and not any(row[3] > 1.0 for row in device_log(tmp_path)[-5:]):
+        time.sleep(0.05)
+    first.send_signal(signal.SIGTERM)
+    said, _ = first.communicate(timeout=60)
+    assert first.returncode == 3
+    assert "stopped: SIGTERM" in said
+    rows = device_log(tmp_path)
+    assert rows[-1][3] == 0.0
+    assert json.loads((tmp_path / "first" / "latched.json").read_text())["cause"] == "SIGTERM"
+    second = subprocess.run([*command, str(tmp_path / "second")], capture_output=True, text=True, check=False)
+    assert second.returncode == 2
+    assert "stop latched" in second.stderr
+    assert not (tmp_path / "second").exists()
+    device[1].send_signal(signal.SIGINT)
+    out, _ = device[1].communicate(timeout=30)
+    assert device[1].returncode == 0
+    assert "0 of them beyond the limits" in out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["sensor NaN", "model file corrupt"])
+def test_a_part_of_the_campaign(name: str, tmp_path: Path) -> None:
+    case = next(case for case in CASES if case.name == name)
+    verdict = judge(case, play(case, tmp_path / "case", PROGRAM))
+    assert verdict.beyond == 0
+    assert verdict.passed, verdict
+
+
+SIMULATED = """
+name: simulated
+rate_hz: 25
+command_unit: mm
+limits: {lower: 0, upper: 6, rate_per_s: 10}
+ramps: {velocity_per_s: 6, acceleration_per_s2: 60, jerk_per_s3: 1000}
+safe_command: 0
+latch_file: latched.json
+sensor: {lower_deg: 0, upper_deg: 120}
+transport: {kind: simulated, plant: {simulator: "builtin:tendon-catheter", noise_deg: 0.05}}
+"""
+RUN = """
+controller: {model: "builtin:tendon-catheter"}
+reference: {kind: point_to_point, start_deg: 35, targets_deg: [50], holds_s: [1]}
+"""
+RECORD = """
+prepare: [{step: pretension_check, by: 1, hold_s: 0.2, least_move_deg: 3, most_move_deg: 20}]
+excitations:
+  steps: {kind: ramps, start: 0, stops: [2, 0], holds_s: [0.2, 0.2]}
+  file: {kind: file, file: motion.csv}
+settle_s: 0.1
+"""
+
+
+def hystmpc(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*PROGRAM, *map(str, arguments)], capture_output=True, text=True, check=False)
+
+
+@pytest.mark.slow
+def test_run_report_and_replay(tmp_path: Path) -> None:
+    """A simulated run leaves a whole folder and advice; its report is made anew; its angles can be replayed."""
+    (tmp_path / "run.yaml").write_text(SIMULATED + RUN)
+    done = hystmpc("run", tmp_path / "run.yaml", "--out", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    assert "nothing is due" in done.stdout
+    names = {path.name for path in (tmp_path / "run").iterdir()}
+    assert {"config.yaml", "meta.json", "log.csv", "timing.json", "report.html", "trial.csv"} <= names
+    assert not (tmp_path / "latched.json").exists()
+    run = RunFolder.open(tmp_path / "run")
+    log = run.log()
+    assert "mpc" in log["source"]
+    assert set(log["faults"]) == {"-"}
+    assert float(log["command_mm"][-1]) == 0.0
+    (tmp_path / "run" / "report.html").unlink()
+    assert hystmpc("report", tmp_path / "run").returncode == 0
+    assert "Predicted and measured angle" in (tmp_path / "run" / "report.html").read_text()
+    (tmp_path / "again.yaml").write_text(
+        re.sub("transport: .*", "transport: {kind: replay, run: run}", SIMULATED) + RUN
+    )
+    again = hystmpc("run", tmp_path / "again.yaml", "--out", tmp_path / "again")
+    assert again.returncode == 0, again.stderr
+    both = [RunFolder.open(tmp_path / name).log()["angle_deg"] for name in ("run", "again")]
+    assert list(both[0][:40]) == list(both[1][:40])
+
+
+@pytest.mark.slow
+def test_record_writes_trials_that_read_as_the_device_moved(tmp_path: Path) -> None:
+    (tmp_path / "motion.csv").write_text("time_s,command_mm,separation_deg\n0,0,0\n1,2,0\n2,0,0\n")
+    (tmp_path / "record.yaml").write_text(SIMULATED + RECORD)
+    done = hystmpc("record", tmp_path / "record.yaml", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    trials = {path.stem: read_csv(path) for path in (tmp_path / "out" / "trials").iterdir()}
+    assert set(trials) == {"steps", "file"}
+    assert trials["file"].command[25] == pytest.approx(2.0)
+    assert trials["file"].dt == pytest.approx(0.04)
+    moved = trials["file"].angle[25] - trials["file"].angle[0]
+    assert 10 < moved < 25
+
+
+@pytest.mark.slow
+def test_an_excitation_beyond_the_limits_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    text = SIMULATED.replace("rate_per_s: 10", "rate_per_s: 6.5") + RECORD
+    (tmp_path / "motion.csv").write_text("time_s,command_mm\n0,0\n0.1,2\n2,0\n")
+    (tmp_path / "record.yaml").write_text(text)
+    done = hystmpc("record", tmp_path / "record.yaml", "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert "excitations.file" in done.stderr
+    assert not (tmp_path / "out").exists()
