@@ -58,7 +58,8 @@ class Rate:
         n, p, z = self.cases, self.value, _Z90
         middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
         half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-        return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
+        # Rounding may put an end past the rate itself where that is 0 or 1.
+        return min(max(float(middle - half), 0.0), p), max(min(float(middle + half), 1.0), p)
 
 
 def rate(cases: Sequence[Scored], hit: Callable[[Scored], bool]) -> Rate:

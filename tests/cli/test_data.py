@@ -28,5 +28,5 @@ def test_s1_on_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_unknown_set_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, _, error = run(capsys, "data", "make", "s9", "--out", tmp_path / "set")
     assert code == 2
-    assert "no data set 's9', available: s1, s2" in error
+    assert "no data set 's9', available: rod, s1, s2" in error
     assert not list(tmp_path.iterdir())
