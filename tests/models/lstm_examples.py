@@ -9,8 +9,8 @@ import pytest
 
 from hystmpc.models.contract.metadata import ModelMetadata, Range
 from hystmpc.models.kernels.lstm_plain import PlainRoute
-from hystmpc.models.kernels.network_route import NetworkRoute
 from hystmpc.models.kernels.lstm_vector import VectorRoute
+from hystmpc.models.kernels.network_route import NetworkRoute
 from hystmpc.models.kernels.threads import allowed_threads
 from hystmpc.models.kernels.vector_shape import SHAPES, host_shape
 from hystmpc.models.lstm.initial import conditioned_rule, zero_state_rule

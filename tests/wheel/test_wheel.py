@@ -16,7 +16,21 @@ CHECKOUT = os.environ.get("HYSTMPC_CHECKOUT", "")
 WHEEL = os.environ.get("HYSTMPC_WHEEL", "")
 ROOMS = ("trials", "models", "trajectories", "ctrl", "sim", "rig", "gap", "cli")
 # These wrap packages of an extra, and may ask for it when they are imported.
-EXTRAS = {"torch", "sklearn", "skl2onnx", "cma", "mcap", "h5py", "rosbags", "pytorch_mppi", "distributed", "gymnasium", "optuna", "pyarrow", "cyclonedds"}
+EXTRAS = {
+    "torch",
+    "sklearn",
+    "skl2onnx",
+    "cma",
+    "mcap",
+    "h5py",
+    "rosbags",
+    "pytorch_mppi",
+    "distributed",
+    "gymnasium",
+    "optuna",
+    "pyarrow",
+    "cyclonedds",
+}
 
 pytestmark = pytest.mark.skipif(not WHEEL, reason="no wheel is installed here: run `make wheel-test`")
 
