@@ -12,7 +12,15 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A busy machine must not fail a test: no deadline, and no complaint about slow examples.
 settings.register_profile("ci", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# The fast suite draws fewer examples of every law; the whole suite draws all of them.
+settings.register_profile("fast", settings.get_profile("ci"), max_examples=12)
 settings.load_profile("ci")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Take fewer examples where the slow tests are left out."""
+    if config.getoption("markexpr", "") == "not slow":
+        settings.load_profile("fast")
 
 
 def data_folder() -> Path:

@@ -25,6 +25,8 @@ from hystmpc.trials.trial import Trial
 from ..models.zoo import BACKLASH
 from .engine_examples import moves, simulator_of, sine, trials_of
 
+pytestmark = pytest.mark.slow
+
 HOLDS = (moves(1, 20.0, 3.0), sine(0.1), moves(2, 20.0, 1.0), moves(3, 20.0, 4.0))
 SINES = (sine(0.1), sine(0.15), sine(0.1))
 CREEP = Creep((0.15,), (3.0,))

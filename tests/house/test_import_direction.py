@@ -74,6 +74,7 @@ def test_a_room_imports_itself_relatively() -> None:
     assert offenders == []
 
 
+@pytest.mark.slow
 def test_no_room_is_imported_as_a_top_level_package() -> None:
     """It would work in a checkout and fail for everybody who has installed a wheel."""
     files = [path for folder in (*ROOMS, "tests", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py")]

@@ -29,6 +29,8 @@ from .running import operator_rest, run_operator
 from .test_operator_laws import polyline
 from .zoo import BOUC_WEN, DEADBAND, DRDPI, DT, simulator
 
+pytestmark = pytest.mark.slow
+
 STATIC = replace(DRDPI, beta=0.0)
 corners = st.lists(st.floats(0.0, 6.0), min_size=3, max_size=8)
 gaps = st.floats(0.1, 20.0)

@@ -25,6 +25,8 @@ from hystmpc.models.operators.stick_slip import StickSlip
 from .running import run_chain
 from .zoo import BACKLASH, DT, STATIC_PI
 
+pytestmark = pytest.mark.slow
+
 SIDES = [(name, side) for name, effect in EFFECTS.items() for side in effect.sides]
 SIZES = {"delay": {"samples": 3}}
 signals = st.lists(st.floats(-5.0, 90.0), min_size=2, max_size=30).map(np.array)

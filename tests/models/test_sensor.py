@@ -18,6 +18,8 @@ from hystmpc.trials.errors import ModelError
 from .running import run_chain
 from .zoo import DT
 
+pytestmark = pytest.mark.slow
+
 SAMPLES = 20_000
 
 

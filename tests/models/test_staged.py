@@ -13,6 +13,8 @@ from hystmpc.trials.errors import ModelError
 
 from .zoo import BACKLASH, CHAINS, DT, EXAMPLES, RATE_PI
 
+pytestmark = pytest.mark.slow
+
 CASES = [*(Chain(example) for example in EXAMPLES), *CHAINS.values()]
 IDS = [*(f"{example.name}-{k}" for k, example in enumerate(EXAMPLES)), *CHAINS]
 ANGLE = 41.0

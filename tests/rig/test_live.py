@@ -31,6 +31,8 @@ from hystmpc.trials.errors import ConfigError
 
 from .recording_samples import sample
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 RATE = 100.0
 

@@ -28,6 +28,8 @@ from hystmpc.trials.errors import ConfigError
 
 from ..conftest import ROOT
 
+pytestmark = pytest.mark.slow
+
 MS = 1_000_000
 EXAMPLES = ROOT / "examples"
 

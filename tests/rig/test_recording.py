@@ -21,6 +21,8 @@ from hystmpc.trials.run_folder import RunFolder
 
 from .recording_samples import START_NS, sample
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("mcap", reason="mcap (extra `logs`) is not installed")
 
 META = RecordingMeta("mm", seed=3, command_line=("hystmpc", "run"))

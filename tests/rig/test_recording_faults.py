@@ -30,6 +30,8 @@ from hystmpc.trials.run_folder import RunFolder
 
 from .recording_samples import sample
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 META = RecordingMeta("mm")
 

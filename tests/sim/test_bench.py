@@ -31,6 +31,8 @@ from hystmpc.sim.bench.table import COLUMNS, table_rows
 from hystmpc.sim.bench.timing import Clock, Effort, Job, Times
 from hystmpc.trials.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 TINY = Effort(rounds=2, burst_s=1e-3, burst_most=2)
 SMALL = BenchSettings(hidden=8, horizon=6, samples=16, effort=TINY)
 SECTIONS = {

@@ -18,6 +18,8 @@ from hystmpc.sim.devices.rod_parameters import RodParameters
 from hystmpc.sim.devices.rod_solver import TOLERANCE_MM
 from hystmpc.trials.errors import ConfigError
 
+pytestmark = pytest.mark.slow
+
 DT = 0.04
 USUAL = RodParameters()
 ELASTIC = replace(USUAL, fast_share=0.0, slow_share=0.0, drive_lag_s=0.0)

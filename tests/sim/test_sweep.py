@@ -26,6 +26,8 @@ from hystmpc.trials.errors import ConfigError
 
 from .small import study_data
 
+pytestmark = pytest.mark.slow
+
 MISMATCH = 'plant.mismatch."prandtl_ishlinskii.alpha"'
 DRAW = {"plant.lag_s": {"uniform": [0.0, 0.1]}, MISMATCH: {"log_uniform": [0.8, 1.25]}}
 KINDS = {"id": "text", "status": "text", "value": "number", "count": "whole"}

@@ -29,6 +29,8 @@ from hystmpc.trials.errors import ConfigError
 from ..trials.test_html import Page
 from .small import SCAN, study, study_data
 
+pytestmark = pytest.mark.slow
+
 POSIX = pytest.mark.skipif(os.name == "nt", reason="signals are those of POSIX")
 BASE = study_data(motions={"scan": SCAN}, controllers={"pid": {"kind": "pid"}})
 costs = st.lists(st.floats(0.0, 100.0), min_size=1, max_size=30)
