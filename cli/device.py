@@ -36,7 +36,8 @@ def device(
     plant, held = make_plant(settings.plant, settings.dt_s, settings.seed, folder, settings.command_unit)
 
     def ready(link: DeviceLink) -> None:
-        where = f"udp port {link.port}" if hasattr(link, "port") else "dds"
+        port = getattr(link, "port", None)
+        where = "dds" if port is None else f"udp port {port}"
         out.print(
             f"device ready: {where}, {settings.rate_hz:g} Hz, holds {held:g} {settings.command_unit}", soft_wrap=True
         )

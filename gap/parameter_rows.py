@@ -76,7 +76,7 @@ def uncertainty(problem: Problem, q: Vec, runs: Sequence[Run]) -> Uncertainty:
         if np.trace(found) > np.trace(best):
             best, quantile = found, float(student.ppf(0.95, spare))
     covariance = np.zeros((q.size, q.size))
-    covariance[np.ix_(free, free)] = best
+    covariance[free[:, None], free[None, :]] = best
     flat = _flat(problem, quantile * np.sqrt(np.diag(covariance)))
     flat[free[lost]] = True
     return Uncertainty(covariance, quantile, flat & ~at_bound, at_bound)

@@ -53,8 +53,8 @@ class _Wire:
             self._domain = None
         try:
             participant = DomainParticipant(settings.domain)
-            self._writer = DataWriter(participant, Topic(participant, f"rt/{out}", kind, qos=qos), qos=qos)
-            self._reader = DataReader(participant, Topic(participant, f"rt/{into}", kind, qos=qos), qos=qos)
+            self._writer: Any = DataWriter(participant, Topic(participant, f"rt/{out}", kind, qos=qos), qos=qos)
+            self._reader: Any = DataReader(participant, Topic(participant, f"rt/{into}", kind, qos=qos), qos=qos)
         except Exception as error:
             text = " ".join(str(error).split())
             raise ConfigError(f"dds: domain {settings.domain} cannot be joined ({text})") from error
