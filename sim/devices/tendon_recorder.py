@@ -1,79 +1,29 @@
-"""How a trial of S2 is taken: initialisation flexure, motion, tracker, log at 100 Hz, resampled to 25 Hz."""
+"""S2's bench with its tendon catheter on it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import final
 
 import numpy as np
 
-from hystmpc.trajectories.excitation import s2_initialisation
-from hystmpc.trajectories.trajectory import Trajectory
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial, Units
-
-from .excited import generator, sampled
-from .quantities import check_quantities, quantity
-from .sensors import EmTracker
+from .device import Device
 from .tendon import TendonCatheter, TendonParameters, TendonVariation
+from .tracked_bench import TrackedBench
 
 
-@dataclass(frozen=True)
-class TendonRecorder:
+@final
+@dataclass(frozen=True, kw_only=True)
+class TendonRecorder(TrackedBench):
     """The bench of S2.
-
-    Every trial begins with a virgin catheter, the initialisation flexure (0.1 Hz to the end of the travel and back)
-    and a rest at 0 mm, which are discarded as S2's protocol says unless `keep_flexure`.
 
     Attributes:
         device: the catheter.
         variation: how it differs from trial to trial.
-        tracker: the sensor on its tip.
-        command_rate_hz: rate of command and log [Hz].
-        rate_hz: rate of the trial, by linear interpolation [Hz].
-        rest_s: rest between flexure and motion [s].
-        keep_flexure: leave flexure and rest in the trial.
-
-    Raises:
-        ConfigError: if a number is out of its bounds.
     """
 
     device: TendonParameters = field(default_factory=TendonParameters)
     variation: TendonVariation = field(default_factory=TendonVariation)
-    tracker: EmTracker = field(default_factory=EmTracker)
-    command_rate_hz: float = quantity(100.0, "Hz", 1.0, 10_000.0, "rate of command and log (S2's code)")
-    rate_hz: float = quantity(25.0, "Hz", 1.0, 10_000.0, "rate of the trial (S2)")
-    rest_s: float = quantity(2.0, "s", 0.0, 1000.0, "rest between flexure and motion")
-    keep_flexure: bool = False
 
-    def __post_init__(self) -> None:
-        check_quantities(self)
-
-    def record(self, excitation: Trajectory, seed: int, source: str) -> Trial:
-        """One trial; equal seed and source give equal trials, either of them another gives another device and noise.
-
-        Channels: `x_mm`, `y_mm` of the tip, `displacement_mm` that the drive reached, `tension_n`.
-
-        Raises:
-            ConfigError: through `resample`, if the log's rate is too low for the trial's.
-        """
-        random = generator(seed, source, "device")
-        device = TendonCatheter(self.variation(self.device, random))
-        _, flexure = sampled(s2_initialisation(), self.command_rate_hz)
-        # The papers' flexure is for 6 mm of travel; another device is flexed over all of its own.
-        flexure = flexure * (self.device.travel_mm / flexure.max())
-        rest = np.zeros(round(self.rest_s * self.command_rate_hz))
-        _, motion = sampled(excitation, self.command_rate_hz)
-        commands = np.concatenate([flexure, rest, motion])
-        done = device.advance(device.virgin(), commands, 1 / self.command_rate_hz, random)
-        angle, x, y = self.tracker(done.angle, random)
-        channels = {"x_mm": x, "y_mm": y, "displacement_mm": done.actuator, "tension_n": done.tension}
-        skipped = 0 if self.keep_flexure else flexure.size + rest.size
-        log = Trial(
-            np.arange(commands.size - skipped) / self.command_rate_hz,
-            commands[skipped:],
-            angle[skipped:],
-            {name: values[skipped:] for name, values in channels.items()},
-            Units(command=device.command_unit),
-            source,
-        )
-        return resample(log, self.rate_hz)
+    def mounted(self, random: np.random.Generator) -> Device:
+        return TendonCatheter(self.variation(self.device, random))
