@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Self, final
 
-import casadi as ca
-
-from .operator import Operator, Parameter, Symbol, check_values, maximum
+from .memoryless import Memoryless
+from .operator import Parameter, Symbol, check_values, maximum
 
 
 @final
 @dataclass(frozen=True)
-class Contact(Operator):
+class Contact(Memoryless):
     """A slope that falls to a share of itself beyond an angle.
 
     y = u - (1 - stiffness_ratio) max(u - angle, 0)
@@ -44,15 +43,5 @@ class Contact(Operator):
             Parameter("stiffness_ratio", "1", 0.0, 1.0, "slope beyond it"),
         )
 
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("y",)  # of no effect: every step of the contract has a state
-
-    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
-        del x, dt
-        y = u - (1 - p[1]) * maximum(u - p[0], 0)
-        return y, y
-
-    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        del y, p
-        return ca.vertcat(u)
+    def curve(self, u: Symbol, p: Symbol) -> Symbol:
+        return u - (1 - p[1]) * maximum(u - p[0], 0)

@@ -6,10 +6,9 @@ import itertools
 from dataclasses import dataclass
 from typing import ClassVar, Self, final
 
-import casadi as ca
-
 from hystmpc.trials.errors import ModelError
 
+from .memoryless import Memoryless
 from .operator import Operator, Parameter, Symbol, check_values, maximum, minimum
 
 Side = tuple[tuple[Symbol, Symbol], ...]
@@ -85,7 +84,7 @@ def pieces_of(slope: Symbol, p: Symbol, below: int, above: int) -> Pieces:
 
 @final
 @dataclass(frozen=True)
-class Deadband(Operator):
+class Deadband(Memoryless):
     """Weighted sum of one-sided dead zones: bends, dead bands and saturation without memory.
 
     y = sum_j w_j D_{d_j}[v - centre] + offset, in slopes and gaps as `Pieces` has it; `weights` and `thresholds` give
@@ -140,10 +139,6 @@ class Deadband(Operator):
         )
 
     @property
-    def states(self) -> tuple[str, ...]:
-        return ("y",)  # of no effect: every step of the contract has a state
-
-    @property
     def weights(self) -> tuple[float, ...]:
         """Weights w_j, from the lowest threshold to the highest."""
         sides = [[self.slope, *slopes] for slopes in (self.slopes_below, self.slopes_above)]
@@ -156,15 +151,9 @@ class Deadband(Operator):
         below, above = (itertools.accumulate(gaps) for gaps in (self.gaps_below, self.gaps_above))
         return (*(-d for d in reversed(list(below))), 0.0, *above)
 
-    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
-        del x, dt
+    def curve(self, u: Symbol, p: Symbol) -> Symbol:
         last = 1 + 2 * (self.below + self.above)
-        y = pieces_of(p[0], p[1:last], self.below, self.above).at(u - p[last]) + p[last + 1]
-        return y, y
-
-    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        del u, p
-        return ca.vertcat(y)
+        return pieces_of(p[0], p[1:last], self.below, self.above).at(u - p[last]) + p[last + 1]
 
     def inverse(self) -> Deadband:
         """The inverse curve, exact everywhere.

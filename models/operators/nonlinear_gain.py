@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Self, final
 
-import casadi as ca
-
-from .operator import Operator, Parameter, Symbol, check_values
+from .memoryless import Memoryless
+from .operator import Parameter, Symbol, check_values
 
 
 @final
 @dataclass(frozen=True)
-class NonlinearGain(Operator):
+class NonlinearGain(Memoryless):
     """A cubic about a centre.
 
     y = u + quadratic w^2 + cubic w^3,  w = u - centre
@@ -47,16 +46,6 @@ class NonlinearGain(Operator):
             Parameter("centre", "in", -1e4, 1e4, "where the slope stays 1"),
         )
 
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("y",)  # of no effect: every step of the contract has a state
-
-    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
-        del x, dt
+    def curve(self, u: Symbol, p: Symbol) -> Symbol:
         w = u - p[2]
-        y = u + (p[0] + p[1] * w) * (w * w)
-        return y, y
-
-    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        del y, p
-        return ca.vertcat(u)
+        return u + (p[0] + p[1] * w) * (w * w)

@@ -7,14 +7,15 @@ from typing import ClassVar, Self, final
 
 import casadi as ca
 
-from .operator import Operator, Parameter, Symbol, check_values, maximum, minimum
+from .memoryless import Memoryless
+from .operator import Parameter, Symbol, check_values, maximum, minimum
 
 _SHARP = 1e-9  # a toe of zero is never divided by: no command lies strictly inside it
 
 
 @final
 @dataclass(frozen=True)
-class Slack(Operator):
+class Slack(Memoryless):
     """A dead zone at low command, with a toe where one fibre or tendon after another is taken up.
 
     y = 0                          u <= slack - toe
@@ -48,19 +49,9 @@ class Slack(Operator):
             Parameter("toe", "in", 0.0, 1e3, "half the travel over which it is taken up"),
         )
 
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("y",)  # of no effect: every step of the contract has a state
-
-    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
-        del x, dt
+    def curve(self, u: Symbol, p: Symbol) -> Symbol:
         over, toe = u - p[0], p[1]
         curved = (over + toe) * (over + toe) / (4 * maximum(toe, _SHARP))
         # Where branches tie the one that moves when the command rises is active.
         loaded = ca.if_else(over >= toe, over, ca.if_else(over > -toe, curved, 0))
-        y = minimum(loaded, u)
-        return y, y
-
-    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
-        del y, p
-        return ca.vertcat(u)
+        return minimum(loaded, u)
