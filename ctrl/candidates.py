@@ -18,6 +18,7 @@ from .plan_kernels import clip_plans, fill_candidates
 Vec = NDArray[np.float64]
 
 HOLD, INVERSE = 0, 1  # rows of the candidates that callers refer to
+FOLLOWING = 5  # rows before those that only search
 # Shares of the greatest step. Inside what a network has for a dead band its slope may have the wrong sign: the little
 # step that ends an error in a hold is found by trying it, not by a gradient.
 _STEPS = (0.125, 0.1875, 0.25, 0.375, 0.5, 0.625, 0.75, 1.0)
@@ -63,7 +64,7 @@ class Candidates:
         """
         low, high, reach = self._bounds
         ramps = self._all if resting else self._reversals
-        plans = np.empty((5 + len(ramps), self._horizon))
+        plans = np.empty((FOLLOWING + len(ramps), self._horizon))
         targets = self._follower.follow(state, reference, u_last, self._bounds)
         fill_candidates(plans, targets, remaining, ramps, u_last, reach)
         clip_plans(plans, low, high, reach, u_last)

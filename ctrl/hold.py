@@ -67,9 +67,11 @@ class HoldRule:
             held: angles (H,) that the held command is expected to lead to [deg].
             sigma: standard deviation of the disturbance estimate's error [deg].
         """
-        ahead = reference[: self.lead]
-        if not float(np.max(np.abs(ahead - before.target))) <= self.tolerance_deg:  # not-a-number: none yet
-            return Hold(target=float(reference[0]))
+        now = float(reference[0])
+        if not abs(now - before.target) <= self.tolerance_deg:  # not-a-number: none yet
+            return Hold(target=now)
+        if self.lead > 1 and self.error(before, reference[: self.lead]) > self.tolerance_deg:
+            return Hold(target=now)
         constant = before.constant + 1
         waited = min(float(constant // max(self.patience, 1)), _LEAVE_SIGMAS)
         sigmas = _LEAVE_SIGMAS if before.holding else waited
@@ -77,7 +79,7 @@ class HoldRule:
 
     @staticmethod
     def error(hold: Hold, held: Vec) -> float:
-        """Greatest distance of the held command's angles (H,) from the angle to be held [deg]."""
+        """Greatest distance of angles (H,) from the angle to be held [deg]."""
         return float(np.max(np.abs(held - hold.target)))
 
     def gentle(self, hold: Hold, plan: Vec, u_last: float, error: float, slope: float) -> Vec:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hystmpc.models.model import Predictor
 
-from .candidates import HOLD, INVERSE, Candidates
+from .candidates import FOLLOWING, HOLD, INVERSE, Candidates
 from .command import Source
 from .hold import Hold, HoldRule
 from .ladder import attempt
@@ -66,10 +66,8 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
     def propose(
         self, memory: PredictiveMemory[P], situation: Situation, watch: Stopwatch
     ) -> Proposal[PredictiveMemory[P]]:
-        wanted = situation.reference - situation.disturbance
-        plans = self._candidates.build(
-            situation.state, situation.u_last, wanted, situation.remaining_plan, memory.hold.constant > 0
-        )
+        wanted, resting = situation.reference - situation.disturbance, memory.hold.constant > 0
+        plans = self._candidates.build(situation.state, situation.u_last, wanted, situation.remaining_plan, resting)
         watch.lap("candidates")
         low, high = self._angle_limits
         problem = PlanningProblem(
@@ -79,14 +77,14 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
             feedforward=plans[INVERSE],
             angle_limits=(low - situation.disturbance, high - situation.disturbance),
         )
-        angles = self._predictor.rollout(situation.state, plans)
+        first = plans[:FOLLOWING] if resting else plans  # at rest most steps hold, and look no further
+        angles = self._predictor.rollout(situation.state, first)
         held = angles[HOLD] + situation.disturbance
         hold = self._hold.judge(memory.hold, situation.reference, held, situation.disturbance_sigma)
-        chosen = plans[HOLD : HOLD + 1] if hold.holding else plans
-        start = self._cost.best(chosen, angles[: len(chosen)], problem)
+        start = self._start(problem, plans, angles, hold.holding)
         watch.lap("rollout")
         if not math.isfinite(start.cost):
-            raise PlanningError(f"none of {len(chosen)} candidates has a finite prediction")
+            raise PlanningError(f"none of {len(plans)} candidates has a finite prediction")
         if hold.holding:
             return self._proposal(start, "ok", PredictiveMemory(memory.planner, hold))
         plan, status, planner = self._planner.improve(problem, start, memory.planner, watch)
@@ -94,6 +92,16 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         if commands is not plan.commands:
             plan = Plan(commands, self._predictor.rollout(situation.state, commands[None])[0], plan.cost)
         return self._proposal(plan, status, PredictiveMemory(planner, hold))
+
+    def _start(self, problem: PlanningProblem, plans: Vec, angles: Vec, holding: bool) -> Plan:
+        """The held command in a hold, else the cheapest candidate; `angles` are known of the first few."""
+        known = HOLD + 1 if holding else len(angles)
+        best = self._cost.best(plans[:known], angles[:known], problem)
+        if holding or known == len(plans):
+            return best
+        others = plans[known:]
+        found = self._cost.best(others, self._predictor.rollout(problem.state, others), problem)
+        return found if found.cost < best.cost else best
 
     @staticmethod
     def _proposal(plan: Plan, status: str, memory: PredictiveMemory[P]) -> Proposal[PredictiveMemory[P]]:

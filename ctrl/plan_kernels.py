@@ -86,15 +86,42 @@ def costs(plans: Any, angles: Any, reference: Any, inverse: Any, u_last: float, 
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def condense(jacobian: Any, error: Any, tracking: Any, hessian: Any, gradient: Any) -> None:
-    """hessian += 2 J'QJ and gradient += 2 J'Qe for a lower triangular J (H, H), both halves of the hessian."""
-    size = error.size
+def condense(jacobian: Any, error: Any, tracking: Any, moves: Any, off: Any, weights: Any, hessian: Any) -> Any:
+    """The gradient (H,) and, in place, the upper triangle (H (H + 1) / 2,), column by column, of `TrackingQp`.
+
+    jacobian (H, H) is lower triangular; moves = D p - e_1 u_last and off = p - f, each (H,); weights: rate, effort.
+    """
+    size, at = error.size, 0
+    rate, effort = 2.0 * weights[0], 2.0 * weights[1]
+    gradient = np.empty(size)
     for i in range(size):
+        total = effort * off[i] + rate * moves[i]
+        if i + 1 < size:
+            total -= rate * moves[i + 1]
+        for j in range(i + 1):
+            hessian[at + j] = 0.0
         for k in range(i, size):
             weighted = 2.0 * tracking[k] * jacobian[k, i]
-            gradient[i] += weighted * error[k]
+            total += weighted * error[k]
             for j in range(i + 1):
-                hessian[i, j] += weighted * jacobian[k, j]
-    for i in range(size):
-        for j in range(i):
-            hessian[j, i] = hessian[i, j]
+                hessian[at + j] += weighted * jacobian[k, j]
+        hessian[at + i] += effort + (2.0 * rate if i + 1 < size else rate)
+        if i:
+            hessian[at + i - 1] -= rate
+        gradient[i] = total
+        at += i + 1
+    return gradient
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def rate_multipliers(gradient: Any, moves: Any, reach: float) -> Any:
+    """Multipliers (H,) that hold a plan where it already moves at the greatest rate; see `TrackingQp`."""
+    found = np.zeros(gradient.size)
+    balance, touching = 0.0, reach * (1.0 - 1e-6)
+    for k in range(gradient.size - 1, -1, -1):
+        balance -= gradient[k]
+        if moves[k] >= touching:
+            found[k] = max(balance, 0.0)
+        elif moves[k] <= -touching:
+            found[k] = min(balance, 0.0)
+    return found

@@ -45,8 +45,10 @@ class DaqpSolver(QpSolver):
 
     def __init__(self, pattern: QpPattern, options: DaqpOptions) -> None:
         self._pattern, self._options = pattern, options
-        self._upper = _positions(pattern.hessian)
-        self._rows = _positions(pattern.constraints)
+        across, down = _positions(pattern.hessian)
+        self._upper, self._lower = across * pattern.variables + down, down * pattern.variables + across
+        across, down = _positions(pattern.constraints)
+        self._rows = across * pattern.variables + down
         self._memory: tuple[Vec, Vec] | None = None
 
     def solve(self, data: QpData) -> QpSolution:
@@ -73,13 +75,12 @@ class DaqpSolver(QpSolver):
         if self._memory is None:
             n, m = self._pattern.variables, self._pattern.rows
             self._memory = np.zeros((n, n)), np.zeros((m, n))
-            self._memory[1][self._rows] = self._pattern.constraints.data
+            self._memory[1].reshape(-1)[self._rows] = self._pattern.constraints.data
         hessian, rows = self._memory
-        across, down = self._upper
-        hessian[across, down] = data.hessian_data
-        hessian[down, across] = data.hessian_data
+        for half in (self._upper, self._lower):
+            hessian.reshape(-1)[half] = data.hessian_data
         if data.constraint_data is not None:
-            rows[self._rows] = data.constraint_data
+            rows.reshape(-1)[self._rows] = data.constraint_data
         return hessian, rows
 
 

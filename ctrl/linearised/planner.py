@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
@@ -20,15 +21,16 @@ from .solver import QpSolver
 
 Vec = NDArray[np.float64]
 
-_STEPS = np.array([1.0, 0.5, 0.25, 0.125])
+_PARTS = np.array([0.5, 0.25, 0.125])
+_KEPT = 0.9  # share of the promised decrease from which on no part of the step is worth a roll-out
 
 
 @final
 class LinearisedPlanner(Planner[None]):
     """One or two sequential-quadratic-programming iterations per step, guarded by the nonlinear cost.
 
-    The program's step is tried whole and in parts in one batched roll-out; the start plan wins where none is
-    better, as across a kink of the play, where the linearisation is wrong.
+    The program's step is tried whole, and where the cost falls by clearly less than the linearisation promised, in
+    parts too, in one batched roll-out; the start plan wins where none is better, as across a kink of the play.
 
     Args:
         predictor: the model.
@@ -71,26 +73,33 @@ class LinearisedPlanner(Planner[None]):
     def _iterate(self, problem: PlanningProblem, start: Plan, watch: Stopwatch) -> tuple[Plan, str]:
         _, jacobian = self._predictor.linearise(problem.state, start.commands)
         watch.lap("linearise")
-        if not np.all(np.isfinite(jacobian)):
+        if not math.isfinite(jacobian.sum()):
             raise PlanningError("the model's Jacobian is not finite")
         data = self._qp.data(problem, start, jacobian)
-        if not (np.all(np.isfinite(data.hessian_data)) and np.all(np.isfinite(data.gradient))):
+        if not math.isfinite(data.hessian_data.sum() + data.gradient.sum()):  # a sum is finite only where its terms are
             raise PlanningError("the quadratic program is not finite")
         solution = self._solver.solve(data)
         watch.lap("solve")
         if not solution.usable:
             raise PlanningError(f"{self._solver.name}: {solution.status} after {solution.iterations} iterations")
-        plan = self._search(problem, start, solution.primal[: start.commands.size])
+        plan = self._search(problem, start, jacobian, solution.primal[: start.commands.size])
         watch.lap("search")
         return plan, f"{self._solver.name}: {solution.status}, its best step used" if solution.unfinished else "ok"
 
-    def _search(self, problem: PlanningProblem, start: Plan, step: Vec) -> Plan:
+    def _search(self, problem: PlanningProblem, start: Plan, jacobian: Vec, step: Vec) -> Plan:
         """The cheapest of the start plan and parts of the step, by nonlinear cost."""
         # the solver overshoots limits within its tolerance: clip the whole step, parts of it are then admissible
-        target = self._limits.clip_plans(start.commands + step, problem.u_last, self._predictor.dt)
-        plans = start.commands + _STEPS[:, None] * (target - start.commands)
-        found = self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)
+        whole = self._limits.clip_plans(start.commands + step, problem.u_last, self._predictor.dt)
+        step = whole - start.commands
+        found = self._cheapest(whole[None], problem)
+        promised = start.cost - self._cost(whole[None], (start.angles + jacobian @ step)[None], problem)[0]
+        if not start.cost - found.cost >= _KEPT * promised:  # not-a-number: look further
+            part = self._cheapest(start.commands + _PARTS[:, None] * step, problem)
+            found = part if part.cost < found.cost else found
         return found if found.cost < start.cost else start
+
+    def _cheapest(self, plans: Vec, problem: PlanningProblem) -> Plan:
+        return self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)
 
 
 def _solver(pattern: QpPattern, options: OsqpOptions | DaqpOptions | None) -> QpSolver:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ..limits import CommandLimits
-from ..plan_kernels import condense
+from ..plan_kernels import condense, rate_multipliers
 from ..planning import Plan, PlanningProblem, Weights
 
 Vec = NDArray[np.float64]
@@ -73,49 +73,38 @@ class TrackingQp:
 
     with D the difference matrix. Soft angle limits add H free variables s with cost w_s s^2 and the rows
     a <= theta_p + J v + s <= b, which is the squared distance to [a, b] exactly.
+
+    Multipliers start where they hold the plan that already moves at the greatest rate: stationarity D'y = -q, solved
+    backwards in time, of the right sign, and zero where the rate limit is not touched. First-order methods take
+    thousands of iterations to find these, and the best candidates of a reversal touch the limit over many samples.
     """
 
     def __init__(self, weights: Weights, limits: CommandLimits, horizon: int, dt: float) -> None:
         self._weights, self._limits, self._horizon = weights, limits, horizon
         self._reach = limits.rate * dt
         self._tracking = weights.over(horizon)
-        self._difference = np.eye(horizon) - np.eye(horizon, k=-1)
-        self._slope = 2.0 * weights.rate * np.ascontiguousarray(self._difference.T)
-        self._constant = self._slope @ self._difference + 2.0 * weights.effort * np.eye(horizon)
-        self._triangle = np.tril_indices(horizon)  # of a symmetric matrix: its upper triangle, column by column
-        # the Jacobian is lower triangular too; column by column its entries are those of the transpose, row by row
+        self._factors = np.array((weights.rate, weights.effort))
+        # the Jacobian is lower triangular; column by column its entries are those of the transpose, row by row
         self._columns = np.triu_indices(horizon)
         self.pattern = self._build_pattern()
 
     def data(self, problem: PlanningProblem, around: Plan, jacobian: Mat) -> QpData:
         """The program around the plan `around` with Jacobian (H, H), lower triangular [deg per command unit]."""
         plan = around.commands
-        hessian = self._constant.copy()
-        moves = plan - np.concatenate([[problem.u_last], plan[:-1]])
-        gradient = 2.0 * self._weights.effort * (plan - problem.feedforward)
-        gradient += self._slope @ moves
-        condense(jacobian, around.angles - problem.reference, self._tracking, hessian, gradient)
+        moves = np.diff(plan, prepend=problem.u_last)
+        error, off = around.angles - problem.reference, plan - problem.feedforward
+        hessian = np.empty(plan.size * (plan.size + 1) // 2)
+        gradient = condense(jacobian, error, self._tracking, moves, off, self._factors, hessian)
+        none = np.zeros(plan.size)
         hard = QpData(
-            hessian[self._triangle],
+            hessian,
             gradient,
             np.concatenate([self._limits.lower - plan, -self._reach - moves]),
             np.concatenate([self._limits.upper - plan, self._reach - moves]),
             None,
-            np.concatenate([np.zeros(self._horizon), self._rate_multipliers(gradient, moves)]),
+            np.concatenate([none, rate_multipliers(gradient, moves, self._reach)]),
         )
         return self._softened(hard, problem, around, jacobian) if self._weights.limits_angle else hard
-
-    def _rate_multipliers(self, gradient: Vec, moves: Vec) -> Vec:
-        """Multipliers that hold the plan where it already moves at the greatest rate.
-
-        Stationarity D'y = -q, solved backwards in time, of the right sign, and zero where the rate limit is not
-        touched. First-order methods take thousands of iterations to find these, and the best candidates of a
-        reversal touch the limit over many samples.
-        """
-        balance = -np.cumsum(gradient[::-1])[::-1]
-        touching = self._reach * (1.0 - 1e-6)
-        upward = np.where(moves >= touching, np.maximum(balance, 0.0), 0.0)
-        return np.where(moves <= -touching, np.minimum(balance, 0.0), upward)
 
     def _softened(self, hard: QpData, problem: PlanningProblem, around: Plan, jacobian: Mat) -> QpData:
         """The program with soft angle limits beside the hard limits."""
@@ -135,7 +124,8 @@ class TrackingQp:
     def _build_pattern(self) -> QpPattern:
         horizon = self._horizon
         hessian = sparse.csc_matrix(np.triu(np.ones((horizon, horizon))))
-        rows = [sparse.eye(horizon), sparse.csc_matrix(self._difference)]
+        difference = np.eye(horizon) - np.eye(horizon, k=-1)
+        rows = [sparse.eye(horizon), sparse.csc_matrix(difference)]
         if not self._weights.limits_angle:
             return QpPattern(
                 hessian, sparse.csc_matrix(sparse.vstack(rows, format="csc")), np.empty(0, dtype=np.intp), horizon

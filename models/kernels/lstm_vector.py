@@ -54,7 +54,8 @@ class VectorRoute(NetworkRoute):
         def roll(begin: int, end: int) -> None:
             self._kernels.rollout(self.packed, state, plans, begin, end, angles, nothing)
 
-        threads = min(self._threads(), count // _LEAST_ROWS)
+        most = count // _LEAST_ROWS
+        threads = min(self._threads(), most) if most > 1 else 1  # asking takes as long as a row
         if threads > 1:
             share(roll, self._spans(count, threads), threads)
         elif count:
