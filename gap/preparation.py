@@ -14,6 +14,7 @@ from hystmpc.models.contract.metadata import Range
 from hystmpc.models.fit.starts import prandtl_ishlinskii_starts
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.models.simulator import Identification, Simulator
+from hystmpc.trials.segments import segment
 from hystmpc.trials.trial import Trial
 
 from .baseline import Baseline, FreeCoreBaseline, ScaledBaseline, baseline_of
@@ -26,6 +27,7 @@ from .sensor import SensorSigns, repaired, sensor_signs
 from .split import split_runs
 
 Vec = NDArray[np.float64]
+_LEAST_S, _LEAST_TURNS = 15.0, 3
 _STAND_IN_PLAYS, _EVALUATIONS, _TOLERANCE = 8, 40, 1e-5
 
 
@@ -42,6 +44,7 @@ class Prepared:
         everything: all runs in recording order, every sample counted.
         raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
         form_mse: what model form alone explains [deg^2].
+        lacks: what these trials lack for any conclusion, in words; empty where they suffice.
         excess_mse: energy of the sensor's noise beyond what it had when the simulator was identified [deg^2]; zero
             where that is unknown.
     """
@@ -55,6 +58,7 @@ class Prepared:
     everything: tuple[Run, ...]
     raw: tuple[Vec, ...]
     form_mse: float
+    lacks: str = ""
     excess_mse: float = 0.0
 
 
@@ -93,8 +97,23 @@ def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel) -> Prepar
         runs,
         tuple(trial.angle for trial in checked.trials),
         form_error_mse(identification, trials, motions, _sample_time(simulator)),
+        lacking(checked.trials),
         max(signs.noise_deg**2 - nominal**2, 0.0) if nominal is not None and (signs.noisy or signs.coarse) else 0.0,
     )
+
+
+def lacking(trials: Sequence[Trial]) -> str:
+    """What trials lack to hold some back and choose causes on the others, in words; empty where nothing.
+
+    A third of a single turn is no motion to test on: all together they have to last, and to turn, a few times.
+    """
+    seconds = sum(trial.duration_s for trial in trials)
+    turns = sum(segment(trial).reversals.size for trial in trials)
+    if seconds < _LEAST_S:
+        return f"{seconds:.3g} s in all, expected {_LEAST_S:g} s or more"
+    if turns < _LEAST_TURNS:
+        return f"the command turns {turns} times in all, expected {_LEAST_TURNS} or more"
+    return ""
 
 
 def _sample_time(simulator: Simulator | OnnxModel) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +106,9 @@ def run_diagnosis(
     selection = select(court, library, settings.selection, floor_mse, left_out, _advance(told))
     sensor = "sensor" not in left_out and sensor_matters(prepared, selection, settings.verdict)
     ruling = rule(selection, floor_mse, prepared.form_mse, sensor, settings.verdict, seed)
-    sensor = sensor and ruling.verdict != "none"
+    if prepared.lacks:
+        ruling = replace(ruling, verdict="too_little", ambiguity=())
+    sensor = sensor and ruling.verdict not in ("none", "too_little")
     clock.lap("which")
     told(88, _STEPS, "measuring the gap on the final trials")
     chosen = court.polished(selection.chosen.hypothesis) if ruling.verdict in ("named", "one_of") else retuned
@@ -188,7 +190,7 @@ def _diagnosis(findings: Findings, motion: NextMotion | None, least_closed: floa
     library = [name for name in LIBRARY if name not in findings.left_out]
     return Diagnosis(
         verdict=verdict,
-        reason=reason_for(verdict, effects, ruling, far.gap),
+        reason=reason_for(verdict, effects, ruling, far.gap, prepared.lacks),
         effects=effects,
         ambiguity=ruling.ambiguity,
         ranking=ranking(sure, ruling.inclusion, ruling.ambiguity, library),

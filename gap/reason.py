@@ -8,7 +8,7 @@ from .diagnosis import FoundEffect, Gap, Verdict
 from .verdict import Ruling
 
 
-def reason_for(verdict: Verdict, effects: Sequence[FoundEffect], ruling: Ruling, gap: Gap) -> str:
+def reason_for(verdict: Verdict, effects: Sequence[FoundEffect], ruling: Ruling, gap: Gap, lacks: str) -> str:
     """What was concluded, and from which numbers."""
     sizes = f"retuned {gap.retuned_rmse_deg:.2f} deg, floor {gap.floor_rmse_deg:.2f} deg"
     names = ", ".join(effect.name.replace("_", " ") for effect in effects)
@@ -22,4 +22,4 @@ def reason_for(verdict: Verdict, effects: Sequence[FoundEffect], ruling: Ruling,
         return f"a structural gap that no effect of the library explains ({sizes})"
     if verdict == "none":
         return f"no structural gap: retuning leaves no more than noise and the simulator's own form error ({sizes})"
-    return f"these trials cannot show it ({sizes})"
+    return f"too little: {lacks} ({sizes})"

@@ -178,6 +178,20 @@ def test_few_trials_are_judged_by_their_parts(count: int) -> None:
         assert any("One trial" in note for note in diagnosis.notes)
 
 
+SHORT = (moves(7, 7.0, 1.0),)
+ONE_WAY = (np.clip(np.arange(1000) / 900.0, 0.0, 1.0) * 6.0,)
+
+
+@pytest.mark.parametrize(("motions", "lacks"), [(SHORT, "s in all, expected 15 s"), (ONE_WAY, "turns 0 times")])
+def test_too_little_says_what_lacks_and_what_to_record(motions: tuple[Any, ...], lacks: str) -> None:
+    diagnosis, _ = run_diagnosis(recorded(CREEP, motions=motions), SIMULATOR)
+    assert diagnosis.verdict == "too_little"
+    assert lacks in diagnosis.reason
+    assert not diagnosis.effects
+    assert not diagnosis.ambiguity
+    assert diagnosis.next_motion is not None
+
+
 def test_a_constant_command_is_refused() -> None:
     still = [replace(trial, command=np.zeros(len(trial))) for trial in recorded()[:2]]
     with pytest.raises(GapError, match="the command is constant in every trial"):
