@@ -19,6 +19,7 @@ from hystmpc.models.operators.lag import Lag
 from hystmpc.models.operators.nonlinear_gain import NonlinearGain
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.rate_dependence import RateDependence
+from hystmpc.models.operators.servo import Servo
 from hystmpc.models.operators.slack import Slack
 from hystmpc.models.operators.stick_slip import StickSlip
 
@@ -141,10 +142,13 @@ def _lag(s: Scale) -> list[Candidate]:
     free = (Freedom("tau_s", 0.1 * s.dt_s, 5.0, 0.0),)
     two = (Freedom("tau_up_s", 0.1 * s.dt_s, 5.0, 0.0), Freedom("tau_down_s", 0.1 * s.dt_s, 5.0, 0.0))
     starts = tuple((tau,) for tau in (1.5 * s.dt_s, 0.25))
+    damped = (*free, Freedom("damping", 0.4, 0.98, 0.1))
+    ringing = tuple((*start, 0.75) for start in starts)
     return [
         Candidate("lag", "command", "command", 20, (Lag(0.1),), free, starts),
         Candidate("lag", "output", "output", 50, (Lag(0.1),), free, starts),
         Candidate("lag", "two poles", "command", 20, (Lag(0.1), Lag(0.1)), free, starts),
+        Candidate("lag", "servo", "command", 20, (Servo(0.1, 0.7),), damped, ringing),
         Candidate("lag", "two ways", "command", 20, (Lag(0.1, (0.1,)),), two, ((0.1, 0.2), (0.3, 0.1))),
     ]
 
@@ -158,11 +162,16 @@ def _delay(s: Scale) -> list[Candidate]:
 def _rate_dependence(s: Scale) -> list[Candidate]:
     free, kept = (Freedom("width_s", 0.0, 0.5, 0.01),), Freedom("recovery_s", 0.5 * s.dt_s, 30.0, 0.0)
     growth = Freedom("growth", -0.5 / s.span, 5.0 / s.span, 0.2 / s.span)
+    skew = Freedom("skew", -0.9, 0.9, 0.2)
     starts, graded = ((0.01,), (0.05,)), ((0.02, 0.08, 0.0), (0.02, 0.5, 0.5 / s.span))
+    skewed = ((0.02, 0.08, 0.0, -0.3), (0.02, 0.08, 2.0 / s.span, -0.5))
     return [
         Candidate("rate_dependence", "command", "command", 60, (RateDependence(0.0),), free, starts),
         Candidate("rate_dependence", "output", "output", 7, (RateDependence(0.0),), free, starts),
         Candidate("rate_dependence", "graded", "command", 60, (RateDependence(0.0),), (*free, kept, growth), graded),
+        Candidate(
+            "rate_dependence", "skewed", "command", 60, (RateDependence(0.0),), (*free, kept, growth, skew), skewed
+        ),
     ]
 
 
@@ -194,9 +203,13 @@ def _first_flexure(s: Scale) -> list[Candidate]:
     )
     starts = tuple((value, s.low + at * s.span) for value in (0.05, -0.1) for at in (0.02, 0.4))
     operator = FirstFlexure(0.0, s.low)
+    at_tip = Freedom("threshold", s.angle_low - 0.2 * s.angle_span, s.angle_high, 0.1 * s.angle_span)
+    tip = (free[0], at_tip, Freedom("tau_s", 0.5 * s.dt_s, s.duration_s, 0.0))
+    begin = tuple((0.2, s.angle_low + at * s.angle_span, tau) for at, tau in ((0.05, 0.2), (0.4, 0.2), (0.2, 2.0)))
     return [
         Candidate("first_flexure", "once", "command", 40, (operator,), free, starts, "bend"),
         Candidate("first_flexure", "every trial", "command", 40, (operator,), free, starts),
+        Candidate("first_flexure", "late, of the tip", "output", 35, (FirstFlexure(0.0, s.angle_low),), tip, begin),
     ]
 
 

@@ -11,6 +11,7 @@ from hystmpc.models.simulator import Simulator
 from .floor import Floor
 from .how_far import HowFar
 from .hypothesis import Court, Hypothesis
+from .jumps import Jumps
 from .preparation import Prepared
 from .select import Selection
 from .verdict import Ruling
@@ -32,6 +33,7 @@ class Findings:
         floor_mse: what was no news in the selection [deg^2].
         far: sizes on the final trials.
         places: where the retuned gap lies; None where nothing is left of it.
+        jumps: of the tip in steady motion, where they are the sign of stick-slip.
         left_out: effects that the library went without.
         seed: of everything drawn at random.
         seconds: time of each step.
@@ -48,6 +50,7 @@ class Findings:
     floor_mse: float
     far: HowFar
     places: Localisation | None
+    jumps: Jumps | None
     left_out: tuple[str, ...]
     seed: int
     seconds: Mapping[str, float]

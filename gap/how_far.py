@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +38,18 @@ class HowFar:
     intervals: Mapping[str, Interval]
     before_deg: Mapping[str, float]
     parameters: Mapping[str, Mapping[str, float]]
+
+    def joined_by(self, name: str, parameters: Mapping[str, float]) -> HowFar:
+        """The same with a cause known by its signs, which closes nothing, unless it is among the causes."""
+        if name in self.shares:
+            return self
+        return replace(
+            self,
+            shares={**self.shares, name: 0.0},
+            intervals={**self.intervals, name: (0.0, 0.0)},
+            before_deg={**self.before_deg, name: self.gap.with_effects_rmse_deg},
+            parameters={**self.parameters, name: parameters},
+        )
 
 
 def measure(

@@ -21,13 +21,14 @@ from .findings import Findings
 from .floor import Floor, find_floor
 from .how_far import measure
 from .hypothesis import Court, Hypothesis
+from .jumps import Jumps, find_jumps
 from .next_step import next_step
 from .preparation import Prepared, prepare
 from .probability import probability, ranking
 from .reason import reason_for
 from .report.evidence import Evidence
-from .select import SelectionSettings, select
-from .verdict import VerdictSettings, rule, sensor_matters
+from .select import Selection, SelectionSettings, select
+from .verdict import Ruling, VerdictSettings, rule, sensor_matters
 from .where import Localisation, localise
 
 Vec = NDArray[np.float64]
@@ -38,6 +39,7 @@ LIBRARY = (
     *("nonlinear_gain", "asymmetry", "trial_shift", "periodic_disturbance", "sensor"),
 )
 _STEPS = 100  # of the progress
+_PREDICTABLE = 0.5  # of the retuned error: jumps count as no news up to this share of it
 
 
 @dataclass(frozen=True)
@@ -100,32 +102,74 @@ def run_diagnosis(
     prepared = prepare(trials, simulator)
     court = Court(prepared.baseline, prepared.development)
     retuned = court.retuned()
-    floor_mse = selection_floor(prepared, retuned)
     clock.lap("check and retune")
-    library = candidates(Scale.of(prepared.development), prepared.baseline.effects, left_out)
-    selection = select(court, library, settings.selection, floor_mse, left_out, _advance(told))
-    sensor = "sensor" not in left_out and sensor_matters(prepared, selection, settings.verdict)
-    ruling = rule(selection, floor_mse, prepared.form_mse, sensor, settings.verdict, seed)
-    if prepared.lacks:
-        ruling = replace(ruling, verdict="too_little", ambiguity=())
-    sensor = sensor and ruling.verdict not in ("none", "too_little")
+    which = _which(prepared, court, retuned, left_out, settings, seed, _advance(told))
     clock.lap("which")
     told(88, _STEPS, "measuring the gap on the final trials")
-    chosen = court.polished(selection.chosen.hypothesis) if ruling.verdict in ("named", "one_of") else retuned
+    chosen = court.polished(which.selection.chosen.hypothesis) if which.explained else retuned
     floor = _floor(prepared, chosen)
-    far = measure(prepared, court, retuned, chosen, floor, sensor, seed)
+    far = measure(prepared, court, retuned, chosen, floor, which.sensor, seed)
+    if which.jumps:
+        far = far.joined_by("stick_slip", which.jumps.parameters)
     clock.lap("how far")
     told(94, _STEPS, "where and what next")
     places = _places(prepared, retuned, seed)
     clock.lap("where")
-    parts = (simulator, prepared, court, selection, ruling, retuned, chosen, floor, floor_mse, far, places, left_out)
-    findings = Findings(*parts, seed, clock.seconds)
+    judged = which.selection, which.ruling, retuned, chosen, floor, which.floor_mse, far, places, which.jumps
+    findings = Findings(simulator, prepared, court, *judged, left_out, seed, clock.seconds)
     proposal, motion = next_step(findings)
     clock.lap("what next")
     diagnosis = _diagnosis(findings, motion, settings.verdict.least_closed)
     evidence = evidence_of(findings, diagnosis, proposal)
     told(_STEPS, _STEPS, diagnosis.verdict)
     return diagnosis, evidence
+
+
+@dataclass(frozen=True, eq=False)
+class _Which:
+    """Causes and what they amount to.
+
+    Attributes:
+        selection, ruling: see there.
+        explained: whether the causes selected stand.
+        sensor: whether the sensor is a cause.
+        jumps: stick-slip known by its jumps, if it is.
+        floor_mse: what was no news [deg^2].
+    """
+
+    selection: Selection
+    ruling: Ruling
+    explained: bool
+    sensor: bool
+    jumps: Jumps | None
+    floor_mse: float
+
+
+def _which(
+    prepared: Prepared,
+    court: Court,
+    retuned: Hypothesis,
+    left_out: Sequence[str],
+    settings: DiagnosisSettings,
+    seed: int,
+    advance: Callable[[float, str], None],
+) -> _Which:
+    floor_mse, jumps = selection_floor(prepared, retuned), find_jumps(prepared.everything, retuned, prepared.signs)
+    jumping = jumps.seen and "stick_slip" not in left_out and not prepared.lacks
+    if jumping:
+        floor_mse = max(floor_mse, min(jumps.mse, _PREDICTABLE * retuned.mse))
+    unfit = (*left_out, "stick_slip") if jumps.absent else left_out
+    library = candidates(Scale.of(prepared.development), prepared.baseline.effects, unfit)
+    selection = select(court, library, settings.selection, floor_mse, left_out, advance)
+    sensor = "sensor" not in left_out and sensor_matters(prepared, selection, settings.verdict)
+    ruling = rule(selection, court.runs, floor_mse, prepared.form_mse, sensor, settings.verdict, seed)
+    explained = ruling.verdict in ("named", "one_of") and not prepared.lacks
+    if prepared.lacks:
+        ruling = replace(ruling, verdict="too_little", ambiguity=())
+    elif jumping and not explained:
+        ruling = replace(ruling, verdict="named")
+    sensor = sensor and ruling.verdict not in ("none", "too_little")
+    return _Which(selection, ruling, explained, sensor, jumps if jumping else None, floor_mse)
 
 
 def _advance(told: Progress) -> Callable[[float, str], None]:
@@ -197,7 +241,10 @@ def _diagnosis(findings: Findings, motion: NextMotion | None, least_closed: floa
         gap=far.gap,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
         where=dict(findings.places.places) if findings.places else {},
-        notes=prepared.checked.notes,
+        notes=(
+            *prepared.checked.notes,
+            *([findings.jumps.note] if "stick_slip" in far.shares and findings.jumps.seen else []),
+        ),
         next_motion=motion,
     )
 

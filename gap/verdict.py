@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from .diagnosis import Verdict
 from .hypothesis import Judged, gain
+from .lack_of_fit import curves_left
 from .preparation import Prepared
+from .recording import Run
 from .select import Selection
 
 _DRAWS = 300
@@ -20,8 +23,12 @@ class VerdictSettings:
 
     Attributes:
         no_gap: retuned mean square error over the floor below which there is no gap.
+        no_cause: the same where nothing in the library lowers the error: a simulator whose form is off by more than it
+            was on its own device, as when friction has grown, is likelier than a cause without a name.
         least_closed: share of the structural error that the causes have to close, or they do not explain it.
         still_open: mean square error that is left, by the floor, below which it counts as explained all the same.
+        curve_left, curve_size: a curved gain alone is no explanation where two free curves of the angle explain more
+            than the first share of the structural error it leaves, and that is more than the second of all of it.
         alike_share: two explanations that differ by less than this share of the error are not told apart ...
         alike_errors: ... nor those that differ by less than so many standard errors.
         noise_share: share of the error that is left, from which noise and resolution of the sensor are named.
@@ -30,8 +37,11 @@ class VerdictSettings:
     """
 
     no_gap: float = 2.2
+    no_cause: float = 7.0
     least_closed: float = 0.4
     still_open: float = 1.5
+    curve_left: float = 0.7
+    curve_size: float = 0.012
     alike_share: float = 0.06
     alike_errors: float = 1.0
     noise_share: float = 0.3
@@ -63,12 +73,19 @@ def sensor_matters(prepared: Prepared, selection: Selection, settings: VerdictSe
 
 
 def rule(
-    selection: Selection, floor_mse: float, form_mse: float, sensor: bool, settings: VerdictSettings, seed: int
+    selection: Selection,
+    runs: Sequence[Run],
+    floor_mse: float,
+    form_mse: float,
+    sensor: bool,
+    settings: VerdictSettings,
+    seed: int,
 ) -> Ruling:
     """Judge a selection.
 
     Args:
         selection: see `select`.
+        runs: development runs.
         floor_mse: below which an error is no news [deg^2].
         form_mse: what the simulator left unexplained on its own device [deg^2]; zero where that is unknown.
         sensor: whether the sensor's signs matter.
@@ -78,17 +95,28 @@ def rule(
     inclusion = _inclusion(selection, floor_mse, settings, seed)
     start, end = selection.baseline.mse, selection.chosen.mse
     # On the trials it was retuned on, too: what held-out trials add where the motion is new is no gap of structure.
-    if min(start, selection.baseline.hypothesis.mse) < settings.no_gap * (form_mse or floor_mse):
+    least, news = min(start, selection.baseline.hypothesis.mse), form_mse or floor_mse
+    if least < settings.no_gap * news:
         return Ruling("none", (), inclusion)
     if not selection.chosen.hypothesis.effects:
         if sensor:
             return Ruling("named", (), inclusion)
-        return Ruling("unknown", (), inclusion)
+        return Ruling("none" if least < settings.no_cause * news else "unknown", (), inclusion)
     closed = (start - end) / max(start - floor_mse, 1e-12)
-    if closed < settings.least_closed and end > settings.still_open * floor_mse:
+    open_still = closed < settings.least_closed and end > settings.still_open * floor_mse
+    if open_still or _bent_otherwise(selection, runs, floor_mse, settings):
         return Ruling("unknown", (), inclusion)
     ambiguity = _ambiguity(selection, floor_mse, settings)
     return Ruling("one_of" if ambiguity else "named", ambiguity, inclusion)
+
+
+def _bent_otherwise(selection: Selection, runs: Sequence[Run], floor_mse: float, settings: VerdictSettings) -> bool:
+    """Whether what is explained by a curved gain alone is another curve than that."""
+    chosen, before = selection.chosen.hypothesis, selection.baseline.hypothesis.mse - floor_mse
+    if chosen.effects != {"nonlinear_gain"} or before <= 0:
+        return False
+    left = curves_left(chosen, runs, floor_mse)
+    return left > settings.curve_left and left * (chosen.mse - floor_mse) > settings.curve_size * before
 
 
 def _ambiguity(selection: Selection, floor_mse: float, settings: VerdictSettings) -> tuple[tuple[str, ...], ...]:

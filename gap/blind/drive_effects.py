@@ -16,10 +16,9 @@ _SPEED_S = 0.03
 
 
 def servo(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Second-order servo whose lag on a ramp, 2 zeta / w, is `size` [s]."""
-    del scene
+    """Servo of a position over a velocity loop, limited in speed, that stays behind a ramp by `size` [s]."""
     out = np.empty(u.size)
-    kernels.second_order(u, FINE_S, 2 * shape["damping"] / size, shape["damping"], out)
+    kernels.cascade(u, FINE_S, size, shape["inner"], shape["strokes_per_s"] * scene.travel, out)
     return out
 
 
@@ -59,7 +58,7 @@ def tendon_creep(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 
 DRIVE_EFFECTS = (
-    Generator("second_order_servo", "lag", "drive", 0.05, 1.0, between(damping=(0.55, 0.95)), servo),
+    Generator("cascaded_servo", "lag", "drive", 0.05, 1.0, between(inner=(1.2, 2.6), strokes_per_s=(3.0, 12.0)), servo),
     Generator("jittered_delay", "delay", "drive", 0.05, 1.0, between(jitter=(0.05, 0.25)), jittered_delay),
     Generator("fibre_toe", "slack", "drive", 0.3, 3.0, between(), fibre_toe),
     Generator("viscous_wrap", "rate_dependence", "friction", 1.0, 60.0, between(power=(0.7, 1.2)), viscous_wrap),

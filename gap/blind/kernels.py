@@ -82,6 +82,21 @@ def second_order(u: Any, dt: float, frequency: float, damping: float, out: Any) 
 
 
 @njit(cache=True, error_model="numpy")
+def cascade(u: Any, dt: float, lag: float, inner: float, limit: float, out: Any) -> None:
+    """Position loop over a velocity loop, from rest at u[0]; stays behind a ramp by `lag` [s].
+
+    x' = v,  v' = b (r - v) + b^2 / 4 q,  q' = r - v,  r = clip((u - x) / lag, +-limit),  b = inner / lag.
+    """
+    x, v, q, band = u[0], 0.0, 0.0, inner / lag
+    for k in range(u.size):
+        wanted = min(max((u[k] - x) / lag, -limit), limit)
+        v = (v + dt * band * (wanted + 0.25 * band * q)) / (1 + dt * band)
+        q += dt * (wanted - v)
+        x += dt * v
+        out[k] = x
+
+
+@njit(cache=True, error_model="numpy")
 def lugre(drive: Any, dt: float, break_away: float, ratio: float, speed: float, numbers: Any, out: Any) -> None:
     """Overdamped LuGre block behind a spring of unit stiffness; all forces are in degrees of the spring.
 
@@ -117,9 +132,9 @@ def direction(x: Any, length: float, out: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def plastic(bend: Any, dt: float, limit: float, hardening: float, rate: float, out: Any) -> None:
-    """Set s: s' = rate max(bend - limit - hardening s, 0), which never shrinks."""
+def plastic(bend: Any, dt: float, limit: float, exponent: float, rate: float, out: Any) -> None:
+    """Set s with unit hardening: s' = rate max(bend - limit - s, 0)^exponent (Norton and Hoff), which never shrinks."""
     s = 0.0
     for k in range(bend.size):
-        s += dt * rate * max(bend[k] - limit - hardening * s, 0.0)
+        s += dt * rate * max(bend[k] - limit - s, 0.0) ** exponent
         out[k] = s

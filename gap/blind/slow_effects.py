@@ -41,9 +41,9 @@ def _drift_shape(random: np.random.Generator) -> dict[str, float]:
 
 
 def plastic_set(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Set by plastic flow with hardening beyond a yield bend; about `size` [deg] is left; it heals between trials."""
+    """Set by viscoplastic flow with hardening beyond a yield bend, about `size` [deg]; it heals between trials."""
     bend, out = np.maximum.accumulate(scene.unit(angle)), np.empty(angle.size)
-    kernels.plastic(bend, FINE_S, shape["yield"], 1.0, shape["rate_per_s"], out)
+    kernels.plastic(bend, FINE_S, shape["yield"], shape["exponent"], shape["rate_per_s"], out)
     return angle + size * out / max(1 - shape["yield"], 0.05)
 
 
@@ -80,7 +80,7 @@ SLOW_EFFECTS = (
         "tip",
         2.0,
         40.0,
-        lambda r: {"yield": float(r.uniform(0.1, 0.35)), "rate_per_s": float(r.uniform(2, 6))},
+        between(**{"yield": (0.1, 0.35), "exponent": (1.3, 2.0), "rate_per_s": (3.0, 12.0)}),
         plastic_set,
     ),
     Generator("remounting", "trial_shift", "tip", 0.6, 20.0, between(gain=(0.3, 0.8)), remounting),

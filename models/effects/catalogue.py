@@ -9,6 +9,7 @@ from ..operators.asymmetry import Asymmetry
 from ..operators.contact import Contact
 from ..operators.creep import Creep
 from ..operators.delay import Delay
+from ..operators.directional_gain import DirectionalGain
 from ..operators.drift import Drift
 from ..operators.first_flexure import FirstFlexure
 from ..operators.lag import Lag
@@ -61,7 +62,7 @@ _LIST = (
         "From lag and delay: nothing left of it in a hold, from its first sample on; ramps at three speeds.",
         {"width_s": 0.0},
         (Free("width_s", "1", 0.0, 0.5, (0.05,)),),
-        defaults={"recovery_s": 0.0, "growth": 0.0},
+        defaults={"recovery_s": 0.0, "growth": 0.0, "skew": 0.0},
     ),
     _effect(
         Creep,
@@ -83,10 +84,11 @@ _LIST = (
     ),
     _effect(
         FirstFlexure,
-        "y = u + set max(m - threshold, 0), m the largest u so far",
+        "y = u + set max(m - threshold, 0), m the largest u so far; late by tau_s",
         "From creep: repeat the opening motion; the set does not come again.",
         {"set": 0.0},
         (Free("set", "1", -0.6, 1.0, (0.1, -0.1)), Free("threshold", "place", 0.0, 1.0, (0.1, 0.5))),
+        defaults={"tau_s": 0.0},
     ),
     _effect(
         Slack,
@@ -135,6 +137,18 @@ _LIST = (
             Free("slope_ratio_below", "1", 0.5, 1.0, (0.95,)),
             Free("pivot", "place", 0.0, 1.0, (0.0, 0.5, 1.0)),
         ),
+    ),
+    _effect(
+        DirectionalGain,
+        "y = u + gain d (u - pivot), d from -1 (unloading) to 1 (loading), turning over a travel of 2 turn",
+        "A second form of asymmetry: slopes 1 + gain and 1 - gain that meet at the pivot; from a curved gain: d.",
+        {"gain": 0.0},
+        (
+            Free("gain", "1", -0.6, 0.6, (0.03, -0.03)),
+            Free("pivot", "place", 0.0, 1.0, (0.1, 0.6)),
+            Free("turn", "span", 1e-3, 0.3, (0.03,)),
+        ),
+        sides=OUTPUT,
     ),
     _effect(
         TrialShift,

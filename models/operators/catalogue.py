@@ -25,6 +25,7 @@ from .play import Play
 from .prandtl_ishlinskii import InversePrandtlIshlinskii, PrandtlIshlinskii
 from .rate_dependence import RateDependence
 from .sensor import Sensor
+from .servo import Servo
 from .slack import Slack
 from .specification import is_number, template_from
 from .stick_slip import StickSlip
@@ -41,6 +42,7 @@ OPERATORS: tuple[type[Operator], ...] = (
     InverseDrdpi,
     BoucWen,
     Lag,
+    Servo,
     Delay,
     RateDependence,
     Creep,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,23 @@ from .kernels import StageKernels, stage_kernels
 Vec = NDArray[np.float64]
 
 
-_ROUNDS, _CLOSE, _FLAT = 4, 1e-9, 1e-3
+_ROUNDS, _CLOSE, _FLAT, _WITHIN = 8, 1e-9, 1e-3, 1e-6
+
+
+class _Held(NamedTuple):
+    """One row held at a command, its core told to show an angle.
+
+    Attributes:
+        state, slope: (S,), and its derivative by the parameters and that angle (S, P + 1).
+        shown, by_shown: angle that the chain shows one sample later [deg], and its derivative (P + 1,).
+        core: angle that the core shows then [deg]; the one it was told where it can hold it.
+    """
+
+    state: Vec
+    slope: Vec
+    shown: float
+    by_shown: Vec
+    core: float
 
 
 @final
@@ -89,7 +105,8 @@ class StagedChain:
         Unlike `rest`, every operator starts at what the one before it really hands on, and the core at the angle for
         which the whole chain shows the one that was seen: a creep, a stop or a curve behind the core is no offset.
         Newton's method on the core's angle a; dx/dp = dx/dp|_a - dx/da (dy/dp|_a) / (dy/da) by the implicit function
-        theorem. Where the core cannot show that angle it shows the nearest that it can.
+        theorem. Where that is beyond what the core can hold at the command, the search goes on from the edge of what it
+        can; and where it cannot show the angle at all it shows the nearest that it can.
 
         Args:
             command: held [cmd].
@@ -98,22 +115,30 @@ class StagedChain:
             values: parameters (P,); the chain's where left out.
         """
         p, at = self._rows(values, 1), angle
-        x, slope, shown, by = self._held(command, at, dt_s, p)
+        held, side = self._held(command, at, dt_s, p), 0.0
+        beyond: _Held | None = None
         for _ in range(_ROUNDS):
-            if abs(by[-1]) < _FLAT or abs(angle - shown) < _CLOSE:
+            if abs(angle - held.shown) < _CLOSE:
                 break
-            at += (angle - shown) / float(by[-1])
-            x, slope, shown, by = self._held(command, at, dt_s, p)
+            if abs(held.by_shown[-1]) < _FLAT:  # beyond what the core can hold: go on from the edge, a little within
+                past, side, beyond = side, float(np.sign(angle - held.shown)), beyond or held
+                at = held.core + side * _WITHIN
+                held = self._held(command, at, dt_s, p)
+                if side == past or abs(held.by_shown[-1]) < _FLAT:  # nothing within leads any further
+                    held = beyond
+                    break
+            at += (angle - held.shown) / float(held.by_shown[-1])
+            held = self._held(command, at, dt_s, p)
+        x, slope, by = held.state, held.slope, held.by_shown
         follows = slope[:, :-1]
         if abs(by[-1]) >= _FLAT:
             follows = follows - slope[:, -1:] * (by[:-1] / by[-1])[None]
         return x, np.ascontiguousarray(follows, dtype=np.float64)
 
-    def _held(self, command: float, core_angle: float, dt_s: float, p: Vec) -> tuple[Vec, Vec, float, Vec]:
-        """State, its derivative by the parameters and the core's angle (S, P + 1), angle shown and its derivative."""
+    def _held(self, command: float, core_angle: float, dt_s: float, p: Vec) -> _Held:
         count = self.parameter_count + 1
         x, slope = np.empty(self.state_size), np.zeros((self.state_size, count))
-        signal, moving = np.array([command]), np.zeros((1, count))
+        signal, moving, own_angle = np.array([command]), np.zeros((1, count)), core_angle
         for k, (kernels, states, parameters) in enumerate(self._stages):
             core = k == self._core
             seen, by_seen = (core_angle, np.eye(count)[-1]) if core else (float(signal[0]), moving[0])
@@ -127,7 +152,8 @@ class StagedChain:
                 x[states].copy(), slope[states].copy(), signal, moving, kept, parameters.start, count, following, moved
             )
             signal, moving = following, moved
-        return x, slope, float(signal[0]), moving[0]
+            own_angle = float(signal[0]) if core else own_angle
+        return _Held(x, slope, float(signal[0]), moving[0], own_angle)
 
     def differentiate(
         self, commands: Vec, dt_s: float, state: Vec, slope: Vec, values: Vec | None = None
@@ -146,13 +172,14 @@ class StagedChain:
         p, x, m = self._rows(values, 1), state.copy(), slope.copy()
         signal = np.ascontiguousarray(commands, dtype=np.float64)
         moving = np.zeros((commands.size, self.parameter_count))
+        ahead = False  # whether a state so far depends on parameters of later operators, as the settled ones do
         for kernels, states, parameters in self._stages:
+            ahead = ahead or bool(m[states, parameters.stop :].any())
+            reach = self.parameter_count if ahead else parameters.stop
             kept = np.empty((kernels.kept[1], 1))
             kernels.prepare_slopes(p[parameters], dt_s, kernels.constants[1], kept)
             following, moved = np.empty_like(signal), np.zeros_like(moving)
-            kernels.differentiate(
-                x[states], m[states], signal, moving, kept, parameters.start, parameters.stop, following, moved
-            )
+            kernels.differentiate(x[states], m[states], signal, moving, kept, parameters.start, reach, following, moved)
             signal, moving = following, moved
         return signal, moving
 

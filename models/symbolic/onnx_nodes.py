@@ -130,7 +130,9 @@ def step_graph(function: Any, name: str) -> onnx.GraphProto:
         split = helper.make_node("Identity", ["state"], columns, name="split_state")
     program = operator_nodes(function, [columns, ["u"]])
     (theta,), following = program.outputs
+    following, spread = _columns(following, program.constants)
     last = [
+        *spread,
         helper.make_node("Identity", [theta], ["theta"], name="theta"),
         helper.make_node("Concat", following, ["next_state"], name="next_state", axis=1),
     ]
@@ -143,6 +145,16 @@ def step_graph(function: Any, name: str) -> onnx.GraphProto:
             numpy_helper.from_array(np.full((1, 1), value), name=label) for label, value in program.constants.items()
         ],
     )
+
+
+def _columns(names: list[str], constants: dict[str, float]) -> tuple[list[str], list[onnx.NodeProto]]:
+    """The names with every number (1, 1) among them spread to a column (N, 1), and the nodes that do it."""
+    nodes, spread = [], {name: f"{name}_column" for name in names if name in constants}
+    if spread:
+        nodes.append(helper.make_node("LessOrEqual", ["u", "u"], ["each_row"], name="each_row"))
+    for name, column in spread.items():
+        nodes.append(helper.make_node("Where", ["each_row", name, name], [column], name=column))
+    return [spread.get(name, name) for name in names], nodes
 
 
 def _value(name: str, width: int) -> onnx.ValueInfoProto:

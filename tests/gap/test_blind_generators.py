@@ -115,15 +115,19 @@ def test_log_creep_in_a_hold_is_linear_in_the_logarithm_of_time() -> None:
     assert np.allclose(crept[late], 0.1 * np.log10(1 + t[late] / 0.5), atol=1e-9)
 
 
-@given(st.floats(0.03, 0.5), st.floats(0.55, 0.9))
-def test_a_second_order_servo_starts_flat_overshoots_and_lags_by_its_size(lag: float, damping: float) -> None:
-    step = np.concatenate([np.zeros(5), np.ones(round(12 * lag / FINE_S))])
-    out = servo(step, SCENE, lag, {"damping": damping})
+@given(st.floats(0.03, 0.5), st.floats(1.2, 2.6))
+def test_a_servo_starts_flat_overshoots_lags_by_its_size_and_has_a_top_speed(lag: float, inner: float) -> None:
+    shape = {"inner": inner, "strokes_per_s": 1e6}
+    step = np.concatenate([np.zeros(5), np.ones(round(40 * lag / FINE_S))])
+    out = servo(step, SCENE, lag, shape)
     first = 1 - np.exp(-FINE_S / lag)  # what a first-order lag of that size would have made of the first step
-    assert out[5] < 4 * damping**2 * FINE_S / lag * first + 1e-9
+    assert out[5] < 2 * inner * FINE_S / lag * first + 1e-9
     assert out.max() > 1.0
-    ramp = np.arange(round(15 * lag / FINE_S)) * FINE_S
-    assert ramp[-1] - servo(ramp, SCENE, lag, {"damping": damping})[-1] == pytest.approx(lag, rel=0.05)
+    assert out[-1] == pytest.approx(1.0, abs=1e-3)
+    ramp = np.arange(round(40 * lag / FINE_S)) * FINE_S
+    assert ramp[-1] - servo(ramp, SCENE, lag, shape)[-1] == pytest.approx(lag, abs=1.5 * FINE_S)
+    slow = servo(step, SCENE, lag, {"inner": inner, "strokes_per_s": 0.1 / lag / SCENE.travel})
+    assert np.diff(slow).max() < 1.4 * 0.1 / lag * FINE_S
 
 
 def test_lugre_sticks_below_break_away_and_slips_above() -> None:

@@ -16,12 +16,7 @@ from hystmpc.gap.problem import Problem, Vec
 from .engine_examples import BASELINES, CANDIDATES, EVERY, LABELS, NEUTRAL, device_runs
 
 RUNS = device_runs()
-_STEP = 1e-5
-_START = "while the command rests at first, the core's angle at rest counts as free of output-side parameters"
-MARKED = [
-    pytest.param(name, c, id=label, marks=pytest.mark.xfail(reason=_START, strict=False) if c.side == "output" else ())
-    for (name, c), label in zip(EVERY, LABELS, strict=True)
-]
+_STEP = 2e-6
 
 
 def problem_of(name: str, *effects: Candidate) -> tuple[Problem, Vec]:
@@ -38,7 +33,7 @@ def named(name: str, label: str) -> Candidate:
     return next(c for c in CANDIDATES[name] if c.label == label)
 
 
-@pytest.mark.parametrize(("name", "candidate"), MARKED)
+@pytest.mark.parametrize(("name", "candidate"), EVERY, ids=LABELS)
 def test_derivatives_are_those_of_the_run(name: str, candidate: Candidate) -> None:
     """Central differences agree but at the samples where a play or a stop switches within the step."""
     problem, q = problem_of(name, candidate)

@@ -32,7 +32,7 @@ from .zoo import BACKLASH, DT, simulator
 
 NAMES = (
     *("lag", "delay", "rate_dependence", "creep", "drift", "first_flexure", "slack", "stick_slip", "contact"),
-    *("nonlinear_gain", "asymmetry", "trial_shift", "periodic_disturbance", "sensor"),
+    *("nonlinear_gain", "asymmetry", "directional_gain", "trial_shift", "periodic_disturbance", "sensor"),
 )
 SIDES = [(name, side) for name, effect in EFFECTS.items() for side in effect.sides]
 

@@ -8,6 +8,10 @@ import pytest
 from hystmpc.models.chain import Chain
 from hystmpc.models.fit.operators import rest_with_slope
 from hystmpc.models.kernels.chain_kernels import compile_step
+from hystmpc.models.operators.contact import Contact
+from hystmpc.models.operators.creep import Creep
+from hystmpc.models.operators.nonlinear_gain import NonlinearGain
+from hystmpc.models.operators.trial_shift import TrialShift
 from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.errors import ModelError
 
@@ -82,6 +86,49 @@ def test_a_settled_chain_shows_what_was_seen_and_knows_its_derivative(chain: Cha
         sides = [(ends[0] - x) / step, (x - ends[1]) / step]
         near = np.minimum(np.abs(slope[:, k] - sides[0]), np.abs(slope[:, k] - sides[1]))  # one side of a kink
         assert np.all(near < 1e-3 * (1 + np.abs(slope[:, k]))), chain.labels[k]
+
+
+BEHIND = {
+    "curved": Chain(BACKLASH, after=(NonlinearGain(0.004, 0.0, 59.5),)),
+    "stopped": Chain(BACKLASH, after=(Contact(30.0, 0.4),)),
+    "shifted": Chain(RATE_PI, after=(TrialShift(-6.0, 1.1, 0.5),)),
+    "creeping": Chain(BACKLASH, after=(Creep((0.3,), (2.0,)),)),
+}
+
+
+@pytest.mark.parametrize("chain", BEHIND.values(), ids=list(BEHIND))
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.98])
+def test_any_angle_that_the_chain_can_hold_is_shown_wherever_the_core_stands(chain: Chain, share: float) -> None:
+    """The angle seen, taken for the core's own, may lie beyond what the core can hold at that command."""
+    staged = StagedChain(chain)
+    ends = [staged.settled(HELD, angle, DT)[0] for angle in (-400.0, 400.0)]
+    low, high = (float(staged.simulate(np.full((1, 1), HELD), DT, x[:, None])[0][0, 0]) for x in ends)
+    assert low < high
+    angle = low + share * (high - low)
+    x, _ = staged.settled(HELD, angle, DT)
+    assert staged.simulate(np.full((1, 1), HELD), DT, x[:, None])[0][0, 0] == pytest.approx(angle, abs=1e-6)
+
+
+@pytest.mark.parametrize("chain", BEHIND.values(), ids=list(BEHIND))
+def test_a_run_from_a_settled_start_has_exact_derivatives(chain: Chain) -> None:
+    """The core's start depends on what stands behind it, and so does everything after it."""
+    staged, p = StagedChain(chain), chain.values
+    u = np.concatenate([np.full(5, HELD), wandering()[:80]])
+    ends = [staged.settled(HELD, angle, DT)[0] for angle in (-400.0, 400.0)]
+    low, high = (float(staged.simulate(u[:1, None], DT, x[:, None])[0][0, 0]) for x in ends)
+    angle = 0.5 * (low + high)
+
+    def run(values: np.ndarray) -> np.ndarray:
+        x, _ = staged.settled(HELD, angle, DT, values)
+        return staged.simulate(u[:, None], DT, x[:, None], values)[0][:, 0]
+
+    theta, by = staged.differentiate(u, DT, *staged.settled(HELD, angle, DT, p), p)
+    np.testing.assert_allclose(theta, run(p), atol=1e-9)
+    for k, value in enumerate(p):
+        step = 1e-6 * max(abs(value), 1.0) * np.eye(p.size)[k]
+        found = (run(p + step) - run(p - step)) / (2 * step[k])
+        off = np.abs(by[:, k] - found) > 1e-4 * (1.0 + np.abs(found).max())
+        assert np.mean(off) <= 0.05, chain.labels[k]
 
 
 def test_rows_are_independent_and_have_their_own_parameters() -> None:

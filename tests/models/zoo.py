@@ -23,6 +23,7 @@ from hystmpc.models.operators.play import Play
 from hystmpc.models.operators.prandtl_ishlinskii import InversePrandtlIshlinskii, PrandtlIshlinskii
 from hystmpc.models.operators.rate_dependence import RateDependence
 from hystmpc.models.operators.sensor import Sensor
+from hystmpc.models.operators.servo import Servo
 from hystmpc.models.operators.slack import Slack
 from hystmpc.models.operators.stick_slip import StickSlip
 from hystmpc.models.operators.trial_shift import TrialShift
@@ -52,12 +53,15 @@ EXAMPLES: tuple[Operator, ...] = (
     Lag(0.08),
     Delay(0.1, 4),
     Lag(0.08, (0.25,)),
+    Servo(0.12, 0.6),
     RateDependence(0.05, 0.5, 0.1),
     RateDependence(0.05),
+    RateDependence(0.05, 0.2, 0.0, -0.4),
     Creep((0.3,), (6.0,)),
     Creep((0.2, -0.15), (2.0, 40.0)),
     Drift(0.5, -0.02, 0.003),
     FirstFlexure(0.2, 1.5),
+    FirstFlexure(0.3, 1.5, 0.5),
     Slack(0.6),
     Slack(0.6, 0.4),
     DirectionalGain(-0.1, 40.0, 3.0),

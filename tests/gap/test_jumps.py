@@ -1,0 +1,110 @@
+"""Stick-slip by its jumps: seen where a tip sticks and slips, absent where it moves; tremors and steps are not it."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hystmpc.gap.blind.scene import FINE_S, Scene
+from hystmpc.gap.blind.tip_effects import lugre_tip
+from hystmpc.gap.hypothesis import Court
+from hystmpc.gap.jumps import Jumps, find_jumps
+from hystmpc.gap.preparation import prepare
+from hystmpc.gap.procedure import run_diagnosis
+from hystmpc.models.chain import Chain
+from hystmpc.trials.trial import Trial
+
+from ..models.zoo import BACKLASH
+from .engine_examples import DT, Vec, moves, simulator_of, sine, trials_of
+
+SCENE = Scene(0, 0, 0.0, 6.0, 20.0, 60.0)
+SHAPE = {"ratio": 0.4, "stribeck_deg_s": 15.0}
+
+
+def ramps(seconds: float) -> Vec:
+    """Up and down over the whole range in that time each, with rests."""
+    up = np.linspace(0.0, 6.0, round(seconds / DT))
+    rest = np.full(25, 0.0)
+    return np.concatenate([rest, up, rest + 6.0, up[::-1], rest])
+
+
+COMMANDS = [ramps(12.0), sine(0.1), moves(1, 20.0, 1.0), ramps(8.0), moves(2, 20.0, 1.0)]
+
+
+def through(trials: list[Trial], break_away: float) -> list[Trial]:
+    """The same devices with tips that rub in their lumen by LuGre friction."""
+    found = []
+    for trial in trials:
+        fine = np.arange(round(trial.t[-1] / FINE_S) + 1) * FINE_S
+        angle = lugre_tip(np.interp(fine, trial.t, trial.angle), SCENE, break_away, SHAPE)
+        found.append(replace(trial, angle=np.interp(trial.t, fine, angle)))
+    return found
+
+
+def noisy(trials: list[Trial], sigma: float = 0.05, step: float = 0.0) -> list[Trial]:
+    """With noise, and rounded where a step is given."""
+    random = np.random.default_rng(0)
+    made = []
+    for trial in trials:
+        angle = trial.angle + sigma * random.standard_normal(len(trial))
+        made.append(replace(trial, angle=np.round(angle / step) * step if step else angle))
+    return made
+
+
+@functools.cache
+def clean() -> list[Trial]:
+    """Trials of a backlash without noise."""
+    return trials_of(Chain(BACKLASH), COMMANDS, noise_deg=0.0)
+
+
+def jumps_of(trials: list[Trial]) -> Jumps:
+    """What is seen in trials."""
+    prepared = prepare(trials, simulator_of(BACKLASH))
+    return find_jumps(prepared.everything, Court(prepared.baseline, prepared.development).retuned(), prepared.signs)
+
+
+@pytest.mark.parametrize("break_away", [4.0, 8.0])
+def test_a_tip_that_sticks_and_slips_is_seen(break_away: float) -> None:
+    jumps = jumps_of(noisy(through(clean(), break_away)))
+    assert jumps.seen
+    assert not jumps.absent
+    assert 0.1 * break_away < jumps.height_deg < break_away
+    assert jumps.mse == pytest.approx(jumps.height_deg**2 / 12)
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.1])
+def test_a_tip_that_moves_is_not_said_to_stick(sigma: float) -> None:
+    jumps = jumps_of(noisy(clean(), sigma))
+    assert not jumps.seen
+    assert jumps.absent
+    assert jumps.mse == 0.0
+
+
+def test_a_tremor_is_no_stick_slip() -> None:
+    shaken = [replace(t, angle=t.angle + 4.0 * np.sin(2 * np.pi * 1.1 * t.t)) for t in clean()]
+    assert not jumps_of(noisy(shaken)).seen
+
+
+def test_a_coarse_sensor_is_no_stick_slip() -> None:
+    assert not jumps_of(noisy(clean(), step=1.0)).seen
+
+
+def test_too_little_steady_motion_says_nothing() -> None:
+    steps = np.repeat([0.0, 4.0, 1.0, 5.0, 2.0, 3.0, 0.5, 4.5], 75)
+    trials = noisy(trials_of(Chain(BACKLASH), [steps, steps[::-1], steps], noise_deg=0.0))
+    jumps = jumps_of(trials)
+    assert not jumps.seen
+    assert not jumps.absent
+
+
+@pytest.mark.slow
+def test_the_diagnosis_names_it_and_says_that_its_share_stays_open() -> None:
+    diagnosis, _ = run_diagnosis(noisy(through(clean(), 6.0)), simulator_of(BACKLASH))
+    assert diagnosis.verdict in ("named", "one_of")
+    assert "stick_slip" in {effect.name for effect in diagnosis.effects}
+    assert any("cannot be predicted in a free run" in note for note in diagnosis.notes)
+    without, _ = run_diagnosis(noisy(through(clean(), 6.0)), simulator_of(BACKLASH), without=("stick_slip",))
+    assert "stick_slip" not in {effect.name for effect in without.effects}
