@@ -6,7 +6,8 @@ Steps follow each other at once, each against the deadline of its rate: 40 ms at
 `--realtime` they wait for the monotonic clock, and a step that ends after its period is a miss however it came about.
 A planner sends the tip from one random target to the next. Exit code 1 if a deadline is missed, memory grows or exceeds
 300 MB, the import takes longer than 1 s or the first command longer than 3 s. Run it on a machine that does nothing
-else.
+else. What such a machine does to anybody is measured in the same run: every tenth second belongs to a bare loop that
+spins, allocates nothing and calls nothing, and counts how often it was left standing for longer than a period.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from hystmpc.sim.plant import SimulatedPlant
 
 RESIDENT_MB, GROWTH_MB, IMPORT_S, FIRST_COMMAND_S = 300.0, 5.0, 1.0, 3.0
 _TARGETS_DEG = (35.0, 75.0)
+_EVERY_S, _WATCHED_S = 10.0, 1.0  # of steps between two looks at the machine, and how long a look takes
 _WARM = 100  # steps before the clock starts, and before memory is first looked at
 _START = """
 import time
@@ -54,6 +56,8 @@ class Endured:
         rate_hz, steps: the rate that gives the deadline, and how many steps were taken.
         misses: steps that took, or in real time ended, longer than a period.
         median_s, p99_s, greatest_s: of the step alone.
+        stalls, watched_s, longest_stall_s: how often a bare loop beside it stood still for longer than a period, in how
+            many seconds of spinning, and the longest time.
         resident_mb, growth_mb: memory at the end, and what it has grown by since the first steps.
         sources: steps by the rung of the ladder that gave the command.
     """
@@ -64,6 +68,9 @@ class Endured:
     median_s: float
     p99_s: float
     greatest_s: float
+    stalls: int
+    watched_s: float
+    longest_stall_s: float
     resident_mb: float
     growth_mb: float
     sources: dict[str, int]
@@ -72,6 +79,18 @@ class Endured:
     def passed(self) -> bool:
         """No deadline missed, memory small and flat."""
         return self.misses == 0 and self.resident_mb <= RESIDENT_MB and self.growth_mb <= GROWTH_MB
+
+
+def stalls(period: float, seconds: float) -> list[float]:
+    """Times for which a bare loop stood still for longer than a period, within so many seconds of spinning [s]."""
+    found = list[float]()
+    begin = last = time.perf_counter()
+    while last - begin < seconds:
+        now = time.perf_counter()
+        if now - last > period:
+            found.append(now - last)
+        last = now
+    return found
 
 
 def resident_mb() -> float:
@@ -91,7 +110,7 @@ def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool)
     device, rng = SimulatedPlant(load_simulator(library_file("tendon-catheter")), seed=1), np.random.default_rng(0)
     y, period = device.reset(), 1.0 / rate_hz
     took, sources = np.empty(steps), dict[str, int]()
-    late, before = 0, 0.0
+    late, before, stood, watched = 0, 0.0, list[float](), 0
     with threadpool_limits(limits=1):
         due = time.monotonic()
         for k in range(-_WARM, steps):
@@ -99,6 +118,10 @@ def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool)
                 tip.set_waypoints([float(rng.uniform(*_TARGETS_DEG))], [float(rng.uniform(0.0, 1.0))])
             if k == 0:
                 before, due = resident_mb(), time.monotonic()
+            if k > 0 and k % max(round(_EVERY_S * rate_hz), 1) == 0:
+                stood += stalls(period, _WATCHED_S)
+                watched += 1
+                due = time.monotonic()
             if realtime and k >= 0:
                 time.sleep(max(0.0, due - time.monotonic()))
             since = time.perf_counter()
@@ -113,7 +136,8 @@ def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool)
             if realtime and time.monotonic() > due:
                 late += 1
                 due = time.monotonic()  # a miss is counted once, the steps after it are on time again
-    return _summary(rate_hz, took, late if realtime else int(np.sum(took > period)), before, sources)
+    misses = late if realtime else int(np.sum(took > period))
+    return _summary(rate_hz, took, misses, (stood, watched * _WATCHED_S), before, sources)
 
 
 def start_times(settings: dict[str, Any]) -> tuple[float, float]:
@@ -123,21 +147,39 @@ def start_times(settings: dict[str, Any]) -> tuple[float, float]:
     return float(words[0]), float(words[1])
 
 
-def _summary(rate_hz: float, took: NDArray[np.float64], misses: int, before: float, sources: dict[str, int]) -> Endured:
-    after = resident_mb()
-    median, p99, greatest = float(np.median(took)), float(np.percentile(took, 99)), float(took.max())
-    return Endured(rate_hz, took.size, misses, median, p99, greatest, after, after - before, sources)
+def _summary(
+    rate_hz: float,
+    took: NDArray[np.float64],
+    misses: int,
+    stood: tuple[list[float], float],
+    before: float,
+    sources: dict[str, int],
+) -> Endured:
+    after, (found, watched) = resident_mb(), stood
+    times = float(np.median(took)), float(np.percentile(took, 99)), float(took.max())
+    machine = len(found), watched, max(found, default=0.0)
+    return Endured(rate_hz, took.size, misses, *times, *machine, after, after - before, sources)
 
 
 def _table(runs: list[Endured]) -> Table:
     table = Table(
-        "rate [Hz]", "steps", "missed", "median [ms]", "p99", "greatest", "resident [MB]", "grown by", "sources"
+        "rate [Hz]",
+        "steps",
+        "missed",
+        "median [ms]",
+        "p99",
+        "greatest",
+        "stalls of a bare loop",
+        "resident [MB]",
+        "grown by",
+        "sources",
     )
     for run in runs:
         times = (f"{1e3 * value:.2f}" for value in (run.median_s, run.p99_s, run.greatest_s))
         sources = ", ".join(f"{name} {count}" for name, count in run.sources.items())
         memory = f"{run.resident_mb:.0f}", f"{run.growth_mb:.1f}"
-        table.add_row(f"{run.rate_hz:g}", str(run.steps), str(run.misses), *times, *memory, sources)
+        machine = f"{run.stalls} in {run.watched_s:.0f} s, up to {1e3 * run.longest_stall_s:.1f} ms"
+        table.add_row(f"{run.rate_hz:g}", str(run.steps), str(run.misses), *times, machine, *memory, sources)
     return table
 
 

@@ -241,10 +241,7 @@ def _diagnosis(findings: Findings, motion: NextMotion | None, least_closed: floa
         gap=far.gap,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
         where=dict(findings.places.places) if findings.places else {},
-        notes=(
-            *prepared.checked.notes,
-            *([findings.jumps.note] if "stick_slip" in far.shares and findings.jumps.seen else []),
-        ),
+        notes=(*prepared.checked.notes, *([findings.jumps.note] if findings.jumps else [])),
         next_motion=motion,
     )
 
