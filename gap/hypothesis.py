@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .baseline import Baseline
-from .candidates import Candidate
+from .candidate import Candidate
 from .fit import fit
 from .problem import Problem
 from .recording import Run

@@ -10,7 +10,8 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.simulator import Simulator
 
-from .candidates import Scale, candidates
+from .candidate import Scale
+from .candidates import candidates
 from .confusable import confusability
 from .diagnosis import NextMotion
 from .findings import Findings

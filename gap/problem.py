@@ -12,7 +12,7 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.staged.chain_run import StagedChain
 
 from .baseline import Baseline
-from .candidates import CORE, Candidate
+from .candidate import CORE, Candidate
 from .recording import Run
 from .trial_terms import NO_TERMS, TrialTerms
 

@@ -14,7 +14,8 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
 
-from .candidates import Scale, candidates
+from .candidate import Scale
+from .candidates import candidates
 from .diagnosis import Diagnosis, FoundEffect, NextMotion, Verdict
 from .evidence_of import evidence_of
 from .findings import Findings

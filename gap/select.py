@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .candidates import Candidate
+from .candidate import Candidate
 from .hypothesis import Court, Hypothesis, Judged, gain
 from .trial_terms import TrialTerms, strongest_line
 

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.gap.baseline import Baseline, ScaledBaseline, baseline_of
-from hystmpc.gap.candidates import Candidate, Scale, candidates
+from hystmpc.gap.candidate import Candidate, Scale
+from hystmpc.gap.candidates import candidates
 from hystmpc.gap.recording import Run, runs_of
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range

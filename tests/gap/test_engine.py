@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.candidates import CORE, Candidate
+from hystmpc.gap.candidate import CORE, Candidate
 from hystmpc.gap.fit import fit
 from hystmpc.gap.problem import Problem, Vec
 

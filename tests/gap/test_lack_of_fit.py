@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hystmpc.gap.candidates import Scale, candidates
+from hystmpc.gap.candidate import Scale
+from hystmpc.gap.candidates import candidates
 from hystmpc.gap.hypothesis import Court, Hypothesis
 from hystmpc.gap.lack_of_fit import curves_left
 from hystmpc.gap.preparation import Prepared, prepare
