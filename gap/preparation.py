@@ -98,7 +98,7 @@ def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel) -> Prepar
         tuple(trial.angle for trial in checked.trials),
         form_error_mse(identification, trials, motions, _sample_time(simulator)),
         lacking(checked.trials),
-        max(signs.noise_deg**2 - nominal**2, 0.0) if nominal is not None and (signs.noisy or signs.coarse) else 0.0,
+        max(signs.energy - nominal**2, 0.0) if nominal is not None and (signs.noisy or signs.coarse) else 0.0,
     )
 
 

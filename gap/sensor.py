@@ -65,6 +65,11 @@ class SensorSigns:
     drops: bool
 
     @property
+    def energy(self) -> float:
+        """Mean square error of noise and rounding [deg^2]; in long holds of a coarse sensor the noise cannot be seen."""
+        return max(self.noise_deg**2, self.quantisation_deg**2 / 12.0 if self.coarse else 0.0)
+
+    @property
     def any(self) -> bool:
         """Whether one of the signs is there."""
         return self.coarse or self.noisy or self.spikes or self.drops

@@ -67,7 +67,7 @@ class Ruling:
 def sensor_matters(prepared: Prepared, selection: Selection, settings: VerdictSettings) -> bool:
     """Whether the sensor's signs are a good part of the error that the chosen causes leave."""
     signs, left = prepared.signs, selection.chosen.mse
-    noise = signs.noise_deg**2 if signs.noisy or signs.coarse else 0.0
+    noise = signs.energy if signs.noisy or signs.coarse else 0.0
     mended = np.concatenate([raw - run.angle for raw, run in zip(prepared.raw, prepared.everything, strict=True)])
     return noise > settings.noise_share * left or float(np.mean(mended**2)) > settings.mended_share * left
 
