@@ -66,7 +66,7 @@ class SensorSigns:
 
     @property
     def energy(self) -> float:
-        """Mean square error of noise and rounding [deg^2]; in long holds of a coarse sensor the noise cannot be seen."""
+        """Mean square error of noise and rounding [deg^2]; a coarse sensor hides its noise in holds."""
         return max(self.noise_deg**2, self.quantisation_deg**2 / 12.0 if self.coarse else 0.0)
 
     @property
