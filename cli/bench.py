@@ -5,19 +5,17 @@ from __future__ import annotations
 import io
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
-from hystmpc.sim.bench.figures import save_growth
-from hystmpc.sim.bench.report import Report, report_json
-from hystmpc.sim.bench.run import run_bench
-from hystmpc.sim.bench.settings import QUICK, BenchSettings
-from hystmpc.sim.bench.table import COLUMNS, table_rows
 from hystmpc.trials.files import write_atomically
 
 from .console import bar, errors, out, table
+
+if TYPE_CHECKING:
+    from hystmpc.sim.bench.report import Report
 
 INTERRUPTED = 130
 _WIDTH = 220  # of the table in a file
@@ -33,6 +31,11 @@ def bench(
 
     Ctrl-C ends with what has been measured, exit code 130.
     """
+    from hystmpc.sim.bench.figures import save_growth
+    from hystmpc.sim.bench.report import report_json
+    from hystmpc.sim.bench.run import run_bench
+    from hystmpc.sim.bench.settings import QUICK, BenchSettings
+
     with bar("bench") as show:
         report = run_bench(QUICK if quick else BenchSettings(), show)
     _print(report, out)
@@ -49,6 +52,8 @@ def bench(
 
 
 def _print(report: Report, console: Console) -> None:
+    from hystmpc.sim.bench.table import COLUMNS, table_rows
+
     for name, source in report.models.items():
         console.print(f"{name}: {source}", highlight=False)
     grid = table(_title(report), COLUMNS, table_rows(report))

@@ -87,7 +87,9 @@ class Selector:
         """Add, drop, swap."""
         current = baseline = self._judge(self._court.retuned())
         self._baseline_mse = baseline.mse
-        while len(current.hypothesis.effects) < self._settings.most:
+        been: set[frozenset[str]] = set()  # what is added may drop what has it added again
+        while len(current.hypothesis.effects) < self._settings.most and current.hypothesis.effects not in been:
+            been.add(current.hypothesis.effects)
             added = self._best_addition(current)
             if added is None:
                 break
