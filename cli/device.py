@@ -13,12 +13,11 @@ from hystmpc.rig.device.config import DeviceSettings
 from hystmpc.rig.transports.link import DeviceLink
 from hystmpc.rig.transports.settings import SimulatedSettings
 from hystmpc.trials.config import load_settings
-from hystmpc.trials.errors import ConfigError, did_you_mean
+from hystmpc.trials.errors import ConfigError
 
 from .console import out
 
-_OWN = ("device", "noise_deg", "quantisation_deg")
-_DEVICES = ("tendon", "muscle", "rod")
+_NOISE_DEG = 0.05  # of a device that is told none: an angle that never changes would be taken for a dead sensor
 
 
 def device(
@@ -55,28 +54,27 @@ def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path
     """The plant that a block `plant` describes, and the command that it holds after a reset.
 
     Args:
-        settings: `simulator` and effects as in a simulation file, or `device` with `noise_deg`, `quantisation_deg`.
+        settings: `simulator` or `device`, parameters and effects as in a simulation file.
         dt_s: sample time [s].
         seed: of its noise.
         folder: where relative file names start.
         unit: of the command, which the plant has to have.
 
     Raises:
-        ConfigError: on an unknown device or key, or another unit.
+        ConfigError: on an unknown device, key or parameter, a value out of bounds, or another unit.
         ModelError: if a simulator file is missing or unusable.
     """
-    if "device" in settings:
-        return _device_plant(settings, dt_s, seed, unit)
     from hystmpc.models.library import model_path
-    from hystmpc.models.simulator import load_simulator
     from hystmpc.sim.config import PlantSettings
-    from hystmpc.sim.plant import Effects, SimulatedPlant
+    from hystmpc.sim.plants import make_plant as make
 
-    block = PlantSettings.parse(dict(settings), "plant")
-    simulator = load_simulator(model_path(block.simulator, folder))
-    _same_unit(simulator.command_unit, unit)
-    values = {name: value for name, value in block.model_dump().items() if name != "simulator"}
-    plant = SimulatedPlant(simulator, Effects(**values), dt_s=dt_s, seed=seed)
+    noise = {"noise_deg": _NOISE_DEG} if "device" in settings else {}
+    block = PlantSettings.parse(noise | dict(settings), "plant")
+    if block.simulator is not None:
+        block = block.model_copy(update={"simulator": str(model_path(block.simulator, folder))})
+    plant = make(block, dt_s, seed=seed)
+    if plant.command_unit != unit:
+        raise ConfigError(f"plant: got a device with commands in {plant.command_unit}, expected command_unit {unit}")
     return plant, plant.rest_command
 
 
@@ -87,28 +85,3 @@ def plants_in(folder: Path, unit: str) -> Any:
 
 def _simulated(settings: SimulatedSettings, dt_s: float, folder: Path, unit: str) -> tuple[Plant, float]:
     return make_plant(settings.plant, dt_s, settings.seed, folder, unit)
-
-
-def _device_plant(settings: Mapping[str, Any], dt_s: float, seed: int, unit: str) -> tuple[Plant, float]:
-    from hystmpc.sim.devices.muscle import MuscleCatheter
-    from hystmpc.sim.devices.plant import DevicePlant
-    from hystmpc.sim.devices.rod import RodCatheter
-    from hystmpc.sim.devices.tendon import TendonCatheter
-
-    for key in settings:
-        if key not in _OWN:
-            raise ConfigError(f"plant: unknown key {key!r}, {did_you_mean(str(key), _OWN)}")
-    name = str(settings["device"])
-    kinds = {"tendon": TendonCatheter, "muscle": MuscleCatheter, "rod": RodCatheter}
-    if name not in kinds:
-        raise ConfigError(f"plant.device: got {name!r}, {did_you_mean(name, _DEVICES)}")
-    made = kinds[name]()
-    _same_unit(made.command_unit, unit)
-    numbers = {key: float(settings[key]) for key in _OWN[1:] if key in settings}
-    plant = DevicePlant(made, dt_s, seed=seed, **numbers)
-    return plant, plant.rest_command
-
-
-def _same_unit(got: str, expected: str) -> None:
-    if got != expected:
-        raise ConfigError(f"plant: got a device with commands in {got}, expected command_unit {expected}")

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.effects.describe import library_data, parameter_lines
+from hystmpc.trials.errors import ConfigError
 
 from .console import out
 
@@ -25,9 +26,7 @@ def effects(
 ) -> None:
     """List the effects that can be put into any simulator: equation, parameters, units, bounds, sides."""
     if folder is not None:
-        from hystmpc.models.effects.pictures import write_pictures
-
-        page = write_pictures(folder)
+        page = _pictures(folder)
         if not as_json:
             out.print(f"pictures and page: {page}", soft_wrap=True)
     if as_json:
@@ -40,3 +39,17 @@ def effects(
             lines = "\n".join((effect.equation, *(f"  {line}" for line in parameter_lines(effect))))
             grid.add_row(f"{effect.name}\n  {', '.join(effect.sides)}", escape(lines), end_section=True)
         out.print(grid)
+
+
+def _pictures(folder: Path) -> Path:
+    """Draw all of them; returns the page.
+
+    Raises:
+        ConfigError: if the folder cannot be written.
+    """
+    from hystmpc.models.effects.pictures import write_pictures
+
+    try:
+        return write_pictures(folder)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written ({error.strerror}), expected a writable folder") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -11,13 +12,13 @@ import typer
 
 from hystmpc.rig.campaign.cases import CASES, Case
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.run_folder import require_vacant
 
 from .console import bar, errors, out, table
 
 FAILED = 1
 
 _COLUMNS = ("fault", "has to", "does", "commands", "beyond", "safe after s", "log")
-_PROGRAM = (sys.executable, "-c", "from hystmpc.cli.main import main; main()")
 
 
 def faults(
@@ -29,10 +30,11 @@ def faults(
     from hystmpc.rig.campaign.play import play
 
     chosen, verdicts = _chosen(folder, only or []), []
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # no device may be left behind
     with bar("faults", len(chosen)) as show:
         for k, case in enumerate(chosen):
             show(k, case.name)
-            verdicts.append(judge(case, play(case, folder / f"{k:02d}", _PROGRAM)))
+            verdicts.append(judge(case, play(case, folder / f"{k:02d}")))
         show(len(chosen))
     rows = [[v.name, v.expected, v.got, str(v.commands), str(v.beyond), _seconds(v.safe_s), v.log] for v in verdicts]
     out.print(table("fault campaign over UDP, device and controller in two processes", _COLUMNS, rows))
@@ -54,9 +56,8 @@ def _chosen(folder: Path, only: list[str]) -> list[Case]:
     """
     chosen = [case for case in CASES if not only or any(text in case.name for text in only)]
     if not chosen:
-        raise ConfigError(f"--only: got {', '.join(only)}, available: {', '.join(case.name for case in CASES)}")
-    if folder.exists() and any(folder.iterdir()):
-        raise ConfigError(f"{folder}: is not empty, expected a new or empty folder")
+        raise ConfigError(f"--only: got {', '.join(only)}, available: {'; '.join(case.name for case in CASES)}")
+    require_vacant(folder)
     return chosen
 
 

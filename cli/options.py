@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,7 @@ from typing import Annotated
 import typer
 
 from hystmpc.trials.csv_ import read_trials
+from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.presets import PRESETS
 from hystmpc.trials.resample import resample
 from hystmpc.trials.trial import Trial
@@ -24,6 +26,17 @@ Layout = Annotated[
 SkipFirstFlexure = Annotated[
     bool, typer.Option("--skip-first-flexure", help="Count each trial only from the command's first reversal on.")
 ]
+
+
+def processes(jobs: int | None) -> int:
+    """How many worker processes `--jobs` asks for; one a core where it is left out.
+
+    Raises:
+        ConfigError: if it is below 1.
+    """
+    if jobs is not None and jobs < 1:
+        raise ConfigError(f"--jobs: got {jobs}, expected 1 or more; left out it is one a core, here {os.cpu_count()}")
+    return jobs or os.cpu_count() or 1
 
 
 def trials_at(logs: Sequence[Path], layout: str, rate_hz: float) -> list[Trial]:

@@ -7,35 +7,32 @@ from typing import Annotated
 
 import typer
 
-from hystmpc.rig.bench import reset_latch
 from hystmpc.rig.config import load_record
 
+from .at_bench import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell
 from .console import out
 from .device import plants_in
-from .run import Reset, end, finish, tell
 
 
 def record(
     config: Annotated[Path, typer.Argument(metavar="CONFIG", help="Bench and excitations (YAML).")],
-    folder: Annotated[Path, typer.Option("--out", help="Run folder, new or empty.")],
-    overrides: Annotated[list[str] | None, typer.Option("--set", help="Change a setting: rate_hz=50.")] = None,
+    folder: Folder,
+    overrides: Overrides = None,
     reset: Reset = False,
-    live: Annotated[
-        bool, typer.Option("--live", help="Show angle, command, timing and faults in the terminal.")
-    ] = False,
+    live: InTerminal = False,
+    page: OnPage = False,
 ) -> None:
     """Play every excitation and write trials that `check`, `fit` and `diagnose` read. Exit code 3 after a stop."""
     from hystmpc.rig.record import record as play
-    from hystmpc.rig.recording import RecordingMeta, open_apart
+    from hystmpc.rig.recording import RecordingMeta
     from hystmpc.rig.recording.apart import Views
 
     settings = load_record(config, overrides or ())
-    if reset:
-        reset_latch(settings)
+    begin(settings, folder, reset)
     meta = RecordingMeta(settings.command_unit, stages=("execution",))
     result = play(
         settings,
-        lambda: open_apart(folder, settings, meta, settings.rate_hz, Views(terminal=live), tell),
+        recording_in(folder, settings, meta, Views(terminal=live, page=page)),
         plants_in(config.resolve().parent, settings.command_unit),
         folder,
         note=tell,

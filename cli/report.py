@@ -2,32 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hystmpc.sim.report import report_from_folder
 from hystmpc.trials.config import read_yaml
+from hystmpc.trials.run_folder import RunFolder
 
 from .console import out
 
 
 def report(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder as `simulate`, `demo` or `run` leave it.")],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder of `simulate`, `demo`, `run` or `record`.")],
 ) -> None:
     """Write report.html of a run folder again; of an experiment it says what is due: nothing, `fit` or `diagnose`."""
-    if _at_a_bench(run):
+    keys = _settings_of(run)
+    if {"transport", "sensor", "reference"} <= keys:
         from hystmpc.rig.review import review_run
 
         out.print(f"review: {review_run(run).advice}", soft_wrap=True, markup=False)
         out.print(f"report: {run / 'report.html'}", soft_wrap=True)
-        return
-    out.print(f"report: {report_from_folder(run)}")
+    elif {"transport", "sensor", "excitations"} <= keys:
+        from hystmpc.rig.recording.report import write_report
+
+        out.print(f"report: {write_report(RunFolder.open(run))}", soft_wrap=True)
+    else:
+        from hystmpc.sim.report import report_from_folder
+
+        out.print(f"report: {report_from_folder(run)}")
 
 
-def _at_a_bench(run: Path) -> bool:
-    """Whether the folder is that of an experiment on a device."""
+def _settings_of(run: Path) -> Set[str]:
+    """The keys of the run's settings; none where there are none."""
     file = run / "config.yaml"
     settings = read_yaml(file) if file.is_file() else None
-    return isinstance(settings, dict) and {"transport", "sensor", "reference"} <= settings.keys()
+    return settings.keys() if isinstance(settings, dict) else frozenset()

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +16,7 @@ from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError
 
 from .console import bar, errors, out, table
+from .options import processes
 
 INTERRUPTED = 130
 DIFFERENT = 1
@@ -34,7 +34,7 @@ def simulate(
         list[str] | None, typer.Option("--controller", help="Add a controller from a file: NAME=controller.yaml.")
     ] = None,
     sweep: Annotated[Path | None, typer.Option(help="Many studies in one: grid, draws, seeds (YAML).")] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes of a sweep; else one a core.")] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes of a sweep; else one a core.")] = None,
     cluster: Annotated[
         str | None, typer.Option(help="Dask scheduler of a sweep, tcp://host:8786; `local` starts one.")
     ] = None,
@@ -44,10 +44,11 @@ def simulate(
 ) -> None:
     """Simulate the closed loop and write run folder and report; Ctrl-C keeps the finished runs."""
     _check(config, sweep, row, folder)
+    _check_use(sweep, config, {"--jobs": jobs, "--cluster": cluster}, {"--controller": controllers or None})
     if row is not None:
         _again(row[0], row[1], folder)
     elif folder is not None and sweep is not None:
-        _sweep(sweep, overrides or [], folder, jobs or os.cpu_count() or 1, cluster)
+        _sweep(sweep, overrides or [], folder, processes(jobs), cluster)
     elif folder is not None and config is not None:
         _study(config, [*map(_controller, controllers or []), *(overrides or [])], folder)
 
@@ -62,6 +63,20 @@ def _check(config: Path | None, sweep: Path | None, row: tuple[Path, str] | None
         raise ConfigError("simulate: expected one of CONFIG, --sweep FILE and --row DIR ID")
     if row is None and folder is None:
         raise ConfigError("simulate: no --out, expected a run folder")
+
+
+def _check_use(
+    sweep: Path | None, config: Path | None, of_sweep: Mapping[str, object], of_study: Mapping[str, object]
+) -> None:
+    """Options that would do nothing are no slip to pass over.
+
+    Raises:
+        ConfigError: if one is given for something else.
+    """
+    for given, options, place in ((sweep, of_sweep, "--sweep FILE"), (config, of_study, "CONFIG")):
+        for name, value in options.items():
+            if value is not None and given is None:
+                raise ConfigError(f"simulate: {name} does nothing here, expected it with {place} only")
 
 
 def _study(config: Path, overrides: Sequence[str], folder: Path) -> None:
@@ -92,6 +107,8 @@ def _sweep(file: Path, overrides: Sequence[str], folder: Path, jobs: int, cluste
     if found.failed:
         errors.print(f"failed: {found.failed} runs, the first: {found.message}", style="red", markup=False)
     out.print(f"{found.rows} runs, {found.kept} of them from before, {found.failed} failed")
+    if found.others:
+        out.print(f"{found.others} more rows are of another form of this sweep: in the table, not in the report")
     out.print(f"table: {found.table}")
     out.print(f"report: {found.report}")
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from .console import bar, errors, out, table
+from .options import processes
 
 INTERRUPTED = 130
 _COLUMNS = ("settings", "objective", "mean error", "worst plant", "travel", "violations")
@@ -18,7 +18,7 @@ def tune(
     config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A tuning: study, ranges, plants (YAML).")],
     folder: Annotated[Path, typer.Option("--out", help="Run folder; an unfinished tuning in it goes on.")],
     overrides: Annotated[list[str] | None, typer.Option("--set", help="Change a setting: trials=200.")] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes, one thread each; else one a core.")] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes, one thread each; else one a core.")] = None,
     cluster: Annotated[
         str | None, typer.Option(help="Dask scheduler, tcp://host:8786, or `local`; wants a shared --storage.")
     ] = None,
@@ -31,8 +31,9 @@ def tune(
     from hystmpc.sim.tuning.run import run_tuning
     from hystmpc.sim.tuning.settings import load_tuning
 
+    workers = processes(jobs)
     settings = load_tuning(config, overrides or [])
-    backend = backend_for(jobs or os.cpu_count() or 1, cluster, str(folder))
+    backend = backend_for(workers, cluster, str(folder))
     try:
         with bar("tune") as show:
             found = run_tuning(

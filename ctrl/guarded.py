@@ -22,6 +22,7 @@ from .stopwatch import Stopwatch
 
 Vec = NDArray[np.float64]
 M = TypeVar("M")
+N = TypeVar("N")
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +77,15 @@ class GuardedController(Generic[M]):
         self._law, self._observer, self._ladder, self._limits = law, observer, ladder, limits
         self._dt = dt
         self._max_missing = max_missing_samples
+
+    @property
+    def law(self) -> Law[M]:
+        """What the controller wants, before ladder and limits."""
+        return self._law
+
+    def with_law(self, law: Law[N]) -> GuardedController[N]:
+        """The same estimator, ladder and limits around another law, one that wraps its own for example."""
+        return GuardedController(law, self._observer, self._ladder, self._limits, self._dt, self._max_missing)
 
     @property
     def dt(self) -> float:

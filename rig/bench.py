@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,13 +18,15 @@ from .gate import Gate
 from .histogram import Timings
 from .intake import Intake
 from .latch import RUNNING, Latch
-from .loop import ControlLoop, Outcome, StopFlag
+from .loop import ControlLoop
+from .outcome import Outcome
 from .phases.motion import CommandMotion, SafeStop
 from .phases.phase import Phase
 from .ramp import ramp_commands
 from .realtime_ import control_process
 from .sample import Sink
 from .signals_ import stopping_on_signals
+from .stop_flag import StopFlag
 from .transports.build import PlantFactory, build_transport
 from .transports.reading import Transport
 from .transports.units import Conversion
@@ -89,16 +92,15 @@ def run_bench(
             contact = first_contact(settings, transport, clock, flag)
             gate = Gate(_limits(settings), settings.dt_s, contact.held)
             work = [*(step.phase(settings.ramps, settings.dt_s) for step in settings.prepare), *phases()]
-            samples = sink()
+            samples = _opened(latch, sink)
         except BaseException:
-            transport.stop()
+            _part(transport)
             raise
         try:
-            latch.set(RUNNING)
             result = _loop(settings, transport, clock, gate, flag, work, samples, note, contact.received_ns)
             _conclude(latch, result.outcome.cause)
         finally:
-            transport.stop()
+            _part(transport)
             samples.close()
     if folder is not None:
         _leave_files(result, folder)
@@ -130,6 +132,22 @@ def _loop(
         loop = ControlLoop(clock, transport, intake, gate, dt_s, samples, stop, flag, settings.sensor.dead_after_s)
         outcome = loop.run([*work, back], received_ns + round(0.5e9 * dt_s))
     return BenchResult(outcome, loop.timings, dict(transport.counters), intake.lost, tuple(notes))
+
+
+def _opened(latch: Latch, sink: Callable[[], Sink]) -> Sink:
+    """The recording of a run that is latched: one that cannot be latched must not leave a folder."""
+    latch.set(RUNNING)
+    try:
+        return sink()
+    except BaseException:
+        latch.release()
+        raise
+
+
+def _part(transport: Transport) -> None:
+    """Close the wire; a driver that fails at it must not hide why the run has ended."""
+    with suppress(Exception):
+        transport.stop()
 
 
 def _conclude(latch: Latch, cause: str) -> None:

@@ -9,8 +9,9 @@ from hystmpc.trials.errors import ConfigError
 
 from .clock import Clock
 from .config import BenchSettings
-from .loop import StopFlag
+from .stop_flag import StopFlag
 from .transports.reading import Transport
+from .transports.settings import DdsSettings, TransportSettings, UdpSettings
 
 _PAUSE_NS = 1_000_000
 _ENOUGH = 3  # plausible angles before anything is believed
@@ -44,10 +45,10 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
             raise ConfigError(f"{settings.name}: {flag.cause} before the device answered; nothing was sent")
         if clock.now_ns() > deadline:
             got = "no angle" if math.isnan(angle) else f"angle {angle:.3f} deg"
-            rejected = ", ".join(f"{n} {cause}" for cause, n in transport.counters.items())
+            rejected = "".join(f"; {n} {cause}" for cause, n in transport.counters.items())
             raise ConfigError(
-                f"{settings.name}: got {got} within {settings.connect_timeout_s:g} s, expected one within "
-                f"{sensor.lower_deg} to {sensor.upper_deg} deg{f'; {rejected}' if rejected else ''}; is the device on?"
+                f"{settings.name}: got {got} from {_where(settings.transport)} within {settings.connect_timeout_s:g} s"
+                f"{rejected}, expected one within {sensor.lower_deg} to {sensor.upper_deg} deg; is the device on?"
             )
         try:
             reading = transport.read()
@@ -59,6 +60,14 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
         angle, held, received = reading.angle_deg, reading.held, reading.received_ns
         seen += sensor.lower_deg <= angle <= sensor.upper_deg
     return Contact(_start(settings, held), received)
+
+
+def _where(transport: TransportSettings) -> str:
+    if isinstance(transport, UdpSettings):
+        return f"udp {transport.host} port {transport.port}"
+    if isinstance(transport, DdsSettings):
+        return f"dds topic {transport.angle_topic} in domain {transport.domain}"
+    return transport.kind
 
 
 def _start(settings: BenchSettings, held: float) -> float:

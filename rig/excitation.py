@@ -20,7 +20,8 @@ from hystmpc.trajectories.excitation import (
 from hystmpc.trajectories.trajectory import Trajectory, sample
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.table import read_lines, read_table
+from hystmpc.trials.presets import CANONICAL
+from hystmpc.trials.table import Table, read_lines, read_table
 
 from .ramp import RampSettings, way_commands
 from .settings_types import NotNegative, Positive
@@ -34,6 +35,11 @@ class S1SinusoidSettings(Settings):
     kind: Literal["s1_sinusoid"]
     baseline: Literal["zero", "raised"] = "zero"
     frequency_hz: Positive
+
+    @property
+    def unit(self) -> str | None:
+        """Unit of the commands."""
+        return "bar"
 
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
         """Commands (N,)."""
@@ -49,6 +55,11 @@ class S2SinusoidSettings(Settings):
     frequency_hz: Positive
     offset: Offset
 
+    @property
+    def unit(self) -> str | None:
+        """Unit of the commands."""
+        return "mm"
+
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
         """Commands (N,)."""
         del ramps
@@ -61,6 +72,11 @@ class S2PointToPointSettings(Settings):
     kind: Literal["s2_point_to_point"]
     seed: int = Field(ge=0)
     split: Split = "train"
+
+    @property
+    def unit(self) -> str | None:
+        """Unit of the commands."""
+        return "mm"
 
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
         """Commands (N,)."""
@@ -82,6 +98,11 @@ class StopsSettings(Settings):
             raise ValueError(f"got {len(self.stops)} stops and {len(self.holds_s)} holds_s, expected as many")
         return self
 
+    @property
+    def unit(self) -> str | None:
+        """None: the numbers are in the bench's unit."""
+        return None
+
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
         """Commands (N,)."""
         return np.concatenate([[self.start], way_commands(self.start, self.stops, self.holds_s, ramps, 1 / rate_hz)])
@@ -92,6 +113,15 @@ class MotionFileSettings(Settings):
 
     kind: Literal["file"]
     file: Path
+
+    @property
+    def unit(self) -> str | None:
+        """Unit that the column's name says; a bare `command` is in mm, as in every log.
+
+        Raises:
+            LogError: if the file cannot be read or lacks a column.
+        """
+        return CANONICAL.command[_motion_table(self.file)[1]]
 
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
         """Commands (N,), interpolated linearly.
@@ -115,15 +145,23 @@ def read_motion(path: Path | str, rate_hz: float) -> Vec:
     Raises:
         LogError: if the file cannot be read, lacks a column, or holds numbers that are not finite or in order.
     """
-    table = read_table(read_lines(path), str(path))
-    names = [name for name in table.header if name == "command" or name.startswith("command_")]
-    if "time_s" not in table.numbers or len(names) != 1 or names[0] not in table.numbers:
-        raise LogError(f"{path}: got columns {', '.join(table.header)}, expected time_s and one command[_unit]")
-    t, u = table.numbers["time_s"], table.numbers[names[0]]
+    table, column = _motion_table(path)
+    t, u = table.numbers["time_s"], table.numbers[column]
     if t.size < 2 or not np.isfinite([t, u]).all() or not (np.diff(t) > 0).all():
         raise LogError(f"{path}: got {t.size} rows, expected at least 2 with finite numbers and increasing time_s")
     steps = int(np.ceil((t[-1] - t[0]) * rate_hz - 1e-9))
     return np.interp(t[0] + np.arange(steps + 1) / rate_hz, t, u)
+
+
+def _motion_table(path: Path | str) -> tuple[Table, str]:
+    """The file, and the name of its one column of commands."""
+    table = read_table(read_lines(path), str(path))
+    names = [name for name in table.header if name in CANONICAL.command]
+    if "time_s" not in table.numbers or len(names) != 1 or names[0] not in table.numbers:
+        raise LogError(
+            f"{path}: got columns {', '.join(table.header)}, expected time_s and one of {', '.join(CANONICAL.command)}"
+        )
+    return table, names[0]
 
 
 def _sampled(wave: Trajectory, rate_hz: float) -> Vec:

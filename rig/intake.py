@@ -11,6 +11,7 @@ from pydantic import model_validator
 
 from hystmpc.trials.config import Settings
 
+from .followed import Followed
 from .settings_types import Count, Positive
 from .transports.order import NEW, REPLAYED, Order
 from .transports.reading import Reading
@@ -30,6 +31,8 @@ class SensorSettings(Settings):
         frozen_samples: an angle repeated to the last bit that often while the command moves means a frozen sensor;
             null for sensors so coarse that they do that.
         frozen_travel: how far the command has to travel meanwhile, in its unit.
+        held_tolerance: how far what the device says it holds may lie beside all that was sent during `dead_after_s`,
+            in the command's unit; null does not look. See `Followed`.
     """
 
     lower_deg: float
@@ -39,6 +42,7 @@ class SensorSettings(Settings):
     dead_after_s: Positive = 0.5
     frozen_samples: Count | None = 10
     frozen_travel: Positive = 0.3
+    held_tolerance: Positive | None = 0.1
 
     @model_validator(mode="after")
     def _ordered(self) -> SensorSettings:
@@ -82,6 +86,7 @@ class Intake:
         self._accepted_ns, self._angle = start_ns, math.nan
         self._flight_ns: float | None = None
         self._repeats, self._travel, self._command = 0, 0.0, math.nan
+        self._followed = Followed(settings.held_tolerance, settings.dead_after_s)
         self._dead = ""
         self.counts: Counter[str] = Counter()
         self.held = math.nan
@@ -106,6 +111,10 @@ class Intake:
                 angle = self._accept(reading)
         if math.isnan(angle) and not faults:
             faults.append("no-angle")
+        follows, stray = self._followed.judge(math.nan if math.isnan(angle) else self.held, command, now_ns)
+        if not follows:
+            faults.append("not-followed")
+        self._dead = self._dead or stray
         silent_s = _S * (now_ns - self._accepted_ns)
         if not self._dead and silent_s > self._settings.dead_after_s:
             self._dead = f"sensor dead: no plausible angle for {silent_s:.2f} s ({', '.join(sorted(set(faults)))})"

@@ -70,8 +70,15 @@ class Latch:
             raise ConfigError(f"{self.file}: cannot be written ({error.strerror}), expected a place to latch") from None
 
     def release(self) -> None:
-        """Forget the stop."""
-        self.file.unlink(missing_ok=True)
+        """Forget the stop.
+
+        Raises:
+            ConfigError: if the file cannot be removed.
+        """
+        try:
+            self.file.unlink(missing_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{self.file}: cannot be removed ({error.strerror}), expected the latch's file") from None
 
     def _read(self) -> dict[str, object] | None:
         try:

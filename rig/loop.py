@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import final
 
 from .clock import Clock
 from .gate import Gate
 from .histogram import Timings
 from .intake import Intake, Seen
+from .outcome import Outcome
 from .phases.motion import SafeStop
 from .phases.phase import Decision, Now, Past, Phase
 from .sample import Sample, Sink
+from .stop_flag import StopFlag
 from .transports.reading import Reading, Transport
 
 _S = 1e-9
@@ -23,43 +24,6 @@ _PILED_UP = 100_000
 _REMEMBERED = 200_000  # samples of preparation that a controller can be told of
 
 SafeStopOf = Callable[[str, float], SafeStop]
-
-
-@final
-class StopFlag:
-    """Set by a signal or another thread, looked at once a sample; the first cause stays."""
-
-    def __init__(self) -> None:
-        self.cause = ""
-
-    def set(self, cause: str) -> None:
-        """Ask for a safe stop."""
-        self.cause = self.cause or cause
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a run ended.
-
-    Attributes:
-        cause: why it was stopped; empty after a run that came to its end.
-        samples: samples with a command.
-        stop_s, safe_s: monotonic time since the start at which the stop began and the safe command was held [s]; NaN
-            without a stop.
-        clipped: commands that the last line has limited.
-        unsent: commands that the transport did not take.
-        refused: samples on which the sink raised, which it should not.
-        faults: samples by fault.
-    """
-
-    cause: str
-    samples: int
-    stop_s: float
-    safe_s: float
-    clipped: int
-    unsent: int
-    refused: int
-    faults: dict[str, int]
 
 
 @final
@@ -130,17 +94,8 @@ class ControlLoop:
             self._transport.stop()
         except Exception:  # noqa: BLE001 - the device is at rest; there is nobody left to tell
             self._unsent += 1
-        faults = dict(self.faults)
-        return Outcome(
-            self._cause,
-            self._sequence,
-            self._stop_s,
-            self._safe_s,
-            self._gate.clipped,
-            self._unsent,
-            self._refused,
-            faults,
-        )
+        counts = self._gate.clipped, self._unsent, self._refused
+        return Outcome(self._cause, self._sequence, self._stop_s, self._safe_s, *counts, dict(self.faults))
 
     def _sample(self, deadline: int) -> bool:
         """One sample; False after the last one."""

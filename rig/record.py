@@ -107,11 +107,16 @@ def record(
         note: told what goes on.
 
     Raises:
-        HystmpcError: of any kind, before anything moves; `ConfigError` if an excitation is beyond the limits.
+        HystmpcError: of any kind, before anything moves; `ConfigError` if an excitation is in another unit or
+            beyond the limits.
     """
     phases: list[Phase] = []
     recorded: list[Recorded] = []
     for name, excitation in settings.excitations.items():
+        if excitation.unit not in (None, settings.command_unit):
+            raise ConfigError(
+                f"excitations.{name}: got commands in {excitation.unit}, expected the bench's {settings.command_unit}"
+            )
         commands = excitation.commands(settings.rate_hz, settings.ramps)
         _within(settings, name, commands)
         way = partial(_approach, settings, float(commands[0]))

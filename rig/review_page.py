@@ -1,9 +1,8 @@
-"""report.html of an experiment: the advice, tracking, predicted against measured, timing, faults."""
+"""report.html of an experiment: what a recording's page has, and the advice with predicted against measured angle."""
 
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from hystmpc.trials.plot_style import style
 from hystmpc.trials.run_folder import RunFolder
 
 from .config import RunSettings
+from .recording.report import Log, causes, numbers, timing_table, tracking_figure
 from .review import Judged, Review
 
 Vec = NDArray[np.float64]
@@ -44,15 +44,19 @@ def write_page(run: RunFolder, settings: RunSettings, found: Judged | None, verd
         )
     elif outcome.get("cause"):
         pieces.append(Paragraph(f"Stopped: {outcome['cause']}. The stop is latched until a reset."))
-    pieces += [Heading("Run"), KeyValues(_figures(settings, verdict, outcome, timing))]
+    log = run.log()
+    pieces += [Heading("Run"), KeyValues(_figures(settings, verdict, log, timing))]
     if found is not None:
         pieces += [
             Heading("Tracking"),
-            Plot(_tracking(found, settings.command_unit), "Reference, measured angle and command over time."),
+            Plot(
+                tracking_figure(found.t, found.reference_deg, found.measured_deg, found.command, settings.command_unit),
+                "Reference, measured angle and command over time.",
+            ),
             Heading("Predicted and measured angle"),
             Plot(_prediction(found), "Measured less predicted angle: one sample ahead, and in the model's free run."),
         ]
-    pieces += [*_timing_pieces(timing, settings.dt_s), *_causes(run)]
+    pieces += [*_timing_pieces(timing, settings.dt_s), Heading("Stages of a sample"), timing_table(log), *causes(log)]
     run_page = Report("Run at the bench", tuple(pieces), f"{settings.name}, {run.meta.get('start', '')}")
     return run.write_report(run_page.html())
 
@@ -65,16 +69,18 @@ def _timing(file: Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _figures(
-    settings: RunSettings, verdict: Review, outcome: Mapping[str, Any], timing: Mapping[str, Any]
-) -> dict[str, object]:
-    wire = timing.get("wire", {})
+def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[str, Any]) -> dict[str, object]:
+    wire, outcome = timing.get("wire", {}), timing.get("outcome", {})
+    angles = numbers(log, "angle_deg")
+    sent = outcome.get("samples", 0) - timing.get("skipped", 0)
     return {
         "device": settings.name,
         "transport": settings.transport.kind,
         "model": settings.controller.model,
         "rate [Hz]": settings.rate_hz,
-        "samples": outcome.get("samples", "unknown"),
+        "samples": angles.size,
+        "samples without an angle": int(np.count_nonzero(~np.isfinite(angles))),
+        "samples not in the log": sent - angles.size if timing else "unknown",
         "RMS tracking error [deg]": verdict.tracking_deg,
         "RMS prediction error, one sample ahead [deg]": verdict.one_step_deg,
         "RMS prediction error, free run [deg]": verdict.free_run_deg,
@@ -91,21 +97,6 @@ def _thin(values: Vec) -> Vec:
     return values[:: max(values.size // _MOST_POINTS, 1)]
 
 
-def _tracking(found: Judged, unit: str) -> Figure:
-    t = _thin(found.t)
-    with style():
-        figure = Figure(figsize=(8, 4.5), layout="constrained")
-        top, bottom = figure.subplots(2, sharex=True, height_ratios=(2, 1))
-        top.plot(t, _thin(found.measured_deg), label="measured", color="C0")
-        top.plot(t, _thin(found.reference_deg), label="reference", color="0.2", linestyle="--", linewidth=1)
-        top.set_ylabel("angle [deg]")
-        top.legend(loc="upper right")
-        bottom.plot(t, _thin(found.command), color="C1")
-        bottom.set_ylabel(f"command [{unit}]")
-        bottom.set_xlabel("time [s]")
-    return figure
-
-
 def _prediction(found: Judged) -> Figure:
     t = _thin(found.t)
     with style():
@@ -116,7 +107,7 @@ def _prediction(found: Judged) -> Figure:
         axes.axhline(0.0, color="0.6", linewidth=0.8)
         axes.set_xlabel("time [s]")
         axes.set_ylabel("measured less predicted [deg]")
-        axes.legend(loc="upper right")
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
     return figure
 
 
@@ -140,13 +131,3 @@ def _timing_pieces(timing: Mapping[str, Any], dt_s: float) -> Iterator[Piece]:
             axes.axvline(1e3 * dt_s, color="0.4", linestyle=":", linewidth=1)
         figure.axes[0].set_ylabel("samples")
     yield Plot(figure, "Counts of the control thread itself; dotted: sample time; the last bin holds all beyond it.")
-
-
-def _causes(run: RunFolder) -> Iterator[Piece]:
-    log = run.log()
-    sources = Counter(str(cell) for cell in log["source"])
-    faults = Counter(word for cell in log.get("faults", ()) for word in str(cell).split() if word != "-")
-    rows = [("source", name, n) for name, n in sources.most_common()]
-    rows += [("fault", name, n) for name, n in faults.most_common()]
-    yield Heading("Sources and faults")
-    yield Table(("kind", "name", "samples"), rows, "Samples by what gave the command, and by what went wrong.")

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from .loop import StopFlag
+from .stop_flag import StopFlag
 
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 

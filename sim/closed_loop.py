@@ -13,7 +13,7 @@ from hystmpc.ctrl.loop import LoopLog, Sample, run_loop
 from hystmpc.ctrl.protocols import Controller
 from hystmpc.trajectories import PreviewTable, Trajectory
 
-from .plant import SimulatedPlant
+from .computed_plant import ComputedPlant
 
 Vec = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class ClosedLoopRun:
 
 def run_closed_loop(
     controller: Controller[Any],
-    plant: SimulatedPlant,
+    plant: ComputedPlant,
     motion: Trajectory,
     on_sample: Callable[[Sample], None] | None = None,
 ) -> ClosedLoopRun:
@@ -62,4 +62,4 @@ def run_closed_loop(
             on_sample(sample)
 
     log = run_loop(controller, plant, preview.at, preview.steps, u_start=plant.rest_command, on_sample=note)
-    return ClosedLoopRun(log, np.array(angles), plant.rest_command, plant.dt, plant.simulator.command_unit)
+    return ClosedLoopRun(log, np.array(angles), plant.rest_command, plant.dt, plant.command_unit)

@@ -34,7 +34,7 @@ def conditioned(simulator: Simulator, state: Vec, commands: Range) -> tuple[floa
         commands: between which it is flexed.
     """
     flexure = initialisation_flexure(commands, simulator.dt_s, warmup_samples=1)
-    samples = round(_settling_s(simulator.chain) / simulator.dt_s)
+    samples = round(settling_s(simulator.chain) / simulator.dt_s)
     return _run(simulator, state, np.concatenate([flexure, np.full(samples, commands.lower)]))
 
 
@@ -49,11 +49,11 @@ def _run(simulator: Simulator, state: Vec, commands: Vec) -> tuple[float, Vec]:
     kernels = compile_step(chain.transition)
     following, theta = state.reshape(1, -1).copy(), np.empty((1, commands.size))
     dt = np.array([simulator.dt_s])
-    kernels.simulate(following, commands[None], _still(chain), dt, kernels.step_constants, theta)
-    return float(theta[0, -1]), np.where(_clocks(chain), 0.0, following[0])
+    kernels.simulate(following, commands[None], still(chain), dt, kernels.step_constants, theta)
+    return float(theta[0, -1]), np.where(clocks(chain), 0.0, following[0])
 
 
-def _settling_s(chain: Chain) -> float:
+def settling_s(chain: Chain) -> float:
     """Time after which a held command leaves the chain at rest [s]."""
     return sum(_settling_of(operator) for operator in chain.operators)
 
@@ -66,7 +66,7 @@ def _settling_of(operator: Operator) -> float:
     return operator.delay_s if isinstance(operator, Delay) else 0.0
 
 
-def _still(chain: Chain) -> Vec:
+def still(chain: Chain) -> Vec:
     """Parameter values of the chain with everything that follows a clock at its neutral values."""
     values: list[float] = []
     for operator in chain.operators:
@@ -75,10 +75,10 @@ def _still(chain: Chain) -> Vec:
     return np.array(values)
 
 
-def _clocks(chain: Chain) -> NDArray[np.bool_]:
+def clocks(chain: Chain) -> NDArray[np.bool_]:
     """Which entries of the state are clocks."""
-    clocks = []
+    found = []
     for operator in chain.operators:
         effect = EFFECTS.get(operator.name)
-        clocks += [effect is not None and name in effect.clocks for name in operator.states]
-    return np.array(clocks, dtype=bool)
+        found += [effect is not None and name in effect.clocks for name in operator.states]
+    return np.array(found, dtype=bool)

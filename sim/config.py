@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -13,8 +13,10 @@ from hystmpc.models.effects.place import EffectError, effect_from
 from hystmpc.models.library import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
 from hystmpc.trials.config import Settings, load_settings
-from hystmpc.trials.errors import did_you_mean
-from hystmpc.trials.yaml_lines import MisplacedError
+from hystmpc.trials.errors import ModelError, did_you_mean
+from hystmpc.trials.yaml_lines import MisplacedError, place_in
+
+from .devices.names import DeviceError, device_parameters
 
 NotNegative = Annotated[float, Field(ge=0)]
 # Names become folders of the run.
@@ -50,15 +52,20 @@ class EffectSettings(Settings):
 
 
 class PlantSettings(Settings):
-    """The simulated device; see `SimulatedPlant` and `Effects`.
+    """The simulated device: a simulator or a device, and what it does beyond that; see `make_plant` and `Effects`.
 
     Attributes:
         simulator: a simulator file, or `builtin:NAME`.
+        device: in its place, a device whose physics is not made of operators: tendon, muscle or rod.
+        parameters: numbers of the device other than its defaults, by name.
+        mismatch: factors on parameters, of a simulator by label such as `prandtl_ishlinskii.a0`, of a device by name.
         effects: effects of the library beside the shorthands before them.
         virgin: start without the initialisation flexure.
     """
 
-    simulator: str
+    simulator: str | None = None
+    device: str | None = None
+    parameters: dict[str, float] = Field(default_factory=dict)
     lag_s: NotNegative = 0.0
     delay_s: NotNegative = 0.0
     noise_deg: NotNegative = 0.0
@@ -66,6 +73,30 @@ class PlantSettings(Settings):
     mismatch: dict[str, float] = Field(default_factory=dict)
     effects: tuple[EffectSettings, ...] = ()
     virgin: bool = False
+
+    @property
+    def name(self) -> str:
+        """What the plant is called: its file, `builtin:NAME`, or the device's name."""
+        return str(self.simulator) if self.device is None else f"device {self.device}"
+
+    @model_validator(mode="after")
+    def _one_plant(self) -> Self:
+        if (self.simulator is None) == (self.device is None):
+            got = "none" if self.device is None else "both"
+            raise ValueError(f"got {got} of simulator and device, expected one: a file or builtin:NAME, or a name")
+        if self.device is None:
+            if self.parameters:
+                names = ", ".join(self.parameters)
+                raise MisplacedError(
+                    f"got {names} for a simulator, expected none: its numbers stand in its file, see mismatch",
+                    ("parameters",),
+                )
+            return self
+        try:
+            device_parameters(self.device, self.parameters, self.mismatch)
+        except DeviceError as error:
+            raise MisplacedError(str(error), error.at) from None
+        return self
 
 
 class TuningSettings(Settings):
@@ -132,18 +163,30 @@ def load_simulation(path: Path | str, overrides: Iterable[str] = ()) -> Simulati
         ConfigError: on an unreadable file, a malformed override, an unknown key or a value out of bounds.
         ModelError: on an unknown built-in model.
     """
-    return located(load_settings(SimulationConfig, path, overrides), Path(path).resolve().parent)
+    changes = tuple(overrides)
+    config = load_settings(SimulationConfig, path, changes)
+    return located(config, Path(path).resolve().parent, place_in(path, changes))
 
 
-def located(config: SimulationConfig, folder: Path) -> SimulationConfig:
+def located(
+    config: SimulationConfig, folder: Path, where: Callable[[Sequence[str | int]], str] | None = None
+) -> SimulationConfig:
     """The study with every file name absolute, relative ones starting at `folder`; built-in models keep their names.
+
+    Args:
+        config: the study.
+        folder: that it was read from.
+        where: says where an entry of it stands, for messages.
 
     Raises:
         ModelError: on an unknown built-in model.
     """
 
-    def file(text: str) -> str:
-        path = model_path(text, folder)
+    def file(text: str, *keys: str) -> str:
+        try:
+            path = model_path(text, folder)
+        except ModelError as error:
+            raise ModelError(f"{where(keys)}: {'.'.join(keys)}: {error}" if where else str(error)) from None
         return text if text.startswith("builtin:") else str(path)
 
     motions = {
@@ -152,11 +195,13 @@ def located(config: SimulationConfig, folder: Path) -> SimulationConfig:
         else motion
         for name, motion in config.motions.items()
     }
+    device = config.plant.simulator
+    plant = {"simulator": None if device is None else file(device, "plant", "simulator")}
     return config.model_copy(
         update={
-            "plant": config.plant.model_copy(update={"simulator": file(config.plant.simulator)}),
-            "model": file(config.model),
-            "inverse": None if config.inverse is None else file(config.inverse),
+            "plant": config.plant.model_copy(update=plant),
+            "model": file(config.model, "model"),
+            "inverse": None if config.inverse is None else file(config.inverse, "inverse"),
             "motions": motions,
         }
     )

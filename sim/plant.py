@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, final
 
@@ -21,8 +20,8 @@ from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import ConfigError, ModelError, did_you_mean
 
+from .computed_plant import ComputedPlant, Sensing
 from .conditioning import conditioned, fresh
-from .sensors import SensorChain
 
 Vec = NDArray[np.float64]
 
@@ -71,6 +70,16 @@ class Effects:
         """The sensors among the effects."""
         return tuple(e.operator for e in self._placed() if isinstance(e.operator, Sensor))
 
+    def sensing(self, before: tuple[Sensor, ...] = ()) -> Sensing:
+        """What measures the angle; `before` are sensors that the device has of its own."""
+        return Sensing(self.noise_deg, self.quantisation_deg, (*before, *self.sensors))
+
+    @property
+    def actuator(self) -> tuple[Operator, ...]:
+        """Delay and lag of the actuator."""
+        lag = (Lag(self.lag_s),) if self.lag_s > 0 else ()
+        return (*((Delay(self.delay_s, samples=1),) if self.delay_s > 0 else ()), *lag)
+
     def _placed(self) -> tuple[PlacedEffect, ...]:
         return tuple(e for e in self.effects if isinstance(e, PlacedEffect))
 
@@ -94,10 +103,8 @@ def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simu
         ModelError: if a factor takes a parameter out of its bounds.
     """
     chain = mismatched(simulator.chain, effects.mismatch)
-    lag = (Lag(effects.lag_s),) if effects.lag_s > 0 else ()
-    delay = (Delay(effects.delay_s, samples=1),) if effects.delay_s > 0 else ()
     own = tuple(operator for operator in chain.after if not isinstance(operator, Sensor))
-    chain = replace(chain, before=(*delay, *lag, *chain.before), after=own)
+    chain = replace(chain, before=(*effects.actuator, *chain.before), after=own)
     for placed in effects.placed:
         chain = with_effect(chain, placed.operator, placed.side)
     return at_sample_time(replace(simulator, chain=chain), dt_s)
@@ -105,12 +112,14 @@ def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simu
 
 def at_sample_time(simulator: Simulator, dt_s: float) -> Simulator:
     """The same simulator at sample time `dt_s` [s]: delays get the store that they need at it."""
-
-    def stored(operators: tuple[Operator, ...]) -> tuple[Operator, ...]:
-        return tuple(Delay.at_rate(o.delay_s, dt_s) if isinstance(o, Delay) else o for o in operators)
-
     chain = simulator.chain
-    return replace(simulator, chain=replace(chain, before=stored(chain.before), after=stored(chain.after)), dt_s=dt_s)
+    before, after = stored(chain.before, dt_s), stored(chain.after, dt_s)
+    return replace(simulator, chain=replace(chain, before=before, after=after), dt_s=dt_s)
+
+
+def stored(operators: Sequence[Operator], dt_s: float) -> tuple[Operator, ...]:
+    """The operators, delays with the store that they need at sample time `dt_s` [s]."""
+    return tuple(Delay.at_rate(o.delay_s, dt_s) if isinstance(o, Delay) else o for o in operators)
 
 
 def mismatched(chain: Chain, factors: Mapping[str, float]) -> Chain:
@@ -127,8 +136,8 @@ def mismatched(chain: Chain, factors: Mapping[str, float]) -> Chain:
 
 
 @final
-class SimulatedPlant:
-    """A `ctrl.protocols.Plant` that is computed; its state is hidden, as that of hardware is.
+class SimulatedPlant(ComputedPlant):
+    """A chain of operators as a plant.
 
     Before every run the device does its initialisation flexure (S2: one period of 0.1 Hz to the highest command and
     back) and then rests at the lowest one, so that a reset always finds the same device. Drift and periodic disturbance
@@ -155,62 +164,20 @@ class SimulatedPlant:
         commands: Range | None = None,
         seed: int = 0,
     ) -> None:
-        self._effects, self._seed = effects or Effects(), seed
-        self._dt = simulator.dt_s if dt_s is None else dt_s
-        commands = commands or simulator.command_limits
-        self.simulator = plant_simulator(simulator, self._effects, self._dt)
-        self.rest_command = commands.lower
+        effects, commands = effects or Effects(), commands or simulator.command_limits
+        dt_s = simulator.dt_s if dt_s is None else dt_s
+        self.simulator = plant_simulator(simulator, effects, dt_s)
         self._model = CompiledPredictor.of_simulator(self.simulator)
-        self._rest = self._at_rest(commands)
-        self._angle, self._state = self._rest
-        own = tuple(o for o in simulator.chain.after if isinstance(o, Sensor))
-        self._sensors = SensorChain((*own, *self._effects.sensors))
-        self._restart()
-
-    @property
-    def dt(self) -> float:
-        """Sample time [s]."""
-        return self._dt
-
-    @property
-    def true_angle(self) -> float:
-        """Tip angle without noise and quantisation [deg]: what metrics are made of, and no controller sees."""
-        return self._angle
-
-    def reset(self) -> float:
-        """Bring the device to rest at its lowest command and return the measured tip angle [deg]."""
-        self._restart()
-        return self._measured()
-
-    def apply(self, u: float) -> float:
-        """Apply command `u` for one sample and return the tip angle measured at its end [deg]."""
-        self._angle, self._state = self._model.advance(self._state, u)
-        return self._measured()
-
-    def reseeded(self, seed: int) -> SimulatedPlant:
-        """The same device with another realisation of its sensor noise."""
-        other = copy(self)
-        other._seed = seed
-        other.reset()
-        return other
-
-    def stop(self) -> None:
-        """Nothing to do: a computed device is safe as it stands."""
-
-    def _restart(self) -> None:
-        self._angle, self._state = self._rest
-        self._random = np.random.default_rng(self._seed)
-        self._sensing = self._sensors.start(self._angle, self._seed)
-
-    def _at_rest(self, commands: Range) -> tuple[float, Vec]:
-        """Angle and state of the device at rest, after its initialisation flexure or without it."""
         state = self._model.initial(self.simulator.trained_angle_deg.lower, commands.lower)
-        return (fresh if self._effects.virgin else conditioned)(self.simulator, state, commands)
+        self._rest = (fresh if effects.virgin else conditioned)(self.simulator, state, commands)
+        self.command_limits = simulator.command_limits
+        own = tuple(o for o in simulator.chain.after if isinstance(o, Sensor))
+        super().__init__(dt_s, commands.lower, simulator.command_unit, effects.sensing(own), seed)
 
-    def _measured(self) -> float:
-        effects = self._effects
-        angle = self._angle + effects.noise_deg * float(self._random.standard_normal())
-        if effects.quantisation_deg:
-            angle = round(angle / effects.quantisation_deg) * effects.quantisation_deg
-        angle, self._sensing = self._sensors.show(self._sensing, angle)
-        return angle
+    def _at_rest(self, random: np.random.Generator) -> tuple[float, Vec]:
+        del random  # nothing in a chain is
+        return self._rest
+
+    def _advanced(self, state: Vec, u: float, random: np.random.Generator) -> tuple[float, Vec]:
+        del random
+        return self._model.advance(state, u)

@@ -50,7 +50,7 @@ def study_report(result: StudyResult) -> Report:
         ]
     pieces += [*_stability(result), *_timing(result, colour)]
     plant = result.config.plant
-    subtitle = f"plant {_short(plant.simulator)}, model {_short(result.config.model)}"
+    subtitle = f"plant {_short(plant.name)}, model {_short(result.config.model)}"
     return Report("Closed loop in simulation", tuple(pieces), subtitle)
 
 
@@ -78,10 +78,11 @@ def _summary(result: StudyResult) -> Iterator[Piece]:
 
 def _set_up(result: StudyResult) -> Iterator[Piece]:
     config, limits, unit = result.config, result.config.limits, result.unit
-    plant = {name: value for name, value in config.plant.model_dump().items() if value and name != "simulator"}
+    beyond = config.plant.model_dump(exclude={"simulator", "device"})
+    plant = {name: value for name, value in beyond.items() if value}
     yield Heading("Set-up")
     rows: dict[str, object] = {
-        "plant": _short(config.plant.simulator),
+        "plant": _short(config.plant.name),
         "effects": ", ".join(f"{name} {value}" for name, value in plant.items()) or "none",
         "model": _short(config.model),
         "inverse": _short(config.inverse) if config.inverse else "the model's own, or a backlash fitted to a network",

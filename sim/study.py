@@ -18,12 +18,12 @@ from hystmpc.models.contract.metadata import ModelMetadata, Range
 from hystmpc.models.library import model_path
 from hystmpc.models.load import load_model
 from hystmpc.models.model import Inverse, Predictor
-from hystmpc.models.simulator import load_simulator
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, ControllerError
 
+from .computed_plant import ComputedPlant
 from .config import SimulationConfig
-from .plant import Effects, SimulatedPlant
+from .plants import make_plant, plant_files
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Study:
     """
 
     config: SimulationConfig
-    plant: SimulatedPlant
+    plant: ComputedPlant
     predictor: Predictor
     inverse: Inverse
     feedforward: tuple[Predictor, Inverse]
@@ -108,29 +108,28 @@ def prepare(config: SimulationConfig, known: Knowledge | None = None) -> Study:
         ControllerError: if a controller is misconfigured.
         FitError: if a network has no `inverse` and none can be fitted.
     """
-    files = [model_path(text) for text in (config.plant.simulator, config.model, config.inverse) if text is not None]
-    device = load_simulator(files[0])
+    models = [model_path(text) for text in (config.model, config.inverse) if text is not None]
     known = known or knowledge(config.model, config.inverse, config.actuator_lag_s)
     facts = known.facts
-    if device.command_unit != facts.command_unit:
-        raise ConfigError(
-            f"plant {config.plant.simulator} takes {device.command_unit} and model {config.model} "
-            f"{facts.command_unit}, expected one unit"
-        )
     limits = config.limits or LimitsSettings(
         lower=facts.command_limits.lower, upper=facts.command_limits.upper, rate_per_s=facts.command_rate
     )
-    effects = Effects(**config.plant.model_dump(exclude={"simulator"}))
     flexure = Range(lower=limits.lower, upper=limits.upper)
+    plant = make_plant(config.plant, known.predictor.dt, flexure, config.seed)
+    if plant.command_unit != facts.command_unit:
+        raise ConfigError(
+            f"plant {config.plant.name} takes {plant.command_unit} and model {config.model} "
+            f"{facts.command_unit}, expected one unit"
+        )
     study = Study(
         config=config.model_copy(update={"limits": limits}),
-        plant=SimulatedPlant(device, effects, known.predictor.dt, flexure, config.seed),
+        plant=plant,
         predictor=known.predictor,
         inverse=known.inverse,
         feedforward=known.feedforward,
         limits=CommandLimits(limits.lower, limits.upper, limits.rate_per_s),
         motions={name: motion.build() for name, motion in config.motions.items()},
-        files=tuple(files),
+        files=(*plant_files(config.plant), *models),
     )
     for name, settings in config.controllers.items():
         _warm_up(study, name, settings)

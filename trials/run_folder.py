@@ -68,7 +68,7 @@ class RunFolder:
             ConfigError: if the path is a file, a folder that is not empty, or cannot be made; or a model is missing.
         """
         folder = Path(path)
-        _require_vacant(folder)
+        require_vacant(folder)
         meta = {
             "format": FORMAT,
             "start": datetime.now(UTC).isoformat(),
@@ -151,8 +151,12 @@ class RunFolder:
         return read_csv(self.path / "log.csv", CANONICAL)
 
 
-def _require_vacant(folder: Path) -> None:
-    """A run never overwrites anything."""
+def require_vacant(folder: Path) -> None:
+    """A run never overwrites anything.
+
+    Raises:
+        ConfigError: if the path is a file, or a folder that is not empty.
+    """
     if folder.is_dir():
         inside = sorted(entry.name for entry in folder.iterdir())
         if inside:

@@ -43,6 +43,7 @@ SHOWN: Mapping[str, tuple[Mapping[str, float], ...]] = MappingProxyType(
         "contact": ({"angle": 60.0, "stiffness_ratio": 0.2},),
         "nonlinear_gain": ({"quadratic": 0.06, "cubic": 0.0},),
         "asymmetry": ({"slope_ratio_above": 1.3, "slope_ratio_below": 1.0, "pivot": 1.0},),
+        "directional_gain": ({"gain": -0.12, "pivot": 30.0, "turn": 3.0},),
         "trial_shift": ({"offset": 4.0, "gain": 0.92}, {"offset": -5.0, "gain": 1.0, "width": 2.0}),
         "periodic_disturbance": ({"frequency_hz": 1.2, "amplitude": 2.0},),
         "sensor": (

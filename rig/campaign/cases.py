@@ -18,7 +18,7 @@ class Case:
     Attributes:
         name: as the table shows it.
         expected: how the run has to end.
-        device: faults of the readings, as in a device's configuration.
+        device: faults of the wire, as in a device's configuration.
         settings: changes of the run's configuration, nested.
         kill: process that gets `signal` at `at_s`.
         signal: its name.
@@ -44,6 +44,10 @@ def _wire(name: str, expected: Ending, fault: str, **more: float) -> Case:
     return Case(name, expected, ({"fault": fault, "start_s": 3.0, **more},))
 
 
+def _commands(name: str, expected: Ending, fault: str, **more: float) -> Case:
+    return Case(name, expected, ({"fault": fault, "of": "commands", "start_s": 3.0, **more},))
+
+
 _FAILS = {"drill": {"solver_fails_from_s": 2.0, "solver_fails_for_s": 0.4}}
 _FAILS_ON = {"drill": {"solver_fails_from_s": 2.0, "solver_fails_for_s": 1000.0}}
 
@@ -63,6 +67,18 @@ CASES: tuple[Case, ...] = (
     _wire("packets reordered", "goes on", "reorder"),
     _wire("packets duplicated", "goes on", "duplicate"),
     _wire("old packets replayed", "goes on", "replay"),
+    _wire("packets corrupted, 30 %", "goes on", "corrupt", share=0.3),
+    _commands("command lost, 1 sample", "goes on", "dropout", duration_s=0.04),
+    _commands("commands lost, 30 %", "goes on", "dropout", share=0.3),
+    _commands("commands lost, 0.3 s", "goes on", "dropout", duration_s=0.3),
+    _commands("commands lost, 5 s", "stops", "dropout", duration_s=5.0),
+    _commands("commands up to 60 ms late", "goes on", "jitter", delay_s=0.06),
+    _commands("commands 1 s late", "stops", "delay", delay_s=1.0),
+    _commands("commands reordered", "goes on", "reorder"),
+    _commands("commands duplicated", "goes on", "duplicate"),
+    _commands("old commands replayed", "goes on", "replay"),
+    _commands("commands corrupted, 30 %", "goes on", "corrupt", share=0.3),
+    _commands("all commands corrupted", "stops", "corrupt"),
     _wire("device clock back by 1 h", "stops", "stamp_jump", delay_s=-3600.0),
     _wire("device clock ahead by 1 h", "goes on", "stamp_jump", delay_s=3600.0),
     Case("device killed", "stops", kill="device"),

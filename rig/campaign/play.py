@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import resource
 import signal
 import subprocess
@@ -13,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hystmpc.trials.errors import ConfigError
-
 from .cases import Case
+from .processes import PROGRAM, end, start, start_device
 from .setup import write_device, write_run
 
 _START_S = 60.0  # imports and compilation on a busy machine
@@ -23,7 +21,6 @@ _END_S = 240.0
 _ENDLESS = 124
 _PAUSE_S = 2.0
 _POLL_S = 0.05
-_PORT = re.compile(r"udp port (\d+)")
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ class Played:
     said: str
 
 
-def play(case: Case, folder: Path, program: Sequence[str]) -> Played:
+def play(case: Case, folder: Path, program: Sequence[str] = PROGRAM) -> Played:
     """Play one case in a new folder.
 
     Args:
@@ -55,17 +52,17 @@ def play(case: Case, folder: Path, program: Sequence[str]) -> Played:
         ConfigError: if the device does not start.
     """
     folder.mkdir(parents=True)
-    devices = [_device(case, folder, program, 0)]
+    first, port = _device(case, folder, program, 0)
+    devices = [first]
     controller: subprocess.Popen[str] | None = None
     try:
-        port = _port(devices[0])
         controller = _controller(case, folder, program, port)
         fault_ns = 0
         if case.kill is not None and _first_command(folder, controller):
             time.sleep(case.at_s)
-            fault_ns = _strike(case, devices[0] if case.kill == "device" else controller)
+            fault_ns = _strike(case, first if case.kill == "device" else controller)
             if case.restart:
-                devices.append(_device(case, folder, program, port))
+                devices.append(_device(case, folder, program, port)[0])
         code, said = _result(controller)
         if case.expected == "left alone":
             time.sleep(5.0)  # the device's watchdog takes over
@@ -73,7 +70,7 @@ def play(case: Case, folder: Path, program: Sequence[str]) -> Played:
         return Played(folder, fault_ns, code, said)
     finally:
         for process in (*devices, *((controller,) if controller else ())):
-            _end(process)
+            end(process)
 
 
 def _result(controller: subprocess.Popen[str]) -> tuple[int, str]:
@@ -85,28 +82,16 @@ def _result(controller: subprocess.Popen[str]) -> tuple[int, str]:
     return controller.returncode, said
 
 
-def _device(case: Case, folder: Path, program: Sequence[str], port: int) -> subprocess.Popen[str]:
-    command = [*program, "device", str(write_device(case, folder, port))]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+def _device(case: Case, folder: Path, program: Sequence[str], port: int) -> tuple[subprocess.Popen[str], int]:
+    return start_device(write_device(case, folder, port), program)
 
 
 def _controller(case: Case, folder: Path, program: Sequence[str], port: int) -> subprocess.Popen[str]:
-    command = [*program, "run", str(write_run(case, folder, port)), "--out", str(folder / "run")]
     limit = case.file_limit_bytes
     more: dict[str, Any] = {}
     if limit is not None:  # a write beyond it fails as on a full disk
         more["preexec_fn"] = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **more)
-
-
-def _port(device: subprocess.Popen[str]) -> int:
-    """The port in the line that a device prints when it is ready."""
-    assert device.stdout is not None
-    line = device.stdout.readline()
-    found = _PORT.search(line)
-    if found is None:
-        raise ConfigError(f"device: got {line.strip()!r}, expected it to start")
-    return int(found[1])
+    return start(["run", write_run(case, folder, port), "--out", folder / "run"], program, **more)
 
 
 def _first_command(folder: Path, controller: subprocess.Popen[str]) -> bool:
@@ -128,18 +113,6 @@ def _strike(case: Case, process: subprocess.Popen[str]) -> int:
         time.sleep(_PAUSE_S)
         process.send_signal(signal.SIGCONT)
     return moment
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(10.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-    if process.stdout is not None:
-        process.stdout.close()
 
 
 def device_log(folder: Path) -> list[tuple[float, ...]]:

@@ -59,6 +59,16 @@ class DeviceSettings(Settings):
     log: Path | None = None
     seed: Annotated[int, Field(ge=0)] = 0
 
+    @model_validator(mode="after")
+    def _datagrams(self) -> DeviceSettings:
+        wrong = [fault for fault in self.faults if fault.of_datagrams]
+        if wrong and not isinstance(self.link, UdpListenSettings):
+            raise ValueError(
+                f"got fault {wrong[0].fault} of {wrong[0].of} with link {self.link.kind}, expected link udp: only "
+                "datagrams can be got at"
+            )
+        return self
+
     @property
     def dt_s(self) -> float:
         """Sample time [s]."""

@@ -13,14 +13,14 @@ from hystmpc.ctrl.protocols import Plant
 from hystmpc.trials.errors import ConfigError
 
 from ..clock import MonotonicClock
-from ..loop import StopFlag
 from ..signals_ import stopping_on_signals
+from ..stop_flag import StopFlag
 from ..transports.build import require_dds
 from ..transports.link import DeviceLink, Outgoing
 from ..transports.udp import UdpLink
 from ..transports.units import Conversion
 from .config import DeviceSettings, UdpListenSettings
-from .faults import FaultyWire
+from .faulty_wire import FaultyDatagrams, FaultyReadings
 
 _MESSAGES = 64  # taken at most in one sample
 
@@ -52,7 +52,10 @@ def open_link(settings: DeviceSettings) -> DeviceLink:
         ConfigError: if it cannot be opened, or a package is missing for it.
     """
     if isinstance(settings.link, UdpListenSettings):
-        return UdpLink(settings.link.bind_host, settings.link.bind_port, settings.watchdog_s)
+        faults, seed = settings.faults, settings.seed
+        faulty = any(fault.of_datagrams for fault in faults)
+        through = (lambda wire: FaultyDatagrams(wire, faults, seed)) if faulty else None
+        return UdpLink(settings.link.bind_host, settings.link.bind_port, settings.watchdog_s, through)
     require_dds()
     from ..transports.dds_ import DdsLink
 
@@ -83,7 +86,7 @@ class Device:
         self._limits = CommandLimits(limits.lower, limits.upper, limits.rate_per_s)
         self._settings, self._plant, self._link, self._log = settings, plant, link, log
         self._conversion = Conversion.of(settings.wire, settings.command_unit)
-        self._wire = FaultyWire(settings.faults, settings.seed)
+        self._wire = FaultyReadings(settings.faults, settings.seed)
         self._dt, self._rest, self._held, self._target = settings.dt_s, held, held, held
         self._silent, self._first = math.inf, math.nan
         self._samples = self._commands = self._beyond = self._bites = 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from typing import Any, final
 
 from hystmpc.ctrl.guarded import GuardedController
@@ -39,12 +38,6 @@ class TimelyLaw(Law[Any]):
 
 
 def timely(controller: GuardedController[Any]) -> tuple[GuardedController[Any], TimelyLaw]:
-    """The same controller around a law that can be told to fail, and that law.
-
-    The ladder's rungs can only be reached by a law that fails, and a controller does not show its law: hence the
-    private names.
-    """
-    other = copy(controller)
-    law = TimelyLaw(controller._law)
-    other._law = law
-    return other, law
+    """The same controller around a law that can be told to fail, and that law: only failing leads to the ladder."""
+    law = TimelyLaw(controller.law)
+    return controller.with_law(law), law

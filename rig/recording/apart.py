@@ -51,6 +51,7 @@ def open_apart(
     rate_hz: float,
     views: Views = Views(),
     tell: Tell | None = None,
+    report: bool = True,
 ) -> Apart:
     """Start a recording, and the views asked for, in a process of their own.
 
@@ -59,16 +60,30 @@ def open_apart(
     also means that the log is ended properly when the controller is killed.
 
     Args:
-        folder, config, meta, rate_hz, tell: as for `open_recording`.
+        folder, config, meta, rate_hz, tell, report: as for `open_recording`.
         views: what to show.
 
     Raises:
         ConfigError: on a folder that is not new or empty, a missing model file, or a process that does not start (a
             page whose port is taken, for example).
     """
-    create_folder(folder, config, meta)
-    order = {"folder": str(Path(folder)), "rate_hz": rate_hz, "unit": meta.unit, "stages": meta.stages}
-    return Apart(order | {"views": asdict(views)}, rate_hz, tell)
+    path, made = Path(folder), not Path(folder).exists()
+    create_folder(path, config, meta)
+    order = {"folder": str(path), "rate_hz": rate_hz, "unit": meta.unit, "stages": meta.stages}
+    try:
+        return Apart(order | {"views": asdict(views), "report": report}, rate_hz, tell)
+    except ConfigError:
+        _take_back(path, made)
+        raise
+
+
+def _take_back(folder: Path, made: bool) -> None:
+    """Leave the folder as it was found: empty, or not there."""
+    with suppress(OSError):
+        for name in ("config.yaml", "meta.json", "log.csv", "log.mcap"):
+            (folder / name).unlink(missing_ok=True)
+        if made:
+            folder.rmdir()
 
 
 @final

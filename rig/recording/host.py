@@ -57,7 +57,7 @@ def _sinks(order: dict[str, Any]) -> tuple[Sink, str]:
 
     meta = RecordingMeta(order["unit"], stages=tuple(order["stages"]))
     run = RunFolder.open(order["folder"])
-    recording = Recording(run, meta, order["rate_hz"], tell, lambda count: _say(on_disk=count))
+    recording = Recording(run, meta, order["rate_hz"], tell, lambda count: _say(on_disk=count), report=order["report"])
     views: list[Sink] = [view for view in (page, terminal) if view is not None]
     return Fan(recording, *views), page.address if page else ""
 

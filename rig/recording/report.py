@@ -1,9 +1,9 @@
-"""report.html of a run at the bench: what was tracked, how punctual the loop was, what went wrong."""
+"""report.html of a recording: what was sent and measured, how punctual the loop was, what went wrong."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from hystmpc.trials.presets import CANONICAL
 from hystmpc.trials.run_folder import Column, RunFolder
 
 Vec = NDArray[np.float64]
+Log = Mapping[str, Column]
 _MOST_POINTS = 4000  # of a curve; more are not seen and make the page heavy
 
 
@@ -32,81 +33,80 @@ def write_report(run: RunFolder, dropped: int = 0, problem: str = "") -> Path:
     """
     log = run.log()
     command = CANONICAL.command_column(list(log))
+    t, reference, angle, sent = (numbers(log, name) for name in ("time_s", "reference_deg", "angle_deg", command))
     pieces: list[Piece] = [Paragraph(f"Recording ended early: {problem}")] if problem else []
-    pieces += [Heading("Run"), KeyValues(_figures(log, dropped)), Heading("Tracking")]
-    pieces.append(Plot(_tracking(log, command), "Reference, angle and command over time."))
-    pieces += [Heading("Timing"), Table(("", "median", "p99", "greatest"), _timing(log), "Milliseconds.")]
-    pieces.append(Plot(_histograms(log), "Time between samples, and lateness behind the deadline."))
-    rows = [*_counted("faults", _words(log["faults"])), *_counted("source", _texts(log["source"]))]
-    pieces += [Heading("Sources and faults"), Table(("kind", "name", "samples"), rows)]
-    return run.write_report(Report("Run at the bench", tuple(pieces), str(run.path.name)).html())
+    pieces += [Heading("Run"), KeyValues(_figures(log, dropped)), Heading("Angle and command")]
+    pieces.append(Plot(tracking_figure(t, reference, angle, sent, CANONICAL.command[command]), "Over time."))
+    pieces += [Heading("Timing"), timing_table(log, ("period_s", "lateness_s"))]
+    pieces += [Plot(_histograms(log), "Time between samples, and lateness behind the deadline."), *causes(log)]
+    return run.write_report(Report("Recording at the bench", tuple(pieces), str(run.path.name)).html())
 
 
-def _figures(log: Mapping[str, Column], dropped: int) -> dict[str, object]:
-    t, error = _numbers(log, "time_s"), _numbers(log, "reference_deg") - _numbers(log, "angle_deg")
-    known = error[np.isfinite(error)]
-    found: dict[str, object] = {
-        "samples": t.size,
-        "duration [s]": float(t[-1] - t[0]),
-        "RMS tracking error [deg]": float(np.sqrt(np.mean(known**2))) if known.size else "no angle",
-        "greatest error [deg]": float(np.abs(known).max()) if known.size else "no angle",
-        "samples without an angle": int(np.count_nonzero(~np.isfinite(_numbers(log, "angle_deg")))),
-        "deadlines missed": int(np.nansum(_numbers(log, "missed"))),
-        "samples not in the log": dropped,
-    }
-    return found
-
-
-def _tracking(log: Mapping[str, Column], command: str) -> Figure:
-    t = _numbers(log, "time_s")
+def tracking_figure(t: Vec, reference: Vec, angle: Vec, command: Vec, unit: str) -> Figure:
+    """Reference and measured angle [deg] above, command [unit] below, over time [s]; (N,) each."""
     part = slice(None, None, max(t.size // _MOST_POINTS, 1))
     with style():
         figure = Figure(figsize=(8, 4.5), layout="constrained")
         top, bottom = figure.subplots(2, sharex=True, height_ratios=(2, 1))
-        top.plot(t[part], _numbers(log, "reference_deg")[part], label="reference", color="0.4", linestyle="--")
-        top.plot(t[part], _numbers(log, "angle_deg")[part], label="angle")
+        top.plot(t[part], angle[part], label="measured", color="C0")
+        if np.isfinite(reference).any():
+            top.plot(t[part], reference[part], label="reference", color="0.2", linestyle="--", linewidth=1)
         top.set_ylabel("angle [deg]")
-        top.legend(loc="upper right")
-        bottom.plot(t[part], _numbers(log, command)[part], color="C1")
-        bottom.set_ylabel(f"command [{CANONICAL.command[command]}]")
+        top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
+        bottom.plot(t[part], command[part], color="C1")
+        bottom.set_ylabel(f"command [{unit}]")
         bottom.set_xlabel("time [s]")
     return figure
 
 
-def _histograms(log: Mapping[str, Column]) -> Figure:
-    with style():
-        figure = Figure(figsize=(8, 2.5), layout="constrained")
-        for axes, name in zip(figure.subplots(1, 2), ("period_s", "lateness_s"), strict=True):
-            values = 1e3 * _numbers(log, name)
-            axes.hist(values[np.isfinite(values)], bins=60, log=True)
-            axes.set_xlabel(f"{name.removesuffix('_s')} [ms]")
-            axes.set_ylabel("samples")
-    return figure
-
-
-def _timing(log: Mapping[str, Column]) -> list[tuple[object, ...]]:
-    stages = [name for name in log if name.startswith("stage_")]
+def timing_table(log: Log, more: tuple[str, ...] = ()) -> Table:
+    """Median, 99th percentile and greatest of every stage of a sample, and of other columns [ms]."""
     rows: list[tuple[object, ...]] = []
-    for name in ("period_s", "lateness_s", *stages):
-        values = 1e3 * _numbers(log, name)
+    for name in (*more, *(name for name in log if name.startswith("stage_"))):
+        values = 1e3 * numbers(log, name)
         values = values[np.isfinite(values)]
         if values.size:
             figures = (*np.quantile(values, (0.5, 0.99)), values.max())
             rows.append((name.removeprefix("stage_").removesuffix("_s").replace("_", " "), *map(float, figures)))
-    return rows
+    return Table(("", "median", "p99", "greatest"), rows, "Milliseconds, from the log.")
 
 
-def _counted(kind: str, words: list[str]) -> list[tuple[object, ...]]:
-    return [(kind, word, count) for word, count in Counter(words).most_common()]
+def causes(log: Log) -> Iterator[Piece]:
+    """A table of samples by what gave the command, and by what went wrong."""
+    sources = Counter(str(cell) for cell in log["source"])
+    faults = Counter(word for cell in log.get("faults", ()) for word in str(cell).split() if word != "-")
+    rows: list[tuple[object, ...]] = [("source", name, n) for name, n in sources.most_common()]
+    rows += [("fault", name, n) for name, n in faults.most_common()]
+    yield Heading("Sources and faults")
+    yield Table(("kind", "name", "samples"), rows, "Samples by what gave the command, and by what went wrong.")
 
 
-def _words(column: Column) -> list[str]:
-    return [word for cell in _texts(column) for word in cell.split() if word != "-"]
-
-
-def _texts(column: Column) -> list[str]:
-    return [str(cell) for cell in column]
-
-
-def _numbers(log: Mapping[str, Column], name: str) -> Vec:
+def numbers(log: Log, name: str) -> Vec:
+    """A column of numbers (N,)."""
     return np.asarray(log[name], dtype=np.float64)
+
+
+def _figures(log: Log, dropped: int) -> dict[str, object]:
+    t, angle = numbers(log, "time_s"), numbers(log, "angle_deg")
+    error = numbers(log, "reference_deg")[:-1] - angle[1:]  # wanted for the end of a sample, measured at the next one
+    known = error[np.isfinite(error)]
+    found: dict[str, object] = {"samples": t.size, "duration [s]": float(t[-1] - t[0])}
+    if known.size:
+        found["RMS tracking error [deg]"] = float(np.sqrt(np.mean(known**2)))
+        found["greatest error [deg]"] = float(np.abs(known).max())
+    return found | {
+        "samples without an angle": int(np.count_nonzero(~np.isfinite(angle))),
+        "deadlines missed": int(np.nansum(numbers(log, "missed"))),
+        "samples not in the log": dropped,
+    }
+
+
+def _histograms(log: Log) -> Figure:
+    with style():
+        figure = Figure(figsize=(8, 2.5), layout="constrained")
+        for axes, name in zip(figure.subplots(1, 2), ("period_s", "lateness_s"), strict=True):
+            values = 1e3 * numbers(log, name)
+            axes.hist(values[np.isfinite(values)], bins=60, log=True)
+            axes.set_xlabel(f"{name.removesuffix('_s')} [ms]")
+            axes.set_ylabel("samples")
+    return figure

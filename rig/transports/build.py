@@ -11,7 +11,7 @@ from hystmpc.trials.run_folder import RunFolder
 
 from .reading import Transport
 from .settings import DdsSettings, ReplaySettings, SimulatedSettings, TransportSettings, UdpSettings
-from .simulated import ReplayTransport, SimulatedTransport
+from .simulated import SimulatedTransport, recorded_plant
 from .udp import UdpTransport
 from .units import Conversion
 
@@ -39,7 +39,8 @@ def build_transport(
         plant, held = plants(settings, dt_s)
         return SimulatedTransport(plant, dt_s, held, now_ns)
     if isinstance(settings, ReplaySettings):
-        return ReplayTransport.of_run(RunFolder.open(settings.run), now_ns)
+        recorded, held = recorded_plant(RunFolder.open(settings.run), dt_s)
+        return SimulatedTransport(recorded, dt_s, held, now_ns)
     if isinstance(settings, UdpSettings):
         return UdpTransport(settings, conversion)
     return _dds(settings, conversion)

@@ -1,4 +1,4 @@
-"""A device in this process: one sample of a plant for every command."""
+"""A device in this process, computed or recorded: one sample of it for every command."""
 
 from __future__ import annotations
 
@@ -64,52 +64,44 @@ class SimulatedTransport:
 
 
 @final
-class ReplayTransport:
+class RecordedPlant:
     """The angles of a recorded run, one for every command, whatever that is; not-a-number after its end.
 
     Args:
         angles_deg: recorded angles (T,) [deg].
-        held: the command before the first.
-        now_ns: monotonic clock.
+        dt_s: sample time [s].
     """
 
-    def __init__(self, angles_deg: Vec, held: float, now_ns: Callable[[], int]) -> None:
-        self._angles, self._held, self._now = angles_deg.tolist(), held, now_ns
-        self._k, self._fresh, self._moved = 0, True, False
+    def __init__(self, angles_deg: Vec, dt_s: float) -> None:
+        self._angles, self.dt, self._k = angles_deg.tolist(), dt_s, 0
 
-    @classmethod
-    def of_run(cls, run: RunFolder, now_ns: Callable[[], int]) -> ReplayTransport:
-        """The replay of a run folder.
+    def reset(self) -> float:
+        """Back to the first row; its angle [deg]."""
+        self._k = 0
+        return self._angle()
 
-        Raises:
-            LogError: if its log lacks the columns of a run.
-        """
-        log = run.log()
-        names = [name for name in log if name == "command" or name.startswith("command_")]
-        if "angle_deg" not in log or not names:
-            raise LogError(f"{run.path}: the log has columns {', '.join(log)}, expected angle_deg and command")
-        angles, commands = (np.asarray(log[name], dtype=np.float64) for name in ("angle_deg", names[0]))
-        return cls(angles, float(commands[0]), now_ns)
-
-    @property
-    def counters(self) -> Mapping[str, int]:
-        """Nothing is lost on this wire."""
-        return {}
-
-    def read(self) -> Reading | None:
-        """The next recorded angle, once; the first one, before the first command, as often as asked."""
-        if not self._fresh:
-            self._fresh = not self._moved
-            return None
-        self._fresh = False
-        angle = self._angles[self._k] if self._k < len(self._angles) else math.nan
-        now = self._now()
-        return Reading(angle, self._k, 0, now, now, self._held)
-
-    def write(self, command: float) -> None:
-        """Go on to the next row."""
-        self._held = command
-        self._k, self._fresh, self._moved = self._k + 1, True, True
+    def apply(self, u: float) -> float:
+        """On to the next row; its angle [deg]."""
+        del u
+        self._k += 1
+        return self._angle()
 
     def stop(self) -> None:
         """Nothing to do."""
+
+    def _angle(self) -> float:
+        return self._angles[self._k] if self._k < len(self._angles) else math.nan
+
+
+def recorded_plant(run: RunFolder, dt_s: float) -> tuple[RecordedPlant, float]:
+    """The replay of a run folder, and the command that its device held.
+
+    Raises:
+        LogError: if its log lacks the columns of a run.
+    """
+    log = run.log()
+    names = [name for name in log if name == "command" or name.startswith("command_")]
+    if "angle_deg" not in log or not names:
+        raise LogError(f"{run.path}: the log has columns {', '.join(log)}, expected angle_deg and command")
+    angles, commands = (np.asarray(log[name], dtype=np.float64) for name in ("angle_deg", names[0]))
+    return RecordedPlant(angles, dt_s), float(commands[0])

@@ -7,8 +7,9 @@ import secrets
 import socket
 import time
 from collections import Counter
-from collections.abc import Mapping
-from typing import final
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any, Protocol, final
 
 from hystmpc.trials.errors import ConfigError
 
@@ -22,6 +23,28 @@ from .units import Conversion
 _TRIES = 64  # datagrams looked at in one call; a flood of rubbish must not cost the deadline
 _HELLO_NS = 100_000_000
 _GOODBYES = 3
+
+Peer = tuple[str, int]
+
+
+class Datagrams(Protocol):
+    """What the device's end needs of a socket, so that faults can be put before it."""
+
+    def recvfrom(self, size: int, /) -> tuple[bytes, Any]:
+        """The oldest datagram and its sender; `BlockingIOError` where there is none."""
+        ...
+
+    def sendto(self, data: bytes, peer: Peer, /) -> int:
+        """Send a datagram."""
+        ...
+
+    def getsockname(self) -> Any:
+        """Own address."""
+        ...
+
+    def close(self) -> None:
+        """Free the port."""
+        ...
 
 
 def _open(host: str, port: int, what: str) -> socket.socket:
@@ -79,6 +102,9 @@ class UdpTransport:
                 data = self._wire.recv(SIZE + 1)
             except BlockingIOError:
                 return None
+            except ConnectionRefusedError:
+                self._counters["nobody listens"] += 1
+                raise
             message = decode(data)
             if isinstance(message, str):
                 self._counters[message] += 1
@@ -100,11 +126,10 @@ class UdpTransport:
         if not self._open:
             return
         self._open = False
-        try:
-            for _ in range(_GOODBYES):
+        for _ in range(_GOODBYES):
+            with suppress(OSError):  # nobody is there to say goodbye to
                 self._send(Kind.STOP, 0.0)
-        finally:
-            self._wire.close()
+        self._wire.close()
 
     def _greet(self) -> None:
         now = time.monotonic_ns()
@@ -127,16 +152,20 @@ class UdpLink:
     Args:
         host, port: where to listen; port 0 takes a free one.
         silence_s: how long a controller has to be silent before another may take its place [s].
+        through: puts faults before the socket; None for none.
 
     Raises:
         ConfigError: if the address cannot be had.
     """
 
-    def __init__(self, host: str, port: int, silence_s: float) -> None:
-        self._wire = _open(host, port, "the device")
+    def __init__(
+        self, host: str, port: int, silence_s: float, through: Callable[[Datagrams], Datagrams] | None = None
+    ) -> None:
+        wire = _open(host, port, "the device")
+        self._wire: Datagrams = wire if through is None else through(wire)
         self._silence_ns = round(1e9 * silence_s)
         self._session, self._order = secrets.randbits(32), Order()
-        self._peer: tuple[str, int] | None = None
+        self._peer: Peer | None = None
         self._heard_ns = 0
         self._counters: Counter[str] = Counter()
 
@@ -187,7 +216,7 @@ class UdpLink:
         """Free the port."""
         self._wire.close()
 
-    def _admitted(self, message: Datagram, peer: tuple[str, int]) -> bool:
+    def _admitted(self, message: Datagram, peer: Peer) -> bool:
         """Whether it comes from the controller that has the device, or from one that may take it now."""
         if message.kind is Kind.READING:
             self._counters["not a command"] += 1

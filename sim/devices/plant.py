@@ -2,85 +2,92 @@
 
 from __future__ import annotations
 
-from copy import copy
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
+from hystmpc.models.contract.metadata import Range
 from hystmpc.trajectories.excitation import s2_initialisation
 from hystmpc.trials.errors import ConfigError
 
-from .device import Device
-from .sensors import quantised
+from ..computed_plant import ComputedPlant
+from ..line import Line
+from ..plant import Effects, stored
+from .device import Device, Vec
+
+_REST_S = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceState:
+    """What a device with effects remembers: operators on its command, the device, operators on its angle."""
+
+    command: Vec
+    device: Vec
+    output: Vec
 
 
 @final
-class DevicePlant:
-    """A `ctrl.protocols.Plant` of a `Device`; its state is hidden, as that of hardware is.
+class DevicePlant(ComputedPlant):
+    """A `Device` as a plant, with effects of the library on either side of it.
 
-    Before every run the device does its initialisation flexure (one period of 0.1 Hz over all of its commands) and
-    rests for 5 s at the lowest one.
+    Before every run the device does its initialisation flexure (one period of 0.1 Hz over the commands) and rests at
+    the lowest one, for 5 s and as long as its effects take to settle.
 
     Args:
         device: what is controlled.
+        effects: what it does beyond that; 0.05 deg of noise where left out. Its numbers are the device's own, so that
+            `mismatch` has to be empty; see `names.named_device`.
         dt_s: sample time [s].
-        noise_deg: standard deviation of the angle's white noise [deg].
-        quantisation_deg: step of the angle, 0 for none [deg].
+        commands: between which it is flexed, the lowest being its rest; all of the device's where left out.
         seed: of noise and friction; equal seeds give the same run after every reset.
 
     Raises:
-        ConfigError: if the sample time is not positive, or noise or step is negative.
+        ConfigError: if the sample time is not positive, commands lie beyond the device's, or there is a mismatch.
     """
 
     def __init__(
-        self, device: Device, dt_s: float = 0.04, noise_deg: float = 0.05, quantisation_deg: float = 0.0, seed: int = 0
+        self,
+        device: Device,
+        effects: Effects | None = None,
+        dt_s: float = 0.04,
+        commands: Range | None = None,
+        seed: int = 0,
     ) -> None:
         if not (np.isfinite(dt_s) and dt_s > 0):
             raise ConfigError(f"dt_s: got {dt_s}, expected a positive number")
-        if not min(noise_deg, quantisation_deg) >= 0:
-            raise ConfigError(f"plant: got noise {noise_deg}, step {quantisation_deg} deg, expected numbers >= 0")
-        self._device, self._dt, self._seed = device, dt_s, seed
-        self._noise, self._step = noise_deg, quantisation_deg
-        self.rest_command = device.commands[0]
-        self.reset()
+        lower, upper = device.commands
+        self.command_limits = Range(lower=lower, upper=upper)
+        commands, effects = commands or self.command_limits, effects or Effects(noise_deg=0.05)
+        if not lower <= commands.lower < commands.upper <= upper:
+            raise ConfigError(
+                f"limits: got {commands.lower:g} to {commands.upper:g} {device.command_unit}, "
+                f"expected within {lower:g} to {upper:g} {device.command_unit}, what the device takes"
+            )
+        if effects.mismatch:
+            raise ConfigError("mismatch: got one for a device that is made already, expected it in `named_device`")
+        self._device, self._commands, self._virgin = device, commands, effects.virgin
+        sides = {side: tuple(e.operator for e in effects.placed if e.side == side) for side in ("command", "output")}
+        self._before = Line(stored((*effects.actuator, *sides["command"]), dt_s), dt_s)
+        self._after = Line(stored(sides["output"], dt_s), dt_s)
+        super().__init__(dt_s, commands.lower, device.command_unit, effects.sensing(), seed)
 
-    @property
-    def dt(self) -> float:
-        """Sample time [s]."""
-        return self._dt
+    def _at_rest(self, random: np.random.Generator) -> tuple[float, DeviceState]:
+        rest_s = _REST_S + self._before.settling_s + self._after.settling_s
+        commands = np.full(round(rest_s / self._dt), self._commands.lower)
+        if not self._virgin:
+            flexure = s2_initialisation()
+            wave = flexure(np.arange(0.0, flexure.duration_s, self._dt))
+            span = self._commands.upper - self._commands.lower
+            commands = np.concatenate([self._commands.lower + span * wave / wave.max(), commands])
+        sent, before = self._before.settle(self._before.at_rest(self._commands.lower), commands)
+        done = self._device.advance(self._device.virgin(), sent, self._dt, random)
+        shown, after = self._after.settle(self._after.at_rest(float(done.angle[0])), done.angle)
+        return float(shown[-1]), DeviceState(before, done.state, after)
 
-    @property
-    def true_angle(self) -> float:
-        """Tip angle without noise and quantisation [deg]: what metrics are made of, and no controller sees."""
-        return self._angle
-
-    def reset(self) -> float:
-        """Flex the device, bring it to rest at its lowest command and return the measured tip angle [deg]."""
-        self._random = np.random.default_rng(self._seed)
-        flexure = s2_initialisation()
-        wave = flexure(np.arange(0.0, flexure.duration_s, self._dt))
-        lower, upper = self._device.commands
-        commands = np.concatenate([lower + (upper - lower) * wave / wave.max(), np.full(round(5.0 / self._dt), lower)])
-        done = self._device.advance(self._device.virgin(), commands, self._dt, self._random)
-        self._angle, self._state = float(done.angle[-1]), done.state
-        return self._measured()
-
-    def apply(self, u: float) -> float:
-        """Apply command `u` for one sample and return the tip angle measured at its end [deg]."""
-        done = self._device.advance(self._state, np.array([u]), self._dt, self._random)
-        self._angle, self._state = float(done.angle[0]), done.state
-        return self._measured()
-
-    def reseeded(self, seed: int) -> DevicePlant:
-        """The same device with another realisation of its noise and friction."""
-        other = copy(self)
-        other._seed = seed
-        other.reset()
-        return other
-
-    def stop(self) -> None:
-        """Nothing to do: a computed device is safe as it stands."""
-
-    def _measured(self) -> float:
-        noisy = np.array([self._angle + self._noise * self._random.standard_normal()])
-        return float(quantised(noisy, self._step)[0])
+    def _advanced(self, state: DeviceState, u: float, random: np.random.Generator) -> tuple[float, DeviceState]:
+        sent, before = self._before.run(state.command, np.array([u]))
+        done = self._device.advance(state.device, sent, self._dt, random)
+        shown, after = self._after.run(state.output, done.angle)
+        return float(shown[-1]), DeviceState(before, done.state, after)

@@ -10,6 +10,7 @@ import numpy as np
 from . import rod_kernel
 from .device import Motion, Vec
 from .rod_parameters import RodParameters
+from .rod_shooting import new_knots
 from .rod_solver import new_work
 
 _PULL = 40  # steps in which the virgin tendon is tensioned
@@ -80,7 +81,7 @@ class RodCatheter:
     def _run(self, state: Vec, commands: Vec, step_s: float, parts: int) -> Motion:
         p = self.parameters
         angle, drive, tension = (np.empty(commands.size) for _ in range(3))
-        numbers, step, work = self._numbers, p.step_numbers(step_s), new_work(p.contacts)
-        residual = rod_kernel.advance(state, commands, numbers, step, parts, work, angle, drive, tension)
+        numbers, step, work, knots = self._numbers, p.step_numbers(step_s), new_work(p.contacts), new_knots(p.contacts)
+        residual = rod_kernel.advance(state, commands, numbers, step, parts, work, knots, angle, drive, tension)
         self.residual_mm = max(self.residual_mm, float(residual))
         return Motion(angle + p.mount_deg, drive, tension, state)

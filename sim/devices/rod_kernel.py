@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from .rod_equations import RodNumbers, StepNumbers, gravity
+from .rod_shooting import Knots
 from .rod_solver import Work, solve
 
 _GRAVITY_ROUNDS = 100
@@ -28,19 +29,21 @@ def _loads(bends: Any, late: Any, moments: Any, w: Work, p: RodNumbers, d: StepN
 
 
 @njit(cache=True, error_model="numpy")
-def _step(place: float, s: Any, bends: Any, late: Any, moments: Any, w: Work, p: RodNumbers, d: StepNumbers) -> float:
+def _step(
+    place: float, s: Any, bends: Any, late: Any, moments: Any, w: Work, k: Knots, p: RodNumbers, d: StepNumbers
+) -> float:
     """One step of displacements, bends (n,) and branches (2, n), the drive going to `place`. Returns the residual."""
     first = p.shaft_contacts + 1
     w.before[:] = s
     _loads(bends, late, moments, w, p, d)
-    residual = solve(place, s, w, p, d)
+    residual = solve(place, s, w, k, p, d)
     if p.weight > 0:
         for _ in range(_GRAVITY_ROUNDS):  # a contraction: `RodParameters` bounds weight over stiffness
             change = 0.0
             before = w.bend[first:].copy()
             gravity(before, moments, p)
             _loads(bends, late, moments, w, p, d)
-            residual = solve(place, s, w, p, d)
+            residual = solve(place, s, w, k, p, d)
             for i in range(p.segments):
                 change = max(change, p.offset * abs(w.bend[first + i] - before[i]))
             if change <= _GRAVITY_MM:
@@ -56,7 +59,16 @@ def _step(place: float, s: Any, bends: Any, late: Any, moments: Any, w: Work, p:
 
 @njit(cache=True, error_model="numpy")
 def advance(
-    state: Any, commands: Any, p: RodNumbers, d: StepNumbers, parts: int, w: Work, angle: Any, drive: Any, tension: Any
+    state: Any,
+    commands: Any,
+    p: RodNumbers,
+    d: StepNumbers,
+    parts: int,
+    w: Work,
+    knots: Knots,
+    angle: Any,
+    drive: Any,
+    tension: Any,
 ) -> float:
     """Move `state` on through commands (T,), each in `parts` steps; outputs (T,). Returns the greatest residual [mm].
 
@@ -78,7 +90,7 @@ def advance(
     for k in range(commands.size):
         for _ in range(parts):
             x += d.drive_share * (commands[k] - x)
-            worst = max(worst, _step(x + p.pretension, s, bends, late, moments, w, p, d))
+            worst = max(worst, _step(x + p.pretension, s, bends, late, moments, w, knots, p, d))
         angle[k], drive[k], tension[k] = np.degrees(bends.sum()), x, w.tension[0]
     state[0] = x
     state[1 : 1 + contacts] = s[1:-1]

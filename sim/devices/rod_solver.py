@@ -1,4 +1,4 @@
-"""One implicit step of the rod device: a semi-smooth Newton iteration over stick and slip, with sweeps as its net.
+"""One implicit step of the rod device: a semi-smooth Newton iteration over stick and slip, with shooting as its net.
 
 Unknown are the tendon's displacements s_1..s_m at the contacts; with ds_j the change in this step and
 
@@ -11,9 +11,8 @@ the choice of stick or slip overshoots):
     ds_j = max(0, ds_j + rho F+_j) + min(0, ds_j - rho F-_j)
 
 It is piecewise smooth, F+ rises with both neighbours' displacements and falls with its own (F- the other way round), so
-the Newton matrix is tridiagonal with a dominant diagonal, and sweeping from contact to contact (nonlinear Gauss-Seidel)
-converges from anywhere; Newton does in few iterations what sweeps do in hundreds (Facchinei and Pang, 2003, ch. 7;
-Rheinboldt, J. Math. Anal. Appl. 32, 1970, for the sweeps).
+the Newton matrix is tridiagonal with a dominant diagonal (Facchinei and Pang, 2003, ch. 7). Three to six iterations are
+usual; where it circles, at the edge of slack or after jumps, `rod_shooting` solves the same law by roots of scalars.
 """
 
 from __future__ import annotations
@@ -24,14 +23,12 @@ import numpy as np
 from numba import njit
 
 from .rod_equations import RodNumbers, StepNumbers, grip, span
+from .rod_shooting import Knots, shoot
 
 TOLERANCE_MM = 1e-9
 """Greatest residual of the friction law that a step may leave [mm]."""
 
-_NEWTON = 20  # iterations before sweeps help; three to six are usual
-_ROUNDS = 6
-_HALVINGS = 8
-_SECANTS = 60
+_NEWTON = 20  # iterations before it is given up
 
 
 class Work(NamedTuple):
@@ -114,82 +111,31 @@ def _newton(s: Any, w: Work, p: RodNumbers, guess: float, hold: float, room: flo
 
 
 @njit(cache=True, error_model="numpy")
-def _side_at(at: float, j: int, forward: bool, s: Any, w: Work, p: RodNumbers, d: StepNumbers) -> float:
-    """F+ (or F-) of contact j if it stood at `at`."""
-    s[j] = at
-    for k in (j - 1, j):
-        w.tension[k], w.bend[k], w.slope[k], w.give[k] = span(s[k] - s[k + 1], w.load[k], w.reached[k], k, p, d)
-    _, plus, minus = _sides(j, w, p)
-    return plus if forward else minus
-
-
-@njit(cache=True, error_model="numpy")
-def _sweep(s: Any, w: Work, p: RodNumbers, d: StepNumbers) -> None:
-    """Solve each contact's own equation once, the others standing still."""
+def _residual(s: Any, w: Work, p: RodNumbers) -> float:
+    """Greatest residual of the friction law at s (m + 2,) and the tensions in `w` [mm]."""
+    worst = 0.0
     for j in range(1, w.tension.size):
-        still = w.before[j]
-        forward = _side_at(still, j, True, s, w, p, d) > 0
-        if not forward and _side_at(still, j, False, s, w, p, d) <= 0:
-            continue
-        # Where the pulling span is slack the slip has ended: this brackets the root, regula falsi (Illinois) finds it.
-        near, far, reach = still, still, 1e-4 if forward else -1e-4
-        above, below = _side_at(still, j, forward, s, w, p, d), 1.0
-        while below > 0:
-            far, reach = still + reach, 4 * reach
-            below = _side_at(far, j, forward, s, w, p, d)
-        for _ in range(_SECANTS):
-            at = near + (far - near) * above / (above - below)
-            value = _side_at(at, j, forward, s, w, p, d)
-            if value > 0:
-                near, above, below = at, value, 0.5 * below
-            else:
-                far, below, above = at, value, 0.5 * above
-            if abs(value) * p.compliance[j] < 0.1 * TOLERANCE_MM:
-                break
+        _, forward, backward = _sides(j, w, p)
+        rho, moved = 0.5 * min(p.compliance[j - 1], p.compliance[j]), s[j] - w.before[j]
+        worst = max(worst, abs(moved - max(0.0, moved + rho * forward) - min(0.0, moved - rho * backward)))
+    return worst
 
 
 @njit(cache=True, error_model="numpy")
-def _solve_at_once(s: Any, w: Work, p: RodNumbers, d: StepNumbers) -> float:
-    """Displacements s (m + 2,) at the end of a step, s[0] given; returns the residual left [mm]."""
-    residual, pull = np.inf, s[0] - w.before[0]
-    guess, room = 1.0, 0.1 * abs(pull) + 1e-3
-    for sweeps in range(_ROUNDS):
-        hold = 1.0
-        for _ in range(_NEWTON):
-            _spans(s, w, p, d)
-            residual = _newton(s, w, p, guess, hold, room)
-            if residual <= TOLERANCE_MM:
-                return residual
-            guess, hold, room = 0.0, 0.4 * hold, min(2 * room, 1e3)
-        for j in range(1, w.tension.size):
-            if not np.isfinite(s[j]):
-                s[j] = w.before[j]
-        for _ in range(sweeps + 1):
-            _sweep(s, w, p, d)
-    return residual
-
-
-@njit(cache=True, error_model="numpy")
-def solve(place: float, s: Any, w: Work, p: RodNumbers, d: StepNumbers) -> float:
+def solve(place: float, s: Any, w: Work, k: Knots, p: RodNumbers, d: StepNumbers) -> float:
     """Displacements s (m + 2,) after the drive has gone to `place`; returns the residual left [mm].
 
-    A way that is not solved at once is gone in 2, 4, 8, ... equal parts: friction without viscosity depends on the
-    path alone, so that parts of a straight way are its more exact solution. `w` holds begin and loads, and afterwards
-    tensions and bends; its `side` is what slipped last.
+    `w` holds begin and loads, and afterwards tensions and bends; its `side` is what slipped last.
     """
-    begin, side = w.before.copy(), w.side.copy()
-    worst = np.inf
-    for halvings in range(_HALVINGS + 1):
-        parts, worst = 2**halvings, 0.0
-        s[:] = begin
-        w.side[:] = side
-        for part in range(1, parts + 1):
-            w.before[:] = s
-            s[0] = place if part == parts else begin[0] + (place - begin[0]) * part / parts
-            worst = max(worst, _solve_at_once(s, w, p, d))
-            if not worst <= TOLERANCE_MM:
-                break
-        if worst <= TOLERANCE_MM:
-            break
-    w.before[:] = begin
-    return worst
+    s[:] = w.before
+    s[0] = place
+    guess, hold, room = 1.0, 1.0, 0.1 * abs(place - w.before[0]) + 1e-3
+    for _ in range(_NEWTON):
+        _spans(s, w, p, d)
+        residual = _newton(s, w, p, guess, hold, room)
+        if residual <= TOLERANCE_MM and np.isfinite(s.sum()):
+            return residual
+        guess, hold, room = 0.0, 0.4 * hold, min(2 * room, 1e3)
+    shoot(place, s, w, k, p, d)
+    _spans(s, w, p, d)
+    return _residual(s, w, p)

@@ -17,10 +17,9 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
+from ..computed_plant import ComputedPlant
 from ..config import SimulationConfig, load_simulation
-from ..plant import SimulatedPlant
 from ..study import prepare
-from .snapshot import plant_copy
 
 Vec = NDArray[np.float64]
 Signal = Callable[[float], float]
@@ -54,7 +53,7 @@ class EnvironmentState:
         disturbance: what acts from outside.
     """
 
-    plant: SimulatedPlant
+    plant: ComputedPlant
     random: np.random.Generator
     motion: str
     k: int
@@ -91,7 +90,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def __init__(
         self,
-        plant: SimulatedPlant,
+        plant: ComputedPlant,
         motions: Mapping[str, Trajectory],
         limits: CommandLimits,
         preview: int = 10,
@@ -100,7 +99,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> None:
         if not motions or preview < 1:
             raise ConfigError(f"environment: got {len(motions)} motions and a preview of {preview}, expected 1 or more")
-        self._plant, self._limits, self._rate_weight = plant_copy(plant), limits, rate_weight
+        self._plant, self._limits, self._rate_weight = plant.copied(), limits, rate_weight
         self._tables = {name: PreviewTable(motion, plant.dt, preview) for name, motion in motions.items()}
         self._disturbance = disturbance or Disturbance()
         self._motion, self._k = next(iter(self._tables)), 0
@@ -168,7 +167,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def get_state(self) -> EnvironmentState:
         """The whole state, to be put back as often as wanted, in this environment or an equal one."""
-        plant, random = plant_copy(self._plant), deepcopy(self.np_random)
+        plant, random = self._plant.copied(), deepcopy(self.np_random)
         return EnvironmentState(plant, random, self._motion, self._k, self._u, self._y, self._disturbance)
 
     def set_state(self, state: EnvironmentState) -> NDArray[np.float32]:
@@ -179,7 +178,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         if state.motion not in self._tables:
             raise ConfigError(f"environment: no motion {state.motion!r}, {did_you_mean(state.motion, self._tables)}")
-        self._plant = plant_copy(state.plant)
+        self._plant = state.plant.copied()
         self._np_random = deepcopy(state.random)
         self._motion, self._k, self._u, self._y = state.motion, state.k, state.u, state.y
         self._disturbance = state.disturbance

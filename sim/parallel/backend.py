@@ -21,6 +21,13 @@ class Backend(ABC):
 
     workers: int
 
+    def check(self) -> None:  # noqa: B027  # only what is elsewhere can be missing
+        """Find out before anything is written whether there is anybody to work.
+
+        Raises:
+            ConfigError: if there is not.
+        """
+
     @abstractmethod
     def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
         """Results as they come, in any order.

@@ -37,6 +37,16 @@ class DaskCluster(Backend):
         self.workers = workers
         self._address, self._where = address, where
 
+    def check(self) -> None:
+        """See `Backend`.
+
+        Raises:
+            ConfigError: if no scheduler answers.
+        """
+        if self._address != "local":
+            with self._client():
+                pass
+
     def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
         """See `Backend`.
 

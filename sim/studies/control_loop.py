@@ -145,7 +145,7 @@ def _gains(job: ControlJob, rival: Rival, settings: ControlSettings, folder: Pat
 
 def _rested(study: Study, effects: Effects, dt_s: float) -> Study:
     """The study with an oracle that knows the plant's memory after its initialisation flexure."""
-    known, limits = study.predictor, study.plant.simulator.command_limits
+    known, limits = study.predictor, study.plant.command_limits
     flexure = initialisation_flexure(limits, dt_s, warmup_samples=1)
     wait_s = _SETTLED_LAGS * effects.lag_s + effects.delay_s
     settling = np.full(round(wait_s / dt_s), limits.lower)

@@ -13,13 +13,13 @@ from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.protocols import Controller
 from hystmpc.models.lstm.initial import initialisation_flexure
 
-from ..plant import SimulatedPlant
+from ..computed_plant import ComputedPlant
 
 Vec = NDArray[np.float64]
 State = GuardedState[Any]
 
 
-def watched_flexure(plant: SimulatedPlant, seed: int) -> tuple[Vec, Vec]:
+def watched_flexure(plant: ComputedPlant, seed: int) -> tuple[Vec, Vec]:
     """Commands sent and angles measured when each was sent, over one initialisation flexure and its rest.
 
     The device is flexed from the rest that `reset` leaves, and comes back to it: what was before is wiped out.
@@ -29,7 +29,7 @@ def watched_flexure(plant: SimulatedPlant, seed: int) -> tuple[Vec, Vec]:
         seed: of the sensor noise, which must not be that of the run.
     """
     device = plant.reseeded(seed)
-    commands = initialisation_flexure(device.simulator.command_limits, device.dt, warmup_samples=1)
+    commands = initialisation_flexure(device.command_limits, device.dt, warmup_samples=1)
     angles = [device.reset()]
     angles += [device.apply(float(u)) for u in commands]
     return commands, np.array(angles[:-1])

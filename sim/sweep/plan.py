@@ -15,6 +15,7 @@ from hystmpc.models.library import model_path
 from hystmpc.trials.errors import ConfigError
 
 from ..config import SimulationConfig
+from ..plants import file_hash, plant_hash
 from .draws import drawn
 from .paths import changed, path_parts, place
 from .settings import SweepSettings, label
@@ -34,7 +35,7 @@ class Row:
         draw: number of the draw.
         seed: of noise.
         settings: the study with this controller and motion alone, as JSON.
-        files: SHA-256 of the model files, in the study's order.
+        files: SHA-256 of plant, model and inverse.
     """
 
     id: str
@@ -56,7 +57,7 @@ class Row:
 
 
 class Hashes:
-    """SHA-256 of model files, each read once."""
+    """SHA-256 of model files and of a device's numbers, each made once."""
 
     def __init__(self) -> None:
         self._known: dict[str, str] = {}
@@ -68,16 +69,22 @@ class Hashes:
             ConfigError: if a file cannot be read.
             ModelError: on an unknown built-in model.
         """
-        names = [text for text in (config.plant.simulator, config.model, config.inverse) if text is not None]
-        return tuple(self._hash(name) for name in names)
+        device = config.plant.simulator
+        plant = plant_hash(config.plant) if device is None else self._hash(device)
+        return (plant, *self.of_models(config))
+
+    def of_models(self, config: SimulationConfig) -> tuple[str, ...]:
+        """Hashes of model and inverse.
+
+        Raises:
+            ConfigError: if a file cannot be read.
+            ModelError: on an unknown built-in model.
+        """
+        return tuple(self._hash(name) for name in (config.model, config.inverse) if name is not None)
 
     def _hash(self, name: str) -> str:
         if name not in self._known:
-            path = model_path(name)
-            try:
-                self._known[name] = hashlib.sha256(path.read_bytes()).hexdigest()
-            except OSError as error:
-                raise ConfigError(f"{path}: cannot be read ({error.strerror}), expected a model file") from None
+            self._known[name] = file_hash(model_path(name))
         return self._known[name]
 
 
@@ -108,7 +115,7 @@ class Plan:
         """
         settings, hashes, seen = self.settings, Hashes(), set()
         for point in self.grid:
-            at_point = self._with(self.settings.base, {path: value for path, (_, value) in point.items()}, "grid")
+            at_point = self._at(point)
             for number in range(settings.count):
                 values = drawn(settings.draw, settings.draw_seed, number)
                 config = self._study(self._with(at_point, values, "draw"))
@@ -127,7 +134,7 @@ class Plan:
         """
         total = 0
         for point in self.grid:
-            at_point = self._with(self.settings.base, {path: value for path, (_, value) in point.items()}, "grid")
+            at_point = self._at(point)
             values = drawn(self.settings.draw, self.settings.draw_seed, 0)
             study = self._study(self._with(at_point, values, "draw"))
             for path, draw in self.settings.draw.items():
@@ -145,6 +152,11 @@ class Plan:
     def _factors(self, values: Mapping[str, Any]) -> dict[str, Any]:
         kinds = self.columns()
         return {path: float(v) if kinds[path] == "number" else label(v) for path, v in values.items()}
+
+    def _at(self, point: Mapping[str, tuple[str, Any]]) -> Any:
+        """The study at a grid point, with everything in it that a whole block among the values has left out."""
+        data = self._with(self.settings.base, {path: value for path, (_, value) in point.items()}, "grid")
+        return self._study(data).model_dump(mode="json") if point else data
 
     def _with(self, data: Any, values: Mapping[str, Any], block: str) -> Any:
         for path, value in values.items():

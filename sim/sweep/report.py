@@ -20,7 +20,7 @@ from .axes import plain_log
 from .columns import Column, Vec, chosen, numbers, texts
 from .store import table_of
 
-_FIGURES = ("rmse_deg", "max_abs_deg", "hold_error_deg", "command_travel", "limit_violations", "step_mean_s", "wall_s")
+_FIGURES = ("rmse_deg", "max_abs_deg", "hold_error_deg", "command_travel", "limit_violations", "step_mean_s", "cpu_s")
 _NAMES = ("id", "status", "message", "controller", "motion", "seed", *_FIGURES)
 _WORST = 20
 _LEVELS = 8  # a factor with more numbers is shown by its quarters
@@ -84,14 +84,14 @@ def sweep_report(view: SweepView, meta: Mapping[str, Any]) -> Report:
 
 
 def _facts(view: SweepView, done: SweepView, meta: Mapping[str, Any]) -> dict[str, object]:
-    wall, beyond = view.figures("wall_s"), done.figures("limit_violations")
+    busy, beyond = view.figures("cpu_s"), done.figures("limit_violations")
     return {
-        "runs": len(wall),
+        "runs": len(busy),
         "failed": len(view.failed()),
         "varied": ", ".join(view.factors) or "nothing but controller, motion and seed",
         "commands beyond a limit": int(np.sum(beyond)),
         "runs with one": int(np.sum(beyond > 0)),
-        "processor time": f"{np.sum(wall) / 60:.1f} min, {np.mean(wall):.2f} s a run",
+        "processor time": f"{np.sum(busy) / 60:.1f} min, {np.mean(busy):.2f} s a run",
         "hystmpc": meta["versions"].get("hystmpc"),
         "started": meta["start"],
     }
@@ -105,7 +105,7 @@ def _overall(done: SweepView) -> Iterator[Piece]:
             part = done.where("motion", motion).where("controller", controller)
             if e := _summary(part.figures("rmse_deg")):
                 held, travel = _median(part.figures("hold_error_deg")), _median(part.figures("command_travel"))
-                rows.append((motion, controller, len(part.table["id"]), *e, held, travel))
+                rows.append((motion, controller, len(part.table["id"]), *e, _cell(held), travel))
     yield Heading("Controllers")
     caption = "RMSE of the tip angle without sensor noise [deg]; error in holds [deg]; command travel [command unit]."
     yield Table(columns, rows, caption)
@@ -122,7 +122,7 @@ def _boxes(done: SweepView) -> Plot:
             sets = {name: part.where("controller", name).figures("rmse_deg") for name in controllers}
             _box(axes, {name: values for name, values in sets.items() if values.size}, colour)
             axes.set_title(motion)
-        rows[-1].set_xlabel("RMSE [deg]")
+        rows[-1].set_xlabel("RMSE of the tip angle [deg]")
     caption = (
         "Tracking error over all runs, logarithmic: box from the first to the third quarter with the median, lines to "
         "the 5th and 95th percentile, points beyond them."
@@ -174,6 +174,10 @@ def _levels(done: SweepView, path: str, kind: str) -> Iterable[tuple[str, NDArra
             last = values <= edges[k + 1] if k == 3 else values < edges[k + 1]
             yield f"{edges[k]:.3g} to {edges[k + 1]:.3g}", (values >= edges[k]) & last
         return
+    if kind == "number":
+        for value in np.unique(done.figures(path)):
+            yield f"{value:.4g}", done.figures(path) == value
+        return
     levels = np.array(texts(done.table, path))
     for level in done.names(path):
         yield _short(level), levels == level
@@ -204,7 +208,9 @@ def _pair(values: Vec) -> str:
 
 
 def _cell(value: Any) -> object:
-    return _short(value or "") if value is None or isinstance(value, str) else float(value)
+    if value is None or isinstance(value, str):
+        return _short(value or "")
+    return float(value) if math.isfinite(value) else "-"
 
 
 def _short(text: str) -> str:

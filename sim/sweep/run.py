@@ -32,6 +32,7 @@ class SweepOutcome:
         kept: rows that were done before.
         failed: rows whose run could not be made, with the first error.
         message: that error, empty without one.
+        others: rows of the table that are none of this plan, made by an earlier form of the sweep.
     """
 
     table: Path
@@ -40,6 +41,7 @@ class SweepOutcome:
     kept: int
     failed: int
     message: str
+    others: int
 
 
 def run_sweep(
@@ -66,6 +68,7 @@ def run_sweep(
     """
     plan = Plan(settings, source)
     total = plan.check()
+    backend.check()
     folder = open_folder(Path(out), settings)
     with alone_in(folder.path):
         store = Store(folder.path, columns_of(plan))
@@ -83,7 +86,8 @@ def run_sweep(
         view = SweepView.of(folder.path, plan.columns(), seen.ids)
         report = folder.write_report(sweep_report(view, folder.meta).html())
     failed = view.failed()
-    return SweepOutcome(table, report, len(seen.ids), seen.kept, len(failed), failed[0][1] if failed else "")
+    message = failed[0][1] if failed else ""
+    return SweepOutcome(table, report, len(seen.ids), seen.kept, len(failed), message, len(done - seen.ids))
 
 
 class Counted:

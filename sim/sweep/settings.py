@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -96,7 +96,11 @@ def study_of(base: str | dict[str, Any], path: Path) -> SimulationConfig:
     folder = path.resolve().parent
     if isinstance(base, str):
         return load_simulation(folder / base)
-    return located(SimulationConfig.parse(base, lambda at: place_in(path)(("base", *at))), folder)
+
+    def where(at: Sequence[str | int]) -> str:
+        return place_in(path)(("base", *at))
+
+    return located(SimulationConfig.parse(base, where), folder, where)
 
 
 def sweep_in(folder: Path) -> SweepSettings | None:

@@ -105,7 +105,7 @@ def shared_knowledge(config: SimulationConfig) -> Knowledge:
     Raises:
         HystmpcError: what `knowledge` raises.
     """
-    return _kept_knowledge(config.model, config.inverse, config.actuator_lag_s, Hashes().of(config)[1:])
+    return _kept_knowledge(config.model, config.inverse, config.actuator_lag_s, Hashes().of_models(config))
 
 
 @lru_cache(maxsize=_KEPT)

@@ -69,6 +69,9 @@ def run_tuning(
         FitError: if no trial came to an end.
         KeyboardInterrupt: if the user ended it; finished trials are kept.
     """
+    backend.check()
+    if storage is not None:
+        _optuna().open_search(storage, f"hystmpc-{settings.fingerprint}")  # before anything is written
     folder = _folder(Path(out), settings)
     with alone_in(folder.path):
         url = storage or f"sqlite:///{(folder.path / 'search.db').resolve()}"
@@ -93,19 +96,16 @@ def search(
         ConfigError: if the storage cannot be opened, or optuna is not installed.
         KeyboardInterrupt: if the user ended it.
     """
-    try:
-        from .optuna_ import open_search, run_ticket, trials_of
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"tune: {error.name} is not installed: pip install 'hystmpc[tune]'") from None
+    optuna_ = _optuna()
     name = f"hystmpc-{settings.fingerprint}"
-    open_search(storage, name)  # made before the workers meet
+    optuna_.open_search(storage, name)  # made before the workers meet
     plain = settings.model_dump_json()
     slots: Sequence[int] = range(settings.trials)
     failed: list[Outcome] = []
     ended = 0
     while slots:
         later = []
-        for outcome in backend.results(run_ticket, [Ticket(slot, storage, name, plain) for slot in slots]):
+        for outcome in backend.results(optuna_.run_ticket, [Ticket(slot, storage, name, plain) for slot in slots]):
             if outcome.state == "elsewhere":
                 later.append(outcome.slot)
                 continue
@@ -116,7 +116,20 @@ def search(
         slots = sorted(later)
         if slots:
             time.sleep(_WAIT_S)
-    return tuple(t for t in trials_of(storage, name) if t.slot < settings.trials), tuple(failed)
+    return tuple(t for t in optuna_.trials_of(storage, name) if t.slot < settings.trials), tuple(failed)
+
+
+def _optuna() -> Any:
+    """The module that needs Optuna.
+
+    Raises:
+        ConfigError: if it is not installed.
+    """
+    try:
+        from . import optuna_
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"tune: {error.name} is not installed: pip install 'hystmpc[tune]'") from None
+    return optuna_
 
 
 def _folder(path: Path, settings: TuneSettings) -> RunFolder:
@@ -128,8 +141,22 @@ def _folder(path: Path, settings: TuneSettings) -> RunFolder:
     before = read_yaml(path / "config.yaml")
     if not isinstance(before, dict) or "search" not in before:
         raise ConfigError(f"{path}: holds another kind of run, expected a new folder or that of a tuning")
+    changed = _changed(TuneSettings.parse(before, str(path / "config.yaml")), settings)
+    if changed:
+        raise ConfigError(
+            f"{path}: holds a tuning with other {', '.join(changed)}, expected a new folder; "
+            "only trials and held_out may change"
+        )
     write_atomically(path / "config.yaml", dump_yaml(plain))
     return folder
+
+
+def _changed(before: TuneSettings, now: TuneSettings) -> list[str]:
+    """Settings by which one search differs from another, so that its trials are of no use to it."""
+    if before.fingerprint == now.fingerprint:
+        return []
+    old, new = before.model_dump(mode="json"), now.model_dump(mode="json")
+    return [name for name in new if name not in ("trials", "held_out") and old[name] != new[name]]
 
 
 def _write(folder: RunFolder, found: Tuning) -> None:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from hystmpc.ctrl.config import AnyControllerSettings
-from hystmpc.models.library import model_path
-from hystmpc.models.simulator import load_simulator
 
 from ..config import PlantSettings
+from ..plants import varied_parameters
 from ..sweep.draws import DrawSettings
 
 _ESTIMATOR = {
@@ -51,12 +50,11 @@ def default_space(settings: AnyControllerSettings) -> dict[str, DrawSettings]:
 
 
 def default_draws(plant: PlantSettings) -> dict[str, DrawSettings]:
-    """Lag, noise, and each parameter of the plant within a tenth.
+    """Lag, noise, and each parameter that varies within a tenth.
 
     Raises:
         ModelError: if the plant's file is missing or unusable.
     """
-    chain = load_simulator(model_path(plant.simulator)).chain
     draws = {"plant.lag_s": DrawSettings(uniform=_LAG_S), "plant.noise_deg": DrawSettings(uniform=_NOISE_DEG)}
     factor = DrawSettings(uniform=_FACTOR)
-    return draws | {f'plant.mismatch."{label}"': factor for label in chain.labels}
+    return draws | {f'plant.mismatch."{label}"': factor for label in varied_parameters(plant)}

@@ -81,6 +81,12 @@ def test_a_row_that_comes_out_otherwise_is_told(
         (["simulate", "{file}", "--out", "x", "--controller", "tuned"], "expected NAME=FILE"),
         (["simulate", "{file}", "--out", "x", "--controller", "tuned={file}"], "expected the settings of one"),
         (["tune", "nowhere.yaml", "--out", "x"], "nowhere.yaml"),
+        (["simulate", "--sweep", "{file}", "--out", "x", "--jobs", "0"], "--jobs: got 0, expected 1 or more"),
+        (["tune", "{file}", "--out", "x", "--jobs", "-3"], "--jobs: got -3, expected 1 or more"),
+        (["simulate", "{file}", "--out", "x", "--jobs", "2"], "--jobs does nothing here, expected it with --sweep"),
+        (["simulate", "{file}", "--out", "x", "--cluster", "local"], "--cluster does nothing here"),
+        (["simulate", "--sweep", "{file}", "--out", "x", "--controller", "a={file}"], "--controller does nothing here"),
+        (["simulate", "--sweep", "{file}", "--out", "x", "--set", "base.model=builtin:pie"], "did you mean 'pi'"),
         (["tune", "{file}", "--out", "x"], "unknown key 'count'"),
     ],
 )
@@ -99,6 +105,60 @@ def test_unusable_input_is_one_line_and_exit_code_2(
     assert len(lines) == 1
     assert message in lines[0]
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
+
+
+def test_an_unknown_built_in_model_is_told_with_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study, sweep = written(tmp_path, BASE | {"model": "builtin:pie"}, "study.yaml"), tmp_path / "sweep.yaml"
+    written(tmp_path, SWEEP | {"base": BASE | {"plant": {"simulator": "builtin:tendn-catheter"}}}, "sweep.yaml")
+    for arguments, place in (
+        (["simulate", study], f"{study}, line 3: model: no built-in model 'pie'"),
+        (["simulate", "--sweep", sweep], f"{sweep}, line 3: plant.simulator: no built-in model 'tendn-catheter'"),
+    ):
+        code, _, err = run(capsys, *arguments, "--out", tmp_path / "x")
+        assert code == 2
+        assert f"error: {place}" in err
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("verb", ["simulate", "tune"])
+def test_a_cluster_that_does_not_answer_leaves_nothing_behind(
+    verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dask_ = pytest.importorskip("hystmpc.sim.parallel.dask_", reason="dask is an extra")
+    pytest.importorskip("optuna", reason="optuna is an extra")
+    monkeypatch.setattr(dask_, "_TIMEOUT_S", 0.5)
+    folder, search = tmp_path / "x", {"base": BASE, "draw": SWEEP["draw"]}
+    what = ["--sweep", written(tmp_path, SWEEP)] if verb == "simulate" else [written(tmp_path, search)]
+    code, _, err = run(capsys, verb, *what, "--out", folder, "--cluster", "tcp://127.0.0.1:9")
+    assert code == 2
+    assert "--cluster tcp://127.0.0.1:9: no Dask scheduler answers" in err
+    assert not folder.exists()
+
+
+@pytest.mark.slow
+def test_a_sweep_that_was_another_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "sweep"
+    for lag in (0.0, 0.05):
+        file = written(tmp_path, {"base": BASE | {"actuator_lag_s": lag}})
+        code, out, err = run(capsys, "simulate", "--sweep", file, "--out", folder, "--jobs", 1)
+        assert code == 0, err
+    assert "1 more rows are of another form of this sweep" in out
+
+
+@pytest.mark.slow
+def test_a_tuning_does_not_go_on_in_anothers_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("optuna", reason="optuna is an extra")
+    few = {"plants": {"count": 1, "seed": 1}, "held_out": {"count": 1, "seed": 2}, "trials": 1}
+    file, folder = written(tmp_path, {"base": BASE, "draw": SWEEP["draw"]} | few), tmp_path / "tune"
+    arguments = ["tune", file, "--out", folder, "--jobs", 1]
+    assert run(capsys, *arguments)[0] == 0
+    kept = (folder / "controller.yaml").read_bytes()
+    code, _, err = run(capsys, *arguments, "--set", "seed=7")
+    assert code == 2
+    assert "holds a tuning with other seed, expected a new folder" in err
+    assert (folder / "controller.yaml").read_bytes() == kept
+    assert run(capsys, *arguments, "--set", "trials=2")[0] == 0
 
 
 def test_the_examples_are_right() -> None:

@@ -9,11 +9,13 @@ from dataclasses import dataclass, field
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.rig.gate import Gate
 from hystmpc.rig.intake import Intake, SensorSettings
-from hystmpc.rig.loop import ControlLoop, Outcome, StopFlag
+from hystmpc.rig.loop import ControlLoop
+from hystmpc.rig.outcome import Outcome
 from hystmpc.rig.phases.motion import CommandMotion, SafeStop
 from hystmpc.rig.phases.phase import Phase
 from hystmpc.rig.ramp import RampSettings, ramp_commands, way_commands
 from hystmpc.rig.sample import Sample
+from hystmpc.rig.stop_flag import StopFlag
 from hystmpc.rig.transports.reading import Reading
 
 DT = 0.04

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.rig.config import load_record, load_run
-from hystmpc.rig.device.faults import FaultSettings, FaultyWire
+from hystmpc.rig.device.faults import FaultSettings
+from hystmpc.rig.device.faulty_wire import FaultyReadings
 from hystmpc.rig.gate import Gate
 from hystmpc.rig.histogram import BINS, Histogram
 from hystmpc.rig.intake import Intake, SensorSettings
@@ -167,7 +168,7 @@ def test_realtime_that_is_refused_says_so_and_everything_is_put_back() -> None:
     assert os.sched_getaffinity(0) == cores
 
 
-def out(wire: FaultyWire, count: int = 50) -> list[Outgoing]:
+def out(wire: FaultyReadings, count: int = 50) -> list[Outgoing]:
     arrived = []
     for k in range(count):
         wire.put(Outgoing(float(k), 0.0, k, k * 40 * MS), 0.04 * k)
@@ -178,7 +179,7 @@ def out(wire: FaultyWire, count: int = 50) -> list[Outgoing]:
 @pytest.mark.parametrize("name", ["freeze", "nan", "outlier", "dropout", "delay", "jitter", "reorder", "duplicate"])
 def test_faults_begin_and_end_when_they_have_to(name: str) -> None:
     fault = FaultSettings.parse({"fault": name, "start_s": 0.8, "duration_s": 0.4})
-    arrived = out(FaultyWire([fault], seed=0))
+    arrived = out(FaultyReadings([fault], seed=0))
     clean = [Outgoing(float(k), 0.0, k, k * 40 * MS) for k in range(50)]
     assert arrived[:20] == clean[:20]
     assert arrived[-5:] == clean[-5:]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -13,29 +14,27 @@ from pathlib import Path
 
 import pytest
 
+from hystmpc.cli.main import main
 from hystmpc.rig.campaign.cases import CASES
 from hystmpc.rig.campaign.judge import judge
 from hystmpc.rig.campaign.play import device_log, play
+from hystmpc.rig.campaign.processes import PROGRAM, end, start, start_device
 from hystmpc.rig.campaign.setup import write_device, write_run
+from hystmpc.rig.recording import RecordingMeta, open_apart
+from hystmpc.rig.recording.apart import Views
 from hystmpc.trials.csv_ import read_csv
+from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
 
-PROGRAM = (sys.executable, "-c", "from hystmpc.cli.main import main; main()")
 PLAIN = CASES[0]
 
 
 @pytest.fixture
 def device(tmp_path: Path) -> Iterator[tuple[int, subprocess.Popen[str]]]:
     """A device process; its port, and itself."""
-    command = [*PROGRAM, "device", str(write_device(PLAIN, tmp_path))]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    assert process.stdout is not None
-    found = re.search(r"udp port (\d+)", process.stdout.readline())
-    assert found is not None
-    yield int(found[1]), process
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-    process.communicate(timeout=30)
+    process, port = start_device(write_device(PLAIN, tmp_path))
+    yield port, process
+    end(process)
 
 
 @pytest.mark.slow
@@ -44,10 +43,7 @@ def test_a_signal_ends_a_run_at_the_safe_command_and_latches(
 ) -> None:
     """SIGTERM of the controller, then the refusal, then the reset; SIGINT of the device ends it cleanly."""
     config = write_run(PLAIN, tmp_path, device[0])
-    command = [*PROGRAM, "run", str(config), "--out"]
-    first = subprocess.Popen(
-        [*command, str(tmp_path / "first")], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
+    first = start(["run", config, "--out", tmp_path / "first"])
     until = time.monotonic() + 60
     while time.monotonic() < until and not any(row[3] > 1.0 for row in device_log(tmp_path)[-5:]):
         time.sleep(0.05)
@@ -58,7 +54,7 @@ def test_a_signal_ends_a_run_at_the_safe_command_and_latches(
     rows = device_log(tmp_path)
     assert rows[-1][3] == 0.0
     assert json.loads((tmp_path / "first" / "latched.json").read_text())["cause"] == "SIGTERM"
-    second = subprocess.run([*command, str(tmp_path / "second")], capture_output=True, text=True, check=False)
+    second = hystmpc("run", config, "--out", tmp_path / "second")
     assert second.returncode == 2
     assert "stop latched" in second.stderr
     assert not (tmp_path / "second").exists()
@@ -69,10 +65,10 @@ def test_a_signal_ends_a_run_at_the_safe_command_and_latches(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["sensor NaN", "model file corrupt"])
+@pytest.mark.parametrize("name", ["sensor NaN", "model file corrupt", "all commands corrupted"])
 def test_a_part_of_the_campaign(name: str, tmp_path: Path) -> None:
     case = next(case for case in CASES if case.name == name)
-    verdict = judge(case, play(case, tmp_path / "case", PROGRAM))
+    verdict = judge(case, play(case, tmp_path / "case"))
     assert verdict.beyond == 0
     assert verdict.passed, verdict
 
@@ -122,7 +118,9 @@ def test_run_report_and_replay(tmp_path: Path) -> None:
     assert float(log["command_mm"][-1]) == 0.0
     (tmp_path / "run" / "report.html").unlink()
     assert hystmpc("report", tmp_path / "run").returncode == 0
-    assert "Predicted and measured angle" in (tmp_path / "run" / "report.html").read_text()
+    page = (tmp_path / "run" / "report.html").read_text()
+    parts = ("Predicted and measured angle", "Timing", "Stages of a sample", "Sources and faults")
+    assert [part for part in parts if part not in page] == []
     (tmp_path / "again.yaml").write_text(
         re.sub("transport: .*", "transport: {kind: replay, run: run}", SIMULATED) + RUN
     )
@@ -144,6 +142,88 @@ def test_record_writes_trials_that_read_as_the_device_moved(tmp_path: Path) -> N
     assert trials["file"].dt == pytest.approx(0.04)
     moved = trials["file"].angle[25] - trials["file"].angle[0]
     assert 10 < moved < 25
+    page = tmp_path / "out" / "report.html"
+    assert "Recording at the bench" in page.read_text()
+    page.unlink()
+    assert hystmpc("report", tmp_path / "out").returncode == 0
+    assert "Recording at the bench" in page.read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("excitation", "expected"),
+    [
+        ("{kind: file, file: motion.csv}", "excitations.it: got commands in bar, expected the bench's mm"),
+        ("{kind: s1_sinusoid, frequency_hz: 0.1}", "excitations.it: got commands in bar, expected the bench's mm"),
+        ("{kind: file, file: nope.csv}", "nope.csv: no such file"),
+    ],
+)
+def test_an_excitation_in_another_unit_is_refused(
+    excitation: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "motion.csv").write_text("time_s,command_bar\n0,0\n1,1\n")
+    (tmp_path / "record.yaml").write_text(SIMULATED + f"excitations: {{it: {excitation}}}\n")
+    assert refusal(capsys, "record", tmp_path / "record.yaml", "--out", tmp_path / "out").endswith(expected)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_what_a_stranger_gets_wrong_is_one_line_and_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder that is taken, no device, a port that is taken; the folder is not even made."""
+    config, out = tmp_path / "run.yaml", tmp_path / "out"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        udp = f"transport: {{kind: udp, port: {port}, bind_port: %d}}\nconnect_timeout_s: 0.2"
+        config.write_text(re.sub("transport: .*", udp % port, SIMULATED) + RUN)
+        assert "the controller cannot listen at 127.0.0.1" in refusal(capsys, "run", config, "--out", out)
+        config.write_text(re.sub("transport: .*", udp % 0, SIMULATED) + RUN)
+        assert f"got no angle from udp 127.0.0.1 port {port} within 0.2 s" in refusal(
+            capsys, "run", config, "--out", out
+        )
+    assert "nobody listens" in refusal(capsys, "run", config, "--out", out)
+    assert not out.exists()
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    assert "is not empty (notes.txt)" in refusal(capsys, "run", config, "--out", out)
+    assert [path.name for path in out.iterdir()] == ["notes.txt"]
+    assert not (tmp_path / "latched.json").exists()
+
+
+@pytest.mark.slow
+def test_a_page_or_a_latch_that_cannot_be_had_leaves_no_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, config = tmp_path / "out", tmp_path / "run.yaml"
+    config.write_text(SIMULATED + RUN)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        meta, views = RecordingMeta("mm"), Views(page=True, port=taken.getsockname()[1])
+        with pytest.raises(ConfigError, match="expected a free port"):
+            open_apart(out, {}, meta, 25.0, views)
+        assert not out.exists()
+    nowhere = ["--set", "latch_file=/proc/hystmpc/latched.json"]
+    assert "expected a place to latch" in refusal(capsys, "run", config, "--out", out, *nowhere)
+    (tmp_path / "latches").write_text("not a folder")
+    latch = ["--set", f"latch_file={tmp_path}/latches/latched.json"]
+    assert "unreadable latch; look at the device" in refusal(capsys, "run", config, "--out", out, *latch)
+    assert "cannot be removed" in refusal(capsys, "run", config, "--out", out, *latch, "--reset")
+    assert not out.exists()
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line that a call is refused with, exit code 2."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["hystmpc", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    return line
 
 
 @pytest.mark.slow

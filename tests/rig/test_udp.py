@@ -144,6 +144,18 @@ def test_a_second_controller_is_heard_only_after_the_first_has_left(pair: tuple[
     other.stop()
 
 
+def test_goodbye_to_a_device_that_is_not_there_is_no_error() -> None:
+    """A run that finds no device says so, and nothing else."""
+    link = UdpLink("127.0.0.1", 0, 1.0)
+    transport = UdpTransport(UdpSettings(kind="udp", port=link.port), SAME)
+    link.close()
+    with pytest.raises(ConnectionRefusedError):
+        wait_for(transport.read)
+    transport.stop()
+    transport.stop()
+    assert transport.counters["nobody listens"] >= 1
+
+
 def test_a_taken_port_is_said_in_one_line(pair: tuple[UdpTransport, UdpLink]) -> None:
     with pytest.raises(ConfigError, match=r"cannot listen at 127\.0\.0\.1 port"):
         UdpLink("127.0.0.1", pair[1].port, 1.0)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.sim.devices.device import Motion, Vec
@@ -70,37 +70,33 @@ def parameters(draw: st.DrawFn) -> RodParameters:
     return replace(p, **drawn, weight_n=draw(st.sampled_from([0.0, 0.2, 0.95])) * heaviest)
 
 
-@pytest.mark.xfail(strict=True, reason="known limit: a heavy rod whose tendon has no drag at all, at the edge of slack")
-def test_a_heavy_rod_without_drag_at_the_edge_of_slack() -> None:
-    p = RodParameters(
-        rest_deg=1.0,
-        offset_mm=1.0,
-        stiffness_nmm=2.0,
-        shaft_n_per_mm=1.0,
-        rod_n_per_mm=13.0,
-        pretension_mm=0.0,
-        friction=0.5,
-        shaft_bend_deg=0.0,
-        shaft_drag_n=0.0,
-        rod_drag_n=0.0,
-        fast_share=0.0,
-        slow_share=0.0,
-        set_share=0.0,
-        weight_n=1 / 300,
-        down_deg=0.0,
-        shaft_contacts=1,
-        segments=8,
-    )
-    rod, _ = run(p, np.zeros(1), dt=0.125)
-    assert rod.residual_mm <= TOLERANCE_MM
+EDGE = RodParameters(  # every contact at the edge of slack, where Newton circles: without the net a residual of 2 mm
+    rest_deg=1.0,
+    offset_mm=1.0,
+    stiffness_nmm=2.0,
+    shaft_n_per_mm=1.0,
+    rod_n_per_mm=13.0,
+    pretension_mm=0.0,
+    friction=0.5,
+    shaft_bend_deg=0.0,
+    shaft_drag_n=0.0,
+    rod_drag_n=0.0,
+    fast_share=0.0,
+    slow_share=0.0,
+    set_share=0.0,
+    weight_n=1 / 300,
+    down_deg=0.0,
+    shaft_contacts=1,
+    segments=8,
+)
 
 
 @pytest.mark.slow
 @given(p=parameters(), u=st.lists(st.floats(-5.0, 12.0), min_size=1, max_size=25), dt=st.floats(0.002, 0.2))
+@example(p=EDGE, u=[0.0], dt=0.125)
 @settings(max_examples=60)
 def test_any_command_on_any_device(p: RodParameters, u: list[float], dt: float) -> None:
     """Every step is solved to the stated tolerance, nothing is ever not-a-number, and the tendon never pushes."""
-    assume(p.weight_n == 0 or max(p.shaft_drag_n, p.rod_drag_n) > 0)  # see the known limit below
     rod, done = run(p, np.array(u), dt=dt)
     assert np.isfinite(done.angle).all()
     assert np.isfinite(done.state).all()

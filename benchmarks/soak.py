@@ -1,0 +1,297 @@
+"""A soak at the bench: `hystmpc run` against `hystmpc device`, two processes over the loopback, by UDP and by DDS.
+
+    python benchmarks/soak.py                                # 10 minutes at 25 Hz, 2 minutes at 250 Hz, each over both
+    python benchmarks/soak.py --rate 25 --minutes 0.2 --transport udp [--set realtime.priority=80] [--json FILE]
+
+The loop tracks a sinusoidal scan in real time. A row says how many deadlines the run's own log counts as missed, how
+long a sample took and how late it woke up, and the RMS tracking error over the wire beside that of the same run in
+process: same controller, motion, device and seeds. Beside every run a third process only sleeps at the same rate: what
+is late there is late without us. A missed deadline `beside a stall` is one at whose time the sleeper, too, woke up
+later than a period. Exit code 1 if a deadline was missed, a run did not come to its end, or the ratio of the
+errors is beyond 1.10. Run it on a machine that does nothing else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from hystmpc.models.library import library_file
+from hystmpc.models.simulator import load_simulator, save_simulator
+from hystmpc.rig.campaign.processes import end, start, start_device
+from hystmpc.rig.campaign.setup import DEVICE, RUN
+from hystmpc.rig.config import RunSettings
+from hystmpc.rig.review import judged, review
+from hystmpc.sim.plant import at_sample_time
+from hystmpc.sim.studies.control_rivals import CONTROLLERS, NETWORKS
+from hystmpc.trials.config import dump_yaml
+from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.run_folder import RunFolder
+
+from bare_loop import Floor, floor  # isort: skip
+
+RATIO = 1.10
+IN_PROCESS, WIRES = "in process", ("udp", "dds")
+_LAG_S, _SCAN_HZ, _DOMAIN = 0.08, 0.4, 47
+_PLANT = {
+    "simulator": "builtin:tendon-catheter",
+    "noise_deg": 0.15,
+    "lag_s": _LAG_S,
+    "mismatch": {"prandtl_ishlinskii.alpha": 1.2},
+}
+_BESIDE_S = 0.02  # between a miss and a stall that explains it
+
+
+@dataclass(frozen=True)
+class Soaked:
+    """One run.
+
+    Attributes:
+        transport, rate_hz: of the run.
+        ended: empty for a run that came to its end, else the last thing it said.
+        samples, missed, skipped: of the run.
+        execution, jitter: `median_s`, `p99_s`, `greatest_s` and others, see `TimingSummary` [s].
+        tracking_deg: RMS of measured less wanted angle [deg].
+        sources: tracking samples by what gave the command.
+        floor: what the sleeping process saw meanwhile.
+        beside_stall: missed samples at whose time the sleeper was late, too.
+    """
+
+    transport: str
+    rate_hz: float
+    ended: str
+    samples: int
+    missed: int
+    skipped: int
+    execution: dict[str, float]
+    jitter: dict[str, float]
+    tracking_deg: float
+    sources: dict[str, int]
+    floor: Floor
+    beside_stall: int
+
+
+@dataclass(frozen=True)
+class Row:
+    """A run over a wire beside the same one in process."""
+
+    wire: Soaked
+    in_process: Soaked
+
+    @property
+    def ratio(self) -> float:
+        """Tracking error over the wire by that in process."""
+        return self.wire.tracking_deg / self.in_process.tracking_deg
+
+    @property
+    def passed(self) -> bool:
+        """No deadline missed, the error within the bar, both runs at their end."""
+        return not (self.wire.ended or self.in_process.ended) and self.wire.missed == 0 and self.ratio <= RATIO
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to do: `controller` is one of the control study's, with its settings at the rate."""
+
+    rate_hz: float
+    minutes: float
+    controller: str
+    changes: tuple[str, ...]
+
+
+def configurations(folder: Path, plan: Plan, transport: str) -> tuple[Path, dict[str, Any]]:
+    """The device's file, and the run's settings but for the device's port.
+
+    The model is the shipped Prandtl-Ishlinskii one at the sample time of the loop, which play operators do not mind.
+    """
+    rate_hz = plan.rate_hz
+    folder.mkdir(parents=True)
+    model = at_sample_time(load_simulator(library_file("pi")), 1 / rate_hz)
+    save_simulator(model, folder / "pi.yaml")
+    dds = {"kind": "dds", "domain": _DOMAIN}
+    wires = {"udp": {"kind": "udp"}, "dds": dds, IN_PROCESS: {"kind": "simulated", "plant": _PLANT, "seed": 1}}
+    device = {**DEVICE, "rate_hz": rate_hz, "plant": _PLANT, "seed": 1, "log": None}
+    device["link"] = dds if transport == "dds" else {"kind": "udp", "bind_port": 0}
+    (folder / "device.yaml").write_text(dump_yaml(device), encoding="utf-8")
+    cycles = max(round(60 * plan.minutes * _SCAN_HZ), 1)
+    run = {
+        **RUN,
+        "name": "soak",
+        "rate_hz": rate_hz,
+        "transport": wires[transport],
+        "controller": {
+            "model": "pi.yaml",
+            "actuator_lag_s": _LAG_S,
+            "controller": CONTROLLERS[plan.controller].settings(1 / rate_hz, 0, _LAG_S),
+        },
+        "reference": {**RUN["reference"], "frequency_hz": _SCAN_HZ, "cycles": cycles},
+    }
+    return folder / "device.yaml", run
+
+
+def soak(folder: Path, plan: Plan, transport: str) -> Soaked:
+    """One run in a new folder, with a device where there is a wire, and the sleeper beside it."""
+    device_file, run = configurations(folder, plan, transport)
+    device = None
+    try:
+        if transport != IN_PROCESS:
+            device, port = start_device(device_file)
+            run["transport"] |= {"port": port} if transport == "udp" else {}
+        (folder / "run.yaml").write_text(dump_yaml(run), encoding="utf-8")
+        sets = [word for change in plan.changes for word in ("--set", change)]
+        with sleeping(folder / "floor.npy", plan.rate_hz):
+            controller = start(["run", folder / "run.yaml", "--out", folder / "run", *sets])
+            said, _ = controller.communicate()
+    finally:
+        if device is not None:
+            end(device)
+    lines = [line for line in said.splitlines() if line.strip()]
+    ended = "" if controller.returncode == 0 else f"exit code {controller.returncode}: {(lines or ['nothing'])[-1]}"
+    return _measured(folder, transport, plan.rate_hz, ended)
+
+
+@contextmanager
+def sleeping(file: Path, rate_hz: float) -> Any:
+    """The bare loop in a process of its own while the block runs; `file` gets its wake-ups."""
+    words = [Path(__file__).with_name("bare_loop.py"), "--rate", rate_hz, "--seconds", math.inf, "--out", file]
+    sleeper = subprocess.Popen([sys.executable, *map(str, words)], stdout=subprocess.PIPE, text=True)
+    assert sleeper.stdout is not None
+    sleeper.stdout.readline()
+    try:
+        yield
+    finally:
+        sleeper.terminate()
+        sleeper.communicate()
+
+
+def _measured(folder: Path, transport: str, rate_hz: float, ended: str) -> Soaked:
+    """The figures of a run from what it left.
+
+    Raises:
+        HystmpcError: if it left no log, with what it said.
+    """
+    if not (folder / "run" / "timing.json").exists():
+        raise ConfigError(f"{transport} at {rate_hz:g} Hz: the run did not begin: {ended}")
+    run = RunFolder.open(folder / "run")
+    settings, log = RunSettings.parse(run.config()), run.log()
+    timing: Mapping[str, Any] = json.loads((run.path / "timing.json").read_text(encoding="utf-8"))
+    wall_s, missed, reference = (_numbers(log[name]) for name in ("wall_ns", "missed", "reference_deg"))
+    wake_ups = np.load(folder / "floor.npy")
+    wake_ups = wake_ups[(wake_ups[:, 0] >= 1e-9 * wall_s[0]) & (wake_ups[:, 0] <= 1e-9 * wall_s[-1])]
+    stalls = wake_ups[wake_ups[:, 1] > 1 / rate_hz, 0]
+    misses = 1e-9 * wall_s[missed > 0]
+    beside = np.abs(misses[:, None] - stalls[None, :]).min(axis=1, initial=np.inf) <= _BESIDE_S + 2 / rate_hz
+    return Soaked(
+        transport=transport,
+        rate_hz=rate_hz,
+        ended=ended,
+        samples=wall_s.size,
+        missed=int(missed.sum()),
+        skipped=int(timing["skipped"]),
+        execution=timing["execution"]["summary"],
+        jitter=timing["jitter"]["summary"],
+        tracking_deg=review(judged(run, settings), settings.review.due_above_deg).tracking_deg,
+        sources=dict(Counter(str(s) for s, r in zip(log["source"], reference, strict=True) if math.isfinite(r))),
+        floor=floor(wake_ups, rate_hz),
+        beside_stall=int(np.count_nonzero(beside)),
+    )
+
+
+def _numbers(column: object) -> NDArray[np.float64]:
+    return np.asarray(column, dtype=np.float64)
+
+
+def table(rows: Sequence[Row]) -> Table:
+    """One column a run over a wire."""
+    grid = Table("ms, deg RMS")
+    figures = [_figures(row) for row in rows]
+    sources = sorted({name for row in rows for name in row.wire.sources})
+    for row in rows:
+        grid.add_column(f"{row.wire.transport} {row.wire.rate_hz:g} Hz", justify="right")
+    for name in figures[0]:
+        grid.add_row(name, *(found[name] for found in figures))
+    for name in sources:
+        grid.add_row(f"commands by {name}", *(str(row.wire.sources.get(name, 0)) for row in rows))
+    return grid
+
+
+def _figures(row: Row) -> dict[str, str]:
+    one, sleeper = row.wire, row.wire.floor
+    return {
+        "samples": str(one.samples),
+        "missed (bar 0)": str(one.missed),
+        "... beside a stall": str(one.beside_stall),
+        "execution, median": f"{1e3 * one.execution['median_s']:.2f}",
+        "execution, p99": f"{1e3 * one.execution['p99_s']:.2f}",
+        "execution, greatest": f"{1e3 * one.execution['greatest_s']:.2f}",
+        "wake-up jitter, p99": f"{1e3 * one.jitter['p99_s']:.2f}",
+        "wake-up jitter, greatest": f"{1e3 * one.jitter['greatest_s']:.2f}",
+        "error over the wire": f"{one.tracking_deg:.3f}",
+        "error in process": f"{row.in_process.tracking_deg:.3f}",
+        f"ratio (bar {RATIO:.2f})": f"{row.ratio:.3f}",
+        "sleeper: wake-ups": str(sleeper.wake_ups),
+        "sleeper: beyond a period": str(sleeper.late),
+        "sleeper: p99 late": f"{1e3 * sleeper.p99_s:.2f}",
+        "sleeper: greatest": f"{1e3 * sleeper.greatest_s:.2f}",
+    }
+
+
+def soaks(folder: Path, plan: Plan, transports: Sequence[str]) -> list[Row]:
+    """The same run in process and over every transport, one after another."""
+    runs = [
+        soak(folder / f"{name.replace(' ', '-')}-{plan.rate_hz:g}hz", plan, name) for name in (IN_PROCESS, *transports)
+    ]
+    return [Row(run, runs[0]) for run in runs[1:]]
+
+
+def main() -> int:
+    """Print the table; 0 if every bar is reached."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rate", type=float, action="append", help="samples a second; may be repeated")
+    parser.add_argument("--minutes", type=float, action="append", help="of tracking, one for each rate or one for all")
+    parser.add_argument("--transport", choices=WIRES, action="append", help="may be repeated; both where left out")
+    usable = [name for name, one in CONTROLLERS.items() if one.predictive and one.model not in NETWORKS]
+    parser.add_argument("--controller", choices=usable, default="linearised_backlash", help="of the control study")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="as `hystmpc run --set`")
+    parser.add_argument("--out", type=Path, help="keep the runs in this new folder")
+    parser.add_argument("--json", type=Path, help="write the figures here")
+    given = parser.parse_args()
+    rates = given.rate or [25.0, 250.0]
+    minutes = given.minutes or ([10.0, 2.0] if given.rate is None else [2.0])
+    minutes = minutes * len(rates) if len(minutes) == 1 else minutes
+    if len(minutes) != len(rates):
+        parser.error(f"got {len(minutes)} --minutes and {len(rates)} --rate, expected one for each or one for all")
+    rows = []
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = given.out or Path(scratch)
+        for rate_hz, length in zip(rates, minutes, strict=True):
+            rows += soaks(folder, Plan(rate_hz, length, given.controller, tuple(given.set)), given.transport or WIRES)
+    console = Console()
+    console.print(table(rows))
+    for row in rows:
+        for run in (row.wire, row.in_process):
+            if run.ended:
+                console.print(f"{run.transport} at {run.rate_hz:g} Hz ended early: {run.ended}", soft_wrap=True)
+    if given.json is not None:
+        plain = [{**asdict(row), "ratio": row.ratio, "passed": row.passed} for row in rows]
+        given.json.write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
+    return 0 if all(row.passed for row in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

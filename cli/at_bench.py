@@ -1,0 +1,93 @@
+"""What `run` and `record` share: options, the recording, and how the end of a run is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hystmpc.rig.bench import BenchResult, reset_latch
+from hystmpc.rig.config import BenchSettings
+from hystmpc.rig.histogram import TimingSummary
+from hystmpc.trials.run_folder import require_vacant
+
+from .console import errors, out, table
+
+if TYPE_CHECKING:
+    from hystmpc.rig.recording import Apart, RecordingMeta
+    from hystmpc.rig.recording.apart import Views
+
+STOPPED = 3
+
+Folder = Annotated[Path, typer.Option("--out", help="Run folder, new or empty.")]
+Overrides = Annotated[list[str] | None, typer.Option("--set", help="Change a setting: rate_hz=50.")]
+Reset = Annotated[bool, typer.Option("--reset", help="Release a latched stop first: you have looked at the device.")]
+InTerminal = Annotated[bool, typer.Option("--live", help="Show angle, command, timing and faults in the terminal.")]
+OnPage = Annotated[bool, typer.Option("--page", help="Show them on a local page.")]
+
+
+def begin(settings: BenchSettings, folder: Path, reset: bool) -> None:
+    """Refuse a folder that holds something; release the latch where that is asked for.
+
+    Raises:
+        ConfigError: if the folder is not new or empty, or another program controls the device now.
+    """
+    require_vacant(folder)
+    if reset:
+        reset_latch(settings)
+
+
+def recording_in(
+    folder: Path, settings: BenchSettings, meta: RecordingMeta, views: Views, report: bool = True
+) -> Callable[[], Apart]:
+    """Opens the recording when the device has answered, not before."""
+    from hystmpc.rig.recording import open_apart
+
+    return lambda: open_apart(folder, settings, meta, settings.rate_hz, views, tell, report)
+
+
+def tell(text: str) -> None:
+    """One line to whoever stands beside the device."""
+    errors.print(text, style="yellow", soft_wrap=True, markup=False, highlight=False)
+
+
+def finish(settings: BenchSettings, result: BenchResult) -> None:
+    """Timing as a table, then faults, then how it ended."""
+    timings, outcome = result.timings, result.outcome
+    rows = [
+        _row("period", timings.period.summary()),
+        _row("execution", timings.execution.summary()),
+        _row("wake-up jitter", timings.jitter.summary()),
+    ]
+    title = (
+        f"{outcome.samples} samples at {settings.rate_hz:g} Hz [ms]; {timings.missed} missed, {timings.skipped} skipped"
+    )
+    out.print(table(title, ("", "median", "p99", "p99.9", "greatest"), rows))
+    if outcome.faults:
+        out.print("faults: " + ", ".join(f"{n} {name}" for name, n in sorted(outcome.faults.items())), soft_wrap=True)
+    if outcome.cause:
+        took = f"{outcome.safe_s - outcome.stop_s:.2f} s later" if outcome.safe_s == outcome.safe_s else "never"
+        errors.print(
+            f"stopped: {outcome.cause}; safe command {settings.safe_command:g} {settings.command_unit} held {took}; "
+            "latched until --reset",
+            style="red",
+            soft_wrap=True,
+            markup=False,
+        )
+
+
+def end(result: BenchResult) -> None:
+    """Exit code 3 after a stop.
+
+    Raises:
+        Exit: of typer.
+    """
+    if result.outcome.cause:
+        raise typer.Exit(STOPPED)
+
+
+def _row(name: str, times: TimingSummary) -> list[str]:
+    values = (times.median_s, times.p99_s, times.p999_s, times.greatest_s)
+    return [name, *(f"{1e3 * value:.3f}" for value in values)]

@@ -1,0 +1,16 @@
+"""Where the program starts: Ctrl-C is quiet also while the verbs are being imported."""
+
+from __future__ import annotations
+
+import sys
+
+_INTERRUPTED = 130
+
+
+def main() -> None:
+    """Import the verbs and run the program."""
+    try:
+        from .main import main as program
+    except KeyboardInterrupt:
+        sys.exit(_INTERRUPTED)
+    program()

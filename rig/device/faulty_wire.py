@@ -1,0 +1,128 @@
+"""Faults of a simulated device's wire: of its readings, and of the datagrams that come and go."""
+
+from __future__ import annotations
+
+import math
+import random
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import final
+
+from ..transports.datagram import Datagram, Kind, decode
+from ..transports.link import Outgoing
+from ..transports.udp import Datagrams, Peer
+from .faults import FaultSettings
+from .faulty_line import FaultyLine
+
+_NS = 1e9
+_TAKEN = 64  # datagrams taken off the socket in one call
+
+
+@final
+class FaultyReadings:
+    """Readings in, readings out: what is left of them, and when.
+
+    Args:
+        faults: what goes wrong; those that need datagrams are not for here.
+        seed: of the draws.
+    """
+
+    def __init__(self, faults: Sequence[FaultSettings], seed: int) -> None:
+        self._random, self._last = random.Random(seed), math.nan
+        self._line = FaultyLine([f for f in faults if not f.of_datagrams], self._random, self._spoilt)
+
+    def put(self, message: Outgoing, t_s: float) -> None:
+        """Take a reading that is measured at `t_s` [s] after the first command."""
+        self._line.put(message, t_s)
+        if not any(f.fault == "freeze" for f in self._line.active(t_s)):
+            self._last = message.angle
+
+    def due(self, t_s: float) -> list[Outgoing]:
+        """What arrives until `t_s` [s]."""
+        return self._line.due(t_s)
+
+    def _spoilt(self, fault: FaultSettings, message: Outgoing) -> Outgoing:
+        if fault.fault == "stamp_jump":
+            return replace(message, stamp_ns=max(0, message.stamp_ns + round(_NS * fault.delay_s)))
+        values = {
+            "freeze": self._last,
+            "nan": math.nan,
+            "outlier": message.angle + self._random.choice((-1.0, 1.0)) * fault.size_deg,
+            "out_of_range": 1e4,
+        }
+        return replace(message, angle=values[fault.fault])
+
+
+@final
+class FaultyDatagrams:
+    """A socket on which commands are lost, late, out of order, repeated or spoiled before the device sees them.
+
+    Readings can be spoiled on their way out. Time counts from the first command that comes.
+
+    Args:
+        wire: the socket.
+        faults: what goes wrong; those that need no datagrams are not for here.
+        seed: of the draws.
+    """
+
+    def __init__(self, wire: Datagrams, faults: Sequence[FaultSettings], seed: int) -> None:
+        self._wire, self._random, self._first_ns = wire, random.Random(seed), 0
+        mine = [f for f in faults if f.of_datagrams]
+        self._in: FaultyLine[tuple[bytes, Peer]] = FaultyLine(
+            [f for f in mine if f.of == "commands"],
+            self._random,
+            lambda fault, one: (self._spoilt(fault, one[0]), one[1]),
+        )
+        self._out = FaultyLine([f for f in mine if f.of == "readings"], self._random, self._spoilt)
+        self._arrived: deque[tuple[bytes, Peer]] = deque()
+
+    def recvfrom(self, size: int) -> tuple[bytes, Peer]:
+        """The oldest datagram that has arrived, and where it came from.
+
+        Raises:
+            BlockingIOError: where none has.
+        """
+        for _ in range(_TAKEN):
+            try:
+                data, peer = self._wire.recvfrom(size)
+            except BlockingIOError:
+                break
+            except ConnectionError:  # the answer to a datagram that nobody took
+                continue
+            self._begin(data)
+            self._in.put((data, peer), self._since_s())
+        self._arrived.extend(self._in.due(self._since_s()))
+        if not self._arrived:
+            raise BlockingIOError
+        return self._arrived.popleft()
+
+    def sendto(self, data: bytes, peer: Peer) -> int:
+        """Send a datagram, or what the faults leave of it."""
+        self._out.put(data, self._since_s())
+        for one in self._out.due(self._since_s()):
+            self._wire.sendto(one, peer)
+        return len(data)
+
+    def getsockname(self) -> Peer:
+        """Own address."""
+        return self._wire.getsockname()
+
+    def close(self) -> None:
+        """Free the port."""
+        self._wire.close()
+
+    def _begin(self, data: bytes) -> None:
+        if not self._first_ns and isinstance(message := decode(data), Datagram) and message.kind is Kind.COMMAND:
+            self._first_ns = time.monotonic_ns()
+
+    def _since_s(self) -> float:
+        return 1e-9 * (time.monotonic_ns() - self._first_ns) if self._first_ns else -1.0
+
+    def _spoilt(self, fault: FaultSettings, data: bytes) -> bytes:
+        """One byte of it is another."""
+        del fault
+        spoilt, place = bytearray(data), self._random.randrange(len(data))
+        spoilt[place] ^= self._random.randrange(1, 256)
+        return bytes(spoilt)

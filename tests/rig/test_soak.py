@@ -1,0 +1,59 @@
+"""The soak, as short as it can be: two processes over UDP, the sleeper beside them, the same run in process."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from ..conftest import ROOT
+
+SCRIPTS = ROOT / "benchmarks"
+
+
+def bare_loop() -> ModuleType:
+    specification = importlib.util.spec_from_file_location("bare_loop", SCRIPTS / "bare_loop.py")
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    sys.modules["bare_loop"] = module
+    specification.loader.exec_module(module)
+    return module
+
+
+def test_the_sleeper_counts_what_came_later_than_a_period() -> None:
+    wake_ups = np.array([[0.0, 0.0], [0.04, 0.039], [0.08, 0.041], [0.2, 0.1]])
+    found = bare_loop().floor(wake_ups, 25.0)
+    assert (found.wake_ups, found.late, found.greatest_s) == (4, 2, 0.1)
+
+
+@pytest.mark.slow
+def test_a_soak_of_seconds(tmp_path: Path) -> None:
+    """Whether a deadline was missed is the machine's affair; that the figures and the exit code agree is ours."""
+    command = [sys.executable, "benchmarks/soak.py", "--rate", "25", "--minutes", "0.05", "--transport", "udp"]
+    done = subprocess.run(
+        [*command, "--json", str(tmp_path / "soak.json"), "--out", str(tmp_path / "runs")],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode in (0, 1), done.stderr
+    (row,) = json.loads((tmp_path / "soak.json").read_text(encoding="utf-8"))
+    for run in (row["wire"], row["in_process"]):
+        assert run["ended"] == ""
+        assert run["samples"] > 50
+        assert run["sources"]["mpc"] > 30
+        assert 0 < run["tracking_deg"] < 5
+        assert 0 <= run["beside_stall"] <= run["missed"] <= run["samples"]
+        assert run["execution"]["median_s"] <= run["execution"]["p99_s"] <= run["execution"]["greatest_s"]
+        assert 0.5 * run["samples"] < run["floor"]["wake_ups"] < 1.5 * run["samples"]
+    assert row["ratio"] == pytest.approx(row["wire"]["tracking_deg"] / row["in_process"]["tracking_deg"])
+    assert (done.returncode == 0) == row["passed"] == (row["wire"]["missed"] == 0 and row["ratio"] <= 1.1)
+    assert "udp 25 Hz" in done.stdout
