@@ -34,7 +34,7 @@ from hystmpc.sim.plant import SimulatedPlant
 
 RESIDENT_MB, GROWTH_MB, IMPORT_S, FIRST_COMMAND_S = 300.0, 5.0, 1.0, 3.0
 _TARGETS_DEG = (35.0, 75.0)
-_EVERY_S, _WATCHED_S = 10.0, 1.0  # of steps between two looks at the machine, and how long a look takes
+_EVERY_S, _WATCHED_S = 10.0, 1.0  # between two looks at the machine, and how long a look takes
 _WARM = 100  # steps before the clock starts, and before memory is first looked at
 _START = """
 import time
@@ -112,16 +112,17 @@ def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool)
     took, sources = np.empty(steps), dict[str, int]()
     late, before, stood, watched = 0, 0.0, list[float](), 0
     with threadpool_limits(limits=1):
-        due = time.monotonic()
+        due = looked = time.monotonic()
         for k in range(-_WARM, steps):
             if tip.state().done or k == -_WARM:
                 tip.set_waypoints([float(rng.uniform(*_TARGETS_DEG))], [float(rng.uniform(0.0, 1.0))])
             if k == 0:
                 before, due = resident_mb(), time.monotonic()
-            if k > 0 and k % max(round(_EVERY_S * rate_hz), 1) == 0:
+                looked = due
+            if time.monotonic() - looked > _EVERY_S:
                 stood += stalls(period, _WATCHED_S)
                 watched += 1
-                due = time.monotonic()
+                due = looked = time.monotonic()
             if realtime and k >= 0:
                 time.sleep(max(0.0, due - time.monotonic()))
             since = time.perf_counter()
