@@ -30,7 +30,9 @@ class VerdictSettings:
         curve_left, curve_size: a curved gain alone is no explanation where two free curves of the angle explain more
             than the first share of the structural error it leaves, and that is more than the second of all of it.
         alike_share: two explanations that differ by less than this share of the error are not told apart ...
-        alike_errors: ... nor those that differ by less than so many standard errors.
+        alike_errors: ... nor those that differ by less than so many standard errors;
+        alike_factor, apart_errors: but those are whose mean square errors differ by more than this factor, and by more
+            than so many standard errors: a class that fits does not leave twice the error of another.
         noise_share: share of the error that is left, from which noise and resolution of the sensor are named.
         mended_share: the same for outliers and dropouts.
         simplicity: share of the structural error that a resample has to gain by one more cause.
@@ -44,6 +46,8 @@ class VerdictSettings:
     curve_size: float = 0.012
     alike_share: float = 0.06
     alike_errors: float = 1.0
+    alike_factor: float = 2.0
+    apart_errors: float = 3.0
     noise_share: float = 0.3
     mended_share: float = 0.1
     simplicity: float = 0.04
@@ -151,6 +155,8 @@ def _alike(
     without = selection.tried.get(rest)
     effect = (without.mse if without else selection.baseline.mse) - max(chosen.mse, floor_mse)
     fall, error = gain(other, chosen)
+    if other.mse > settings.alike_factor * chosen.mse and fall > settings.apart_errors * error:
+        return False
     return fall < max(settings.alike_share * effect, 0.0) or fall < settings.alike_errors * error
 
 
