@@ -13,6 +13,7 @@ spins, allocates nothing and calls nothing, and counts how often it was left sta
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import subprocess
 import sys
@@ -117,6 +118,8 @@ def endure(settings: dict[str, Any], rate_hz: float, steps: int, realtime: bool)
             if tip.state().done or k == -_WARM:
                 tip.set_waypoints([float(rng.uniform(*_TARGETS_DEG))], [float(rng.uniform(0.0, 1.0))])
             if k == 0:
+                gc.collect()
+                gc.freeze()  # as the loop at the bench does: what lives by now is never looked through again
                 before, due = resident_mb(), time.monotonic()
                 looked = due
             if time.monotonic() - looked > _EVERY_S:

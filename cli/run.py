@@ -45,7 +45,12 @@ def run(
         note=tell,
     )
     finish(settings, result)
-    review = review_run(folder)
-    out.print(f"review: {review.advice}", soft_wrap=True, markup=False)
-    out.print(f"report: {folder / 'report.html'}", soft_wrap=True)
+    report = folder / "report.html"
+    try:
+        review = review_run(folder)
+    except OSError as error:  # a full disk must not hide how the run ended
+        tell(f"{report}: not written ({error.strerror}), `hystmpc report {folder}` makes it once there is room")
+    else:
+        out.print(f"review: {review.advice}", soft_wrap=True, markup=False)
+        out.print(f"report: {report}", soft_wrap=True)
     end(result)

@@ -65,7 +65,7 @@ def test_a_signal_ends_a_run_at_the_safe_command_and_latches(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["sensor NaN", "model file corrupt", "all commands corrupted"])
+@pytest.mark.parametrize("name", ["sensor NaN", "model file corrupt", "all commands corrupted", "disk full"])
 def test_a_part_of_the_campaign(name: str, tmp_path: Path) -> None:
     case = next(case for case in CASES if case.name == name)
     verdict = judge(case, play(case, tmp_path / "case"))
