@@ -40,7 +40,7 @@ from hystmpc.rig.review import judged, review
 from hystmpc.sim.plant import at_sample_time
 from hystmpc.sim.studies.control_rivals import CONTROLLERS, NETWORKS
 from hystmpc.trials.config import dump_yaml
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.run_folder import RunFolder
 
 from bare_loop import Floor, floor  # isort: skip
@@ -279,8 +279,12 @@ def main() -> int:
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = given.out or Path(scratch)
-        for rate_hz, length in zip(rates, minutes, strict=True):
-            rows += soaks(folder, Plan(rate_hz, length, given.controller, tuple(given.set)), given.transport or WIRES)
+        try:
+            for rate_hz, length in zip(rates, minutes, strict=True):
+                plan = Plan(rate_hz, length, given.controller, tuple(given.set))
+                rows += soaks(folder, plan, given.transport or WIRES)
+        except HystmpcError as error:
+            sys.exit(f"error: {error}")
     console = Console()
     console.print(table(rows))
     for row in rows:
