@@ -29,7 +29,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
 
 from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
@@ -43,9 +42,9 @@ from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.run_folder import RunFolder
 
-from bare_loop import Floor, floor  # isort: skip
+from bare_loop import floor  # isort: skip
+from soak_table import Row, Soaked, table  # isort: skip
 
-RATIO = 1.10
 IN_PROCESS, WIRES = "in process", ("udp", "dds")
 _LAG_S, _SCAN_HZ, _DOMAIN = 0.08, 0.4, 47
 _PLANT = {
@@ -55,53 +54,6 @@ _PLANT = {
     "mismatch": {"prandtl_ishlinskii.alpha": 1.2},
 }
 _BESIDE_S = 0.02  # between a miss and a stall that explains it
-
-
-@dataclass(frozen=True)
-class Soaked:
-    """One run.
-
-    Attributes:
-        transport, rate_hz: of the run.
-        ended: empty for a run that came to its end, else the last thing it said.
-        samples, missed, skipped: of the run.
-        execution, jitter: `median_s`, `p99_s`, `greatest_s` and others, see `TimingSummary` [s].
-        tracking_deg: RMS of measured less wanted angle [deg].
-        sources: tracking samples by what gave the command.
-        floor: what the sleeping process saw meanwhile.
-        beside_stall: missed samples at whose time the sleeper was late, too.
-    """
-
-    transport: str
-    rate_hz: float
-    ended: str
-    samples: int
-    missed: int
-    skipped: int
-    execution: dict[str, float]
-    jitter: dict[str, float]
-    tracking_deg: float
-    sources: dict[str, int]
-    floor: Floor
-    beside_stall: int
-
-
-@dataclass(frozen=True)
-class Row:
-    """A run over a wire beside the same one in process."""
-
-    wire: Soaked
-    in_process: Soaked
-
-    @property
-    def ratio(self) -> float:
-        """Tracking error over the wire by that in process."""
-        return self.wire.tracking_deg / self.in_process.tracking_deg
-
-    @property
-    def passed(self) -> bool:
-        """No deadline missed, the error within the bar, both runs at their end."""
-        return not (self.wire.ended or self.in_process.ended) and self.wire.missed == 0 and self.ratio <= RATIO
 
 
 @dataclass(frozen=True)
@@ -216,41 +168,6 @@ def _numbers(column: object) -> NDArray[np.float64]:
     return np.asarray(column, dtype=np.float64)
 
 
-def table(rows: Sequence[Row]) -> Table:
-    """One column a run over a wire."""
-    grid = Table("ms, deg RMS")
-    figures = [_figures(row) for row in rows]
-    sources = sorted({name for row in rows for name in row.wire.sources})
-    for row in rows:
-        grid.add_column(f"{row.wire.transport} {row.wire.rate_hz:g} Hz", justify="right")
-    for name in figures[0]:
-        grid.add_row(name, *(found[name] for found in figures))
-    for name in sources:
-        grid.add_row(f"commands by {name}", *(str(row.wire.sources.get(name, 0)) for row in rows))
-    return grid
-
-
-def _figures(row: Row) -> dict[str, str]:
-    one, sleeper = row.wire, row.wire.floor
-    return {
-        "samples": str(one.samples),
-        "missed (bar 0)": str(one.missed),
-        "... beside a stall": str(one.beside_stall),
-        "execution, median": f"{1e3 * one.execution['median_s']:.2f}",
-        "execution, p99": f"{1e3 * one.execution['p99_s']:.2f}",
-        "execution, greatest": f"{1e3 * one.execution['greatest_s']:.2f}",
-        "wake-up jitter, p99": f"{1e3 * one.jitter['p99_s']:.2f}",
-        "wake-up jitter, greatest": f"{1e3 * one.jitter['greatest_s']:.2f}",
-        "error over the wire": f"{one.tracking_deg:.3f}",
-        "error in process": f"{row.in_process.tracking_deg:.3f}",
-        f"ratio (bar {RATIO:.2f})": f"{row.ratio:.3f}",
-        "sleeper: wake-ups": str(sleeper.wake_ups),
-        "sleeper: beyond a period": str(sleeper.late),
-        "sleeper: p99 late": f"{1e3 * sleeper.p99_s:.2f}",
-        "sleeper: greatest": f"{1e3 * sleeper.greatest_s:.2f}",
-    }
-
-
 def soaks(folder: Path, plan: Plan, transports: Sequence[str]) -> list[Row]:
     """The same run in process and over every transport, one after another."""
     runs = [
@@ -276,25 +193,32 @@ def main() -> int:
     minutes = minutes * len(rates) if len(minutes) == 1 else minutes
     if len(minutes) != len(rates):
         parser.error(f"got {len(minutes)} --minutes and {len(rates)} --rate, expected one for each or one for all")
-    rows = []
+    rows: list[Row] = []
+    failure = ""
     with tempfile.TemporaryDirectory() as scratch:
-        folder = given.out or Path(scratch)
         try:
             for rate_hz, length in zip(rates, minutes, strict=True):
                 plan = Plan(rate_hz, length, given.controller, tuple(given.set))
-                rows += soaks(folder, plan, given.transport or WIRES)
-        except HystmpcError as error:
-            sys.exit(f"error: {error}")
+                rows += soaks(given.out or Path(scratch), plan, given.transport or WIRES)
+        except HystmpcError as error:  # what is done by then is told all the same
+            failure = f"error: {error}"
+    if rows:
+        _tell(rows, given.json)
+    if failure:
+        sys.exit(failure)
+    return 0 if all(row.passed for row in rows) else 1
+
+
+def _tell(rows: Sequence[Row], file: Path | None) -> None:
     console = Console()
     console.print(table(rows))
     for row in rows:
         for run in (row.wire, row.in_process):
             if run.ended:
                 console.print(f"{run.transport} at {run.rate_hz:g} Hz ended early: {run.ended}", soft_wrap=True)
-    if given.json is not None:
+    if file is not None:
         plain = [{**asdict(row), "ratio": row.ratio, "passed": row.passed} for row in rows]
-        given.json.write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
-    return 0 if all(row.passed for row in rows) else 1
+        file.write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .blocks import Blocks, blocks_of
 from .diagnosis import Gap, Interval
 from .floor import Floor
 from .hypothesis import Court, Hypothesis
 from .preparation import Prepared
-from .select import without_effects
-from .shares import Blocks, blocks_of, closed_interval, closed_share, final_blocks, shapley
+from .shares import closed_interval, closed_share, final_blocks, shapley
 
 _NORMAL = 1.645  # of a 90 % interval
 _LEAST_FLOOR = 0.02  # of the floor found that is left once a sensor's noise is taken out
@@ -111,7 +111,8 @@ class _Opened:
 
     def mended(self, blocks: Blocks) -> Blocks:
         """Errors less the energy of noise that a sensor in the simulator would have, too."""
-        return Blocks(np.maximum(blocks.energy - self._prepared.excess_mse * blocks.samples, 0.0), blocks.samples)
+        energy = np.maximum(blocks.energy - self._prepared.excess_mse * blocks.samples, 0.0)
+        return replace(blocks, energy=energy)
 
     def _between_trials(self) -> float:
         """Half of the 90 % interval that comes from trials being different, as a share of what is closed."""
@@ -131,7 +132,7 @@ class _Opened:
         if kept not in self._parts:
             part = self._retuned
             if kept:
-                part = self._court.polished(without_effects(self._court, self._chosen, self._chosen.effects - kept))
+                part = self._court.polished(self._court.without(self._chosen, self._chosen.effects - kept))
             self._parts[kept] = final_blocks(part, self._prepared.final)
         return self._parts[kept]
 

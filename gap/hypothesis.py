@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .baseline import Baseline
+from .blocks import Blocks, blocks_of
 from .candidate import Candidate
 from .fit import fit
 from .problem import Problem
@@ -17,7 +19,6 @@ from .recording import Run
 from .trial_terms import TrialTerms
 
 Vec = NDArray[np.float64]
-BLOCK_S = 3.0
 LARGEST_FOLDS = 3
 
 
@@ -47,25 +48,14 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class Judged(Blocks):
     """A hypothesis with its errors on held-out trials, in blocks.
 
     Attributes:
         hypothesis: what was judged.
-        energy: sum of squared held-out errors of each block (B,) [deg^2].
-        samples: of each block (B,).
-        run: run that each block belongs to (B,).
     """
 
     hypothesis: Hypothesis
-    energy: Vec
-    samples: Vec
-    run: NDArray[np.intp]
-
-    @property
-    def mse(self) -> float:
-        """Held-out mean square error [deg^2]."""
-        return float(self.energy.sum() / self.samples.sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +93,19 @@ class Court:
         best = min(found, key=lambda f: f.mse)
         return Hypothesis(problem, best.q, best.mse)
 
+    def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
+        """A hypothesis less some of its causes, fitted anew from where it stands."""
+        problem = hypothesis.problem
+        values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
+        kept = [(c, v) for c, v in zip(problem.effects, values, strict=True) if c.effect not in dropped]
+        terms = replace(
+            problem.terms,
+            shift=problem.terms.shift and "trial_shift" not in dropped,
+            frequency_hz=0.0 if "periodic_disturbance" in dropped else problem.terms.frequency_hz,
+        )
+        z = problem.retuned(hypothesis.q)
+        return self.with_causes([c for c, _ in kept], terms, z, [[v for _, v in kept]])
+
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
         """The same with its fit run to the end."""
         found = fit(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
@@ -115,24 +118,8 @@ class Court:
             rest = [run for k, run in enumerate(self.runs) if k not in fold]
             q = fit(hypothesis.problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
             parts |= {k: hypothesis.problem.held_out_error(q, self.runs[k]) for k in fold}
-        return _blocked(hypothesis, self.runs, [parts[k] for k in range(len(self.runs))])
-
-
-def _blocked(hypothesis: Hypothesis, runs: Sequence[Run], errors: Sequence[Vec]) -> Judged:
-    energy, samples, owner = [], [], []
-    for k, (run, error) in enumerate(zip(runs, errors, strict=True)):
-        blocks = run.blocks(BLOCK_S)
-        blocks = blocks - blocks.min()
-        energy.append(np.bincount(blocks, error**2).astype(np.float64))
-        samples.append(np.bincount(blocks).astype(np.float64))
-        owner.append(np.full(energy[-1].size, k))
-    filled = np.concatenate(samples) > 0
-    return Judged(
-        hypothesis,
-        np.concatenate(energy)[filled],
-        np.concatenate(samples)[filled],
-        np.concatenate(owner)[filled],
-    )
+        held_out = blocks_of([parts[k] for k in range(len(self.runs))], self.runs)
+        return Judged(held_out.energy, held_out.samples, held_out.run, hypothesis)
 
 
 def gain(before: Judged, after: Judged) -> tuple[float, float]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,23 +13,19 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
 
-from .candidate import Scale
-from .candidates import candidates
 from .diagnosis import Diagnosis, FoundEffect, NextMotion, Verdict
 from .evidence_of import evidence_of
 from .findings import Findings
 from .floor import Floor, find_floor
 from .how_far import measure
 from .hypothesis import Court, Hypothesis
-from .jumps import Jumps, find_jumps
 from .next_step import next_step
 from .preparation import Prepared, prepare
 from .probability import probability, ranking
 from .reason import reason_for
 from .report.evidence import Evidence
-from .select import Selection, SelectionSettings, select
-from .verdict import Ruling, VerdictSettings, rule, sensor_matters
 from .where import Localisation, localise
+from .which import DiagnosisSettings, decide
 
 Vec = NDArray[np.float64]
 Progress = Callable[..., None]
@@ -40,20 +35,6 @@ LIBRARY = (
     *("nonlinear_gain", "asymmetry", "trial_shift", "periodic_disturbance", "sensor"),
 )
 _STEPS = 100  # of the progress
-_PREDICTABLE = 0.5  # of the retuned error: jumps count as no news up to this share of it
-
-
-@dataclass(frozen=True)
-class DiagnosisSettings:
-    """Frozen thresholds of the diagnosis.
-
-    Attributes:
-        selection: of the causes.
-        verdict: of the verdict.
-    """
-
-    selection: SelectionSettings = field(default_factory=SelectionSettings)
-    verdict: VerdictSettings = field(default_factory=VerdictSettings)
 
 
 DEFAULT_SETTINGS = DiagnosisSettings()
@@ -104,7 +85,7 @@ def run_diagnosis(
     court = Court(prepared.baseline, prepared.development)
     retuned = court.retuned()
     clock.lap("check and retune")
-    which = _which(prepared, court, retuned, left_out, settings, seed, _advance(told))
+    which = decide(prepared, court, retuned, left_out, settings, seed, _advance(told))
     clock.lap("which")
     told(88, _STEPS, "measuring the gap on the final trials")
     chosen = court.polished(which.selection.chosen.hypothesis) if which.explained else retuned
@@ -124,53 +105,6 @@ def run_diagnosis(
     evidence = evidence_of(findings, diagnosis, proposal)
     told(_STEPS, _STEPS, diagnosis.verdict)
     return diagnosis, evidence
-
-
-@dataclass(frozen=True, eq=False)
-class _Which:
-    """Causes and what they amount to.
-
-    Attributes:
-        selection, ruling: see there.
-        explained: whether the causes selected stand.
-        sensor: whether the sensor is a cause.
-        jumps: stick-slip known by its jumps, if it is.
-        floor_mse: what was no news [deg^2].
-    """
-
-    selection: Selection
-    ruling: Ruling
-    explained: bool
-    sensor: bool
-    jumps: Jumps | None
-    floor_mse: float
-
-
-def _which(
-    prepared: Prepared,
-    court: Court,
-    retuned: Hypothesis,
-    left_out: Sequence[str],
-    settings: DiagnosisSettings,
-    seed: int,
-    advance: Callable[[float, str], None],
-) -> _Which:
-    floor_mse, jumps = selection_floor(prepared, retuned), find_jumps(prepared.everything, retuned, prepared.signs)
-    jumping = jumps.seen and "stick_slip" not in left_out and not prepared.lacks
-    if jumping:
-        floor_mse = max(floor_mse, min(jumps.mse, _PREDICTABLE * retuned.mse))
-    unfit = (*left_out, "stick_slip") if jumps.absent else left_out
-    library = candidates(Scale.of(prepared.development), prepared.baseline.effects, unfit)
-    selection = select(court, library, settings.selection, floor_mse, left_out, advance)
-    sensor = "sensor" not in left_out and sensor_matters(prepared, selection, settings.verdict)
-    ruling = rule(selection, court.runs, floor_mse, prepared.form_mse, sensor, settings.verdict, seed)
-    explained = ruling.verdict in ("named", "one_of") and not prepared.lacks
-    if prepared.lacks:
-        ruling = replace(ruling, verdict="too_little", ambiguity=())
-    elif jumping and not explained:
-        ruling = replace(ruling, verdict="named")
-    sensor = sensor and ruling.verdict not in ("none", "too_little")
-    return _Which(selection, ruling, explained, sensor, jumps if jumping else None, floor_mse)
 
 
 def _advance(told: Progress) -> Callable[[float, str], None]:
@@ -194,13 +128,6 @@ class _Clock:
     def lap(self, step: str) -> None:
         now = time.perf_counter()
         self.seconds[step], self._last = now - self._last, now
-
-
-def selection_floor(prepared: Prepared, retuned: Hypothesis) -> float:
-    """What is no news [deg^2]: white noise, or the simulator's own form error."""
-    errors = [retuned.problem.angles(retuned.q, run) - run.angle for run in prepared.everything]
-    noise = find_floor(prepared.checked.trials, errors, prepared.checked.dt, repeats=()).noise_deg
-    return max(noise**2, prepared.form_mse)
 
 
 def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, ...]:

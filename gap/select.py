@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,7 @@ class Selection:
     tried: dict[frozenset[str], Judged]
 
 
+@final
 class Selector:
     """One selection over a court; see `select`."""
 
@@ -170,7 +171,7 @@ class Selector:
         for effect in sorted(current.hypothesis.effects):
             if len(current.hypothesis.effects) < 2:
                 break
-            simpler = self._judge(without_effects(self._court, current.hypothesis, {effect}))
+            simpler = self._judge(self._court.without(current.hypothesis, {effect}))
             if not self._worth_adding(simpler, current):
                 current = simpler
         return current
@@ -183,7 +184,7 @@ class Selector:
             if len(current.hypothesis.effects) == 1:
                 rest = baseline.hypothesis
             else:
-                rest = without_effects(self._court, current.hypothesis, {effect})
+                rest = self._court.without(current.hypothesis, {effect})
                 self._judge(rest)
             for hypothesis in self._additions(rest):
                 known = self.tried.get(hypothesis.effects)
@@ -220,20 +221,6 @@ def _recurs(before: Judged, after: Judged, share: float) -> bool:
     """Whether a cause does in most trials what it does on average, and not in a single odd one alone."""
     falls = [float((before.energy - after.energy)[before.run == k].sum()) for k in np.unique(before.run)]
     return float(np.median(falls)) > share * float(np.mean(falls))
-
-
-def without_effects(court: Court, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
-    """A hypothesis less some of its causes, fitted anew from where it stands."""
-    problem = hypothesis.problem
-    values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
-    kept = [(c, v) for c, v in zip(problem.effects, values, strict=True) if c.effect not in dropped]
-    terms = replace(
-        problem.terms,
-        shift=problem.terms.shift and "trial_shift" not in dropped,
-        frequency_hz=0.0 if "periodic_disturbance" in dropped else problem.terms.frequency_hz,
-    )
-    z = problem.retuned(hypothesis.q)
-    return court.with_causes([c for c, _ in kept], terms, z, [[v for _, v in kept]])
 
 
 def select(

@@ -5,49 +5,21 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .hypothesis import BLOCK_S, Hypothesis
+from .blocks import Blocks, blocks_of
+from .hypothesis import Hypothesis
 from .recording import Run
 
 Vec = NDArray[np.float64]
 _DRAWS = 400
 
 
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """Squared errors on the final trials in blocks.
-
-    Attributes:
-        energy, samples: of each block (B,).
-    """
-
-    energy: Vec
-    samples: Vec
-
-    @property
-    def mse(self) -> float:
-        """Mean square error [deg^2]."""
-        return float(self.energy.sum() / self.samples.sum())
-
-
 def final_blocks(hypothesis: Hypothesis, runs: Sequence[Run]) -> Blocks:
     """Errors of a fitted hypothesis on runs that it never saw."""
     return blocks_of([hypothesis.problem.held_out_error(hypothesis.q, run) for run in runs], runs)
-
-
-def blocks_of(errors: Sequence[Vec], runs: Sequence[Run]) -> Blocks:
-    """Errors (C,) of the counted samples of each run, in blocks of three seconds."""
-    energy, samples = [], []
-    for error, run in zip(errors, runs, strict=True):
-        blocks = run.blocks(BLOCK_S)
-        blocks = blocks - blocks.min()
-        energy.append(np.bincount(blocks, error**2))
-        samples.append(np.bincount(blocks).astype(float))
-    return Blocks(np.concatenate(energy), np.concatenate(samples))
 
 
 def closed_share(retuned_mse: float, with_mse: float, floor_mse: float) -> float:

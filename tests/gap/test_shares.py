@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.shares import Blocks, blocks_of, closed_interval, closed_share, shapley
+from hystmpc.gap.blocks import Blocks, blocks_of
+from hystmpc.gap.shares import closed_interval, closed_share, shapley
 
 from .engine_examples import device_runs
 
@@ -86,7 +87,7 @@ def test_closed_share_stays_within_its_bounds(retuned: float, with_effects: floa
 
 def blocks(energy: list[float]) -> Blocks:
     """Blocks of ten samples."""
-    return Blocks(np.array(energy), np.full(len(energy), 10.0))
+    return Blocks(np.array(energy), np.full(len(energy), 10.0), np.zeros(len(energy), dtype=np.intp))
 
 
 def test_an_interval_holds_its_share() -> None:

@@ -1,0 +1,95 @@
+"""Which: the causes of a gap, what is known by its signs among them, and the ruling."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+from .candidate import Scale
+from .candidates import candidates
+from .floor import find_floor
+from .hypothesis import Court, Hypothesis
+from .jumps import Jumps, find_jumps
+from .preparation import Prepared
+from .select import Selection, SelectionSettings, select
+from .verdict import Ruling, VerdictSettings, rule, sensor_matters
+
+_PREDICTABLE = 0.5  # of the retuned error: jumps count as no news up to this share of it
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """Frozen thresholds of the diagnosis.
+
+    Attributes:
+        selection: of the causes.
+        verdict: of the verdict.
+    """
+
+    selection: SelectionSettings = field(default_factory=SelectionSettings)
+    verdict: VerdictSettings = field(default_factory=VerdictSettings)
+
+
+@dataclass(frozen=True, eq=False)
+class Which:
+    """Causes and what they amount to.
+
+    Attributes:
+        selection, ruling: see there.
+        explained: whether the causes selected stand.
+        sensor: whether the sensor is a cause.
+        jumps: stick-slip known by its jumps, if it is.
+        floor_mse: what was no news [deg^2].
+    """
+
+    selection: Selection
+    ruling: Ruling
+    explained: bool
+    sensor: bool
+    jumps: Jumps | None
+    floor_mse: float
+
+
+def decide(
+    prepared: Prepared,
+    court: Court,
+    retuned: Hypothesis,
+    left_out: Sequence[str],
+    settings: DiagnosisSettings,
+    seed: int,
+    advance: Callable[[float, str], None],
+) -> Which:
+    """Select the causes, and rule on them.
+
+    Args:
+        prepared: trials and the baseline.
+        court: what hypotheses are fitted and judged on.
+        retuned: the simulator refitted.
+        left_out: effects that the library goes without.
+        settings: thresholds.
+        seed: of the resamples.
+        advance: told the share of the present round and what is tried.
+    """
+    floor_mse, jumps = selection_floor(prepared, retuned), find_jumps(prepared.everything, retuned, prepared.signs)
+    jumping = jumps.seen and "stick_slip" not in left_out and not prepared.lacks
+    if jumping:
+        floor_mse = max(floor_mse, min(jumps.mse, _PREDICTABLE * retuned.mse))
+    unfit = (*left_out, "stick_slip") if jumps.absent else left_out
+    library = candidates(Scale.of(prepared.development), prepared.baseline.effects, unfit)
+    selection = select(court, library, settings.selection, floor_mse, left_out, advance)
+    sensor = "sensor" not in left_out and sensor_matters(prepared, selection, settings.verdict)
+    ruling = rule(selection, court.runs, floor_mse, prepared.form_mse, sensor, settings.verdict, seed)
+    explained = ruling.verdict in ("named", "one_of") and not prepared.lacks
+    if prepared.lacks:
+        ruling = replace(ruling, verdict="too_little", ambiguity=())
+    elif jumping and not explained:
+        ruling = replace(ruling, verdict="named")
+    sensor = sensor and ruling.verdict not in ("none", "too_little")
+    return Which(selection, ruling, explained, sensor, jumps if jumping else None, floor_mse)
+
+
+def selection_floor(prepared: Prepared, retuned: Hypothesis) -> float:
+    """What is no news [deg^2]: white noise, or the simulator's own form error."""
+    errors = [retuned.problem.angles(retuned.q, run) - run.angle for run in prepared.everything]
+    noise = find_floor(prepared.checked.trials, errors, prepared.checked.dt, repeats=()).noise_deg
+    return max(noise**2, prepared.form_mse)
