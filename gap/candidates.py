@@ -14,6 +14,7 @@ from hystmpc.models.operators.first_flexure import FirstFlexure
 from hystmpc.models.operators.lag import Lag
 from hystmpc.models.operators.nonlinear_gain import NonlinearGain
 from hystmpc.models.operators.rate_dependence import RateDependence
+from hystmpc.models.operators.rate_limit import RateLimit
 from hystmpc.models.operators.servo import Servo
 from hystmpc.models.operators.slack import Slack
 from hystmpc.models.operators.stick_slip import StickSlip
@@ -42,12 +43,16 @@ def _lag(s: Scale) -> list[Candidate]:
     starts = tuple((tau,) for tau in (1.5 * s.dt_s, 0.25))
     damped = (*free, Freedom("damping", 0.4, 0.98, 0.1))
     ringing = tuple((*start, 0.75) for start in starts)
+    limited = (Freedom("top_speed", 0.02 * s.span, 50 * s.span, 0.0), *damped)
+    slow = tuple((2.0 * s.span, *start) for start in ringing)
+    one, ways = Lag(0.1, hold=1), Lag(0.1, (0.1,), 1)
     return [
-        Candidate("lag", "command", "command", 20, (Lag(0.1),), free, starts),
-        Candidate("lag", "output", "output", 50, (Lag(0.1),), free, starts),
-        Candidate("lag", "two poles", "command", 20, (Lag(0.1), Lag(0.1)), free, starts),
+        Candidate("lag", "command", "command", 20, (one,), free, starts),
+        Candidate("lag", "output", "output", 50, (one,), free, starts),
+        Candidate("lag", "two poles", "command", 20, (one, one), free, starts),
         Candidate("lag", "servo", "command", 20, (Servo(0.1, 0.7),), damped, ringing),
-        Candidate("lag", "two ways", "command", 20, (Lag(0.1, (0.1,)),), two, ((0.1, 0.2), (0.3, 0.1))),
+        Candidate("lag", "top speed", "command", 20, (RateLimit(1.0), Servo(0.1, 0.7)), limited, slow),
+        Candidate("lag", "two ways", "command", 20, (ways,), two, ((0.1, 0.2), (0.3, 0.1))),
     ]
 
 
@@ -61,15 +66,19 @@ def _rate_dependence(s: Scale) -> list[Candidate]:
     free, kept = (Freedom("width_s", 0.0, 0.5, 0.01),), Freedom("recovery_s", 0.5 * s.dt_s, 30.0, 0.0)
     growth = Freedom("growth", -0.5 / s.span, 5.0 / s.span, 0.2 / s.span)
     skew = Freedom("skew", -0.9, 0.9, 0.2)
-    starts, graded = ((0.01,), (0.05,)), ((0.02, 0.08, 0.0), (0.02, 0.5, 0.5 / s.span))
-    skewed = ((0.02, 0.08, 0.0, -0.3), (0.02, 0.08, 2.0 / s.span, -0.5))
+    thinning, way = (
+        Freedom("thinning", 0.0, 20.0 / s.span, 0.5 / s.span),
+        Freedom("lost_over", 1e-3 * s.span, s.span, 0.0),
+    )
+    starts = ((0.01,), (0.05,))
+    skewed = ((0.02, 0.08, 0.0, -0.3, 0.5 / s.span), (0.02, 0.08, 2.0 / s.span, -0.5, 0.5 / s.span))
+    dahl = ((0.02, 0.1 * s.span, 0.0, 0.3 / s.span), (0.05, 0.3 * s.span, 0.0, 0.3 / s.span))
+    plain, lasting = RateDependence(0.0), RateDependence(0.0, recovery_s=1e4)
     return [
-        Candidate("rate_dependence", "command", "command", 60, (RateDependence(0.0),), free, starts),
-        Candidate("rate_dependence", "output", "output", 7, (RateDependence(0.0),), free, starts),
-        Candidate("rate_dependence", "graded", "command", 60, (RateDependence(0.0),), (*free, kept, growth), graded),
-        Candidate(
-            "rate_dependence", "skewed", "command", 60, (RateDependence(0.0),), (*free, kept, growth, skew), skewed
-        ),
+        Candidate("rate_dependence", "command", "command", 60, (plain,), free, starts),
+        Candidate("rate_dependence", "output", "output", 7, (plain,), free, starts),
+        Candidate("rate_dependence", "skewed", "command", 60, (plain,), (*free, kept, growth, skew, thinning), skewed),
+        Candidate("rate_dependence", "presliding", "command", 60, (lasting,), (*free, over, growth, thinning), dahl),
     ]
 
 

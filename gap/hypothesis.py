@@ -53,9 +53,11 @@ class Judged(Blocks):
 
     Attributes:
         hypothesis: what was judged.
+        errors: of each run where it counts (C,) [deg].
     """
 
     hypothesis: Hypothesis
+    errors: tuple[Vec, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +120,9 @@ class Court:
             rest = [run for k, run in enumerate(self.runs) if k not in fold]
             q = fit(hypothesis.problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
             parts |= {k: hypothesis.problem.held_out_error(q, self.runs[k]) for k in fold}
-        held_out = blocks_of([parts[k] for k in range(len(self.runs))], self.runs)
-        return Judged(held_out.energy, held_out.samples, held_out.run, hypothesis)
+        errors = tuple(parts[k] for k in range(len(self.runs)))
+        held_out = blocks_of(errors, self.runs)
+        return Judged(held_out.energy, held_out.samples, held_out.run, hypothesis, errors)
 
 
 def gain(before: Judged, after: Judged) -> tuple[float, float]:
@@ -131,3 +134,9 @@ def gain(before: Judged, after: Judged) -> tuple[float, float]:
         own = difference[before.run == k]
         variance += own.size * float(np.var(own, ddof=1)) if own.size > 1 else float(own[0] ** 2)
     return float(difference.sum() / total), float(np.sqrt(variance) / total)
+
+
+def apart(one: Judged, other: Judged) -> float:
+    """Mean square by which what two hypotheses say of held-out trials differs [deg^2]."""
+    differences = [a - b for a, b in zip(one.errors, other.errors, strict=True)]
+    return float(sum(np.sum(d**2) for d in differences) / sum(d.size for d in differences))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .diagnosis import Verdict
-from .hypothesis import Judged, gain
+from .hypothesis import Judged, apart, gain
 from .lack_of_fit import curves_left
 from .preparation import Prepared
 from .recording import Run
@@ -29,10 +29,9 @@ class VerdictSettings:
         still_open: mean square error that is left, by the floor, below which it counts as explained all the same.
         curve_left, curve_size: a curved gain alone is no explanation where two free curves of the angle explain more
             than the first share of the structural error it leaves, and that is more than the second of all of it.
-        alike_share: two explanations that differ by less than this share of the error are not told apart ...
-        alike_errors: ... nor those that differ by less than so many standard errors;
-        alike_factor, apart_errors: but those are whose mean square errors differ by more than this factor, and by more
-            than so many standard errors: a class that fits does not leave twice the error of another.
+        nearer: how much nearer than to another explanation the truth has to lie to the chosen one, -1 to 1, for the
+            two to be told apart ...
+        nearer_errors: ... and by how many standard errors.
         noise_share: share of the error that is left, from which noise and resolution of the sensor are named.
         mended_share: the same for outliers and dropouts.
         simplicity: share of the structural error that a resample has to gain by one more cause.
@@ -44,10 +43,8 @@ class VerdictSettings:
     still_open: float = 1.5
     curve_left: float = 0.7
     curve_size: float = 0.012
-    alike_share: float = 0.06
-    alike_errors: float = 1.0
-    alike_factor: float = 2.0
-    apart_errors: float = 3.0
+    nearer: float = 0.2
+    nearer_errors: float = 1.5
     noise_share: float = 0.3
     mended_share: float = 0.1
     simplicity: float = 0.04
@@ -110,7 +107,7 @@ def rule(
     open_still = closed < settings.least_closed and end > settings.still_open * floor_mse
     if open_still or _bent_otherwise(selection, runs, floor_mse, settings):
         return Ruling("unknown", (), inclusion)
-    ambiguity = _ambiguity(selection, floor_mse, settings)
+    ambiguity = _ambiguity(selection, settings)
     return Ruling("one_of" if ambiguity else "named", ambiguity, inclusion)
 
 
@@ -123,7 +120,7 @@ def _bent_otherwise(selection: Selection, runs: Sequence[Run], floor_mse: float,
     return left > settings.curve_left and left * (chosen.mse - floor_mse) > settings.curve_size * before
 
 
-def _ambiguity(selection: Selection, floor_mse: float, settings: VerdictSettings) -> tuple[tuple[str, ...], ...]:
+def _ambiguity(selection: Selection, settings: VerdictSettings) -> tuple[tuple[str, ...], ...]:
     """For each chosen effect the others that could stand in its place."""
     chosen, found = selection.chosen, []
     names = chosen.hypothesis.effects
@@ -131,33 +128,26 @@ def _ambiguity(selection: Selection, floor_mse: float, settings: VerdictSettings
         rest = names - {effect}
         others = []
         for tried, judged in selection.tried.items():
-            if (
-                len(tried) == len(names)
-                and rest < tried
-                and tried != names
-                and _alike(chosen, judged, selection, rest, floor_mse, settings)
-            ):
+            exchanged = len(tried) == len(names) and rest < tried and tried != names
+            if exchanged and not _told_apart(chosen, judged, settings):
                 others += sorted(tried - rest)
         if others:
             found.append((effect, *others))
     return tuple(found)
 
 
-def _alike(
-    chosen: Judged,
-    other: Judged,
-    selection: Selection,
-    rest: frozenset[str],
-    floor_mse: float,
-    settings: VerdictSettings,
-) -> bool:
-    """Whether another explanation does as well, measured by what the exchanged cause does."""
-    without = selection.tried.get(rest)
-    effect = (without.mse if without else selection.baseline.mse) - max(chosen.mse, floor_mse)
+def _told_apart(chosen: Judged, other: Judged, settings: VerdictSettings) -> bool:
+    """Whether held-out trials lie nearer to the chosen explanation than to another, by more than chance.
+
+    With a and b what the two say of these trials and y what was seen,
+
+        (|y - b|^2 - |y - a|^2) / |a - b|^2  =  1 - 2 (y - a) . (b - a) / |a - b|^2
+
+    is 1 where a is true, -1 where b is, and 0 where the truth lies half way, as it does when it is neither. However
+    small the difference of the errors is beside the gap, it decides if a and b differ by no more.
+    """
     fall, error = gain(other, chosen)
-    if other.mse > settings.alike_factor * chosen.mse and fall > settings.apart_errors * error:
-        return False
-    return fall < max(settings.alike_share * effect, 0.0) or fall < settings.alike_errors * error
+    return fall > settings.nearer * apart(chosen, other) and fall > settings.nearer_errors * error
 
 
 def _inclusion(selection: Selection, floor_mse: float, settings: VerdictSettings, seed: int) -> dict[str, float]:

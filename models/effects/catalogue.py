@@ -16,7 +16,7 @@ from ..operators.lag import Lag
 from ..operators.nonlinear_gain import NonlinearGain
 from ..operators.operator import Operator
 from ..operators.periodic_disturbance import PeriodicDisturbance
-from ..operators.rate_dependence import RateDependence
+from ..operators.rate_dependence import NEVER, RateDependence
 from ..operators.sensor import Sensor
 from ..operators.slack import Slack
 from ..operators.stick_slip import StickSlip
@@ -62,7 +62,7 @@ _LIST = (
         "From lag and delay: nothing left of it in a hold, from its first sample on; ramps at three speeds.",
         {"width_s": 0.0},
         (Free("width_s", "1", 0.0, 0.5, (0.05,)),),
-        defaults={"recovery_s": 0.0, "growth": 0.0, "skew": 0.0},
+        defaults={"recovery_s": 0.0, "growth": 0.0, "skew": 0.0, "thinning": 0.0, "lost_over": NEVER},
     ),
     _effect(
         Creep,

@@ -24,6 +24,7 @@ from .periodic_disturbance import PeriodicDisturbance
 from .play import Play
 from .prandtl_ishlinskii import InversePrandtlIshlinskii, PrandtlIshlinskii
 from .rate_dependence import RateDependence
+from .rate_limit import RateLimit
 from .sensor import Sensor
 from .servo import Servo
 from .slack import Slack
@@ -43,6 +44,7 @@ OPERATORS: tuple[type[Operator], ...] = (
     BoucWen,
     Lag,
     Servo,
+    RateLimit,
     Delay,
     RateDependence,
     Creep,

@@ -13,16 +13,17 @@ from .operator import Operator, Parameter, Symbol, check_values
 @final
 @dataclass(frozen=True)
 class Servo(Operator):
-    """Underdamped lag of second order, exact for an input that is constant over a sample.
+    """Underdamped lag of second order, exact for an input that runs straight between samples.
 
     y'' + 2 d w y' + w^2 y = w^2 u,  w = 2 d / tau
 
-    with damping ratio d, so that it stays behind a ramp by tau as a lag of first order does. With e = y - u_k, s = d w,
-    f = w sqrt(1 - d^2), c = cos(f dt) and h = sin(f dt) / f,
+    with damping ratio d, so that it stays behind a ramp by tau as a lag of first order does. With the ramp's slope
+    a = (u_k - u_{k-1}) / dt, what is off from following it, e = y - (u_{k-1} - a tau) and g = v - a, and with s = d w,
+    f = w sqrt(1 - d^2), c = cos(f dt), h = sin(f dt) / f,
 
-        e+ = exp(-s dt) ((c + s h) e + h v),  v+ = exp(-s dt) (-w^2 h e + (c - s h) v),  y_k = u_k + e+
+        y_k = u_k - a tau + exp(-s dt) ((c + s h) e + h g),  v_k = a + exp(-s dt) (-w^2 h e + (c - s h) g)
 
-    At 1 us it is the identity, to the last bit from samples of 1 ms on.
+    At 1 us it is the identity but for a microsecond of the ramp.
 
     Attributes:
         tau_s: time by which it stays behind a ramp [s].
@@ -52,16 +53,17 @@ class Servo(Operator):
 
     @property
     def states(self) -> tuple[str, ...]:
-        return ("y", "v")
+        return ("y", "v", "u")
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         w = 2 * p[1] / p[0]
         s, f = p[1] * w, w * ca.sqrt(1 - p[1] * p[1])
         left, c, h = ca.exp(-s * dt), ca.cos(f * dt), ca.sin(f * dt) / f
-        e = x[0] - u
-        y = u + left * ((c + s * h) * e + h * x[1])
-        return ca.vertcat(y, left * ((c - s * h) * x[1] - w * w * h * e)), y
+        slope = (u - x[2]) / dt
+        e, g = x[0] - x[2] + slope * p[0], x[1] - slope
+        y = u - slope * p[0] + left * ((c + s * h) * e + h * g)
+        return ca.vertcat(y, slope + left * ((c - s * h) * g - w * w * h * e), u), y
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
         del y, p
-        return ca.vertcat(u, 0)
+        return ca.vertcat(u, 0, u)

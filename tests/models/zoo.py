@@ -22,6 +22,7 @@ from hystmpc.models.operators.periodic_disturbance import PeriodicDisturbance
 from hystmpc.models.operators.play import Play
 from hystmpc.models.operators.prandtl_ishlinskii import InversePrandtlIshlinskii, PrandtlIshlinskii
 from hystmpc.models.operators.rate_dependence import RateDependence
+from hystmpc.models.operators.rate_limit import RateLimit
 from hystmpc.models.operators.sensor import Sensor
 from hystmpc.models.operators.servo import Servo
 from hystmpc.models.operators.slack import Slack
@@ -53,10 +54,14 @@ EXAMPLES: tuple[Operator, ...] = (
     Lag(0.08),
     Delay(0.1, 4),
     Lag(0.08, (0.25,)),
+    Lag(0.08, hold=1),
+    Lag(0.08, (0.25,), 1),
     Servo(0.12, 0.6),
+    RateLimit(2.0),
     RateDependence(0.05, 0.5, 0.1),
     RateDependence(0.05),
     RateDependence(0.05, 0.2, 0.0, -0.4),
+    RateDependence(0.08, 0.2, 0.1, -0.4, 0.3),
     Creep((0.3,), (6.0,)),
     Creep((0.2, -0.15), (2.0, 40.0)),
     Drift(0.5, -0.02, 0.003),
