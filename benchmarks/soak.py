@@ -1,14 +1,17 @@
 """A soak at the bench: `hystmpc run` against `hystmpc device`, two processes over the loopback, by UDP and by DDS.
 
     python benchmarks/soak.py                                # 10 minutes at 25 Hz, 2 minutes at 250 Hz, each over both
-    python benchmarks/soak.py --rate 25 --minutes 0.2 --transport udp [--set realtime.priority=80] [--json FILE]
+    python benchmarks/soak.py --rate 25 --minutes 0.2 --transport udp [--realtime] [--blocks 1,1,2,4] [--json FILE]
 
 The loop tracks a sinusoidal scan in real time. A row says how many deadlines the run's own log counts as missed, how
 long a sample took and how late it woke up, and the RMS tracking error over the wire beside that of the same run in
 process: same controller, motion, device and seeds. Beside every run a third process only sleeps at the same rate: what
 is late there is late without us. A missed deadline `beside a stall` is one at whose time the sleeper, too, woke up
-later than a period. Exit code 1 if a deadline was missed, a run did not come to its end, or the ratio of the
-errors is beyond 1.10. Run it on a machine that does nothing else.
+later than a period. After it, for a quarter of its time, a `spinner` spins in every period for as long as the run's
+median sample took, and does nothing else: its misses are those of a machine that takes the core away. Exit code 1 if a
+deadline was missed, a run did not come to its end, or the ratio of the errors is beyond 1.10. With `--realtime`
+controller, device, sleeper and spinner run under SCHED_FIFO with their memory locked, by the settings that users have;
+what the system does not permit is printed. Run it on a machine that does nothing else.
 """
 
 from __future__ import annotations
@@ -42,7 +45,7 @@ from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.run_folder import RunFolder
 
-from bare_loop import floor  # isort: skip
+from bare_loop import Floor, floor  # isort: skip
 from soak_table import Row, Soaked, table  # isort: skip
 
 IN_PROCESS, WIRES = "in process", ("udp", "dds")
@@ -54,6 +57,7 @@ _PLANT = {
     "mismatch": {"prandtl_ishlinskii.alpha": 1.2},
 }
 _BESIDE_S = 0.02  # between a miss and a stall that explains it
+_PRIORITY, _DEVICE_PRIORITY = 80, 70  # of SCHED_FIFO: controller and sleeper alike, the device after them
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,8 @@ class Plan:
     minutes: float
     controller: str
     changes: tuple[str, ...]
+    realtime: bool
+    blocks: tuple[int, ...]
 
 
 def configurations(folder: Path, plan: Plan, transport: str) -> tuple[Path, dict[str, Any]]:
@@ -78,22 +84,26 @@ def configurations(folder: Path, plan: Plan, transport: str) -> tuple[Path, dict
     dds = {"kind": "dds", "domain": _DOMAIN}
     wires = {"udp": {"kind": "udp"}, "dds": dds, IN_PROCESS: {"kind": "simulated", "plant": _PLANT, "seed": 1}}
     device = {**DEVICE, "rate_hz": rate_hz, "plant": _PLANT, "seed": 1, "log": None}
+    device["realtime"] = _scheduling(plan, _DEVICE_PRIORITY)
     device["link"] = dds if transport == "dds" else {"kind": "udp", "bind_port": 0}
     (folder / "device.yaml").write_text(dump_yaml(device), encoding="utf-8")
     cycles = max(round(60 * plan.minutes * _SCAN_HZ), 1)
+    law = CONTROLLERS[plan.controller].settings(1 / rate_hz, 0, _LAG_S)
+    law |= {"move_blocking": list(plan.blocks)} if plan.blocks else {}
     run = {
         **RUN,
         "name": "soak",
         "rate_hz": rate_hz,
         "transport": wires[transport],
-        "controller": {
-            "model": "pi.yaml",
-            "actuator_lag_s": _LAG_S,
-            "controller": CONTROLLERS[plan.controller].settings(1 / rate_hz, 0, _LAG_S),
-        },
+        "controller": {"model": "pi.yaml", "actuator_lag_s": _LAG_S, "controller": law},
+        "realtime": _scheduling(plan, _PRIORITY),
         "reference": {**RUN["reference"], "frequency_hz": _SCAN_HZ, "cycles": cycles},
     }
     return folder / "device.yaml", run
+
+
+def _scheduling(plan: Plan, priority: int) -> dict[str, Any]:
+    return {"priority": priority, "lock_memory": True} if plan.realtime else {}
 
 
 def soak(folder: Path, plan: Plan, transport: str) -> Soaked:
@@ -106,7 +116,7 @@ def soak(folder: Path, plan: Plan, transport: str) -> Soaked:
             run["transport"] |= {"port": port} if transport == "udp" else {}
         (folder / "run.yaml").write_text(dump_yaml(run), encoding="utf-8")
         sets = [word for change in plan.changes for word in ("--set", change)]
-        with sleeping(folder / "floor.npy", plan.rate_hz):
+        with sleeping(folder / "floor.npy", plan):
             controller = start(["run", folder / "run.yaml", "--out", folder / "run", *sets])
             said, _ = controller.communicate()
     finally:
@@ -117,11 +127,26 @@ def soak(folder: Path, plan: Plan, transport: str) -> Soaked:
     return _measured(folder, transport, plan.rate_hz, ended)
 
 
+def spun(plan: Plan, busy_s: float) -> Floor:
+    """The bare loop alone, busy for so long in every period."""
+    seconds = max(15.0 * plan.minutes, 5.0)
+    with tempfile.TemporaryDirectory() as scratch:
+        file = Path(scratch) / "spun.npy"
+        words = _bare(plan, file, seconds, "--busy", busy_s)
+        subprocess.run(words, stdout=subprocess.DEVNULL, check=False)
+        return floor(np.load(file), plan.rate_hz)
+
+
+def _bare(plan: Plan, file: Path, seconds: float, *more: object) -> list[str]:
+    words = [Path(__file__).with_name("bare_loop.py"), "--rate", plan.rate_hz, "--seconds", seconds, "--out", file]
+    words += ["--priority", _PRIORITY] if plan.realtime else []
+    return [sys.executable, *map(str, [*words, *more])]
+
+
 @contextmanager
-def sleeping(file: Path, rate_hz: float) -> Any:
+def sleeping(file: Path, plan: Plan) -> Any:
     """The bare loop in a process of its own while the block runs; `file` gets its wake-ups."""
-    words = [Path(__file__).with_name("bare_loop.py"), "--rate", rate_hz, "--seconds", math.inf, "--out", file]
-    sleeper = subprocess.Popen([sys.executable, *map(str, words)], stdout=subprocess.PIPE, text=True)
+    sleeper = subprocess.Popen(_bare(plan, file, math.inf), stdout=subprocess.PIPE, text=True)
     assert sleeper.stdout is not None
     sleeper.stdout.readline()
     try:
@@ -155,12 +180,13 @@ def _measured(folder: Path, transport: str, rate_hz: float, ended: str) -> Soake
         samples=wall_s.size,
         missed=int(missed.sum()),
         skipped=int(timing["skipped"]),
-        execution=timing["execution"]["summary"],
+        execution={"least_s": float(_numbers(log["stage_execution_s"]).min()), **timing["execution"]["summary"]},
         jitter=timing["jitter"]["summary"],
         tracking_deg=review(judged(run, settings), settings.review.due_above_deg).tracking_deg,
         sources=dict(Counter(str(s) for s, r in zip(log["source"], reference, strict=True) if math.isfinite(r))),
         floor=floor(wake_ups, rate_hz),
         beside_stall=int(np.count_nonzero(beside)),
+        refused=tuple(timing["notes"]),
     )
 
 
@@ -170,10 +196,12 @@ def _numbers(column: object) -> NDArray[np.float64]:
 
 def soaks(folder: Path, plan: Plan, transports: Sequence[str]) -> list[Row]:
     """The same run in process and over every transport, one after another."""
-    runs = [
-        soak(folder / f"{name.replace(' ', '-')}-{plan.rate_hz:g}hz", plan, name) for name in (IN_PROCESS, *transports)
-    ]
-    return [Row(run, runs[0]) for run in runs[1:]]
+    rows: list[Row] = []
+    in_process = soak(folder / f"in-process-{plan.rate_hz:g}hz", plan, IN_PROCESS)
+    for name in transports:
+        run = soak(folder / f"{name}-{plan.rate_hz:g}hz", plan, name)
+        rows.append(Row(run, in_process, spun(plan, run.execution["median_s"])))
+    return rows
 
 
 def main() -> int:
@@ -184,6 +212,8 @@ def main() -> int:
     parser.add_argument("--transport", choices=WIRES, action="append", help="may be repeated; both where left out")
     usable = [name for name, one in CONTROLLERS.items() if one.predictive and one.model not in NETWORKS]
     parser.add_argument("--controller", choices=usable, default="linearised_backlash", help="of the control study")
+    parser.add_argument("--realtime", action="store_true", help="under SCHED_FIFO, memory locked")
+    parser.add_argument("--blocks", type=_blocks, default=(), help="move_blocking of the controller: 1,1,2,4")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="as `hystmpc run --set`")
     parser.add_argument("--out", type=Path, help="keep the runs in this new folder")
     parser.add_argument("--json", type=Path, help="write the figures here")
@@ -198,7 +228,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         try:
             for rate_hz, length in zip(rates, minutes, strict=True):
-                plan = Plan(rate_hz, length, given.controller, tuple(given.set))
+                plan = Plan(rate_hz, length, given.controller, tuple(given.set), given.realtime, given.blocks)
                 rows += soaks(given.out or Path(scratch), plan, given.transport or WIRES)
         except HystmpcError as error:  # what is done by then is told all the same
             failure = f"error: {error}"
@@ -209,13 +239,18 @@ def main() -> int:
     return 0 if all(row.passed for row in rows) else 1
 
 
+def _blocks(text: str) -> tuple[int, ...]:
+    return tuple(int(word) for word in text.split(","))
+
+
 def _tell(rows: Sequence[Row], file: Path | None) -> None:
     console = Console()
     console.print(table(rows))
     for row in rows:
         for run in (row.wire, row.in_process):
-            if run.ended:
-                console.print(f"{run.transport} at {run.rate_hz:g} Hz ended early: {run.ended}", soft_wrap=True)
+            lines = [f"ended early: {run.ended}"] if run.ended else []
+            for line in (*lines, *run.refused):
+                console.print(f"{run.transport} at {run.rate_hz:g} Hz: {line}", soft_wrap=True, markup=False)
     if file is not None:
         plain = [{**asdict(row), "ratio": row.ratio, "passed": row.passed} for row in rows]
         file.write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")

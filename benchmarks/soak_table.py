@@ -20,11 +20,12 @@ class Soaked:
         transport, rate_hz: of the run.
         ended: empty for a run that came to its end, else the last thing it said.
         samples, missed, skipped: of the run.
-        execution, jitter: `median_s`, `p99_s`, `greatest_s` and others, see `TimingSummary` [s].
+        execution, jitter: `median_s`, `p99_s`, `greatest_s` and others, execution with `least_s`, see `TimingSummary` [s].
         tracking_deg: RMS of measured less wanted angle [deg].
         sources: tracking samples by what gave the command.
         floor: what the sleeping process saw meanwhile.
         beside_stall: missed samples at whose time the sleeper was late, too.
+        refused: what of the run's scheduling the system did not permit.
     """
 
     transport: str
@@ -39,14 +40,16 @@ class Soaked:
     sources: dict[str, int]
     floor: Floor
     beside_stall: int
+    refused: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Row:
-    """A run over a wire beside the same one in process."""
+    """A run over a wire beside the same one in process, and what a loop that only spins as long misses."""
 
     wire: Soaked
     in_process: Soaked
+    spinner: Floor
 
     @property
     def ratio(self) -> float:
@@ -74,11 +77,12 @@ def table(rows: Sequence[Row]) -> Table:
 
 
 def _figures(row: Row) -> dict[str, str]:
-    one, sleeper = row.wire, row.wire.floor
+    one, sleeper, spinner = row.wire, row.wire.floor, row.spinner
     return {
         "samples": str(one.samples),
         "missed (bar 0)": str(one.missed),
         "... beside a stall": str(one.beside_stall),
+        "execution, least": f"{1e3 * one.execution['least_s']:.2f}",
         "execution, median": f"{1e3 * one.execution['median_s']:.2f}",
         "execution, p99": f"{1e3 * one.execution['p99_s']:.2f}",
         "execution, greatest": f"{1e3 * one.execution['greatest_s']:.2f}",
@@ -91,4 +95,7 @@ def _figures(row: Row) -> dict[str, str]:
         "sleeper: beyond a period": str(sleeper.late),
         "sleeper: p99 late": f"{1e3 * sleeper.p99_s:.2f}",
         "sleeper: greatest": f"{1e3 * sleeper.greatest_s:.2f}",
+        "spinner: periods": str(spinner.wake_ups),
+        "spinner: missed": str(spinner.late),
+        "spinner: greatest": f"{1e3 * spinner.greatest_s:.2f}",
     }

@@ -15,6 +15,7 @@ from hystmpc.rig.transports.settings import SimulatedSettings
 from hystmpc.trials.config import load_settings
 from hystmpc.trials.errors import ConfigError
 
+from .at_bench import tell
 from .console import out
 
 _NOISE_DEG = 0.05  # of a device that is told none: an angle that never changes would be taken for a dead sensor
@@ -41,7 +42,7 @@ def device(
             f"device ready: {where}, {settings.rate_hz:g} Hz, holds {held:g} {settings.command_unit}", soft_wrap=True
         )
 
-    served = serve(settings, plant, held, ready, seconds or float("inf"))
+    served = serve(settings, plant, held, ready, seconds or float("inf"), tell)
     rejected = ", ".join(f"{count} {cause}" for cause, count in served.rejected.items()) or "none"
     out.print(
         f"{served.samples} samples, {served.commands} commands, {served.beyond} of them beyond the limits; "

@@ -147,7 +147,8 @@ def _planner(
     horizon = settings.horizon
     if isinstance(settings, LinearisedMpcSettings):
         options = DaqpOptions() if settings.solver == "daqp" else OsqpOptions(eps=settings.solver_eps)
-        return LinearisedPlanner(predictor, weights, limits, horizon, settings.iterations, options)
+        blocks = settings.move_blocking
+        return LinearisedPlanner(predictor, weights, limits, horizon, settings.iterations, options, blocks)
     noise = _noise(settings)
     common = {f.name: getattr(settings, f.name) for f in fields(SampleOptions)}
     if settings.method == "cem":

@@ -138,12 +138,25 @@ class _Predictive(_Common):
 
 
 class LinearisedMpcSettings(_Predictive):
-    """Real-time iteration; `solver_eps` is the tolerance of OSQP, DAQP is exact."""
+    """Real-time iteration; `solver_eps` is the tolerance of OSQP, DAQP is exact.
+
+    `move_blocking` counts the samples of each block of moves, see `MoveBlocking`; null lets every sample move.
+    """
 
     kind: Literal["linearised_mpc"] = "linearised_mpc"
     iterations: Count = 1
     solver: Literal["daqp", "osqp"] = "daqp"
     solver_eps: Annotated[float, Field(gt=0, le=1e-4)] = 1e-5
+    move_blocking: Annotated[tuple[Count, ...], Field(min_length=1)] | None = None
+
+    @model_validator(mode="after")
+    def _blocks_fit(self) -> LinearisedMpcSettings:
+        together = sum(self.move_blocking or ())
+        if together > self.horizon:
+            raise ValueError(
+                f"got move_blocking of {together} samples together, expected at most the horizon of {self.horizon}"
+            )
+        return self
 
 
 class SplineNoiseSettings(Settings):

@@ -125,3 +125,54 @@ def rate_multipliers(gradient: Any, moves: Any, reach: float) -> Any:
         elif moves[k] <= -touching:
             found[k] = min(balance, 0.0)
     return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def block_columns(jacobian: Any, blocking: Any, starts: Any, found: Any) -> None:
+    """J M (H, m) in place: lower triangular J (H, H) times `MoveBlocking.matrix`, whose column b is zero before
+    `starts[b]` and after the end of block b + 1, but for the last.
+    """
+    horizon, count = blocking.shape
+    for b in range(count):
+        stop = starts[b + 2] if b + 2 < count else horizon
+        for k in range(horizon):
+            total = 0.0
+            for i in range(starts[b], min(k + 1, stop)):
+                total += jacobian[k, i] * blocking[i, b]
+            found[k, b] = total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def condense_blocked(columns: Any, starts: Any, weighted: Any, constant: Any, gradient: Any, hessian: Any) -> None:
+    """Gradient (m,) += 2 (J M)'Q e and the upper triangle, column by column, of `constant` + 2 (J M)'Q J M, in place.
+
+    columns: J M (H, m); weighted (2, H): 2 Q, and 2 Q e.
+    """
+    horizon, count = columns.shape
+    at = 0
+    for b in range(count):
+        for k in range(starts[b], horizon):
+            gradient[b] += weighted[1, k] * columns[k, b]
+        for a in range(b + 1):
+            total = constant[a, b]
+            for k in range(starts[b], horizon):
+                total += weighted[0, k] * columns[k, a] * columns[k, b]
+            hessian[at] = total
+            at += 1
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def block_room(moves: Any, starts: Any, ends: Any, reach: float, low: Any, high: Any, extreme: Any) -> None:
+    """How far the move of a block's last deviation may differ from that of the one before, both (m,), in place.
+
+    The deviation's move is the same in all samples of a block: those of the plan that move most leave the least room.
+    extreme: the move of the plan (m,) nearest to a limit. The plan is admissible but for rounding, so zero always is.
+    """
+    for b in range(starts.size):
+        least, most = moves[starts[b]], moves[starts[b]]
+        for k in range(starts[b] + 1, ends[b] + 1):
+            least, most = min(least, moves[k]), max(most, moves[k])
+        length = ends[b] + 1 - starts[b]
+        low[b] = length * min(-reach - least, 0.0)
+        high[b] = length * max(reach - most, 0.0)
+        extreme[b] = most if most >= -least else least

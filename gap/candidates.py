@@ -66,10 +66,8 @@ def _rate_dependence(s: Scale) -> list[Candidate]:
     free, kept = (Freedom("width_s", 0.0, 0.5, 0.01),), Freedom("recovery_s", 0.5 * s.dt_s, 30.0, 0.0)
     growth = Freedom("growth", -0.5 / s.span, 5.0 / s.span, 0.2 / s.span)
     skew = Freedom("skew", -0.9, 0.9, 0.2)
-    thinning, way = (
-        Freedom("thinning", 0.0, 20.0 / s.span, 0.5 / s.span),
-        Freedom("lost_over", 1e-3 * s.span, s.span, 0.0),
-    )
+    thinning = Freedom("thinning", 0.0, 20.0 / s.span, 0.5 / s.span)
+    over = Freedom("lost_over", 1e-3 * s.span, s.span, 0.0)
     starts = ((0.01,), (0.05,))
     skewed = ((0.02, 0.08, 0.0, -0.3, 0.5 / s.span), (0.02, 0.08, 2.0 / s.span, -0.5, 0.5 / s.span))
     dahl = ((0.02, 0.1 * s.span, 0.0, 0.3 / s.span), (0.05, 0.3 * s.span, 0.0, 0.3 / s.span))

@@ -45,7 +45,9 @@ class LedIn:
         """Angles [deg] at times `t` [s]."""
         time = np.asarray(t, dtype=np.float64)
         after = self._reference(time - self._wait)
-        return after if self._lead is None else np.where(time < self._wait, self._lead(time), after)
+        if self._lead is None or np.min(time, initial=self._wait) >= self._wait:
+            return after
+        return np.where(time < self._wait, self._lead(time), after)
 
 
 def tracking_phase(settings: RunSettings) -> Tracking:

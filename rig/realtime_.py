@@ -1,12 +1,13 @@
-"""The control process: garbage collection, scheduling class, core and thread switching, set and restored."""
+"""The control process: scheduling class, core, memory, garbage collection, thread switching; set and restored."""
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from pydantic import Field
 from threadpoolctl import threadpool_limits
@@ -15,21 +16,55 @@ from hystmpc.trials.config import Settings
 
 from .settings_types import NotNegative
 
+# MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of <sys/mman.h>: without the last one, a new thread waits for its whole stack.
+_LOCK = 7
 _SWITCH_S = 0.0002  # how long the recorder's thread may keep the interpreter while the loop wants it
 
 
-class RealtimeSettings(Settings):
-    """Block `realtime`.
+class SchedulingSettings(Settings):
+    """Block `realtime` of a device.
 
     Attributes:
         priority: of SCHED_FIFO, 1 to 99; null leaves the scheduling as it is.
         cpu: core that the process is pinned to; null leaves it to the system.
-        spin_s: how long before a deadline sleeping ends and spinning begins.
+        lock_memory: whether no page of the process may be swapped out once it was used.
     """
 
     priority: int | None = Field(default=None, ge=1, le=99)
     cpu: int | None = Field(default=None, ge=0)
+    lock_memory: bool = False
+
+
+class RealtimeSettings(SchedulingSettings):
+    """Block `realtime` of a run or a recording.
+
+    Attributes:
+        spin_s: how long before a deadline sleeping ends and spinning begins.
+    """
+
     spin_s: NotNegative = 0.0005
+
+
+@contextmanager
+def scheduled(settings: SchedulingSettings) -> Iterator[list[str]]:
+    """Core, scheduling class and locked memory of this process, put back afterwards.
+
+    Yields:
+        One line for everything that the system did not permit, and how to permit it.
+    """
+    notes: list[str] = []
+    undo: list[Callable[[], object]] = []
+    if settings.lock_memory:
+        _lock_memory(notes, undo)
+    if settings.cpu is not None:
+        _pin(settings.cpu, notes, undo)
+    if settings.priority is not None:
+        _schedule(settings.priority, notes, undo)
+    try:
+        yield notes
+    finally:
+        for step in reversed(undo):
+            step()
 
 
 @contextmanager
@@ -39,14 +74,10 @@ def control_process(settings: RealtimeSettings) -> Iterator[list[str]]:
     What exists is frozen and the collector is off, so that nothing is collected in the loop; one BLAS thread.
 
     Yields:
-        One line for everything that the system did not permit, and how to permit it.
+        The lines of `scheduled`.
     """
-    notes: list[str] = []
-    undo: list[Callable[[], object]] = []
-    if settings.cpu is not None:
-        _pin(settings.cpu, notes, undo)
-    if settings.priority is not None:
-        _schedule(settings.priority, notes, undo)
+    stack = ExitStack()
+    notes = stack.enter_context(scheduled(settings))
     enabled, interval = gc.isenabled(), sys.getswitchinterval()
     gc.collect()
     gc.freeze()
@@ -61,8 +92,22 @@ def control_process(settings: RealtimeSettings) -> Iterator[list[str]]:
         if enabled:
             gc.enable()
         gc.collect()
-        for step in reversed(undo):
-            step()
+        stack.close()
+
+
+def _lock_memory(notes: list[str], undo: list[Callable[[], object]]) -> None:
+    if sys.platform != "linux":
+        notes.append("realtime.lock_memory: only Linux is supported; the run goes on without it")
+        return
+    system = ctypes.CDLL(None, use_errno=True)
+    if system.mlockall(_LOCK) != 0:
+        reason = os.strerror(ctypes.get_errno())
+        notes.append(
+            f"realtime.lock_memory: refused ({reason}); allow it with `ulimit -l unlimited` or a memlock line in "
+            "limits.conf; the run goes on without it"
+        )
+        return
+    undo.append(system.munlockall)
 
 
 def _pin(cpu: int, notes: list[str], undo: list[Callable[[], object]]) -> None:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import gc
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, is_hypothesis_test, settings
 
 ROOT = Path(__file__).resolve().parent.parent
+FAST_EXAMPLES = 12
 
 # A busy machine must not fail a test: no deadline, and no complaint about slow examples.
 settings.register_profile("ci", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 # The fast suite draws fewer examples of every law; the whole suite draws all of them.
-settings.register_profile("fast", settings.get_profile("ci"), max_examples=12)
+settings.register_profile("fast", settings.get_profile("ci"), max_examples=FAST_EXAMPLES)
 settings.load_profile("ci")
 
 
@@ -21,6 +24,27 @@ def pytest_configure(config: pytest.Config) -> None:
     """Take fewer examples where the slow tests are left out."""
     if config.getoption("markexpr", "") == "not slow":
         settings.load_profile("fast")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """A test's own `@settings(max_examples=...)` outranks the profile: hold it to the fast number too."""
+    if config.getoption("markexpr", "") != "not slow":
+        return
+    for test in {item.obj for item in items if isinstance(item, pytest.Function) and is_hypothesis_test(item.obj)}:
+        own = getattr(test, "_hypothesis_internal_use_settings", None)
+        if own is not None and own.max_examples > FAST_EXAMPLES:
+            test._hypothesis_internal_use_settings = settings(own, max_examples=FAST_EXAMPLES)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Do not look for garbage in what lives to the end anyway: modules and tests are over a million objects."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def data_folder() -> Path:

@@ -91,15 +91,18 @@ class LearningEstimator(Observer):
         limit, moved = self._options.disturbance_limit_deg, gain[0] * innovation * estimate.responsive[0]
         covariance = estimate.covariance - np.outer(spread, spread) / variance
         shown = zip(estimate.angles, estimate.features, strict=True)
-        return replace(
-            estimate,
+        return Estimate(  # `replace` takes ten times as long, here and below
             state=self._predictor.with_weights(estimate.state, weights),
+            command=estimate.command,
             angles=tuple(float(angle + phi @ (weights - before)) for angle, phi in shown),
+            responsive=estimate.responsive,
+            moves=estimate.moves,
             disturbance=min(max(float(estimate.disturbance + moved), -limit), limit),
-            covariance=covariance,
             variance=_variance(covariance, estimate.features[-1]),
             measured=float(y),
-            missing=0,
+            stalled=estimate.stalled,
+            covariance=covariance,
+            features=estimate.features,
         )
 
     def advance(self, estimate: Estimate, u: float) -> Estimate:
@@ -117,7 +120,20 @@ class LearningEstimator(Observer):
         covariance[0, 0] = min(covariance[0, 0], options.disturbance_limit_deg**2)
         covariance[1:, 1:] += self._walk * coming
         shown = (*estimate.features[1:], phi)
-        return replace(after, covariance=covariance, features=shown, variance=_variance(covariance, phi))
+        return Estimate(
+            state=after.state,
+            command=after.command,
+            angles=after.angles,
+            responsive=after.responsive,
+            moves=after.moves,
+            disturbance=after.disturbance,
+            variance=_variance(covariance, phi),
+            measured=after.measured,
+            missing=after.missing,
+            stalled=after.stalled,
+            covariance=covariance,
+            features=shown,
+        )
 
 
 def _prior(predictor: LearnedPredictor, learning: LearningOptions) -> Vec:

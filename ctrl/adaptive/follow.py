@@ -32,6 +32,5 @@ class LearnedFollower(Follower):
         targets = self._inner.follow(below, wanted - predictor.rest(state), u_last, bounds)
         for _ in range(_ROUNDS):
             plan = targets[1:]
-            learned = predictor.rollout(state, plan)[0] - predictor.model.rollout(below, plan)[0]
-            targets = self._inner.follow(below, wanted - learned, u_last, bounds)
+            targets = self._inner.follow(below, wanted - predictor.learned(state, plan)[0], u_last, bounds)
         return targets

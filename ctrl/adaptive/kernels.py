@@ -38,23 +38,30 @@ def add_learned(
 def add_slopes(
     plays: Any, radii: Any, weights: Any, travel: float, gain: float, pace: float, plan: Any, jacobian: Any
 ) -> None:
-    """The derivative of `add_learned` along one plan (H,), added to that of the model (H, H), in place.
+    """The derivative of `add_learned` along one plan (H,), added to that of the model (H, H) in place.
+
+    Both are lower triangular.
 
     A play at its edge counts as driven: that is the branch on which a motion goes on.
     """
     count, size = radii.size, plan.size
-    now, by_v, by_p = plays.copy(), np.zeros(size), np.zeros((count, size))
-    v, before = travel, np.zeros(size)
+    now, by_v, by_p, slope = plays.copy(), np.zeros(size), np.zeros((count, size)), np.zeros(size)
+    v, before, on_rate = travel, np.zeros(size), weights[1 + count] * pace
     for k in range(size):
         v += gain * (plan[k] - v)
-        by_v *= 1.0 - gain
-        by_v[k] += gain
-        slope = weights[0] * by_v
+        for j in range(k):
+            by_v[j] *= 1.0 - gain
+        by_v[k] = gain
+        for j in range(k + 1):
+            slope[j] = weights[0] * by_v[j]
         for i in range(count):
             if v - radii[i] >= now[i] - _EDGE or v + radii[i] <= now[i] + _EDGE:
                 now[i] = min(max(now[i], v - radii[i]), v + radii[i])
-                by_p[i] = by_v
-            slope = slope + weights[1 + i] * by_p[i]
-        own = jacobian[k].copy()
-        jacobian[k] += slope + weights[1 + count] * pace * (own - before)
-        before = own
+                for j in range(k + 1):
+                    by_p[i, j] = by_v[j]
+            for j in range(k + 1):
+                slope[j] += weights[1 + i] * by_p[i, j]
+        for j in range(k + 1):
+            own = jacobian[k, j]
+            jacobian[k, j] = own + (slope[j] + on_rate * (own - before[j]))
+            before[j] = own

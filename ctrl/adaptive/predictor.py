@@ -84,17 +84,22 @@ class LearnedPredictor(Predictor):
 
     def rollout(self, state: Vec, plans: Vec) -> Vec:
         angles = np.ascontiguousarray(self.model.rollout(self.below(state), plans))
-        plays, travel, start = self._memory(state)
-        add_learned(plays, self.radii, self.weights(state), travel, start, self.gain, self._pace, plans, angles)
+        self._add(state, plans, angles)
         return angles
+
+    def learned(self, state: Vec, plans: Vec) -> Vec:
+        """What the learned part adds (N, H) [deg] along the plans (N, H)."""
+        model = self.model.rollout(self.below(state), plans)
+        angles = np.array(model, order="C")
+        self._add(state, plans, angles)
+        return angles - model
 
     def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, jacobian = self.model.linearise(self.below(state), plan)
         angles, jacobian = angles.copy(), np.ascontiguousarray(jacobian).copy()
-        plays, travel, start = self._memory(state)
-        weights = self.weights(state)
-        add_learned(plays, self.radii, weights, travel, start, self.gain, self._pace, plan[None], angles[None])
-        add_slopes(plays, self.radii, weights, travel, self.gain, self._pace, plan, jacobian)
+        self._add(state, plan[None], angles[None])
+        plays, travel, _ = self._memory(state)
+        add_slopes(plays, self.radii, self.weights(state), travel, self.gain, self._pace, plan, jacobian)
         return angles, jacobian
 
     def below(self, state: Vec) -> Vec:
@@ -119,6 +124,11 @@ class LearnedPredictor(Predictor):
     def rest(self, state: Vec) -> float:
         """What the learned part adds to the model at rest in a state [deg]."""
         return float(self.features(state, state) @ self.weights(state))
+
+    def _add(self, state: Vec, plans: Vec, angles: Vec) -> None:
+        """The learned part along the plans (N, H), added to the model's angles (N, H) in place."""
+        plays, travel, start = self._memory(state)
+        add_learned(plays, self.radii, self.weights(state), travel, start, self.gain, self._pace, plans, angles)
 
     def _part(self, state: Vec) -> Vec:
         return state[state.size - self._own :]

@@ -14,9 +14,11 @@ from hystmpc.trials.errors import ControllerError
 from ..limits import CommandLimits
 from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
 from ..stopwatch import Stopwatch
+from .blocked import BlockedQp
+from .blocking import MoveBlocking
 from .daqp_ import DaqpOptions, DaqpSolver
 from .osqp_ import OsqpOptions, OsqpSolver
-from .problem import QpPattern, TrackingQp
+from .problem import PlanProgram, QpPattern, TrackingQp
 from .solver import QpSolver
 
 Vec = NDArray[np.float64]
@@ -39,9 +41,10 @@ class LinearisedPlanner(Planner[None]):
         horizon: H.
         iterations: linearisations per step.
         options: of the solver, which their class chooses; DAQP where left out.
+        move_blocking: samples in each block of moves, see `MoveBlocking`; every sample on its own where left out.
 
     Raises:
-        ControllerError: if `iterations` is less than 1.
+        ControllerError: if `iterations` is less than 1, or the blocks do not fit the horizon.
     """
 
     def __init__(
@@ -52,12 +55,15 @@ class LinearisedPlanner(Planner[None]):
         horizon: int,
         iterations: int = 1,
         options: OsqpOptions | DaqpOptions | None = None,
+        move_blocking: tuple[int, ...] | None = None,
     ) -> None:
         if iterations < 1:
             raise ControllerError(f"linearised MPC: got iterations {iterations}, expected at least 1")
         self._predictor, self._limits, self._iterations = predictor, limits, iterations
         self._cost = PlanCost(weights, horizon)
-        self._qp = TrackingQp(weights, limits, horizon, predictor.dt)
+        self._qp: PlanProgram = TrackingQp(weights, limits, horizon, predictor.dt)
+        if move_blocking is not None:
+            self._qp = BlockedQp(weights, limits, MoveBlocking(move_blocking, horizon), predictor.dt)
         self._solver = _solver(self._qp.pattern, options)
 
     def init(self) -> None:
@@ -82,7 +88,7 @@ class LinearisedPlanner(Planner[None]):
         watch.lap("solve")
         if not solution.usable:
             raise PlanningError(f"{self._solver.name}: {solution.status} after {solution.iterations} iterations")
-        plan = self._search(problem, start, jacobian, solution.primal[: start.commands.size])
+        plan = self._search(problem, start, jacobian, self._qp.deviation(solution.primal))
         watch.lap("search")
         return plan, f"{self._solver.name}: {solution.status}, its best step used" if solution.unfinished else "ok"
 

@@ -9,8 +9,9 @@ from pydantic import Field
 from hystmpc.trials.config import Settings
 
 from .catalogue import UNKNOWN, generator_named
-from .cores import CapstanCore, Core, DahlCore, Mounting
+from .core import Mounting
 from .device import BlindDevice
+from .devices import core_of
 from .generator import Withheld
 
 Suite = Literal["single", "none", "misset", "pairs", "contaminated", "unknown", "without", "controls", "injection"]
@@ -106,8 +107,6 @@ class Answer(Settings):
 
     def blind_device(self) -> BlindDevice:
         """The simulated device of the case."""
-        numbers = dict(self.device)
-        kinds: dict[str, type[CapstanCore] | type[DahlCore]] = {"CapstanCore": CapstanCore, "DahlCore": DahlCore}
-        core: Core = kinds[numbers.pop("core")](**numbers).mounted(Mounting(**self.mounting))
+        core = core_of(self.device).mounted(Mounting(**self.mounting))
         effects = tuple(effect.withheld() for effect in self.effects)
         return BlindDevice(core, self.noise_deg, self.resolution_deg, self.seed, effects)

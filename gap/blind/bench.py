@@ -16,8 +16,9 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 
-from .cores import DEVICES, TRAVEL_MM, Core, Mounting
+from .core import TRAVEL_MM, Core, Mounting
 from .device import BlindDevice
+from .devices import DEVICES
 from .generator import Withheld
 from .plan import Plan, draw_plan
 from .retuning import GapRuler

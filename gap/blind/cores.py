@@ -2,67 +2,23 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from dataclasses import asdict, dataclass, replace
-from typing import Any, final
+from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import kernels
+from .core import Mounting, QuasiStatic
 
 Vec = NDArray[np.float64]
 
-TRAVEL_MM = 6.0
 _NODES = 16
-_STROKE = 0.6  # share of the travel of the unlogged cycle before a trial
-
-
-@dataclass(frozen=True)
-class Mounting:
-    """How far a device is from the one that its simulator was identified on.
-
-    Attributes:
-        gain, friction: factors.
-        offset_deg: added to every angle [deg].
-    """
-
-    gain: float = 1.0
-    friction: float = 1.0
-    offset_deg: float = 0.0
-
-
-class Core(ABC):
-    """Rate-independent hysteresis from displacement [mm] to angle [deg]."""
-
-    gain: float
-    offset_deg: float
-
-    @abstractmethod
-    def deflection(self, x: Vec, scale: Vec) -> Vec:
-        """Distal displacement (T,) [mm] for proximal x (T,) [mm] and friction factors (T,)."""
-
-    @abstractmethod
-    def mounted(self, mounting: Mounting) -> Core:
-        """The same device off its nominal numbers."""
-
-    def run(self, x: Vec, scale: Vec) -> Vec:
-        """Angles (T,) [deg]; an unlogged cycle goes before, so that a trial does not open a virgin device."""
-        stroke = _STROKE * TRAVEL_MM
-        up, down = np.linspace(0.0, stroke, 400), np.linspace(stroke, float(x[0]), 400)
-        before = np.concatenate([up, down])
-        whole = np.concatenate([before, x])
-        factors = np.concatenate([np.full(before.size, scale[0]), scale])
-        return self.offset_deg + self.gain * self.deflection(whole, factors)[before.size :]
-
-    def numbers(self) -> dict[str, Any]:
-        """Parameters, for the sealed answers."""
-        return {"core": type(self).__name__, **asdict(self)}  # type: ignore[call-overload]
 
 
 @final
 @dataclass(frozen=True)
-class CapstanCore(Core):
+class CapstanCore(QuasiStatic):
     """Tendon in a bent sheath, friction proportional to the local tension (capstan law), whose last part bends.
 
     The tendon also rubs along the part that bends, so that this part does not move as one piece.
@@ -117,7 +73,7 @@ class CapstanCore(Core):
 
 @final
 @dataclass(frozen=True)
-class DahlCore(Core):
+class DahlCore(QuasiStatic):
     """Displacement less the deflection of parallel Dahl elements (P. Dahl, Aerospace Corp. TOR-158, 1968).
 
     Attributes:
@@ -156,7 +112,3 @@ class DahlCore(Core):
             friction=random.uniform(0.15, 0.35),
             spread=random.uniform(4, 9),
         )
-
-
-DEVICES: tuple[type[CapstanCore] | type[DahlCore], ...] = (CapstanCore, DahlCore)
-"""Kinds of device that a case may have."""

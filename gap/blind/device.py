@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.trial import Trial
 
-from .cores import TRAVEL_MM, Core
+from .core import TRAVEL_MM, Core
 from .generator import Site, Withheld
 from .scene import PARTS, RATE_HZ, Scene, fine_times
 

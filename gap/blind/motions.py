@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .cores import TRAVEL_MM
+from .core import TRAVEL_MM
 from .scene import RATE_HZ
 
 Vec = NDArray[np.float64]

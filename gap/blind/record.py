@@ -10,7 +10,7 @@ from hystmpc.trials.csv_ import read_trials, write_csv
 from hystmpc.trials.errors import ConfigError, LogError, did_you_mean
 from hystmpc.trials.table import read_lines, read_table
 
-from .cores import TRAVEL_MM
+from .core import TRAVEL_MM
 from .scene import RATE_HZ
 from .sealed import open_answers
 

@@ -103,26 +103,31 @@ def diagnose_job(job: Job) -> tuple[Job, bool]:
         trials, simulator = read_case(job.folder, job.case)
         trials += _followed(job)
         others = {"correlation": correlation_rule(trials, simulator)} if job.kind == "diagnoses" else {}
-        data = _diagnose(trials, simulator, job)
+        data, fitted = _diagnose(trials, simulator, job)
     except (HystmpcError, ArithmeticError, ValueError, IndexError, KeyError, AttributeError) as error:
         write_atomically(job.out / FAILURE, f"{type(error).__name__}: {error}\n")
         return job, False
-    beside = {"seconds": time.perf_counter() - start, "others": others}
+    beside = {"seconds": time.perf_counter() - start, "others": {**others, **fitted}}
     write_atomically(job.out / BESIDE, json.dumps(beside))
     write_atomically(job.out / DIAGNOSIS, json.dumps(data, indent=1))
     (job.out / FAILURE).unlink(missing_ok=True)
     return job, True
 
 
-def _diagnose(trials: Sequence[Trial], simulator: Simulator, job: Job) -> dict[str, Any]:
-    """The diagnosis in its fixed form; the motion that it proposes is written beside."""
+def _diagnose(trials: Sequence[Trial], simulator: Simulator, job: Job) -> tuple[dict[str, Any], dict[str, str]]:
+    """The diagnosis in its fixed form, and what rules would make of its fits; the motion it proposes goes beside."""
     from ..next_motion import write_motion
     from ..procedure import run_diagnosis
+    from .fit_rules import fit_rules
 
     found, evidence = run_diagnosis(trials, simulator, seed=job.seed, without=job.without, only=job.only or None)
     if evidence.proposal is not None:
         write_motion(job.out / NEXT_MOTION, evidence.proposal, simulator.command_unit)
-    return dict(found.as_json())
+    findings = getattr(evidence, "findings", None)
+    fitted = (
+        fit_rules(findings.selection, findings.prepared.development) if findings and job.kind == "diagnoses" else {}
+    )
+    return dict(found.as_json()), fitted
 
 
 def _all(todo: Sequence[Job], processes: int, progress: Progress | None) -> int:

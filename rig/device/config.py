@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from hystmpc.ctrl.config import LimitsSettings
 from hystmpc.trials.config import Settings
 
+from ..realtime_ import SchedulingSettings
 from ..settings_types import Port, Positive
 from ..transports.settings import DdsSettings, require_local
 from ..transports.units import WireUnits
@@ -43,6 +44,7 @@ class DeviceSettings(Settings):
         watchdog_s: silence of the controller after which the drive returns to its rest by itself.
         watchdog_rate_per_s: how fast it returns.
         faults: what goes wrong, and when, counted from the first command.
+        realtime: scheduling of the server's process.
         log: CSV file of every sample: time, command received, angle; for tests of controllers.
         seed: of noise and faults.
     """
@@ -56,6 +58,7 @@ class DeviceSettings(Settings):
     watchdog_s: Positive = 0.5
     watchdog_rate_per_s: Positive = 2.0
     faults: tuple[FaultSettings, ...] = ()
+    realtime: SchedulingSettings = SchedulingSettings()
     log: Path | None = None
     seed: Annotated[int, Field(ge=0)] = 0
 

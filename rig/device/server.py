@@ -13,6 +13,7 @@ from hystmpc.ctrl.protocols import Plant
 from hystmpc.trials.errors import ConfigError
 
 from ..clock import MonotonicClock
+from ..realtime_ import scheduled
 from ..signals_ import stopping_on_signals
 from ..stop_flag import StopFlag
 from ..transports.build import require_dds
@@ -158,6 +159,7 @@ def serve(
     held: float,
     ready: Callable[[DeviceLink], None],
     duration_s: float = math.inf,
+    note: Callable[[str], None] = lambda text: None,
 ) -> Served:
     """Open the wire and serve until SIGINT, SIGTERM or the end of the time.
 
@@ -167,6 +169,7 @@ def serve(
         held: the command that it holds after its reset.
         ready: called once the wire is open.
         duration_s: how long at most [s].
+        note: told what the system did not permit.
 
     Raises:
         ConfigError: if the wire or the log cannot be opened, or the plant does not fit.
@@ -177,8 +180,10 @@ def serve(
         if settings.log is not None:
             log = _open_log(settings)
         device = Device(settings, plant, held, link, log)
-        with stopping_on_signals(flag):
+        with stopping_on_signals(flag), scheduled(settings.realtime) as notes:
             ready(link)
+            for text in notes:
+                note(text)
             return device.serve(flag, duration_s)
     finally:
         link.close()

@@ -49,6 +49,7 @@ class Tracking:
         self._past: Past | None = None
         self._failure: Exception | None = None
         self._skip = False
+        self._due_deg = math.nan
         self._k = 0
 
     def begin(self, now: Now, past: Past) -> None:
@@ -97,7 +98,9 @@ class Tracking:
         if self._skip:
             raise ValueError("sample skipped, command held")
         assert self._reference is not None
-        return self._reference(t)
+        angles = self._reference(t)
+        self._due_deg = float(angles[0])
+        return angles
 
     def _refusal(self, now: Now) -> str:
         if now.late or now.skipped:
@@ -118,7 +121,7 @@ class Tracking:
             u=command.u,
             source=str(command.source),
             status=command.status,
-            reference_deg=float(reference(t)),
+            reference_deg=self._due_deg,
             predicted_deg=predicted,
             stages_s=stages,
             finished=t >= reference.duration_s,

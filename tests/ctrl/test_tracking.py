@@ -73,7 +73,7 @@ def test_exact_model_tracks(kind: str, case: Case, motion: Callable[[np.ndarray]
 
 @pytest.mark.parametrize("kind", PREDICTIVE)
 @pytest.mark.parametrize("noise", [0.0, 0.15])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.slow) for k in (2, 3))])
 def test_a_hold_holds(kind: str, noise: float, seed: int) -> None:
     log, error = track(built(kind, PLAY), resting(PLAY, noise_deg=noise, seed=seed), smooth_moves, 14.0)
     for start, end in [(1.8, 2.15), (4.5, 5.15), (7.8, 14.0)]:  # the next move is not in the preview yet

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +15,22 @@ from numpy.typing import NDArray
 import hystmpc.gap.blind
 from hystmpc.gap.blind import kernels
 from hystmpc.gap.blind.catalogue import GENERATORS, LABELS, UNKNOWN, generator_named, generators_of
-from hystmpc.gap.blind.cores import DEVICES, TRAVEL_MM, CapstanCore, Core, DahlCore, Mounting
+from hystmpc.gap.blind.core import TRAVEL_MM, Core, Mounting
+from hystmpc.gap.blind.cores import CapstanCore, DahlCore
 from hystmpc.gap.blind.device import BlindDevice
+from hystmpc.gap.blind.devices import DEVICES, core_of
 from hystmpc.gap.blind.drive_effects import jittered_delay, log_relaxation, servo
 from hystmpc.gap.blind.generator import Generator, Withheld
 from hystmpc.gap.blind.motions import RAMP_HOLD, SINE, STEPS, TRIANGLES
+from hystmpc.gap.blind.rod_core import RodCore
 from hystmpc.gap.blind.scene import FINE_S, Scene
 from hystmpc.gap.blind.tip_effects import lugre_tip
 from hystmpc.trials.errors import ConfigError
 
 Vec = NDArray[np.float64]
 
-CORES = (CapstanCore(), DahlCore())
+ELASTIC_ROD = RodCore(fast_share=0.0, slow_share=0.0)
+CORES = (CapstanCore(), DahlCore(), RodCore())
 SCENE = Scene(seed=1, trial=0, clock_s=0.0, travel=TRAVEL_MM, rest_deg=20.0, span_deg=60.0)
 
 
@@ -72,7 +77,7 @@ def test_an_effect_changes_the_angle_and_more_of_it_changes_it_more(core: Core, 
     assert 0 < changes[0] < changes[1]
 
 
-@pytest.mark.parametrize("core", CORES, ids=lambda c: type(c).__name__)
+@pytest.mark.parametrize("core", [CapstanCore(), DahlCore(), ELASTIC_ROD], ids=lambda c: type(c).__name__)
 def test_cores_are_rate_independent(core: Core) -> None:
     u = np.interp(np.linspace(0, 5, 6001), range(6), [0, 5, 1, 4, 2, 6])
     slow = core.run(u, np.ones(u.size))
@@ -91,6 +96,48 @@ def test_cores_have_loops_that_grow_with_friction(core: Core) -> None:
         return float(np.interp(-2.5, -u[2000:], angle[2000:]) - np.interp(2.5, u[:2001], angle[:2001]))
 
     assert 0 < width(0.5) < width(1.0) < width(2.0)
+
+
+def test_a_rod_relaxes_in_a_hold_by_less_than_its_loop_is_wide() -> None:
+    u = np.concatenate([np.interp(np.linspace(0, 1, 2001), [0, 1], [0, 5]), np.full(5000, 5.0)])
+    held = RodCore().run(u, np.ones(u.size))[2000:]
+    assert np.all(np.diff(held) > -1e-9)
+    assert 0.05 < held[-1] - held[0] < 2.0
+    assert np.ptp(held[2500:]) < 0.3 * np.ptp(held)
+    elastic = ELASTIC_ROD.run(u, np.ones(u.size))[2000:]
+    assert np.ptp(elastic) < 1e-6
+
+
+def test_the_tendon_of_a_rod_can_only_pull() -> None:
+    u = np.interp(np.linspace(0, 3, 6001), [0, 1, 2, 3], [0, 4, -8, -12])  # past its pretension and its friction
+    angle = ELASTIC_ROD.run(u, np.ones(u.size))
+    assert np.ptp(angle[4001:]) < 1e-3 < np.ptp(angle[:4001])
+    assert angle[-1] > ELASTIC_ROD.offset_deg + 5  # friction keeps the rest of the tension
+    smooth = replace(ELASTIC_ROD, friction=0.0, drag_n=0.0).run(u, np.ones(u.size))
+    assert smooth[-1] == pytest.approx(ELASTIC_ROD.offset_deg, abs=1e-6)
+
+
+def test_a_rod_s_trial_does_not_know_what_comes_after_it() -> None:
+    u = np.interp(np.linspace(0, 5, 5001), range(6), [0, 5, 1, 4, 2, 6])
+    scale = 1 + 0.5 * np.sin(np.arange(u.size) / 300)
+    whole, part = RodCore().run(u, scale), RodCore().run(u[:3001], scale[:3001])
+    assert np.array_equal(whole[:3001], part)
+
+
+@pytest.mark.parametrize("kind", DEVICES, ids=lambda k: k.__name__)
+def test_a_core_is_built_again_from_its_sealed_numbers(kind: type[Core]) -> None:
+    core = kind.draw(np.random.default_rng(1))  # type: ignore[attr-defined]
+    assert core_of(core.numbers()) == core
+    with pytest.raises(ConfigError, match=r"no device core 'RodCores', .*did you mean 'RodCore'"):
+        core_of({**core.numbers(), "core": "RodCores"})
+
+
+def test_mounting_a_rod_alters_its_gain_friction_and_offset_and_nothing_else() -> None:
+    off = RodCore().mounted(Mounting(gain=1.1, friction=0.8, offset_deg=2.0))
+    back = replace(off, gain=32.0, friction=0.06, drag_n=1.2, offset_deg=-8.5)
+    assert back == RodCore()
+    assert (off.gain, off.offset_deg) == (pytest.approx(35.2), -6.5)
+    assert (off.friction, off.drag_n) == (pytest.approx(0.048), pytest.approx(0.96))
 
 
 def test_capstan_tension_stays_within_the_friction_cone() -> None:

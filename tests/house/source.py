@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -45,10 +45,15 @@ class Module:
         """The file, parsed."""
         return ast.parse(self.path.read_text(encoding="utf-8"), str(self.path))
 
+    @cached_property
+    def nodes(self) -> tuple[ast.AST, ...]:
+        """All of the tree, in no special order."""
+        return tuple(ast.walk(self.tree))
+
     def imports(self) -> Iterator[tuple[int, str]]:
         """Line and absolute dotted name of every import, those inside functions included."""
         package = self.name if self.path.name == "__init__.py" else self.name.rpartition(".")[0]
-        for node in ast.walk(self.tree):
+        for node in self.nodes:
             if isinstance(node, ast.Import):
                 yield from ((node.lineno, alias.name) for alias in node.names)
             elif isinstance(node, ast.ImportFrom):
@@ -56,12 +61,16 @@ class Module:
                 yield from ((node.lineno, f"{base}.{alias.name}") for alias in node.names)
 
 
-@lru_cache
 def modules(root: Path = ROOT) -> tuple[Module, ...]:
     """Every module of every room."""
+    return _parsed_once(root)
+
+
+@lru_cache
+def _parsed_once(root: Path) -> tuple[Module, ...]:
     return tuple(Module(root, path) for room in ROOMS for path in sorted((root / room).rglob("*.py")))
 
 
-def functions(tree: ast.AST) -> Iterator[Function]:
-    """Every function and method, nested and private ones included."""
-    return (node for node in ast.walk(tree) if isinstance(node, Function))
+def functions(nodes: Iterable[ast.AST]) -> Iterator[Function]:
+    """Every function and method among the nodes, nested and private ones included."""
+    return (node for node in nodes if isinstance(node, Function))

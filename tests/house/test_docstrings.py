@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 
 from hystmpc.trials import errors
 
@@ -42,8 +43,16 @@ def definitions(module: Module, body: list[ast.stmt], owner: ast.ClassDef | None
             yield from definitions(module, node.body, node)
 
 
-PUBLIC = [definition for module in modules() for definition in definitions(module, module.tree.body)]
-CLASSES = {d.node.name: d.node for d in PUBLIC if isinstance(d.node, ast.ClassDef)}
+@cache
+def public() -> tuple[Definition, ...]:
+    """Everything public of the package."""
+    return tuple(definition for module in modules() for definition in definitions(module, module.tree.body))
+
+
+@cache
+def classes() -> dict[str, ast.ClassDef]:
+    """The public classes by name."""
+    return {d.node.name: d.node for d in public() if isinstance(d.node, ast.ClassDef)}
 
 
 def docstring(definition: Definition) -> str:
@@ -60,7 +69,7 @@ def docstring(definition: Definition) -> str:
 def inherited(owner: ast.ClassDef, method: str) -> str:
     """Docstring of `method` in the package's classes that `owner` is derived from."""
     for expression in owner.bases:
-        base = CLASSES.get(ast.unparse(expression).partition("[")[0].rpartition(".")[2])
+        base = classes().get(ast.unparse(expression).partition("[")[0].rpartition(".")[2])
         if base is None:
             continue
         for node in base.body:
@@ -79,12 +88,12 @@ def raised(node: Function) -> set[str]:
 
 
 def test_everything_public_has_a_docstring() -> None:
-    assert [str(d) for d in PUBLIC if d.node.name not in CONSTRUCTORS and not docstring(d)] == []
+    assert [str(d) for d in public() if d.node.name not in CONSTRUCTORS and not docstring(d)] == []
 
 
 def test_errors_raised_are_documented() -> None:
     offenders = []
-    for definition in PUBLIC:
+    for definition in public():
         if isinstance(definition.node, Function):
             section = docstring(definition).partition("Raises:")[2]
             missing = sorted(name for name in raised(definition.node) if name not in section)

@@ -67,7 +67,7 @@ def test_a_room_imports_itself_relatively() -> None:
     offenders = [
         f"{module.where}:{node.lineno}"
         for module in modules()
-        for node in ast.walk(module.tree)
+        for node in module.nodes
         if isinstance(node, ast.ImportFrom) and node.level == 0
         if f"{node.module}.".startswith(f"hystmpc.{module.room}.")
     ]

@@ -9,26 +9,31 @@ import numpy as np
 import pytest
 from onnx import TensorProto, numpy_helper
 
-from hystmpc.models.contract import ExportBundle, OnnxModel, export_onnx, load_onnx
+from hystmpc.models.contract import ExportBundle, GateReport, OnnxModel, export_onnx, load_onnx
 from hystmpc.models.model import Array, StepFunction
 from hystmpc.trials.errors import ExportError
 
 from .contract_examples import DT_S, PROBE, SLOPE, SYSTEMS, WIDTH, Play, RatePlay, metadata, node, play_graph
 
 
-@pytest.fixture(params=SYSTEMS, ids=lambda system: system.name)
+@pytest.fixture(scope="module", params=SYSTEMS, ids=lambda system: system.name)
 def bundle(request: pytest.FixtureRequest) -> ExportBundle:
     return request.param.bundle()
 
 
-def exported(bundle: ExportBundle, folder: Path) -> OnnxModel:
-    path = folder / "model.onnx"
-    export_onnx(bundle, path)
-    return load_onnx(path)
+@pytest.fixture(scope="module")
+def exported(bundle: ExportBundle, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, GateReport]:
+    path = tmp_path_factory.mktemp("exported") / "model.onnx"
+    return path, export_onnx(bundle, path)
 
 
-def test_gate_passes_and_reports(bundle: ExportBundle, tmp_path: Path) -> None:
-    report = export_onnx(bundle, tmp_path / "model.onnx")
+@pytest.fixture
+def model(exported: tuple[Path, GateReport]) -> OnnxModel:
+    return load_onnx(exported[0])
+
+
+def test_gate_passes_and_reports(bundle: ExportBundle, exported: tuple[Path, GateReport]) -> None:
+    report = exported[1]
     single = bundle.graph.input[0].type.tensor_type.elem_type == TensorProto.FLOAT
     assert report.steps == 1000
     assert report.batches == (1, 8)
@@ -40,8 +45,7 @@ def test_gate_passes_and_reports(bundle: ExportBundle, tmp_path: Path) -> None:
     assert report.kinks <= report.jacobian_points // 2
 
 
-def test_round_trip_over_1000_samples(bundle: ExportBundle, tmp_path: Path) -> None:
-    model = exported(bundle, tmp_path)
+def test_round_trip_over_1000_samples(bundle: ExportBundle, model: OnnxModel) -> None:
     y = np.array([[35.0], [60.0], [81.0]])
     x, state = model.initial(y), bundle.metadata.initial.state(y)
     np.testing.assert_array_equal(model.output(x), y)
@@ -54,20 +58,20 @@ def test_round_trip_over_1000_samples(bundle: ExportBundle, tmp_path: Path) -> N
     assert worst <= 1e-3
 
 
-def test_metadata_and_state_survive_the_file(bundle: ExportBundle, tmp_path: Path) -> None:
-    model = exported(bundle, tmp_path)
+def test_metadata_and_state_survive_the_file(
+    bundle: ExportBundle, model: OnnxModel, exported: tuple[Path, GateReport]
+) -> None:
     assert model.metadata == bundle.metadata
     assert (model.nx, model.nu, model.dt) == (bundle.reference.state_size + 1, 1, DT_S)
     assert set(model.initializers) == {w.name for w in bundle.graph.initializer}
-    other = load_onnx(tmp_path / "model.onnx", start="conditioned")
+    other = load_onnx(exported[0], start="conditioned")
     y = np.array([[40.0]])
     assert other.hash == model.hash
     np.testing.assert_array_equal(other.initial(y)[:, :-1], bundle.metadata.conditioned.state(y))
     np.testing.assert_array_equal(other.initial(y)[:, -1:], y)
 
 
-def test_rows_of_a_batch_do_not_touch_each_other(bundle: ExportBundle, tmp_path: Path) -> None:
-    model = exported(bundle, tmp_path)
+def test_rows_of_a_batch_do_not_touch_each_other(model: OnnxModel) -> None:
     rng = np.random.default_rng(1)
     states, u = rng.normal(2, 1, (5, model.nx - 1)), rng.uniform(0, 6, (5, 1))
     theta, following = model.advance(states, u)
@@ -78,8 +82,7 @@ def test_rows_of_a_batch_do_not_touch_each_other(bundle: ExportBundle, tmp_path:
     assert theta.dtype == following.dtype == np.float64
 
 
-def test_step_leaves_the_given_state_alone(bundle: ExportBundle, tmp_path: Path) -> None:
-    model = exported(bundle, tmp_path)
+def test_step_leaves_the_given_state_alone(model: OnnxModel) -> None:
     x = model.initial(np.array([[50.0]]))
     before = x.copy()
     first, again = model.step(x, np.array([[2.0]])), model.step(x, np.array([[2.0]]))
@@ -87,14 +90,13 @@ def test_step_leaves_the_given_state_alone(bundle: ExportBundle, tmp_path: Path)
     np.testing.assert_array_equal(first, again)
 
 
-def test_export_is_reproducible(bundle: ExportBundle, tmp_path: Path) -> None:
-    export_onnx(bundle, tmp_path / "a.onnx")
-    export_onnx(bundle, tmp_path / "b.onnx")
-    assert load_onnx(tmp_path / "a.onnx").hash == load_onnx(tmp_path / "b.onnx").hash
+def test_export_is_reproducible(bundle: ExportBundle, model: OnnxModel, tmp_path: Path) -> None:
+    export_onnx(bundle, tmp_path / "again.onnx")
+    assert load_onnx(tmp_path / "again.onnx").hash == model.hash
 
 
-def test_casadi_function_has_exact_derivatives(bundle: ExportBundle, tmp_path: Path) -> None:
-    function = exported(bundle, tmp_path).casadi_function()
+def test_casadi_function_has_exact_derivatives(bundle: ExportBundle, model: OnnxModel) -> None:
+    function = model.casadi_function()
     size = bundle.reference.state_size
     x, u = ca.MX.sym("x", size), ca.MX.sym("u")
     jacobian = ca.Function("j", [x, u], [ca.jacobian(ca.vertcat(*function(x, u)), ca.vertcat(x, u))])
