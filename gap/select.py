@@ -32,6 +32,7 @@ class SelectionSettings:
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
         gives_way: effects that bend to almost anything, and the share of what they explain by which another cause may
             be worse and is preferred.
+        line_of_shifts: the same for `trial_shift` where the other is a drift, which has one number for all trials.
         variants: forms of one effect that are tried again once it was tried alone.
         judged: candidates of a round that are judged on held-out trials; the others only by their fit.
         lowest_hz, highest_hz: where a periodic disturbance is looked for.
@@ -45,6 +46,7 @@ class SelectionSettings:
     form_share: float = 0.1
     recurs: float = 0.25
     gives_way: tuple[tuple[str, float], ...] = (("trial_shift", 0.06), ("nonlinear_gain", 0.015), ("asymmetry", 0.015))
+    line_of_shifts: float = 0.2
     variants: int = 2
     judged: int = 5
     lowest_hz: float = 0.15
@@ -200,7 +202,9 @@ class Selector:
         fall, error = gain(present, other)
         left = present.hypothesis.effects - other.hypothesis.effects
         come = other.hypothesis.effects - present.hypothesis.effects
-        for generic, share in self._settings.gives_way:
+        for generic, usual in self._settings.gives_way:
+            drifts = generic == "trial_shift" and "drift" in come | left
+            share = self._settings.line_of_shifts if drifts else usual
             if generic in left:
                 return fall > -share * (baseline.mse - present.mse)
             if generic in come:

@@ -12,7 +12,8 @@ from .hypothesis import Court, Hypothesis
 from .jumps import Jumps, find_jumps
 from .preparation import Prepared
 from .select import Selection, SelectionSettings, select
-from .verdict import Ruling, VerdictSettings, rule, sensor_matters
+from .verdict import Ruling, rule, sensor_matters
+from .verdict_settings import VerdictSettings
 
 _PREDICTABLE = 0.5  # of the retuned error: jumps count as no news up to this share of it
 
@@ -78,7 +79,7 @@ def decide(
     library = candidates(Scale.of(prepared.development), prepared.baseline.effects, unfit)
     selection = select(court, library, settings.selection, floor_mse, left_out, advance)
     sensor = "sensor" not in left_out and sensor_matters(prepared, selection, settings.verdict)
-    ruling = rule(selection, court.runs, floor_mse, prepared.form_mse, sensor, settings.verdict, seed)
+    ruling = rule(selection, court, floor_mse, prepared.form_mse, sensor, settings.verdict, seed)
     explained = ruling.verdict in ("named", "one_of") and not prepared.lacks
     if prepared.lacks:
         ruling = replace(ruling, verdict="too_little", ambiguity=())

@@ -10,11 +10,12 @@ import pytest
 
 from hystmpc.gap.fixed_simulator import EFFECTS_FILE, fixed_simulator, network_effects
 from hystmpc.gap.hypothesis import Court, Hypothesis
-from hystmpc.gap.parameter_rows import parameter_rows, uncertainty
+from hystmpc.gap.parameter_rows import parameter_rows
 from hystmpc.gap.planned import contender_of, settled
 from hystmpc.gap.preparation import Prepared, prepare
 from hystmpc.gap.problem import Problem, Vec
 from hystmpc.gap.trial_terms import TrialTerms
+from hystmpc.gap.uncertainty import uncertainty
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.place import effect_from
 from hystmpc.models.operators.creep import Creep
