@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.trajectories.checks import require_positive
 
 Vec = NDArray[np.float64]
 
-LONGEST_S = 90.0
+LONGEST_S = 90.0  # but where a plan needs more
 REST_S = 1.0
 RATE_SHARE = 0.9  # of the rate limit: what every motion stays below
 _NYQUIST_SHARE = 0.4  # a sine is sampled five times a period at least
@@ -29,11 +30,17 @@ class Leg:
         target: share of the reach, 0 at the lowest command.
         hold_s: time at the target [s].
         speed: share of the allowed rate.
+        stroke_s: time that the whole reach takes at least [s].
     """
 
     target: float
     hold_s: float
     speed: float = 0.5
+    stroke_s: float = 0.0
+
+    def way_s(self, start: float, reach: float, rate: float) -> float:
+        """Time from another command to its own, both in shares of the reach [s]."""
+        return abs(self.target - start) * max(reach / (self.speed * rate), self.stroke_s)
 
 
 @dataclass(frozen=True)
@@ -80,11 +87,18 @@ class Motion:
 
 @dataclass(frozen=True)
 class Plan:
-    """A motion before limits are known: parts in shares of the reach and of the rate."""
+    """A motion before limits are known: parts in shares of the reach and of the rate.
+
+    Attributes:
+        name, purpose: see `Motion`.
+        parts: in order.
+        longest_s: duration that the reach is cut to [s].
+    """
 
     name: str
     purpose: str
     parts: tuple[Leg | Burst, ...]
+    longest_s: float = LONGEST_S
 
 
 def _opening() -> tuple[Leg, ...]:
@@ -108,6 +122,24 @@ def _dwell() -> Iterator[Leg]:
 def _tops() -> Iterator[Leg]:
     for start in (0.75, 0.5, 0.25, 0.0):
         yield from (Leg(1.0, 1.0), Leg(start, 1.0))
+
+
+def _slow() -> tuple[Leg, ...]:
+    return (Leg(1.0, 1.0, 1.0, 12.0), Leg(0.0, 1.0, 1.0, 12.0)) * 2
+
+
+def _growing() -> Iterator[Leg]:
+    for peak in (0.2, 0.4, 0.6, 0.8, 1.0, 0.5, 1.0):
+        yield from (Leg(peak, 1.0, 1.0, 5.0), Leg(0.0, 1.0, 1.0, 5.0))
+
+
+def _fast() -> Iterator[Leg]:
+    for peak in (0.4, 0.8, 0.6, 1.0):
+        yield from (Leg(peak, 1.5, 1.0), Leg(0.2, 0.0, 1.0), Leg(0.7 * peak, 1.5, 1.0), Leg(0.0, 1.5, 1.0))
+
+
+def _again_and_again() -> tuple[Leg, ...]:
+    return (Leg(0.9, 2.0, 1.0, 8.0), Leg(0.0, 2.0, 1.0, 8.0)) * 12
 
 
 PLANS = (
@@ -147,6 +179,27 @@ PLANS = (
         "small sines of four frequencies at once, away from both ends: dynamics apart from hysteresis",
         (Leg(0.5, 2.0), Burst((0.4, 0.9, 1.7, 2.9), 0.1, 24.0), Leg(0.0, 2.0)),
     ),
+    Plan(
+        "slow_strokes",
+        "the whole range at a crawl, twice: a corner, a toe and a smooth curve differ, nothing that needs speed does",
+        _slow(),
+    ),
+    Plan(
+        "growing_strokes",
+        "strokes that reach further each time, then less far: what a new greatest bend does, and what one angle does",
+        tuple(_growing()),
+    ),
+    Plan(
+        "fast_strokes",
+        "strokes at full speed that stop and turn: a lag goes on, friction that grows with speed lets go",
+        tuple(_fast()),
+    ),
+    Plan(
+        "again_and_again",
+        "one slow stroke for four minutes: a drift goes on, a shift between trials does not, creep comes to rest",
+        _again_and_again(),
+        300.0,
+    ),
 )
 
 
@@ -172,7 +225,7 @@ def _motion(plan: Plan, limits: CommandLimits, dt: float) -> Motion:
     pieces, at, start = [(np.array([0.0, REST_S]), np.zeros(2))], 0.0, REST_S
     for part in plan.parts:
         if isinstance(part, Leg):
-            way = abs(part.target - at) * reach / (part.speed * rate)
+            way = part.way_s(at, reach, rate)
             piece = np.array([0.0, way, way + part.hold_s]), reach * np.array([at, part.target, part.target])
             at = part.target
         else:
@@ -186,15 +239,22 @@ def _motion(plan: Plan, limits: CommandLimits, dt: float) -> Motion:
 
 
 def _reach(plan: Plan, limits: CommandLimits) -> float:
-    """Greatest command above the lowest that the motion can go to and back within the longest duration."""
-    at, travel_s, fixed_s = 0.0, 0.0, 2 * REST_S
+    """Greatest command above the lowest that the motion can go to and back within its longest duration."""
+    rate, whole = RATE_SHARE * limits.rate, limits.upper - limits.lower
+    if _lasts(plan, whole, rate) <= plan.longest_s:
+        return whole
+    return float(brentq(lambda reach: _lasts(plan, reach, rate) - plan.longest_s, 0.0, whole))
+
+
+def _lasts(plan: Plan, reach: float, rate: float) -> float:
+    """Duration of a plan at a reach [s]."""
+    at, seconds = 0.0, 2 * REST_S
     for part in plan.parts:
         if isinstance(part, Leg):
-            travel_s += abs(part.target - at) / (part.speed * RATE_SHARE * limits.rate)
-            fixed_s, at = fixed_s + part.hold_s, part.target
+            seconds, at = seconds + part.way_s(at, reach, rate) + part.hold_s, part.target
         else:
-            fixed_s += part.duration_s
-    return min(limits.upper - limits.lower, (LONGEST_S - fixed_s) / travel_s)
+            seconds += part.duration_s
+    return seconds
 
 
 def _burst(part: Burst, centre: float, reach: float, rate: float, dt: float) -> tuple[Vec, Vec]:

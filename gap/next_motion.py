@@ -22,7 +22,8 @@ Simulate = Callable[[Vec, float], Vec]
 
 MOTION_FILE = "next_motion.csv"
 PLANNED = "separation_deg"  # a column that no recording has: a plan taken for a log is recognised by it
-_EQUAL_FACTOR, _EQUAL_ERRORS = 1.5, 0.005  # odds are equal while errors stay below this much more of the best's
+_EQUAL_FACTOR, _EQUAL_ERRORS = 1.2, 0.005  # odds are equal while errors stay below this much more of the best's
+_FORM_SPREAD = 2.0  # root of the number of directions that a form error may take
 _SHIFT, _SCALE = 0.01, 0.01  # of the command's range, and of the command
 
 
@@ -44,16 +45,16 @@ class Contender:
 
 @dataclass(frozen=True)
 class Noise:
-    """What a separation counts against: (1 - white) AR(1) + white noise, and the form error of the effects.
+    """What a separation counts against: (1 - white) AR(1) + white noise, and the form error of the explanations.
 
-    Noise averages out over a motion; the form error, by which a device differs from the equation of its class, does
-    not. It bounds the odds by the share of an effect that another cannot absorb.
+    Noise averages out over a motion; the form error, by which a device differs from the equations, does not: it is the
+    same however often a motion is recorded, and may point from one candidate to another.
 
     Attributes:
         rmse_deg: standard deviation of the noise [deg].
         ar: correlation of its slow part from one sample to the next.
         white: share of its variance that has no memory.
-        form_error: of an effect's contribution, along any one direction.
+        form_deg: root mean square of the form error [deg].
 
     Raises:
         FitError: if the deviation is not positive, or a share out of its bounds.
@@ -62,12 +63,12 @@ class Noise:
     rmse_deg: float
     ar: float = 0.95
     white: float = 0.3
-    form_error: float = 0.15
+    form_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        shares = 0 <= self.ar < 1 and 0 <= self.white <= 1 and 0 <= self.form_error <= 1
+        shares = 0 <= self.ar < 1 and 0 <= self.white <= 1 and 0 <= self.form_deg < np.inf
         if not (np.isfinite(self.rmse_deg) and self.rmse_deg > 0 and shares):
-            raise FitError(f"noise: got {self}, expected rmse_deg > 0, ar in [0, 1), other shares in [0, 1]")
+            raise FitError(f"noise: got {self}, expected rmse_deg > 0, ar in [0, 1), white in [0, 1], form_deg >= 0")
 
     def whiten(self, signals: Vec) -> Vec:
         """Signals (..., T) in units of the noise: each frequency over the root of the noise's spectrum."""
@@ -115,14 +116,15 @@ class Proposal:
         return NextMotion(file, self.names, self.chosen.probability, motion.duration_s)
 
 
-def propose(
-    candidates: Sequence[Contender], motions: Sequence[Motion], noise: Noise, baseline: Simulate | None = None
-) -> Proposal:
+def propose(candidates: Sequence[Contender], motions: Sequence[Motion], noise: Noise) -> Proposal:
     """Choose the motion that most probably names the right candidate; at about equal odds the shortest.
 
-    With candidate i true and j retuned to it, the part r_ij that is left (in units of the noise, whitened) favours i
-    with probability P_ij = Phi(d_ij / 2), the hit rate for two known signals in Gaussian noise, with
-    d_ij = |r_ij| / sqrt(1 + form_error^2 |e_ij|^2) and e_ij the larger of the two effects' contributions. Pairs are
+    With candidate i true and j retuned to it, the part r_ij that is left favours i with probability
+    P_ij = Phi(d_ij / 2), the hit rate for two known signals in Gaussian noise, with
+
+        1 / d_ij^2 = 1 / |r_ij|^2 + (form / (2 rms r_ij))^2,
+
+    |r_ij| whitened, in units of the noise, and a form error that lies in any of four directions. Pairs are
     combined by P_i = 1 / (sum_{j != i} 1 / P_ij - (K - 2)) (Price, Knerr, Personnaz, Dreyfus, NIPS 1994); all
     candidates are equally likely. Retuning is linear least squares on offset, gain, command shift, command scale and
     the candidate's own parameters.
@@ -130,16 +132,14 @@ def propose(
     Args:
         candidates: two or more.
         motions: see `motion_menu.menu`.
-        noise: of the device and form error of the effects.
-        baseline: the simulator without any of the effects; contributions are counted from it, else from the other
-            candidate.
+        noise: of the device, and form error of the candidates.
 
     Raises:
         FitError: if there are fewer than two candidates, no motions, or no motion on which all give finite angles.
     """
     if len(candidates) < 2 or not motions:
         raise FitError(f"next motion: got {len(candidates)} candidates and {len(motions)} motions, expected 2 and 1")
-    options = tuple(option for motion in motions if (option := _option(candidates, motion, noise, baseline)))
+    options = tuple(option for motion in motions if (option := _option(candidates, motion, noise)))
     if not options:
         raise FitError(f"next motion: none of {len(motions)} motions gives finite angles with all candidates")
     fewest = min(1 - option.probability for option in options)
@@ -182,28 +182,27 @@ def write_motion(path: Path | str, proposal: Proposal, command_unit: str = "mm")
     return write_atomically(path, format_table(columns))
 
 
-def _option(candidates: Sequence[Contender], motion: Motion, noise: Noise, baseline: Simulate | None) -> Option | None:
+def _option(candidates: Sequence[Contender], motion: Motion, noise: Noise) -> Option | None:
     """What one motion promises; None where a simulator does not give finite angles on it."""
     angles, directions = separations(candidates, motion.command, motion.dt)
-    base = None if baseline is None else np.asarray(baseline(motion.command, motion.dt))
-    if not all(np.isfinite(part).all() for part in (angles, *directions, *([] if base is None else [base]))):
+    if not all(np.isfinite(part).all() for part in (angles, *directions)):
         return None
     count, separation = len(candidates), np.zeros(motion.t.size)
     distances = np.zeros((count, count))
     for j, basis in enumerate(directions):
         others = [i for i in range(count) if i != j]
         left = _left(angles[others] - angles[j], basis, noise)
-        effects = _length(angles[others] - (angles[j] if base is None else base), noise)
-        if base is not None:
-            effects = np.maximum(effects, _length(angles[j] - base, noise))
-        distances[others, j] = _length(left, noise) / np.sqrt(1 + (noise.form_error * effects) ** 2)
+        distances[others, j] = _distance(left, noise)
         separation = np.maximum(separation, np.abs(left).max(axis=0))
     return Option(motion, expected_probability(distances), angles, separation)
 
 
-def _length(signals: Vec, noise: Noise) -> Vec:
-    """Length of each signal (..., T) in units of the noise, its mean left out."""
-    return np.asarray(np.linalg.norm(noise.whiten(signals - signals.mean(axis=-1, keepdims=True)), axis=-1))
+def _distance(left: Vec, noise: Noise) -> Vec:
+    """Distances d of the separations (N, T); what is nothing is no distance."""
+    still = left - left.mean(axis=-1, keepdims=True)
+    seen = np.linalg.norm(noise.whiten(still), axis=-1)
+    form = noise.form_deg / (_FORM_SPREAD * np.maximum(np.sqrt(np.mean(still**2, axis=-1)), 1e-300))
+    return np.asarray(seen / np.sqrt(1 + (seen * form) ** 2))
 
 
 def _directions(candidate: Contender, angle: Vec, command: Vec, dt: float) -> Vec:

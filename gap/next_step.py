@@ -25,7 +25,6 @@ from .select import Selection
 _LEAST_NOISE_DEG = 1e-3
 _TYPICAL = ("lag", "creep", "stick_slip", "contact")  # one of each family, where nothing is left to choose between
 _MOST = 4  # contenders of a gap that nothing explains
-_SMALLEST_WHITE = 0.05
 
 
 def next_step(findings: Findings) -> tuple[Proposal | None, NextMotion | None]:
@@ -38,29 +37,29 @@ def next_step(findings: Findings) -> tuple[Proposal | None, NextMotion | None]:
     Args:
         findings: of all earlier steps.
     """
-    rest, fitted = _open(findings)
+    fitted = _open(findings)
     if len(fitted) < 2:
         return None, None
     prepared = findings.prepared
     contenders = [contender_of(name, hypothesis, prepared) for name, hypothesis in fitted.items()]
-    baseline = contender_of("baseline", rest, prepared).simulate
-    proposal = propose(contenders, menu(_limits(findings), prepared.checked.dt), _noise(findings), baseline)
+    proposal = propose(contenders, menu(_limits(findings), prepared.checked.dt), _noise(findings))
     return proposal, proposal.summary()
 
 
-def _open(findings: Findings) -> tuple[Hypothesis, dict[str, Hypothesis]]:
-    """What the simulator is without the question, and each of its answers, fitted."""
+def _open(findings: Findings) -> dict[str, Hypothesis]:
+    """The answers that are left, fitted."""
     ruling, chosen = findings.ruling, findings.chosen
     if ruling.verdict in ("unknown", "too_little"):
-        return findings.retuned, _families(findings)
+        return _families(findings)
     rivals = ruling.ambiguity[0] if ruling.ambiguity else _unseparated(findings)
     if not rivals:
-        return findings.retuned, {}
+        return {}
     rest = chosen.effects - {rivals[0]}
-    fitted = {name: _with(findings, rest, name) for name in rivals}
     known = findings.selection.tried.get(frozenset(rest))
     base = known.hypothesis if known else findings.retuned
-    return base, {name: hypothesis for name, hypothesis in fitted.items() if hypothesis is not None}
+    # In one more trial a shift of its own is a matter of retuning.
+    fitted = {name: base if name == "trial_shift" else _with(findings, rest, name) for name in rivals}
+    return {name: hypothesis for name, hypothesis in fitted.items() if hypothesis is not None}
 
 
 def _unseparated(findings: Findings) -> tuple[str, ...]:
@@ -121,12 +120,11 @@ def _singles(selection: Selection) -> dict[str, Hypothesis]:
 
 
 def _noise(findings: Findings) -> Noise:
-    """What the best explanation leaves, white as far as the floor is."""
-    gap, white = findings.far.gap, max(findings.floor.noise_deg, _LEAST_NOISE_DEG)
+    """White noise of the sensor, and what the best explanation leaves beyond it."""
+    white = max(findings.floor.noise_deg, _LEAST_NOISE_DEG)
     if findings.ruling.verdict in ("unknown", "too_little"):
         return Noise(white)
-    left = max(gap.with_effects_rmse_deg, white)
-    return Noise(left, white=float(np.clip((white / left) ** 2, _SMALLEST_WHITE, 1.0)))
+    return Noise(white, white=1.0, form_deg=float(np.sqrt(max(findings.chosen.mse - white**2, 0.0))))
 
 
 def _limits(findings: Findings) -> CommandLimits:

@@ -86,7 +86,7 @@ def proposal_of(verdict: Verdict) -> Proposal | None:
     if verdict in ("none", "named"):
         return None
     pair = (LAG, DELAY) if verdict == "one_of" else (LAG, DELAY, CREEP)
-    return propose(pair, menu(CommandLimits(0.0, 6.0, 12.0), DT), Noise(0.14), baseline)
+    return propose(pair, menu(CommandLimits(0.0, 6.0, 12.0), DT), Noise(0.14))
 
 
 def diagnosis_of(verdict: Verdict, trials: tuple[TrialEvidence, ...], proposal: Proposal | None) -> Diagnosis:

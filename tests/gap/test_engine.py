@@ -13,7 +13,7 @@ from hystmpc.gap.candidate import CORE, Candidate
 from hystmpc.gap.fit import fit
 from hystmpc.gap.problem import Problem, Vec
 
-from .engine_examples import BASELINES, CANDIDATES, EVERY, LABELS, NEUTRAL, device_runs
+from .engine_examples import BASELINES, CANDIDATES, DT, EVERY, LABELS, NEUTRAL, device_runs
 
 RUNS = device_runs()
 _STEP = 2e-6
@@ -53,7 +53,8 @@ def test_neutral_candidates_do_nothing(name: str, candidate: Candidate) -> None:
     alone, joined = Problem(baseline), Problem(baseline, (candidate,))
     without = alone.angles(alone.start(baseline.nominal, []), RUNS[0])
     joint = joined.angles(joined.start(baseline.nominal, [values]), RUNS[0])
-    np.testing.assert_allclose(joint, without, atol=1e-6)
+    fastest = float(np.abs(np.diff(without)).max()) / DT  # a pole of a microsecond leaves that of the way
+    np.testing.assert_allclose(joint, without, atol=1e-6 + 2.1e-6 * fastest)
 
 
 @pytest.mark.parametrize(("name", "candidate"), EVERY, ids=LABELS)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.gap.motion_menu import LONGEST_S, PLANS, Motion, menu
+from hystmpc.gap.motion_menu import PLANS, Motion, menu
 from hystmpc.gap.next_motion import (
     PLANNED,
     Contender,
@@ -29,7 +29,7 @@ from hystmpc.trials.errors import FitError
 from .contenders import CREEP, DELAY, LAG, baseline, creep, lag
 
 LIMITS = CommandLimits(0.0, 6.0, 12.0)
-NOISE = Noise(0.1)
+NOISE = Noise(0.1, form_deg=1.0)
 MOTIONS = menu(LIMITS, 0.04)
 
 any_limits = st.builds(
@@ -43,12 +43,13 @@ any_limits = st.builds(
 @given(limits=any_limits, dt=st.floats(0.001, 0.2))
 @settings(max_examples=25)
 def test_every_motion_stays_within_box_and_rate_and_rests_at_both_ends(limits: CommandLimits, dt: float) -> None:
+    longest = {plan.name: plan.longest_s for plan in PLANS}
     for motion in menu(limits, dt):
         u, slack = motion.command, 1e-9 * max(1.0, abs(limits.lower), abs(limits.upper))
         assert u.min() >= limits.lower
         assert u.max() <= limits.upper
         assert np.abs(np.diff(u)).max() <= limits.rate * dt + slack
-        assert motion.duration_s <= LONGEST_S
+        assert motion.duration_s <= longest[motion.name] + 1e-6
         resting = int(0.5 / dt)
         assert np.abs(u[: resting + 1] - limits.lower).max() <= slack
         assert np.abs(u[-resting - 1 :] - limits.lower).max() <= slack
@@ -77,22 +78,31 @@ def fast_share(motion: Motion) -> float:
     return float(power[np.fft.rfftfreq(motion.t.size - 1, motion.dt) > 1.0].sum() / power.sum())
 
 
-def test_lag_against_creep_is_told_by_holds() -> None:
-    chosen = propose((LAG, CREEP), MOTIONS, NOISE, baseline).chosen
-    assert held_s(chosen.motion) >= 4.0
-    assert chosen.probability > 0.95
+def odds_of(*pair: Contender) -> dict[str, float]:
+    """Odds of every motion of the menu."""
+    return {option.motion.name: option.probability for option in propose(pair, MOTIONS, NOISE).options}
 
 
-def test_lag_against_delay_is_told_by_fast_small_motion() -> None:
-    proposal = propose((LAG, DELAY), MOTIONS, NOISE, baseline)
-    odds = {option.motion.name: option.probability for option in proposal.options}
-    assert fast_share(proposal.chosen.motion) > 0.5
-    assert odds["long_holds"] < odds["fast_steps_small_sines"] < proposal.chosen.probability
+def test_lag_against_creep_is_told_by_moves_with_holds_and_not_at_a_crawl() -> None:
+    odds = odds_of(LAG, CREEP)
+    with_holds = [odds[motion.name] for motion in MOTIONS if held_s(motion) >= 3.0]
+    at_a_crawl = [odds[motion.name] for motion in MOTIONS if fast_share(motion) < 0.05]
+    assert len(with_holds) >= 3 <= len(at_a_crawl)
+    assert min(with_holds) > max(at_a_crawl)
+    assert max(odds.values()) > 0.95
+
+
+def test_lag_against_delay_is_told_by_fast_motion() -> None:
+    odds = odds_of(LAG, DELAY)
+    fast = [odds[motion.name] for motion in MOTIONS if fast_share(motion) > 0.4]
+    slow = [odds[motion.name] for motion in MOTIONS if fast_share(motion) < 0.4]
+    assert len(fast) >= 3
+    assert min(fast) > max(slow)
 
 
 def test_three_candidates_are_told_by_what_separates_the_closest_pair() -> None:
-    three = propose((LAG, DELAY, CREEP), MOTIONS, NOISE, baseline)
-    two = propose((LAG, DELAY), MOTIONS, NOISE, baseline)
+    three = propose((LAG, DELAY, CREEP), MOTIONS, NOISE)
+    two = propose((LAG, DELAY), MOTIONS, NOISE)
     assert three.names == ("lag", "delay", "creep")
     assert three.chosen.motion.name == two.chosen.motion.name
 
@@ -132,9 +142,12 @@ def test_odds_grow_with_every_distance(distances: list[float], more: float, whic
 
 def test_odds_grow_with_the_size_of_the_effect_and_fall_with_the_floor() -> None:
     def odds(share: float, floor: float) -> float:
-        pair = (LAG, Contender("creep", creep(share, 5.0), (creep(share + 0.01, 5.0), creep(share, 5.5))))
+        pair = (
+            Contender("nothing", baseline, (baseline,)),
+            Contender("creep", creep(share, 5.0), (creep(share + 0.01, 5.0), creep(share, 5.5))),
+        )
         small = menu(CommandLimits(0.0, 0.6, 1.0), 0.04)
-        return propose(pair, small, Noise(floor), baseline).chosen.probability
+        return propose(pair, small, Noise(floor)).chosen.probability
 
     sizes = [odds(share, 1.0) for share in (0.1, 0.2, 0.4)]
     assert sizes == sorted(sizes)
@@ -145,9 +158,10 @@ def test_odds_grow_with_the_size_of_the_effect_and_fall_with_the_floor() -> None
 
 
 def test_a_form_error_bounds_the_odds_where_noise_does_not() -> None:
-    quiet = Noise(1e-3)
-    without = propose((LAG, DELAY), MOTIONS, Noise(1e-3, form_error=0.0), baseline).chosen.probability
-    assert propose((LAG, DELAY), MOTIONS, quiet, baseline).chosen.probability < 0.99 < without
+    odds = [propose((LAG, DELAY), MOTIONS, Noise(1e-3, form_deg=form)).chosen.probability for form in (0.0, 3.0, 30.0)]
+    assert odds[0] > 0.99
+    assert odds == sorted(odds, reverse=True)
+    assert odds[2] < 0.9
 
 
 def test_a_motion_on_which_a_simulator_diverges_is_left_out() -> None:
@@ -162,7 +176,7 @@ def test_a_motion_on_which_a_simulator_diverges_is_left_out() -> None:
 
 
 def test_the_file_reads_back_as_log_and_as_reference(tmp_path: Path) -> None:
-    proposal = propose((LAG, DELAY), MOTIONS, NOISE, baseline)
+    proposal = propose((LAG, DELAY), MOTIONS, NOISE)
     motion = proposal.chosen.motion
     for unit in ("mm", "bar"):
         path = write_motion(tmp_path / "next_motion.csv", proposal, unit)
@@ -177,7 +191,7 @@ def test_the_file_reads_back_as_log_and_as_reference(tmp_path: Path) -> None:
 
 
 def test_the_summary_is_the_diagnosis_form() -> None:
-    proposal = propose((LAG, DELAY), MOTIONS, NOISE, baseline)
+    proposal = propose((LAG, DELAY), MOTIONS, NOISE)
     summary = proposal.summary()
     assert summary.separates == ("lag", "delay")
     assert summary.duration_s == proposal.chosen.motion.duration_s
@@ -192,7 +206,7 @@ def test_at_equal_odds_the_shorter_motion_wins() -> None:
         np.arange(2 * short.t.size) * short.dt,
         np.concatenate((short.command, short.command)),
     )
-    proposal = propose((LAG, CREEP), (doubled, short), Noise(1e-3), baseline)
+    proposal = propose((LAG, CREEP), (doubled, short), Noise(1e-3))
     assert isinstance(proposal, Proposal)
     assert all(isinstance(option, Option) for option in proposal.options)
     assert proposal.chosen.motion is short
