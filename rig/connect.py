@@ -45,7 +45,7 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
             raise ConfigError(f"{settings.name}: {flag.cause} before the device answered; nothing was sent")
         if clock.now_ns() > deadline:
             got = "no angle" if math.isnan(angle) else f"angle {angle:.3f} deg"
-            rejected = "".join(f"; {n} {cause}" for cause, n in transport.counters.items())
+            rejected = "".join(f"; {cause}, {n} times" for cause, n in transport.counters.items())
             raise ConfigError(
                 f"{settings.name}: got {got} from {_where(settings.transport)} within {settings.connect_timeout_s:g} s"
                 f"{rejected}, expected one within {sensor.lower_deg} to {sensor.upper_deg} deg; is the device on?"

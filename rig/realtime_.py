@@ -6,8 +6,9 @@ import ctypes
 import gc
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 
 from pydantic import Field
 from threadpoolctl import threadpool_limits
@@ -138,3 +139,27 @@ def _schedule(priority: int, notes: list[str], undo: list[Callable[[], object]])
         )
         return
     undo.append(lambda: os.sched_setscheduler(0, policy, before))
+    if sys.platform == "linux":
+        undo.extend(_lifted(thread, max(priority - 1, 1)) for thread in threading.enumerate())
+
+
+def _lifted(thread: threading.Thread, priority: int) -> Callable[[], object]:
+    """Another thread of the interpreter, scheduled like the loop but after it; how to put it back.
+
+    A thread under normal scheduling may lose its core to any other program while it holds the interpreter's lock, and
+    the loop would have to wait until it gets one again.
+    """
+    number = thread.native_id
+    if number is None or number == threading.get_native_id():
+        return lambda: None
+    try:
+        policy, before = os.sched_getscheduler(number), os.sched_getparam(number)
+        os.sched_setscheduler(number, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:  # it has ended meanwhile
+        return lambda: None
+
+    def put_back() -> None:
+        with suppress(OSError):
+            os.sched_setscheduler(number, policy, before)
+
+    return put_back

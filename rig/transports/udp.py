@@ -59,7 +59,8 @@ def _open(host: str, port: int, what: str) -> socket.socket:
         wire.bind((host, port))
     except (OSError, OverflowError) as error:
         wire.close()
-        raise ConfigError(f"udp: {what} cannot listen at {host} port {port} ({error})") from None
+        reason = getattr(error, "strerror", None) or error  # an OverflowError has none
+        raise ConfigError(f"udp: {what} cannot listen at {host} port {port} ({reason}), expected a free one") from None
     wire.setblocking(False)
     return wire
 
