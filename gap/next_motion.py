@@ -22,7 +22,7 @@ Simulate = Callable[[Vec, float], Vec]
 
 MOTION_FILE = "next_motion.csv"
 PLANNED = "separation_deg"  # a column that no recording has: a plan taken for a log is recognised by it
-_EQUAL_FACTOR, _EQUAL_ERRORS = 1.2, 0.005  # odds are equal while errors stay below this much more of the best's
+_EQUAL_FACTOR, _EQUAL_ERRORS = 1.05, 0.005  # odds are equal while errors stay below this much more of the best's
 _FORM_SPREAD = 2.0  # root of the number of directions that a form error may take
 _SHIFT, _SCALE = 0.01, 0.01  # of the command's range, and of the command
 

@@ -16,6 +16,7 @@ from .trial_terms import TrialTerms, strongest_line
 Vec = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
+_OWN = 100
 OWN_TO_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial anew: has to recur
 
 
@@ -83,13 +84,13 @@ class Selector:
     ) -> None:
         self._court, self._candidates, self._settings = court, tuple(candidates), settings
         self._floor, self._without, self._progress = floor_mse, without, progress
-        self._baseline_mse = 0.0
+        self._baseline_mse, self._blocks = 0.0, 0.0
         self.tried: dict[frozenset[str], Judged] = {}
 
     def run(self) -> Selection:
         """Add, drop, swap."""
         current = baseline = self._judge(self._court.retuned())
-        self._baseline_mse = baseline.mse
+        self._baseline_mse, self._blocks = baseline.mse, float(baseline.energy.size)
         been: set[frozenset[str]] = set()  # what is added may drop what has it added again
         while len(current.hypothesis.effects) < self._settings.most and current.hypothesis.effects not in been:
             been.add(current.hypothesis.effects)
@@ -109,13 +110,13 @@ class Selector:
         return judged
 
     def _best_addition(self, current: Judged) -> Judged | None:
-        found = self._additions(current.hypothesis)
-        best: Judged | None = None
-        for hypothesis in found:
-            judged = self._judge(hypothesis)
-            if self._worth_adding(current, judged) and (best is None or judged.mse < best.mse):
-                best = judged
-        return best
+        judged = [self._judge(hypothesis) for hypothesis in self._additions(current.hypothesis)]
+        worthy = [j for j in judged if self._worth_adding(current, j)]
+        if not worthy:
+            return None
+        best = min(worthy, key=lambda j: j.mse)
+        tied = [j for j in worthy if not _exceeds(gain(j, best))]
+        return min(tied, key=lambda j: (_freedoms(j.hypothesis), j.mse))
 
     def _worth_adding(self, before: Judged, after: Judged) -> bool:
         fall, error = gain(before, after)
@@ -136,6 +137,7 @@ class Selector:
         z = base.problem.retuned(base.q)
         there = [list(values.values()) for values in base.problem.effect_values(base.q)]
         best: dict[str, Hypothesis] = {}
+        predicted: dict[str, float] = {}
         reached: dict[Candidate, float] = {}
         for k, candidate in enumerate(self._candidates):
             self._progress(k / len(self._candidates), candidate.label)
@@ -144,9 +146,9 @@ class Selector:
             effects = (*base.problem.effects, candidate)
             starts = [[*there, start] for start in candidate.starts]
             made = self._court.with_causes(effects, base.problem.terms, z, starts)
-            reached[candidate] = made.mse
-            if candidate.effect not in best or made.mse < best[candidate.effect].mse:
-                best[candidate.effect] = made
+            reached[candidate] = made.mse * self._expected(len(candidate.free))
+            if candidate.effect not in best or reached[candidate] < predicted[candidate.effect]:
+                best[candidate.effect], predicted[candidate.effect] = made, reached[candidate]
         if not base.effects:
             self._candidates = _favourites(reached, self._settings.variants)
         for terms in self._terms(base):
@@ -156,6 +158,15 @@ class Selector:
             )
         order = sorted(best.values(), key=lambda h: h.mse)
         return order[: self._settings.judged]
+
+    def _expected(self, free: int) -> float:
+        """Factor from the error of a fit to that of other trials: what flexible forms of an effect gain by chance.
+
+        (B + Q) / (B - Q) with B blocks, as neighbouring errors are no news, and Q free parameters (Akaike, Fitting
+        autoregressive models for prediction, Ann. Inst. Statist. Math. 21, 1969: final prediction error).
+        """
+        blocks = self._blocks
+        return (blocks + free) / max(blocks - free, 1.0)
 
     def _terms(self, base: Hypothesis) -> list[TrialTerms]:
         """Terms of the base with one more."""
@@ -219,6 +230,16 @@ def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidat
         own = sorted((c for c in reached if c.effect == effect), key=lambda c: reached[c])
         kept += own[:most]
     return tuple(kept)
+
+
+def _exceeds(gained: tuple[float, float]) -> bool:
+    """Whether a fall is larger than its standard error."""
+    return gained[0] > gained[1]
+
+
+def _freedoms(hypothesis: Hypothesis) -> int:
+    """Free parameters of the causes; what each trial has of its own counts as more than any."""
+    return sum(len(c.free) for c in hypothesis.problem.effects) + _OWN * len(hypothesis.problem.terms.names)
 
 
 def _recurs(before: Judged, after: Judged, share: float) -> bool:

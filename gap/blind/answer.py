@@ -58,6 +58,8 @@ class Answer(Settings):
         floor_deg, noise_deg, form_deg: noise and model-form error together, and each [deg].
         retuned_deg: what a refit of the baseline leaves of the affected device, noise apart [deg].
         true_closed: share of that, squared, which the effects make up; the rest is model-form error.
+        retuned_by_trial, form_by_trial: of each trial alone: what the refit leaves of it, and what one leaves of the
+            unaffected device [deg].
         where: density of the retuned error by region, 1 on average.
         device, mounting, seed: of the simulated device, to record more of it.
         baseline: kind of the nominal simulator.
@@ -76,6 +78,8 @@ class Answer(Settings):
     resolution_deg: float = 0.0
     retuned_deg: float = 0.0
     true_closed: float | None = None
+    retuned_by_trial: tuple[float, ...] = ()
+    form_by_trial: tuple[float, ...] = ()
     where: dict[str, float] = Field(default_factory=dict)
     device: dict[str, Any] = Field(default_factory=dict)
     mounting: dict[str, float] = Field(default_factory=dict)

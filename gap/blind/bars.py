@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -15,6 +16,7 @@ from .scored import Scored, large, of_suites
 
 _CONFIDENT = 0.8
 _NEAR_ORACLE = 0.10
+_TRIAL = re.compile(r"trial_(\d+)")
 
 
 @dataclass(frozen=True)
@@ -89,16 +91,26 @@ def confidently_wrong(case: Scored) -> bool:
 
 
 def true_share(case: Scored) -> float:
-    """Share of the gap that the effects make up, counted from the floor that the diagnosis itself counts from.
+    """Share of the gap that the effects make up on the final trials, from the floor that the diagnosis counts from.
 
     closed = (MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor) with MSE_with = noise^2 + form^2 and
     MSE_retuned = noise^2 + retuned^2, cut to 0..1: a floor above what is left counts model-form error as no news.
     """
     answer, floor = case.answer, case.reading.floor_deg
-    if floor is None or answer.retuned_deg <= 0:
+    retuned, form = _on_final(case, answer.retuned_by_trial), _on_final(case, answer.form_by_trial)
+    if not retuned:
+        retuned, form = answer.retuned_deg**2, answer.form_deg**2
+    if floor is None or retuned <= 0:
         return answer.true_closed or 0.0
-    gap = answer.noise_deg**2 + answer.retuned_deg**2 - floor**2
-    return float(np.clip((answer.retuned_deg**2 - answer.form_deg**2) / max(gap, 1e-12), 0.0, 1.0))
+    gap = answer.noise_deg**2 + retuned - floor**2
+    return float(np.clip((retuned - form) / max(gap, 1e-12), 0.0, 1.0))
+
+
+def _on_final(case: Scored, by_trial: Sequence[float]) -> float:
+    """Mean square over the final trials of an error given by trial [deg^2]; 0 where they are not known."""
+    numbers = [int(found.group(1)) for name in case.reading.final_trials if (found := _TRIAL.search(name))]
+    kept = [by_trial[n - 1] ** 2 for n in numbers if n <= len(by_trial)]
+    return float(np.mean(kept)) if kept else 0.0
 
 
 def _foreign(cases: Sequence[Scored]) -> list[Scored]:
@@ -158,11 +170,14 @@ def _calibrated(cases: Sequence[Scored]) -> Bar:
 
 
 def _resolved(cases: Sequence[Scored]) -> Bar:
-    """Share of ambiguities after which the proposed motion was recorded and the truth alone was named."""
+    """Share of ambiguities of which, after the proposed motion was recorded, the truth is left and nothing else."""
     asked = [case for case in cases if case.reading.verdict == "one_of" and case.followed is not None]
 
     def resolved(case: Scored) -> bool:
         said = case.followed
-        return said is not None and said.verdict == "named" and said.guess == case.answer.truth
+        if said is None or said.verdict != "named":
+            return False
+        open_names = frozenset[str]().union(*case.reading.ambiguity)
+        return set(said.claims) & open_names == truths_of(case) & open_names != set()
 
     return _share("ambiguities that the next motion resolves", asked, resolved, 0.70)

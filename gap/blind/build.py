@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from .case import Case
 from .catalogue import generators_of
 from .generator import Withheld
 from .regions import densities
-from .retuning import retune
+from .retuning import retune, rms
 from .sizing import sized
 
 Vec = NDArray[np.float64]
@@ -46,7 +47,7 @@ def affected_case(
     made = [_effect(bench, wish) for wish in wishes]
     effects, answers = [effect for effect, _ in made], [answer for _, answer in made]
     trials = bench.device.with_effects(effects).record(bench.plan.commands)
-    retuned, closed, where = _gap(bench, effects) if effects else (0.0, None, {})
+    gap = _gap(bench, effects) if effects else {}
     answer = Answer.model_validate(
         {
             **bench.facts(),
@@ -55,9 +56,7 @@ def affected_case(
             "effects": answers,
             "without": without,
             "separable": all(bench.plan.separates(wish.label) for wish in wishes),
-            "retuned_deg": retuned,
-            "true_closed": closed,
-            "where": where,
+            **gap,
         }
     )
     return Case(tuple(trials), bench.simulator, answer)
@@ -81,11 +80,19 @@ def _effect(bench: Bench, wish: Wish) -> tuple[Withheld, EffectAnswer]:
     return effect, answer
 
 
-def _gap(bench: Bench, effects: Sequence[Withheld]) -> tuple[float, float, dict[str, float]]:
-    """Retuned error [deg], noise apart; share of its square that goes with the effects; where in the motion it lies."""
+def _gap(bench: Bench, effects: Sequence[Withheld]) -> dict[str, Any]:
+    """What a refit of the baseline leaves, noise apart; how much of it goes with the effects, and where it lies."""
     angles = bench.angles(effects)
     tuned = retune(bench.simulator, bench.plan.commands, angles)
     form, whole = bench.ruler.base.rmse_deg**2, tuned.rmse_deg**2
     trials = bench.device.with_effects(effects).record(bench.plan.commands)
     errors = [run - angle for run, angle in zip(tuned.angles, angles, strict=True)]
-    return tuned.rmse_deg, float(np.clip(1 - form / max(whole, 1e-12), 0, 1)), densities(trials, errors)
+    return {
+        "retuned_deg": tuned.rmse_deg,
+        "true_closed": float(np.clip(1 - form / max(whole, 1e-12), 0, 1)),
+        "retuned_by_trial": tuple(rms([error]) for error in errors),
+        "form_by_trial": tuple(
+            rms([run - plain]) for run, plain in zip(bench.ruler.base.angles, bench.ruler.plain, strict=True)
+        ),
+        "where": densities(trials, errors),
+    }

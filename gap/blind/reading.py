@@ -30,6 +30,7 @@ class Reading:
         floor_deg: that the closed share counts from [deg], where given.
         densities: of the retuned error by region; None where it says nothing of that region.
         others: guesses of rules beside it, by name of the rule.
+        final_trials: names of the trials that the closed share was measured on.
     """
 
     verdict: str
@@ -42,6 +43,7 @@ class Reading:
     floor_deg: float | None = None
     densities: Mapping[str, float] = field(default_factory=dict)
     others: Mapping[str, str] = field(default_factory=dict)
+    final_trials: tuple[str, ...] = ()
 
     @property
     def claims(self) -> tuple[str, ...]:
@@ -114,4 +116,5 @@ def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None)
         float(gap["floor_rmse_deg"]) if gap.get("floor_rmse_deg") is not None else None,
         {name: float(place["density"]) for name, place in data["where"].items() if name in REGIONS},
         {**data.get("baselines", {}), **(others or {})},
+        tuple(str(name) for name in gap.get("final_trials", ())),
     )

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.chain_model import ChainModel
-from hystmpc.models.fit.free_parameters import FreeParameters
+from hystmpc.models.contract.metadata import Range
 from hystmpc.models.fit.operators import FreeRunResiduals, OperatorFitSettings
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 
+from ..baseline import Baseline, baseline_of
 from .scene import RATE_HZ
 
 Vec = NDArray[np.float64]
@@ -53,28 +54,42 @@ def retune(simulator: Simulator, commands: Sequence[Vec], angles: Sequence[Vec])
 
 
 def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
-    """Parameters of the chain after the refit, within their bounds."""
+    """Parameters of the chain after the refit, within the freedom that the diagnosis retunes, too.
+
+    A parameter that is an effect by another name (the rate term of a Prandtl-Ishlinskii core, the ratio of a
+    backlash's slopes) stays where it is: a refit of it would hide the very effects that are measured here.
+    """
+    command = np.concatenate([trial.command for trial in trials])
+    baseline = baseline_of(simulator.chain, Range(float(command.min()), float(command.max())))
     residuals = FreeRunResiduals(simulator.chain, trials, OperatorFitSettings())
-    low, high = FreeParameters.of(simulator.chain, ()).bounds
-    p, damping = np.array(simulator.chain.values, dtype=np.float64), 1e-3
-    r, jacobian = residuals(p)
+    held = {k for own in baseline.effects.values() for k in own.values()}
+    active = np.array([k not in held for k in range(baseline.nominal.size)])
+    z, damping = baseline.nominal.copy(), 1e-3
+    r, jacobian = _errors(residuals, baseline, z)
     for _ in range(_STEPS):
         slope = jacobian.T @ r
         # A bound that the error pushes against holds its parameter for this step.
-        free = ~(((p <= low) & (slope > 0)) | ((p >= high) & (slope < 0)))
-        move = np.zeros(p.size)
+        free = active & ~(((z <= baseline.lower) & (slope > 0)) | ((z >= baseline.upper) & (slope < 0)))
+        move = np.zeros(z.size)
         move[free] = _step(jacobian[:, free], slope[free], damping)
-        tried = np.clip(p + move, low, high)
-        following, by_p = residuals(tried)
+        tried = np.clip(z + move, baseline.lower, baseline.upper)
+        following, by_z = _errors(residuals, baseline, tried)
         gain = float(r @ r - following @ following)
         if not np.isfinite(gain) or gain <= 0:
             damping *= 10
             continue
         done = gain < _DONE * float(r @ r)
-        p, r, jacobian, damping = tried, following, by_p, max(damping / 10, 1e-9)
+        z, r, jacobian, damping = tried, following, by_z, max(damping / 10, 1e-9)
         if done:
             break
-    return p
+    return baseline.core_values(z)[0]
+
+
+def _errors(residuals: FreeRunResiduals, baseline: Baseline, z: Vec) -> tuple[Vec, Vec]:
+    """Free-run errors and their derivative by the baseline's freedom."""
+    p, by_z = baseline.core_values(z)
+    r, by_p = residuals(p)
+    return r, by_p @ by_z
 
 
 def _step(jacobian: Vec, slope: Vec, damping: float) -> Vec:
