@@ -27,7 +27,9 @@ def bench(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-bench/1 here.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few repetitions: rough ratios.")] = False,
 ) -> None:
-    """Time the controllers in turns with CasADi, pytorch-mppi and the best matrix product of this machine.
+    """Time the controllers and their peers on this machine.
+
+    In turns with CasADi, pytorch-mppi and the best matrix product.
 
     Ctrl-C ends with what has been measured, exit code 130.
     """

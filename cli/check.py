@@ -17,9 +17,9 @@ _COLOURS = {Severity.OK: "green", Severity.NOTE: "cyan", Severity.WARNING: "yell
 
 
 def check(logs: Logs, preset: Layout = "auto") -> None:
-    """Check logs: time base, jitter, gaps, duplicates, NaN, units, sign, segments, first flexure.
+    """Check logs: can they be used, and what is in them.
 
-    Exit code 1 if a log cannot be used.
+    Time base, jitter, gaps, duplicates, NaN, units, sign, segments, first flexure. Exit code 1 if a log cannot be used.
     """
     unusable = False
     for log in expand_logs(logs):

@@ -20,13 +20,22 @@ class Bar:
 
     def __init__(self, progress: Progress, title: str, total: float | None) -> None:
         self._progress = progress
+        self._shown = False
         self._task = progress.add_task(title, total=total, note="")
 
     def __call__(self, done: float, note: str = "", total: float | None = None) -> None:
-        """Move to `done`; a total may become known or change on the way."""
+        """Move to `done`; a total may become known or change on the way. The first call makes the bar appear."""
+        if not self._shown:
+            self._progress.start()
+            self._shown = True
         if total is not None:
             self._progress.update(self._task, total=total)
         self._progress.update(self._task, completed=done, note=note)
+
+    def close(self) -> None:
+        """Leave the bar as it stands; one that never moved leaves nothing."""
+        if self._shown:
+            self._progress.stop()
 
 
 @contextmanager
@@ -41,8 +50,11 @@ def bar(title: str, total: float | None = None) -> Iterator[Bar]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
     )
-    with Progress(*columns, console=errors, transient=False) as progress:
-        yield Bar(progress, title, total)
+    shown = Bar(Progress(*columns, console=errors, transient=False), title, total)
+    try:
+        yield shown
+    finally:
+        shown.close()
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], last_apart: bool = False) -> Table:

@@ -7,18 +7,16 @@ from typing import Annotated
 
 import typer
 
-from .console import bar, out
-
 
 def demo(
     folder: Annotated[Path, typer.Option("--out", help="Run folder to make; new or empty.")] = Path("demo"),
 ) -> None:
-    """Track a point-to-point motion and a scan with every controller on the simulated tendon catheter that ships."""
+    """Track two motions with every controller on a simulated device.
+
+    A point-to-point motion and a scan, on the tendon catheter that ships.
+    """
     from hystmpc.sim.demo import demo as run_demo  # kept out of the way of the other verbs' start
 
-    from .simulate import print_study
+    from .simulate import show_study
 
-    with bar("demo") as show:
-        result = run_demo(folder, lambda done, total: show(done, total=total))
-    print_study(result)
-    out.print(f"report: {folder / 'report.html'}")
+    show_study("demo", folder, lambda progress: run_demo(folder, progress))

@@ -17,7 +17,7 @@ from hystmpc.trials.errors import ConfigError, LogError, ModelError
 from hystmpc.trials.trial import Trial
 
 from .console import Bar, bar, errors, out, table
-from .options import Layout
+from .options import Layout, warn_of_units
 
 if TYPE_CHECKING:
     from hystmpc.gap.diagnosis import Diagnosis
@@ -48,7 +48,10 @@ def diagnose(
         bool, typer.Option("--self-test", help="Recover known truths instead of reading logs.")
     ] = False,
 ) -> None:
-    """Diagnose the gap between a simulator and its device; exit code 0 whatever the verdict."""
+    """Diagnose the gap between a simulator and its device.
+
+    Exit code 0 whatever the verdict.
+    """
     if self_test:
         _self_test(seed)
         return
@@ -144,6 +147,7 @@ def _recorded(files: Sequence[Path], layout: str) -> list[Trial]:
     for trial in trials:
         if PLANNED in trial.channels:
             raise LogError(f"{trial.source}: is a motion proposed by a diagnosis, expected what was recorded on it")
+    warn_of_units(trials)
     return trials
 
 

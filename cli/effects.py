@@ -24,7 +24,10 @@ def effects(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the library as JSON.")] = False,
 ) -> None:
-    """List the effects that can be put into any simulator: equation, parameters, units, bounds, sides."""
+    """List the effects that can be put into any simulator.
+
+    Equation, parameters, units, bounds, sides.
+    """
     if folder is not None:
         page = _pictures(folder)
         if not as_json:

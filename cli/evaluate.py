@@ -30,7 +30,10 @@ def evaluate(
     skip_first_flexure: SkipFirstFlexure = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-evaluation/1 here.")] = None,
 ) -> None:
-    """Free run from the command alone against the measured angle; an inverse map's from the angle to the command."""
+    """Free run from the command alone against the measured angle.
+
+    An inverse map runs from the angle to the command.
+    """
     opened = load_model(model)
     trials = trials_at(logs, preset, 1 / opened.metadata.dt_s)
     results = []

@@ -20,7 +20,10 @@ def export(
     ],
     path: Annotated[Path, typer.Option("--out", help="The ONNX file to write.")],
 ) -> None:
-    """Write a simulator as a stateful ONNX step and hold it against its reference, onnxruntime and CasADi."""
+    """Export a simulator as a stateful ONNX step.
+
+    It is held against its reference in onnxruntime and CasADi before it is written.
+    """
     gate = export_simulator(load_simulator(simulator), path)
     out.print(
         f"{path}: {gate.steps} steps within {max(gate.runtime_deg, gate.casadi_deg):.2g} deg of the reference "

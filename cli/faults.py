@@ -43,7 +43,7 @@ def faults(
         out.print(f"  {v.name}: {v.seen}", soft_wrap=True, markup=False, highlight=False)
     failed = [v.name for v in verdicts if not v.passed]
     if failed:
-        errors.print(f"failed: {', '.join(failed)}", style="red")
+        errors.print(f"failed: {', '.join(failed)}", style="red", soft_wrap=True, markup=False)
         raise typer.Exit(FAILED)
     out.print(f"{len(verdicts)} cases, all as they have to be; no command beyond the limits")
 

@@ -103,12 +103,13 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
         errors.print("interrupted: the best so far is kept", style="yellow")
     if found.simulator is not None and path.suffix.lower() in _READABLE:
         save_simulator(found.simulator, path)
-        out.print(found.report)
+        out.print(found.report, soft_wrap=True)
         return
     gate = export_onnx(found.bundle, path)
     out.print(
         f"{found.report}; exported within {max(gate.runtime_deg, gate.casadi_deg):.2g} {unit} of the reference "
-        f"over {gate.steps} steps"
+        f"over {gate.steps} steps",
+        soft_wrap=True,
     )
 
 

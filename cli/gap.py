@@ -1,14 +1,21 @@
-"""`hystmpc gap blind make|run|score|record`: the blind check of the diagnosis."""
+"""`hystmpc gap blind make|run|score|record|ablate`: the blind check of the diagnosis."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hystmpc.models.simulator import load_simulator
+from hystmpc.trials.csv_ import read_trials
+
 from .console import bar, errors, out, table
+from .options import Layout, Logs
+
+if TYPE_CHECKING:
+    from hystmpc.gap.blind.ablation import Ablated
 
 INTERRUPTED = 130
 
@@ -36,13 +43,16 @@ def make(
     logs: Annotated[
         list[Path] | None, typer.Option(help="Real logs of one device or a folder of them, for injection; repeatable.")
     ] = None,
+    preset: Layout = "auto",
     jobs: Jobs = None,
 ) -> None:
     """Write cases without labels, and their answers in one sealed file."""
     from hystmpc.gap.blind.make import make_blind  # kept out of the way of the other verbs' start
 
     with bar("make cases", cases) as show:
-        manifest = make_blind(folder, seed, cases, suite, logs or [], jobs or _cores(), lambda done, _: show(done))
+        manifest = make_blind(
+            folder, seed, cases, suite, logs or [], jobs or _cores(), lambda done, _: show(done), preset
+        )
     out.print(f"{len(manifest.cases)} cases in {folder / 'cases'}; answers sealed, sha256 {manifest.answers_sha256}")
 
 
@@ -102,6 +112,37 @@ def score(
     columns = ("case", "suite", "truth", "verdict", "said", "floors", "plan")
     out.print(table(f"wrong verdicts: {len(misses)} of {len(found.cases)}", columns, lines))
     out.print(f"report: {write_report(found, folder)}")
+
+
+@blind.command()
+def ablate(
+    logs: Logs,
+    sim: Annotated[Path, typer.Option("--sim", help="Simulator with effects, such as a diagnosis' sim.fixed.yaml.")],
+    folder: Annotated[Path, typer.Option("--out", help="Folder to make; new or empty.")],
+    preset: Layout = "auto",
+    seed: Annotated[int, typer.Option(min=0, help="Of the diagnoses.")] = 0,
+) -> None:
+    """Take each effect out of a simulator of real logs, and ask the diagnosis for its name."""
+    from hystmpc.gap.blind.ablation import ablate as ablate_all
+    from hystmpc.gap.blind.sealed import require_vacant
+
+    require_vacant(folder)
+    trials, simulator = read_trials(logs, preset), load_simulator(sim)
+    with bar("ablate") as show:
+        rows = ablate_all(trials, simulator, folder, seed, lambda done, total, name: show(done, name, total=total))
+    cells = []
+    for row in rows:
+        answer = ("not needed", "", "") if not row.needed else (row.verdict, ", ".join(row.said) or "-", _mark(row))
+        cells.append(
+            [row.component, f"{row.with_deg:.3f}", f"{row.without_deg:.3f}", f"{row.standard_errors:.1f}", *answer]
+        )
+    columns = ("component", "RMSE with, deg", "without", "rise in s.e.", "verdict", "said", "right")
+    out.print(table(f"ablation on {len(trials)} logs", columns, cells))
+    out.print(f"floor {rows[0].floor_deg:.3f} deg; written: {folder / 'ablation.json'}")
+
+
+def _mark(row: Ablated) -> str:
+    return "yes" if row.right else "among them" if row.found else "no"
 
 
 @blind.command()

@@ -9,16 +9,20 @@ from typing import Annotated
 
 import typer
 
+from hystmpc.trials.check import check_trial
 from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.findings import Severity
 from hystmpc.trials.presets import PRESETS
 from hystmpc.trials.resample import resample
 from hystmpc.trials.trial import Trial
 
+from .console import errors
+
 _LAYOUTS = ", ".join(preset.name for preset in PRESETS)
 
 Logs = Annotated[
-    list[Path], typer.Argument(metavar="LOG...", help="Recorded trials (csv, mcap, ROS 2 bag, mat) or folders of them.")
+    list[Path], typer.Argument(metavar="LOG", help="Recorded trials (csv, mcap, ROS 2 bag, mat) or folders of them.")
 ]
 Layout = Annotated[
     str, typer.Option("--preset", help=f"Layout of the logs: auto, {_LAYOUTS}, or a mapping file *.yaml.")
@@ -40,5 +44,16 @@ def processes(jobs: int | None) -> int:
 
 
 def trials_at(logs: Sequence[Path], layout: str, rate_hz: float) -> list[Trial]:
-    """Read logs and resample them."""
-    return [resample(trial, rate_hz) for trial in read_trials(logs, layout)]
+    """Read logs and resample them; say what seems to be in another unit."""
+    trials = [resample(trial, rate_hz) for trial in read_trials(logs, layout)]
+    warn_of_units(trials)
+    return trials
+
+
+def warn_of_units(trials: Sequence[Trial]) -> None:
+    """One line a signal that looks like another unit: nothing else would tell radians from a weak device."""
+    for trial in trials:
+        for finding in check_trial(trial).findings:
+            if finding.topic.startswith("units") and finding.severity is Severity.WARNING:
+                text = f"warning: {trial.source}: {finding.topic}: {finding.message}"
+                errors.print(text, style="yellow", soft_wrap=True, markup=False, highlight=False)

@@ -17,7 +17,10 @@ from .console import out
 def report(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder of `simulate`, `demo`, `run` or `record`.")],
 ) -> None:
-    """Write report.html of a run folder again; of an experiment it says what is due: nothing, `fit` or `diagnose`."""
+    """Write report.html of a run folder again.
+
+    Of an experiment it says what is due: nothing, `fit` or `diagnose`.
+    """
     keys = _settings_of(run)
     if {"transport", "sensor", "reference"} <= keys:
         from hystmpc.rig.review import review_run

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hystmpc.sim.compare import compare
+from hystmpc.sim.compare import Progress, compare
 from hystmpc.sim.config import load_simulation
 from hystmpc.sim.results import Result, StudyResult
 from hystmpc.trials.config import read_yaml
@@ -42,7 +42,10 @@ def simulate(
         tuple[Path, str] | None, typer.Option(metavar="DIR ID", help="Make one row of a sweep again and compare.")
     ] = None,
 ) -> None:
-    """Simulate the closed loop and write run folder and report; Ctrl-C keeps the finished runs."""
+    """Simulate the closed loop; write a run folder and its report.
+
+    Ctrl-C keeps the finished runs.
+    """
     _check(config, sweep, row, folder)
     _check_use(sweep, config, {"--jobs": jobs, "--cluster": cluster}, {"--controller": controllers or None})
     if row is not None:
@@ -82,10 +85,22 @@ def _check_use(
 def _study(config: Path, overrides: Sequence[str], folder: Path) -> None:
     """One study."""
     study = load_simulation(config, overrides)
-    with bar("simulate") as show:
-        result = compare(study, folder, lambda done, total: show(done, total=total))
+    show_study("simulate", folder, lambda progress: compare(study, folder, progress))
+
+
+def show_study(title: str, folder: Path, run: Callable[[Progress], StudyResult]) -> None:
+    """Do a study behind a bar and print what came of it; what Ctrl-C left of it is said too."""
+    try:
+        with bar(title) as show:
+            result = run(lambda done, total: show(done, total=total))
+    except KeyboardInterrupt:
+        errors.print("interrupted before a run was finished: nothing is kept", style="yellow")
+        raise typer.Exit(INTERRUPTED) from None
     print_study(result)
-    out.print(f"report: {folder / 'report.html'}")
+    wanted, done = len(result.config.motions) * len(result.config.controllers), len(result.results)
+    if done < wanted:
+        errors.print(f"interrupted: {done} of {wanted} runs were finished and are kept", style="yellow")
+    out.print(f"report: {folder / 'report.html'}", soft_wrap=True)
 
 
 def _sweep(file: Path, overrides: Sequence[str], folder: Path, jobs: int, cluster: str | None) -> None:

@@ -53,7 +53,10 @@ def study(
     controllers: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
     motions: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
 ) -> None:
-    """Do all jobs of a study and write its report; Ctrl-C keeps what is done."""
+    """Do all jobs of a study and write its report.
+
+    Ctrl-C keeps what is done.
+    """
     workers = jobs or os.cpu_count() or 1
     loop = {"rates_hz": rates(loop_rates), "plants": _names(plants), "controllers": _names(controllers)}
     loop["motions"] = _names(motions)

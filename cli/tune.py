@@ -26,7 +26,10 @@ def tune(
         str | None, typer.Option(help="Where trials are kept, such as postgresql://host/db; several machines share it.")
     ] = None,
 ) -> None:
-    """Search the settings of a controller, check them on plants not seen, and write controller.yaml and a report."""
+    """Search the settings of a controller on simulated plants.
+
+    They are checked on plants not seen; writes controller.yaml and a report.
+    """
     from hystmpc.sim.parallel.backend import backend_for  # kept out of the way of the other verbs' start
     from hystmpc.sim.tuning.run import run_tuning
     from hystmpc.sim.tuning.settings import load_tuning

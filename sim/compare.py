@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from hystmpc.trials.config import dump_yaml
@@ -24,7 +25,8 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
     """Run a study: prepare, tune where asked, run every controller along every motion, report.
 
     Below `out` stand config.yaml, meta.json and report.html of the study, and `<motion>/<controller>/` with
-    config.yaml, meta.json and log.csv of every run. Ctrl-C during a run leaves out what was not finished.
+    config.yaml, meta.json and log.csv of every run. Ctrl-C during a run leaves out what was not finished, and no folder
+    where nothing was.
 
     Args:
         config: the study.
@@ -37,17 +39,22 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
     """
     study = prepare(config)
     folder = None if out is None else _folder(Path(out), study)
-    study = tuned_study(study, progress)
-    if folder is not None:
-        # Asked for and found are told apart: the settings left behind repeat the run without the search.
-        write_atomically(folder.path / "config.yaml", dump_yaml(study.config.model_dump(mode="json")))
-    results = []
-    for result in _runs(study, progress):
-        results.append(result)
+    results: list[Result] = []
+    try:
+        study = tuned_study(study, progress)
         if folder is not None:
-            _write(folder, study, result)
-    if not results:
-        raise KeyboardInterrupt
+            # Asked for and found are told apart: the settings left behind repeat the run without the search.
+            write_atomically(folder.path / "config.yaml", dump_yaml(study.config.model_dump(mode="json")))
+        for result in _runs(study, progress):
+            results.append(result)
+            if folder is not None:
+                _write(folder, study, result)
+        if not results:
+            raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        if folder is not None and not results:
+            _take_back(folder.path)
+        raise
     found = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta)
     if folder is not None:
         folder.write_report(study_report(found).html())
@@ -76,6 +83,14 @@ def _runs(study: Study, progress: Progress | None) -> Iterator[Result]:
 
 def _folder(path: Path, study: Study) -> RunFolder:
     return RunFolder.create(path, study.config, seed=study.config.seed, models=study.files)
+
+
+def _take_back(path: Path) -> None:
+    """Remove a folder in which nothing has been run, or the same command would be refused for it the next time."""
+    for name in ("config.yaml", "meta.json"):
+        (path / name).unlink(missing_ok=True)
+    with suppress(OSError):
+        path.rmdir()
 
 
 def _write(folder: RunFolder, study: Study, result: Result) -> None:

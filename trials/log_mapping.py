@@ -30,16 +30,18 @@ LOG_TIME, HEADER_TIME = "log", "header"
 
 
 class SignalSettings(Settings):
-    """One signal: value = scale * logged + offset, in `unit`.
+    """One signal: value = scale * (logged - minus) + offset, in `unit`.
 
     Attributes:
         signal: its name in the log: a column, a MATLAB variable (`run.tip`, `data[1]`), or topic and field
             (`/joints.position[0]`, `/joints.position[tendon]`); indices count from 0.
+        minus: a signal of the same time stamps that is taken from it: the second of two opposed chambers or tendons.
         scale, offset: applied to the logged number; the result is in `unit`.
         hold: the value stays until the next one (a command), instead of being interpolated (a measurement).
     """
 
     signal: Annotated[str, Field(min_length=1)]
+    minus: Annotated[str, Field(min_length=1)] | None = None
     scale: float = 1.0
     offset: float = 0.0
     hold: bool = False

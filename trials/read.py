@@ -105,7 +105,7 @@ def _open(path: Path) -> Source:
 
 
 class _TableLog:
-    """A `Source` over delimited text with a header row, for mapping files."""
+    """A `Source` over delimited text, for mapping files; columns without a header row are `[0]`, `[1]`, ..."""
 
     note = ""
 
@@ -114,7 +114,11 @@ class _TableLog:
         lines = read_lines(path)
         _, cells = first_row(lines, ",")
         delimiter = next((sign for sign in ";\t" if len(cells) == 1 and sign in cells[0]), ",")
-        self._table: Table = read_table(lines, self.path, delimiter)
+        if delimiter == "," and len(cells) == 1 and " " in cells[0]:
+            lines = [",".join(line.split()) for line in lines]
+        _, cells = first_row(lines, delimiter)
+        unnamed = [f"[{k}]" for k in range(len(cells))] if all(map(_is_number, cells)) else []
+        self._table: Table = read_table(lines, self.path, delimiter, unnamed)
 
     def names(self) -> tuple[str, ...]:
         return tuple(name for name in self._table.numbers if name)
@@ -128,3 +132,11 @@ class _TableLog:
         if name not in self._table.numbers:
             raise missing(self.path, name, self.names())
         return self._table.numbers[name]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

@@ -101,14 +101,17 @@ def read_mapped(source: Source, mapping: LogMapping) -> Raw:
     where it is the log's or the header's; a time signal keeps its origin.
 
     Raises:
-        LogError: if a signal is missing, is empty, or command and angle have no time in common.
+        LogError: if a signal is missing, is empty, or command and angle have no time in common; if a signal and what
+            is to be taken from it have other time stamps.
     """
     wanted = [signal.signal for signal in mapping.signals()]
     own_time = mapping.rate_hz is None and mapping.time not in (LOG_TIME, HEADER_TIME)
-    found = source.series(wanted, mapping.time if mapping.rate_hz is None else LOG_TIME)
-    for name, series in zip(wanted, found, strict=True):
+    taken = [signal.minus for signal in mapping.signals() if signal.minus is not None]
+    found = source.series([*wanted, *taken], mapping.time if mapping.rate_hz is None else LOG_TIME)
+    for name, series in zip([*wanted, *taken], found, strict=True):
         if not series.values.size:
             raise LogError(f"{source.path}: signal {name!r} is empty, expected samples{_and(source.note)}")
+    found = _differences(source.path, mapping, found)
     if mapping.rate_hz is not None:
         found = [Series(np.arange(s.values.size) / mapping.rate_hz, s.values) for s in found]
     elif own_time:
@@ -192,6 +195,24 @@ def _enter(value: Any, step: str | int, owner: Any) -> Any:
         joints = list(owner.get("name", ()) if isinstance(owner, Mapping) else getattr(owner, "name", ()))
         step = joints.index(step) if step in joints else len(value)
     return value[step] if -len(value) <= step < len(value) else KeyError
+
+
+def _differences(path: str, mapping: LogMapping, found: Sequence[Series]) -> list[Series]:
+    """The mapping's signals, less what is to be taken from them; `found` has the latter at its end, in order."""
+    signals = mapping.signals()
+    taken = iter(found[len(signals) :])
+    left = []
+    for settings, series in zip(signals, found, strict=False):
+        if settings.minus is not None:
+            other = next(taken)
+            if not np.array_equal(other.t, series.t, equal_nan=True):
+                raise LogError(
+                    f"{path}: {settings.signal!r} and {settings.minus!r} have other time stamps, "
+                    "expected a difference of two fields of one message"
+                )
+            series = Series(series.t, series.values - other.values)
+        left.append(series)
+    return left
 
 
 def _joined(source: Source, mapping: LogMapping, found: Sequence[Series]) -> Raw:

@@ -120,7 +120,7 @@ def fit_by_adam(task: ChainTask, settings: AdamSettings, progress: Progress | No
         _descend(q, task, settings, loss, tracker, pieces)
     except KeyboardInterrupt:
         interrupted = True
-    chain = tracker.chain(template)
+    chain = tracker.chain(template, interrupted)
     rmse = np.sqrt(FreeRunLoss(template, task.trials, settings.skip_first_flexure)(chain.values))
     return ChainFit(chain, float(rmse), tracker.evaluations, tracker.report("adam", settings.epochs), interrupted)
 

@@ -93,15 +93,22 @@ class Tracker:
         losses = tuple(self.losses) or (float(self.best_loss),)
         return ConvergenceReport(method, losses, self.evaluations, budget)
 
-    def chain(self, template: Chain) -> Chain:
-        """The best chain so far.
+    def chain(self, template: Chain, interrupted: bool = False) -> Chain:
+        """The best chain so far, the last one if the user ended the fit.
 
         Raises:
             FitError: if no point had a finite loss, or the best one is unusable.
         """
         if self.best is None:
-            raise FitError(f"no finite error in {self.evaluations} evaluations, expected at least one; check the units")
+            raise nothing_found(f"{self.evaluations} evaluations", interrupted)
         try:
             return template.with_values(self.best.tolist())
         except ModelError as error:
             raise FitError(f"the fit ended at an unusable model: {error}") from None
+
+
+def nothing_found(looked_at: str, interrupted: bool) -> FitError:
+    """Why there is no best point: the user was faster, or no error is a number."""
+    if interrupted:
+        return FitError("the fit was interrupted before its first look, there is nothing to keep")
+    return FitError(f"no finite error in {looked_at}, expected at least one; check the units")

@@ -85,7 +85,7 @@ def fit_globally(
         search(tracker, Region(*ends), settings)
     except KeyboardInterrupt:
         interrupted = True
-    chain = tracker.chain(task.starts[0])
+    chain = tracker.chain(task.starts[0], interrupted)
     found = ChainFit(
         chain,
         float(np.sqrt(tracker.best_loss)),

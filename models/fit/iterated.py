@@ -101,7 +101,7 @@ def fit_by_iteration(task: ChainTask, settings: IteratedSettings, progress: Prog
             tracker.iteration()
     except KeyboardInterrupt:
         interrupted = True
-    chain = tracker.chain(template)
+    chain = tracker.chain(template, interrupted)
     report = tracker.report("iterated", settings.iterations)
     return ChainFit(chain, float(np.sqrt(tracker.best_loss)), tracker.evaluations, report, interrupted)
 

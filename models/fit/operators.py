@@ -17,6 +17,7 @@ from hystmpc.trials.trial import Trial
 from ..chain import Chain
 from ..kernels.chain_kernels import compile_step
 from ..symbolic.instructions import dense
+from .chain_fit import nothing_found
 from .free_parameters import FreeParameters
 from .free_run import scored_runs
 from .trial_set import check_trial_set
@@ -152,7 +153,7 @@ def fit_chain(
     except KeyboardInterrupt:
         interrupted = True
     if search.best is None:
-        raise FitError(f"no finite error in {search.evaluations} free runs, expected at least one; check the units")
+        raise nothing_found(f"{search.evaluations} free runs", interrupted)
     try:
         chain = starts[0].with_values(search.best.tolist())
     except ModelError as error:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from functools import lru_cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 
 from .cache import generated_module
 from .chain_kernels import ChainKernels
@@ -27,9 +29,20 @@ def compile_follow(kernels: ChainKernels, sample: Callable[..., None] | None) ->
 
 @lru_cache(maxsize=64)
 def _module(chain: str, network: str | None) -> Callable[..., None]:
-    # both are modules of this package or named by the hash of their text: a changed one is another text here
-    header = f"from {chain} import command_for, step\n"
-    header += _ALONE if network is None else f"from {network} import sample\n"
-    loops = resources.files("hystmpc.models.kernels").joinpath("follow_loops.py").read_text(encoding="utf-8")
-    follow: Callable[..., None] = generated_module(f"{header}\n\n{loops}").follow
+    source = follow_source(chain, network, resources.files("hystmpc.models.kernels"))
+    follow: Callable[..., None] = generated_module(source).follow
     return follow
+
+
+def follow_source(chain: str, network: str | None, folder: Traversable) -> str:
+    """Text of the module for a chain's and a network's modules, from the files in `folder`.
+
+    Generated modules are named by the hash of their text. A network's may be a file of `folder`, which keeps its name
+    when it changes: a hash of all of them stands in the text, else numba's cache would go on with the old one.
+    """
+    files = sorted((file for file in folder.iterdir() if file.name.endswith(".py")), key=lambda file: file.name)
+    digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:24]
+    header = f"# kernels {digest}\n" if network is not None and network.startswith("hystmpc.") else ""
+    header += f"from {chain} import command_for, step\n"
+    header += _ALONE if network is None else f"from {network} import sample\n"
+    return f"{header}\n\n{folder.joinpath('follow_loops.py').read_text(encoding='utf-8')}"

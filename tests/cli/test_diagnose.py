@@ -19,7 +19,7 @@ from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.csv_ import write_csv
 from hystmpc.trials.trial import Trial
 
-from ..gap.contenders import DELAY, LAG, baseline
+from ..gap.contenders import DELAY, LAG
 from ..gap.report_examples import REASON, VERDICTS, evidence_of
 from ..models.zoo import CHAINS, simulator
 from .test_verbs import run
@@ -32,7 +32,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     t = np.arange(0, 10, 0.04)
     command = 3 - 3 * np.cos(0.8 * np.pi * t)
     trial = Trial(t, command, 20 + 10 * command)
-    proposal = propose((LAG, DELAY), menu(CommandLimits(0.0, 6.0, 12.0), 0.04), Noise(0.1), baseline)
+    proposal = propose((LAG, DELAY), menu(CommandLimits(0.0, 6.0, 12.0), 0.04), Noise(0.1))
     (folder / "taken").mkdir()
     (folder / "taken" / "thesis.tex").write_text("years of work")
     return {

@@ -16,7 +16,7 @@ import pytest
 
 from hystmpc.cli.main import main
 from hystmpc.models.chain_model import ChainModel
-from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.csv_ import read_csv, write_csv
 from hystmpc.trials.trial import Trial
 
 from ..models.zoo import CHAINS, simulator
@@ -51,6 +51,18 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
         trial = Trial(t, u, model.run(u, 23.0) + rng.normal(0, 0.1, t.size))
         paths.append(write_csv(trial, folder / f"sinusoid_{frequency}.csv"))
     return paths
+
+
+def test_radians_are_pointed_out_and_fitted_all_the_same(
+    logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trial = read_csv(logs[1])
+    wrong = write_csv(Trial(trial.t, trial.command, np.radians(trial.angle)), tmp_path / "radians.csv")
+    code, _, err = run(capsys, "fit", "backlash", wrong, "--out", tmp_path / "sim.yaml")
+    assert code == 0
+    assert "radians.csv: units of angle" in err
+    assert "looks like radians, expected deg" in err
+    assert "warning" not in run(capsys, "fit", "backlash", logs[1], "--out", tmp_path / "sim.yaml")[2]
 
 
 def test_from_logs_to_an_exported_model(logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

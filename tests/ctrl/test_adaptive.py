@@ -50,6 +50,14 @@ def test_without_weights_it_is_the_model(lag_s: float) -> None:
     np.testing.assert_array_equal(predictor.linearise(state, trial[0])[1], Backlash().linearise(below, trial[0])[1])
 
 
+def test_what_is_learned_is_the_whole_less_the_model() -> None:
+    predictor = learned()
+    state, trial = moved(predictor, np.array([1.0, -0.5, 2.0, 0.7, 0.03])), plans(4, 12)
+    model = predictor.model.rollout(predictor.below(state), trial)
+    np.testing.assert_array_equal(predictor.learned(state, trial), predictor.rollout(state, trial) - model)
+    assert np.ptp(predictor.learned(state, trial)) > 0.1
+
+
 @given(st.lists(st.floats(-3, 3), min_size=5, max_size=5), st.integers(0, 100))
 def test_a_roll_out_is_its_single_steps(weights: list[float], seed: int) -> None:
     predictor = learned()

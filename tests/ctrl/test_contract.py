@@ -23,6 +23,7 @@ LIMITS = [CommandLimits(0.0, 6.0, 12.0), CommandLimits(-1.0, 2.5, 0.7), CommandL
 CASES = {case.name: case for case in [*SOUND, *BROKEN]}
 VARIANTS: dict[str, dict[str, Any]] = {
     "linearised_mpc, OSQP": {"kind": "linearised_mpc", "solver": "osqp"},
+    "linearised_mpc, blocked": {"kind": "linearised_mpc", "move_blocking": [1, 2, 2]},
     "sampling_mpc, CEM": {"kind": "sampling_mpc", "method": "cem"},
 }
 KINDS = [*CONTROLLERS, *VARIANTS]

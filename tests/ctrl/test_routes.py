@@ -40,9 +40,10 @@ def routes(kind: str) -> tuple[Pair, Pair]:
     return fast, (beside, CompanionInverse(beside, inverse.inverse))
 
 
+@pytest.mark.parametrize("blocks", [None, (1, 2, 4, 8)], ids=["free", "blocked"])
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_two_routes_give_one_command(kind: ModelKind) -> None:
-    fast, slow = (controller_for(*pair, DaqpOptions()) for pair in routes(kind.name))
+def test_two_routes_give_one_command(kind: ModelKind, blocks: tuple[int, ...] | None) -> None:
+    fast, slow = (controller_for(*pair, DaqpOptions(), blocks) for pair in routes(kind.name))
     y = float(fast.init(45.0, 1.0).estimate.angles[0])
     ours, theirs = compared(fast, slow, y, 1.0, 15)
     assert np.ptp(ours) > 0.1

@@ -41,6 +41,14 @@ def test_settings_survive_a_round_trip(kind: str) -> None:
         ({"kind": "inverse", "limits": {"lower": 2, "upper": 1, "rate_per_s": 1}}, "expected lower < upper"),
         ({"kind": "sampling_mpc", "noise": {"kind": "pink"}}, "noise"),
         ({"kind": "linearised_mpc", "solver_eps": 1e-3}, "solver_eps"),
+        (
+            {"kind": "linearised_mpc", "move_blocking": [5, 20]},
+            "25 samples together, expected at most the horizon of 20",
+        ),
+        ({"kind": "linearised_mpc", "move_blocking": [1, 0]}, "move_blocking"),
+        ({"kind": "linearised_mpc", "move_blocking": []}, "move_blocking"),
+        ({"kind": "linearised_mpc", "move_blockings": [1]}, "did you mean 'move_blocking'"),
+        ({"kind": "sampling_mpc", "move_blocking": [1]}, "unknown key 'move_blocking'"),
     ],
 )
 def test_wrong_settings_end_in_one_clear_line(data: dict[str, Any], text: str) -> None:

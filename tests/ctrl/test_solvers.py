@@ -112,9 +112,11 @@ def test_a_program_that_overflows_is_a_planning_error() -> None:
         planner.improve(problem, start, None, Stopwatch())
 
 
-def controller_for(predictor: Predictor, inverse: Inverse, options: Options) -> GuardedController[Any]:
+def controller_for(
+    predictor: Predictor, inverse: Inverse, options: Options, blocks: tuple[int, ...] | None = None
+) -> GuardedController[Any]:
     """A linearised controller whose holds are not shortened by the hold rule."""
-    weights, planner = Weights(), LinearisedPlanner(predictor, Weights(), DEVICE, 20, 1, options)
+    weights, planner = Weights(), LinearisedPlanner(predictor, Weights(), DEVICE, 20, 1, options, blocks)
     candidates = Candidates(predictor, inverse, DEVICE, 20)
     law = PredictiveLaw(predictor, candidates, planner, weights, 20, HoldRule(0.0))
     return GuardedController(

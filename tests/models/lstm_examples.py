@@ -52,8 +52,18 @@ def make_route(weights: LstmWeights, name: str, threads: Callable[[], int] = all
     return VectorRoute(weights, SHAPES[name], threads)
 
 
+_FACTS: dict[tuple[int, int], tuple[LstmWeights, ModelMetadata]] = {}
+
+
 def facts(weights: LstmWeights, warmup: int = 5) -> ModelMetadata:
-    """Metadata of a tendon catheter's LSTM."""
+    """Metadata of a tendon catheter's LSTM; the flexure runs once for each network (kept, so that its id stays its)."""
+    key = id(weights), warmup
+    if key not in _FACTS:
+        _FACTS[key] = weights, _facts(weights, warmup)
+    return _FACTS[key][1]
+
+
+def _facts(weights: LstmWeights, warmup: int) -> ModelMetadata:
     step, trained = LstmStep(weights), Range(lower=0.0, upper=6.0)
     return ModelMetadata(
         kind="lstm",

@@ -11,6 +11,8 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import evaluate, evaluation_json, mean_errors
+from hystmpc.models.fit.chain_fit import Tracker
+from hystmpc.models.fit.free_parameters import FreeParameters
 from hystmpc.models.fit.identify import DeviceLimits, identify
 from hystmpc.models.fit.operators import OperatorFitSettings, fit_chain
 from hystmpc.models.fit.starts import backlash_starts
@@ -90,6 +92,14 @@ def test_ctrl_c_keeps_the_best_so_far() -> None:
     assert fit.evaluations == 5
     assert fit.rmse_deg == min(seen)
     assert mean_errors([evaluate(ChainModel(result), t) for t in data]).rmse_deg < 5.0
+
+
+@pytest.mark.parametrize(("interrupted", "message"), [(True, "interrupted before"), (False, "check the units")])
+def test_a_fit_without_a_best_point_says_why(interrupted: bool, message: str) -> None:
+    tracker = Tracker(lambda p: np.inf, FreeParameters.of(CHAINS["backlash"], ()), None)
+    tracker(CHAINS["backlash"].values)
+    with pytest.raises(FitError, match=message):
+        tracker.chain(CHAINS["backlash"], interrupted)
 
 
 def changed(trial: Trial, **parts: np.ndarray | Units) -> Trial:

@@ -146,6 +146,17 @@ def test_interrupted_study_keeps_what_was_finished(tmp_path: Path) -> None:
         compare(config, progress=lambda done, total: interrupt(first + 3, total))
 
 
+def test_a_study_interrupted_in_its_first_run_leaves_no_folder(tmp_path: Path) -> None:
+    """Else the same command would be refused the next time."""
+
+    def interrupt(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        compare(study(controllers={"first": {"kind": "pid"}}), tmp_path / "study", interrupt)
+    assert not (tmp_path / "study").exists()
+
+
 def test_model_of_the_plant_itself_beats_inverse_and_pid_where_there_is_a_dead_band() -> None:
     config = study(model="builtin:tendon-catheter", motions={"move": MOVE, "scan": SCAN}, controllers=ALL)
     errors = {(r.motion, r.controller): r.metrics.rmse_deg for r in compare(config).results}

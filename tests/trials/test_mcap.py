@@ -176,6 +176,47 @@ def test_a_mapping_reads_tables_too(tmp_path: Path) -> None:
         read_log(path, layout.model_copy(update={"command": layout.command.model_copy(update={"signal": "travl"})}))
 
 
+@pytest.mark.parametrize("sign", ["\t", ",", ";", "  "])
+def test_columns_without_a_header_row_are_counted(sign: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.dat"
+    path.write_text("\n".join(sign.join(map(str, row)) for row in ((1.5, 0, -3), (2.5, 0, -2), (3.5, 0, 1e1))) + "\n")
+    layout = mapping(
+        rate_hz=50, command={"signal": "[0]", "unit": "V"}, angle={"signal": "[2]", "scale": 2, "offset": 1}
+    )
+    trial = read_log(path, layout)
+    assert trial.t.tolist() == [0, 0.02, 0.04]
+    assert trial.command.tolist() == [1.5, 2.5, 3.5]
+    assert trial.angle.tolist() == [-5, -3, 21]
+    assert check_trial(path, layout).preset == "mapping"
+    with pytest.raises(LogError, match=r"a\.dat: no signal '\[5\]'; available: \[0\], \[1\], \[2\]"):
+        read_log(path, layout.model_copy(update={"command": layout.command.model_copy(update={"signal": "[5]"})}))
+    path.write_text(path.read_text() + "4.5" + sign + "x" + sign + "1\n")
+    with pytest.raises(LogError, match="row 4, column '\\[1\\]': got 'x'"):
+        read_log(path, layout)
+
+
+def test_a_command_may_be_the_difference_of_two_signals(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t,pa,pb,q\n0,100,300,1\n0.1,200,250,2\n0.2,350,90,3\n")
+    command = {"signal": "pa", "minus": "pb", "scale": -1.0, "offset": 5.0, "unit": "kPa"}
+    trial = read_log(
+        path, mapping(time="t", command=command, angle="q", channels={"sum": {"signal": "q", "minus": "t"}})
+    )
+    assert trial.command.tolist() == [205, 55, -255]
+    np.testing.assert_allclose(trial.channels["sum"], [1, 1.9, 2.8])
+    with pytest.raises(LogError, match="no signal 'pc'"):
+        read_log(path, mapping(time="t", command={**command, "minus": "pc"}, angle="q"))
+    log = write_json(tmp_path / "b.mcap", ONE_TOPIC)
+    itself = mapping(command={"signal": "/bench.i", "minus": "/bench.i"}, angle="/bench.u.mm")
+    assert read_log(log, itself).command.tolist() == [0] * 6
+    apart = [("/a", 0.1 * k, {"u": k}) for k in range(5)] + [("/b", 0.1 * k + 0.01, {"u": k}) for k in range(5)]
+    log = write_json(tmp_path / "c.mcap", apart)
+    with pytest.raises(
+        LogError, match=r"'/a\.u' and '/b\.u' have other time stamps, expected a difference of two fields"
+    ):
+        read_log(log, mapping(command={"signal": "/a.u", "minus": "/b.u"}, angle="/b.u"))
+
+
 def test_a_folder_stands_for_its_tables_and_else_for_its_other_logs(tmp_path: Path) -> None:
     write_json(tmp_path / "b.mcap", ONE_TOPIC)
     write_json(tmp_path / "a.mcap", ONE_TOPIC)

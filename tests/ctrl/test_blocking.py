@@ -1,0 +1,179 @@
+"""Blocked moves: the same program under an equality, within all limits, and no worse at tracking."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+from scipy.linalg import null_space
+
+from hystmpc.ctrl.linearised.blocked import BlockedQp
+from hystmpc.ctrl.linearised.blocking import MoveBlocking
+from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
+from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
+from hystmpc.ctrl.linearised.planner import LinearisedPlanner
+from hystmpc.ctrl.linearised.problem import QpData, QpPattern, TrackingQp
+from hystmpc.ctrl.linearised.solver import QpSolution
+from hystmpc.ctrl.planning import PlanCost, Weights
+from hystmpc.ctrl.stopwatch import Stopwatch
+from hystmpc.trials.errors import ControllerError
+
+from .plays import DT, LINEAR, SOUND, Case
+from .test_linearised import HARD, LIMITS, SOFT, dense, posed
+from .test_solvers import TIGHT
+from .test_tracking import built, resting, scan, track
+
+H = 12
+BLOCKS = [(1, 1, 2, 8), (3, 4, 5), (2, 3), (12,), (1,)]
+REACH = LIMITS.rate * DT
+
+lengths = st.lists(st.integers(1, 6), min_size=1, max_size=6).map(tuple)
+
+
+def blocked(weights: Weights, blocks: tuple[int, ...], horizon: int = H) -> BlockedQp:
+    return BlockedQp(weights, LIMITS, MoveBlocking(blocks, horizon), DT)
+
+
+def program(qp: BlockedQp | TrackingQp, case: Case, seed: int, horizon: int = H) -> QpData:
+    problem, start = posed(case, horizon, seed)
+    return qp.data(problem, start, case.predictor.linearise(problem.state, start.commands)[1])
+
+
+def under_equality(full: TrackingQp, data: QpData, matrix: np.ndarray) -> QpSolution:
+    """The full program with rows that hold v in the range of M."""
+    _, rows = dense(full, data)
+    equal = np.zeros((matrix.shape[0] - matrix.shape[1], rows.shape[1]))
+    equal[:, : matrix.shape[0]] = null_space(matrix.T).T
+    none = np.zeros(len(equal))
+    pattern = QpPattern(
+        full.pattern.hessian, sparse.csc_matrix(np.vstack([rows, equal])), np.empty(0, dtype=np.intp), 0
+    )
+    more = replace(
+        data,
+        lower=np.concatenate([data.lower, none]),
+        upper=np.concatenate([data.upper, none]),
+        dual=np.concatenate([data.dual, none]),
+        constraint_data=None,
+    )
+    return OsqpSolver(pattern, TIGHT).solve(more)
+
+
+@given(lengths, st.integers(0, 5), st.integers(0, 1000))
+def test_moves_are_even_within_a_block_and_zero_after_the_last(blocks: tuple[int, ...], left: int, seed: int) -> None:
+    blocking = MoveBlocking(blocks, sum(blocks) + left)
+    w = np.random.default_rng(seed).normal(size=len(blocks))
+    v = blocking.matrix @ w
+    np.testing.assert_allclose(v[blocking.ends], w, atol=1e-12)
+    moves = np.diff(v, prepend=0.0)
+    even = np.repeat(np.diff(w, prepend=0.0) / np.array(blocks), blocks)
+    np.testing.assert_allclose(moves, np.concatenate([even, np.zeros(left)]), atol=1e-12)
+
+
+@pytest.mark.parametrize("blocks", BLOCKS, ids=str)
+@pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
+@pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
+def test_it_is_the_full_program_under_an_equality(case: Case, weights: Weights, blocks: tuple[int, ...]) -> None:
+    qp, full = blocked(weights, blocks), TrackingQp(weights, LIMITS, H, DT)
+    for seed in range(5):
+        few = DaqpSolver(qp.pattern, DaqpOptions()).solve(program(qp, case, seed))
+        many = under_equality(full, program(full, case, seed), MoveBlocking(blocks, H).matrix)
+        assert few.status == "solved"
+        assert many.status in ("solved", "solved inaccurate")  # within ten times 1e-9
+        np.testing.assert_allclose(qp.deviation(few.primal), many.primal[:H], atol=2e-6)
+
+
+@pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
+@pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
+def test_blocks_of_one_sample_are_no_blocks(case: Case, weights: Weights) -> None:
+    qp, full = blocked(weights, (1,) * H), TrackingQp(weights, LIMITS, H, DT)
+    for seed in range(5):
+        ours, theirs = (DaqpSolver(q.pattern, DaqpOptions()).solve(program(q, case, seed)) for q in (qp, full))
+        np.testing.assert_allclose(qp.deviation(ours.primal), full.deviation(theirs.primal), atol=1e-9)
+
+
+@pytest.mark.parametrize("blocks", BLOCKS, ids=str)
+def test_program_is_the_planning_cost_where_the_model_is_linear(blocks: tuple[int, ...]) -> None:
+    problem, start = posed(LINEAR, H)
+    qp, cost = blocked(HARD, blocks), PlanCost(HARD, H)
+    data = program(qp, LINEAR, 0)
+    upper = qp.pattern.hessian.copy()
+    upper.data = data.hessian_data
+    p = upper.toarray() + np.triu(upper.toarray(), 1).T
+    for w in np.random.default_rng(1).normal(0, 0.2, (10, len(blocks))):
+        plans = np.array([start.commands, start.commands + qp.deviation(w)])
+        costs = cost(plans, LINEAR.predictor.rollout(problem.state, plans), problem)
+        assert costs[1] - costs[0] == pytest.approx(0.5 * w @ p @ w + data.gradient @ w, rel=1e-9)
+
+
+@given(lengths, st.integers(0, 5), st.integers(0, 10_000), st.sampled_from(SOUND))
+@settings(deadline=None)
+def test_every_sample_is_within_the_limits(blocks: tuple[int, ...], left: int, seed: int, case: Case) -> None:
+    horizon = sum(blocks) + left
+    qp = blocked(HARD, blocks, horizon)
+    problem, start = posed(case, horizon, seed)
+    solution = DaqpSolver(qp.pattern, DaqpOptions()).solve(program(qp, case, seed, horizon))
+    assert solution.usable
+    plan = start.commands + qp.deviation(solution.primal)
+    assert np.all((plan >= LIMITS.lower - 1e-6) & (plan <= LIMITS.upper + 1e-6))
+    assert np.max(np.abs(np.diff(plan, prepend=problem.u_last))) <= REACH + 1e-6
+
+
+def test_a_far_reference_is_approached_at_the_greatest_rate_across_block_edges() -> None:
+    problem, start = posed(LINEAR, H)
+    rest = replace(start, commands=np.full(H, problem.u_last))
+    rest = replace(rest, angles=LINEAR.predictor.rollout(problem.state, rest.commands[None])[0])
+    far = replace(problem, reference=np.full(H, 500.0), feedforward=rest.commands)
+    qp = blocked(HARD, (1, 3, 8))
+    data = qp.data(far, rest, LINEAR.predictor.linearise(far.state, rest.commands)[1])
+    solution = DaqpSolver(qp.pattern, DaqpOptions()).solve(data)
+    np.testing.assert_allclose(qp.deviation(solution.primal), REACH * np.arange(1, H + 1), atol=1e-6)
+
+
+@pytest.mark.parametrize("options", [DaqpOptions(), OsqpOptions()], ids=["DAQP", "OSQP"])
+def test_a_block_in_which_the_plan_moves_both_ways_at_the_limit_stays_as_it_is(
+    options: DaqpOptions | OsqpOptions,
+) -> None:
+    problem, start = posed(LINEAR, 4)
+    plan = problem.u_last + REACH * np.array([1.0, 0.0, 1.0, 1.0])
+    there = replace(start, commands=plan, angles=LINEAR.predictor.rollout(problem.state, plan[None])[0])
+    qp = blocked(HARD, (2, 2), 4)
+    data = qp.data(problem, there, LINEAR.predictor.linearise(problem.state, plan)[1])
+    solver = DaqpSolver(qp.pattern, options) if isinstance(options, DaqpOptions) else OsqpSolver(qp.pattern, options)
+    solution = solver.solve(data)
+    assert solution.usable
+    np.testing.assert_allclose(qp.deviation(solution.primal)[:2], 0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
+@pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
+def test_result_is_admissible_and_never_worse_than_the_start(weights: Weights, case: Case) -> None:
+    planner = LinearisedPlanner(case.predictor, weights, LIMITS, 20, move_blocking=(1, 2, 4, 6))
+    cost, better = PlanCost(weights, 20), 0
+    for seed in range(20):
+        problem, start = posed(case, 20, seed)
+        start = cost.best(start.commands[None], start.angles[None], problem)
+        plan, _, _ = planner.improve(problem, start, planner.init(), Stopwatch())
+        assert plan.cost <= start.cost
+        better += plan.cost < 0.95 * start.cost
+        np.testing.assert_allclose(LIMITS.clip_plans(plan.commands, problem.u_last, DT), plan.commands, atol=1e-12)
+    assert better > 10
+
+
+@pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
+def test_a_scan_is_followed_as_closely_with_five_decisions_as_with_twenty(case: Case) -> None:
+    errors = []
+    for blocks in (None, [1, 1, 2, 4, 8]):
+        controller = built("linearised_mpc", case, move_blocking=blocks)
+        _, error = track(controller, resting(case, noise_deg=0.1), scan, 8.0)
+        errors.append(float(np.sqrt(np.mean(error[50:] ** 2))))
+    assert errors[1] < 1.1 * errors[0]
+
+
+@pytest.mark.parametrize("blocks", [(), (0, 2), (5, 8)])
+def test_blocks_that_do_not_fit_are_refused(blocks: tuple[int, ...]) -> None:
+    with pytest.raises(ControllerError, match="move_blocking: got blocks"):
+        MoveBlocking(blocks, H)
