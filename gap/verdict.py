@@ -76,6 +76,8 @@ def rule(
     closed = (start - end) / max(start - floor_mse, 1e-12)
     open_still = closed < settings.least_closed and end > settings.still_open * floor_mse
     elsewhere = _bent_otherwise(selection, court.runs, floor_mse, settings) or _wanders(selection, court.runs, settings)
+    if open_still and least < settings.no_cause * news:
+        return Ruling("none", (), inclusion)
     if open_still or elsewhere:
         return Ruling("unknown", (), inclusion)
     ambiguity = ambiguity_of(selection, court, settings)

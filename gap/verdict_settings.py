@@ -11,8 +11,9 @@ class VerdictSettings:
 
     Attributes:
         no_gap: retuned mean square error over the floor below which there is no gap.
-        no_cause: the same where nothing in the library lowers the error: a simulator whose form is off by more than it
-            was on its own device, as when friction has grown, is likelier than a cause without a name.
+        no_cause: the same where nothing in the library lowers the error, or not enough to explain it: a simulator whose
+            form is off by more than it was on its own device, as when friction has grown, is likelier than a cause
+            without a name.
         least_closed: share of the structural error that the causes have to close, or they do not explain it.
         still_open: mean square error that is left, by the floor, below which it counts as explained all the same.
         curve_left, curve_size: a curved gain alone is no explanation where two free curves of the angle explain more

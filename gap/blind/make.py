@@ -41,6 +41,7 @@ def make_blind(
     logs: Sequence[Path] = (),
     jobs: int = 1,
     progress: Progress | None = None,
+    preset: str = "auto",
 ) -> Manifest:
     """Make and seal a blind check; equal arguments give equal files.
 
@@ -52,6 +53,7 @@ def make_blind(
         logs: real logs of one device, or folders of them, for `injection`.
         jobs: processes.
         progress: called with cases made and their number.
+        preset: layout of the logs.
 
     Raises:
         ConfigError: on an unknown suite, an occupied folder, a count below 1, or an injection without logs.
@@ -64,7 +66,7 @@ def make_blind(
     if not logs and any(name == "injection" for name, _ in wanted):
         raise ConfigError("suite injection: got no logs, expected --logs with those of one real device")
     require_vacant(folder)
-    real = tuple(resample(trial, RATE_HZ) for trial in (read_trials(logs) if logs else ()))
+    real = tuple(resample(trial, RATE_HZ) for trial in (read_trials(logs, preset) if logs else ()))
     order = np.random.default_rng([seed, 0]).permutation(cases)
     todo = [
         _Job(folder / "cases" / case_name(int(place), cases), seed, name, number, real if name == "injection" else ())

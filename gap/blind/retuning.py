@@ -60,7 +60,7 @@ def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
     backlash's slopes) stays where it is: a refit of it would hide the very effects that are measured here.
     """
     command = np.concatenate([trial.command for trial in trials])
-    baseline = baseline_of(simulator.chain, Range(float(command.min()), float(command.max())))
+    baseline = baseline_of(simulator.chain, Range(lower=float(command.min()), upper=float(command.max())))
     residuals = FreeRunResiduals(simulator.chain, trials, OperatorFitSettings())
     held = {k for own in baseline.effects.values() for k in own.values()}
     active = np.array([k not in held for k in range(baseline.nominal.size)])
