@@ -67,6 +67,11 @@ class Problem:
         """Number of unknowns."""
         return self._z + len(self._freedoms)
 
+    @property
+    def own(self) -> int:
+        """Number of the baseline's unknowns, the first ones."""
+        return self._z
+
     def start(self, z: Vec, effects: Sequence[Sequence[float]]) -> Vec:
         """Unknowns from the baseline's freedom z (Z,) and each effect's free parameters."""
         return self.scaled(np.array([*z[self._active], *(v for values in effects for v in values)], dtype=np.float64))

@@ -32,13 +32,14 @@ class Injection:
 
     Attributes:
         name, label: its own name, and the effect that it is.
-        typical: size to begin with.
+        typical, greatest: size to begin with, and the largest that a log in use could have.
         change: angle (T,) [deg], its times [s] and the session's clock [s], size and draws to the changed angle.
     """
 
     name: str
     label: str
     typical: float
+    greatest: float
     change: Callable[[Vec, Vec, float, float, np.random.Generator], Vec]
 
 
@@ -68,17 +69,18 @@ def _drifting(angle: Vec, t: Vec, clock: float, size: float, random: np.random.G
 
 
 INJECTIONS = (
-    Injection("delayed", "delay", 0.1, _delayed),
-    Injection("low_pass", "lag", 0.1, _low_pass),
-    Injection("quantised", "sensor", 2.0, _quantised),
-    Injection("drifting", "drift", 1.0, _drifting),
+    Injection("delayed", "delay", 0.1, 0.4, _delayed),
+    Injection("low_pass", "lag", 0.1, 0.8, _low_pass),
+    Injection("quantised", "sensor", 2.0, 10.0, _quantised),
+    Injection("drifting", "drift", 1.0, 15.0, _drifting),
 )
 
 
 def injection_case(logs: Sequence[Trial], number: int, random: np.random.Generator) -> Case:
     """The logs with one effect in their angles, and a backlash identified on the logs as they were.
 
-    The gap of these logs without the injection is that of the real device; the ratio counts in it.
+    The gap of these logs without the injection is that of the real device; the ratio counts in it. Where the greatest
+    size comes first the ratio is smaller than was wanted.
 
     Raises:
         ConfigError: if there are fewer than two logs.
@@ -94,7 +96,8 @@ def injection_case(logs: Sequence[Trial], number: int, random: np.random.Generat
     for _ in range(5):  # the gap of delay, lag and drift is about in proportion to the size
         changed = _changed(logs, injection, size, seed)
         gap = _gap(simulator, logs, changed)
-        size *= float(np.clip(ratio * fit.rmse_deg / max(gap, 1e-9), 0.25, 4.0))
+        factor = float(np.clip(ratio * fit.rmse_deg / max(gap, 1e-9), 0.25, 4.0))
+        size = min(size * factor, injection.greatest)
     changed = _changed(logs, injection, size, seed)
     gap = _gap(simulator, logs, changed)
     effect = EffectAnswer(
