@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def measure(
         sensor: whether the sensor is a cause.
         seed: of the resampling.
     """
-    opened = _Opened(prepared, court, retuned, chosen, floor, sensor)
+    opened = Opened(prepared, court, retuned, chosen, floor, sensor)
     names, everything = sorted(chosen.effects), frozenset(chosen.effects)
     worth = shapley(names, lambda kept: opened.closed(opened.blocks(kept).mse)) if names else {}
     intervals: dict[str, Interval] = {}
@@ -93,7 +94,8 @@ def measure(
     return HowFar(retuned, opened.gap(seed), worth, intervals, left, parameters)
 
 
-class _Opened:
+@final
+class Opened:
     """Errors on the final trials of the simulator with any of its causes."""
 
     def __init__(
@@ -111,8 +113,8 @@ class _Opened:
 
     def mended(self, blocks: Blocks) -> Blocks:
         """Errors less the energy of noise that a sensor in the simulator would have, too."""
-        energy = np.maximum(blocks.energy - self._prepared.excess_mse * blocks.samples, 0.0)
-        return replace(blocks, energy=energy)
+        energy = blocks.energy - self._prepared.excess_mse * blocks.samples
+        return replace(blocks, energy=energy if energy.sum() > 0 else np.zeros_like(energy))
 
     def _between_trials(self) -> float:
         """Half of the 90 % interval that comes from trials being different, as a share of what is closed."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,8 +78,25 @@ def run_diagnosis(
     settings: DiagnosisSettings = DEFAULT_SETTINGS,
 ) -> tuple[Diagnosis, Evidence]:
     """The diagnosis with everything that its report shows; see `diagnose`."""
+    findings = investigate(
+        trials, simulator, seed=seed, without=without, only=only, progress=progress, settings=settings
+    )
+    return conclude(findings, progress, settings)
+
+
+def investigate(
+    trials: Sequence[Trial],
+    simulator: Simulator | OnnxModel,
+    *,
+    seed: int = 0,
+    without: Sequence[str] = (),
+    only: Sequence[str] | None = None,
+    progress: Progress | None = None,
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
+) -> Findings:
+    """Check, split, retune, which, how far, where; see `diagnose`."""
     left_out = _left_out(without, only)
-    told = progress or (lambda done, total, note="": None)
+    told = progress or _silent
     clock = _Clock()
     told(0, _STEPS, "checking the trials")
     prepared = prepare(trials, simulator)
@@ -98,13 +116,25 @@ def run_diagnosis(
     places = _places(prepared, retuned, seed)
     clock.lap("where")
     judged = which.selection, which.ruling, retuned, chosen, floor, which.floor_mse, far, places, which.jumps
-    findings = Findings(simulator, prepared, court, *judged, left_out, seed, clock.seconds)
+    return Findings(simulator, prepared, court, *judged, left_out, seed, clock.seconds)
+
+
+def conclude(
+    findings: Findings, progress: Progress | None = None, settings: DiagnosisSettings = DEFAULT_SETTINGS
+) -> tuple[Diagnosis, Evidence]:
+    """What next, and the verdict, from the findings of all earlier steps."""
+    told, clock = progress or _silent, _Clock()
     proposal, motion = next_step(findings)
     clock.lap("what next")
+    findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
     diagnosis = _diagnosis(findings, motion, settings.verdict.least_closed)
     evidence = evidence_of(findings, diagnosis, proposal)
     told(_STEPS, _STEPS, diagnosis.verdict)
     return diagnosis, evidence
+
+
+def _silent(done: int, total: int, note: str = "") -> None:
+    """No progress to tell."""
 
 
 def _advance(told: Progress) -> Callable[[float, str], None]:

@@ -19,6 +19,11 @@ Vec = NDArray[np.float64]
 PAUSE_S = 4.0
 
 
+def lasts_s(samples: int) -> float:
+    """Time from the start of a trial to that of the next [s]."""
+    return samples / RATE_HZ + PAUSE_S
+
+
 @dataclass(frozen=True)
 class BlindDevice:
     """Command [mm] to measured angle [deg].
@@ -49,15 +54,16 @@ class BlindDevice:
         """Angles (T,) of every trial [deg], effects of the sensor included, its common noise left out."""
         return [self._angle(u, scene) for u, scene in zip(commands, self._scenes(commands), strict=True)]
 
-    def record(self, commands: Sequence[Vec], first_trial: int = 0) -> list[Trial]:
+    def record(self, commands: Sequence[Vec], first_trial: int = 0, clock_s: float = 0.0) -> list[Trial]:
         """Logs of these commands, one after another.
 
         Args:
             commands: (T,) each [mm], at `RATE_HZ`.
             first_trial: number of trials that were recorded before.
+            clock_s: time that has gone by since the first of them began.
         """
         trials = []
-        for u, scene in zip(commands, self._scenes(commands, first_trial), strict=True):
+        for u, scene in zip(commands, self._scenes(commands, first_trial, clock_s), strict=True):
             noise = self.noise_deg * scene.random("noise").standard_normal(u.size)
             measured = self._angle(u, scene, noise)
             angle = np.round(measured / self.resolution_deg) * self.resolution_deg
@@ -66,12 +72,12 @@ class BlindDevice:
             )
         return trials
 
-    def _scenes(self, commands: Sequence[Vec], first_trial: int = 0) -> list[Scene]:
-        clock, scenes = 0.0, []
+    def _scenes(self, commands: Sequence[Vec], first_trial: int = 0, clock_s: float = 0.0) -> list[Scene]:
+        clock, scenes = clock_s, []
         rest, full = self.core.run(np.array([0.0, 0.0]), np.ones(2))[0], self._full_bend()
         for k, u in enumerate(commands):
             scenes.append(Scene(self.seed, first_trial + k, clock, TRAVEL_MM, rest, full - rest))
-            clock += u.size / RATE_HZ + PAUSE_S
+            clock += lasts_s(u.size)
         return scenes
 
     def _full_bend(self) -> float:

@@ -23,7 +23,7 @@ from .retuning import retune
 Vec = NDArray[np.float64]
 
 _FINE = 20
-_RATIOS = (3.0, 6.0, 12.0)
+_RATIOS = (3.0, 2.2, 1.5)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,14 @@ import numpy as np
 from hystmpc.trials.csv_ import read_trials, write_csv
 from hystmpc.trials.errors import ConfigError, LogError, did_you_mean
 from hystmpc.trials.table import read_lines, read_table
+from hystmpc.trials.trial import Trial
 
 from .core import TRAVEL_MM
+from .device import lasts_s
 from .scene import RATE_HZ
 from .sealed import open_answers
+
+_ANOTHER_SESSION = 7919  # added to the seed of what is random in a device
 
 
 def record_motion(folder: Path, case: str, motion: Path) -> Path:
@@ -35,10 +40,25 @@ def record_motion(folder: Path, case: str, motion: Path) -> Path:
         raise ConfigError(f"{folder}: no case {case!r}, {did_you_mean(case, answers)}")
     if not answers[case].device or answers[case].suite == "controls":
         raise ConfigError(f"{folder}: case {case} has no device that could move again")
-    before = len(read_trials([folder / "cases" / case]))
-    command = _command(motion)
-    (trial,) = answers[case].blind_device().record([command], first_trial=before)
-    return write_csv(trial, folder / "follow_up" / case / f"trial_{before + 1:02d}.csv")
+    before = read_trials([folder / "cases" / case])
+    clock_s = sum(lasts_s(len(trial)) for trial in before)
+    (trial,) = answers[case].blind_device().record([_command(motion)], len(before), clock_s)
+    return write_csv(trial, folder / "follow_up" / case / f"trial_{len(before) + 1:02d}.csv")
+
+
+def record_again(folder: Path, case: str) -> list[Trial]:
+    """Another session of a case's motions on its device: other noise, other draws, the same effects.
+
+    Raises:
+        ConfigError: on an unknown case, or one without a device.
+        LogError: if logs or answers cannot be read.
+    """
+    answers = open_answers(folder)
+    if case not in answers or not answers[case].device or answers[case].suite == "controls":
+        raise ConfigError(f"{folder}: case {case!r} has no device that could move again")
+    device = answers[case].blind_device()
+    commands = [trial.command for trial in read_trials([folder / "cases" / case])]
+    return replace(device, seed=device.seed + _ANOTHER_SESSION).record(commands)
 
 
 def _command(path: Path) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

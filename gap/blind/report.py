@@ -70,6 +70,9 @@ def _rates(score: Score) -> Iterator[Piece]:
     if score.beside:
         others = [(name, f"{value:.3f}") for name, value in score.beside.items()]
         yield Table(("answer by", "top-1"), others, "Single effects of all sizes on all motions, strictly.")
+    healthy = [(key, f"{r.value:.2f}", r.cases) for key, r in score.groups["nothing wrong, left alone by"].items()]
+    if healthy:
+        yield Table(("nothing wrong, left alone by", "share", "cases"), healthy, "None, misset and controls.")
 
 
 def _shares(score: Score) -> Iterator[Piece]:

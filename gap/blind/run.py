@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,13 @@ from typing import Any
 from hystmpc.models.simulator import Simulator
 from hystmpc.sim.parallel.backend import backend_for
 from hystmpc.trials.csv_ import read_trials
-from hystmpc.trials.errors import HystmpcError
+from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 
-from .record import record_motion
+from ..findings import Findings
+from .fit_rules import fit_rules
+from .record import record_again, record_motion
 from .rule import correlation_rule
 from .sealed import open_answers, read_case, read_manifest
 
@@ -102,32 +105,39 @@ def diagnose_job(job: Job) -> tuple[Job, bool]:
     try:
         trials, simulator = read_case(job.folder, job.case)
         trials += _followed(job)
-        others = {"correlation": correlation_rule(trials, simulator)} if job.kind == "diagnoses" else {}
-        data, fitted = _diagnose(trials, simulator, job)
+        data, beside = _diagnose(trials, simulator, job)
     except (HystmpcError, ArithmeticError, ValueError, IndexError, KeyError, AttributeError) as error:
         write_atomically(job.out / FAILURE, f"{type(error).__name__}: {error}\n")
         return job, False
-    beside = {"seconds": time.perf_counter() - start, "others": {**others, **fitted}}
-    write_atomically(job.out / BESIDE, json.dumps(beside))
+    write_atomically(job.out / BESIDE, json.dumps({"seconds": time.perf_counter() - start, **beside}))
     write_atomically(job.out / DIAGNOSIS, json.dumps(data, indent=1))
     (job.out / FAILURE).unlink(missing_ok=True)
     return job, True
 
 
-def _diagnose(trials: Sequence[Trial], simulator: Simulator, job: Job) -> tuple[dict[str, Any], dict[str, str]]:
-    """The diagnosis in its fixed form, and what rules would make of its fits; the motion it proposes goes beside."""
+def _diagnose(trials: Sequence[Trial], simulator: Simulator, job: Job) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The diagnosis in its fixed form, and what goes beside it; the motion that it proposes is written."""
     from ..next_motion import write_motion
-    from ..procedure import run_diagnosis
-    from .fit_rules import fit_rules
+    from ..procedure import conclude, investigate
 
-    found, evidence = run_diagnosis(trials, simulator, seed=job.seed, without=job.without, only=job.only or None)
+    findings = investigate(trials, simulator, seed=job.seed, without=job.without, only=job.only or None)
+    found, evidence = conclude(findings)
     if evidence.proposal is not None:
         write_motion(job.out / NEXT_MOTION, evidence.proposal, simulator.command_unit)
-    findings = getattr(evidence, "findings", None)
-    fitted = (
-        fit_rules(findings.selection, findings.prepared.development) if findings and job.kind == "diagnoses" else {}
-    )
-    return dict(found.as_json()), fitted
+    beside = _beside(findings, trials, simulator, job) if job.kind == "diagnoses" else {}
+    return dict(found.as_json()), beside
+
+
+def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: Job) -> dict[str, Any]:
+    """What rules of thumb would say, and what the causes close in another session of the device, if it can have one."""
+    from ..again import closed_again
+
+    rules = fit_rules(findings.selection, findings.prepared.development)
+    found: dict[str, Any] = {"others": {"correlation": correlation_rule(trials, simulator), **rules}}
+    if findings.far.shares:
+        with suppress(ConfigError):  # logs of a real device
+            found["closed_again"] = closed_again(findings, record_again(job.folder, job.case))
+    return found
 
 
 def _all(todo: Sequence[Job], processes: int, progress: Progress | None) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 
 from hystmpc.trials.files import write_atomically
 
-from .bars import Bar, bars, confidently_wrong
+from .bars import Bar, alarm, bars, confidently_wrong, covers_perfection
 from .catalogue import LABELS
 from .measures import Calibration, Confusion, Rate, calibration, chance, confusion, rate
 from .plan import confusable
@@ -81,6 +81,8 @@ def score_of(cases: Sequence[Scored]) -> Score:
             "device": _by(single, lambda c: (str(c.answer.device.get("core", "recorded")),)),
             "separable": _by(single, lambda c: ("separable" if c.answer.separable else "not separable",)),
             "left out class": _by(of_suites(cases, "without"), lambda c: (c.answer.variant or "the true one",)),
+            "90 % intervals hold": {"what a perfect equation would close": covers_perfection(cases)},
+            "nothing wrong, left alone by": _left_alone(of_suites(cases, "none", "misset", "controls")),
         },
         _beside(single),
     )
@@ -116,6 +118,17 @@ def _beside(single: Sequence[Scored]) -> dict[str, float]:
         found[f"rule: {rule}"] = sum(c.reading.others[rule] == c.answer.truth for c in told) / len(told)
     found["the same guesses dealt at random"] = chance(single)
     found["a name drawn at random"] = 1 / len(LABELS)
+    return found
+
+
+def _left_alone(healthy: Sequence[Scored]) -> dict[str, Rate]:
+    """Share of devices without a gap of which nothing is named: by the diagnosis, and by the rules beside it."""
+    if not healthy:
+        return {}
+    found = {"diagnosis": rate(healthy, lambda c: not alarm(c))}
+    for rule in sorted({name for case in healthy for name in case.reading.others}):
+        told = [case for case in healthy if rule in case.reading.others]
+        found[f"rule: {rule}"] = Rate(sum(c.reading.others[rule] == "none" for c in told), len(told))
     return found
 
 

@@ -30,6 +30,7 @@ class Scored:
         followed: the diagnosis after the proposed motion was recorded, if it was.
         oracle: closed share of a diagnosis that was told the classes, if one was made.
         seconds: that the diagnosis took, if known.
+        again: share that the causes close in another session of the device, if it had one.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Scored:
     followed: Reading | None = None
     oracle: float | None = None
     seconds: float | None = None
+    again: float | None = None
 
     @property
     def right(self) -> bool:
@@ -89,13 +91,13 @@ def load_scored(folder: Path, partial: bool = False) -> list[Scored]:
 
 
 def _one(folder: Path, name: str, answer: Answer) -> Scored:
-    path, seconds = folder / "diagnoses" / name, None
+    path, seconds, again = folder / "diagnoses" / name, None, None
     others: dict[str, str] = {}
     if not (path / DIAGNOSIS).is_file():
         return Scored(name, answer, Reading(FAILED))
     if (path / BESIDE).is_file():
         beside = json.loads((path / BESIDE).read_text(encoding="utf-8"))
-        seconds, others = beside.get("seconds"), beside.get("others", {})
+        seconds, others, again = beside.get("seconds"), beside.get("others", {}), beside.get("closed_again")
     followed = folder / "follow_up_diagnoses" / name / DIAGNOSIS
     oracle = folder / "oracle" / name / DIAGNOSIS
     return Scored(
@@ -105,6 +107,7 @@ def _one(folder: Path, name: str, answer: Answer) -> Scored:
         read_diagnosis(followed) if followed.is_file() else None,
         read_diagnosis(oracle).closed_share if oracle.is_file() else None,
         seconds,
+        again,
     )
 
 

@@ -63,7 +63,7 @@ def perfect(cases: Sequence[Answer]) -> list[Scored]:
     found = []
     for k, truth in enumerate(cases):
         reading = named(*truth.labels, probability=1.0) if truth.labels else Reading(truth.truth)
-        found.append(Scored(f"{k:03d}", truth, reading, oracle=0.9 if truth.labels else None))
+        found.append(Scored(f"{k:03d}", truth, reading, oracle=0.9 if truth.labels else None, again=0.9))
     return found
 
 

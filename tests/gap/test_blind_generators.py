@@ -17,7 +17,7 @@ from hystmpc.gap.blind import kernels
 from hystmpc.gap.blind.catalogue import GENERATORS, LABELS, UNKNOWN, generator_named, generators_of
 from hystmpc.gap.blind.core import TRAVEL_MM, Core, Mounting
 from hystmpc.gap.blind.cores import CapstanCore, DahlCore
-from hystmpc.gap.blind.device import BlindDevice
+from hystmpc.gap.blind.device import BlindDevice, lasts_s
 from hystmpc.gap.blind.devices import DEVICES, core_of
 from hystmpc.gap.blind.drive_effects import jittered_delay, log_relaxation, servo
 from hystmpc.gap.blind.generator import Generator, Withheld
@@ -212,3 +212,14 @@ def test_devices_can_be_drawn() -> None:
         for seed in range(5):
             angle = kind.draw(np.random.default_rng(seed)).run(u, np.ones(u.size))
             assert 30 < np.ptp(angle) < 90
+
+
+def test_a_trial_recorded_later_is_that_of_the_same_session() -> None:
+    drift = generator_named("thermal_drift")
+    effect = Withheld(drift, drift.typical, drift.draw(np.random.default_rng(3)))
+    device = BlindDevice(DahlCore(), 0.05, 0.01, 11, (effect,))
+    first, second = SINE.draw(np.random.default_rng(1)), STEPS.draw(np.random.default_rng(2))
+    whole = device.record([first, second])[1]
+    (later,) = device.record([second], 1, lasts_s(first.size))
+    assert np.array_equal(whole.angle, later.angle)
+    assert not np.array_equal(whole.angle, device.record([second], 1)[0].angle)

@@ -60,6 +60,18 @@ def test_an_unnamed_gap_is_an_alarm_where_there_is_none() -> None:
     assert by_name(always([answer("none")], Reading("too_little")))["false alarms"] == 0.0
 
 
+def test_rules_beside_are_asked_where_there_is_nothing_too() -> None:
+    healthy = [answer("none"), answer("misset"), answer("controls")]
+    said = replace(Reading("none"), others={"bic": "creep", "correlation": "none"})
+    found = score_of(always([*healthy, answer("single", ["lag"])], said)).groups["nothing wrong, left alone by"]
+    assert {name: (r.hits, r.cases) for name, r in found.items()} == {
+        "diagnosis": (3, 3),
+        "rule: bic": (0, 3),
+        "rule: correlation": (3, 3),
+    }
+    assert score_of(always([answer("single", ["lag"])], said)).groups["nothing wrong, left alone by"] == {}
+
+
 def test_random_guesses_score_near_chance() -> None:
     random = np.random.default_rng(0)
     cases = [

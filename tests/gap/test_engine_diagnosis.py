@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hystmpc.gap.again import closed_again
 from hystmpc.gap.diagnosis import Diagnosis
-from hystmpc.gap.procedure import LIBRARY, run_diagnosis
+from hystmpc.gap.procedure import LIBRARY, investigate, run_diagnosis
 from hystmpc.gap.report.evidence import Evidence
 from hystmpc.gap.report.folder import diagnosis_json
 from hystmpc.models.chain import Chain
@@ -207,3 +208,9 @@ def test_what_is_not_finite_is_null() -> None:
     diagnosis = creeping()[0]
     broken = replace(diagnosis, gap=replace(diagnosis.gap, closed_share=math.nan))
     assert json.loads(diagnosis_json(broken))["gap"]["closed_share"] is None
+
+
+def test_another_session_of_the_device_is_closed_as_far_and_that_of_another_device_is_not() -> None:
+    findings = investigate(recorded(CREEP), SIMULATOR, seed=3)
+    assert closed_again(findings, recorded(CREEP, seed=8)) == pytest.approx(findings.far.gap.closed_share, abs=0.1)
+    assert closed_again(findings, recorded(seed=8)) < 0.0
