@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.simulator import Simulator
 
+from .diagnosis import Gap
 from .floor import Floor
 from .how_far import HowFar
 from .hypothesis import Court, Hypothesis
@@ -16,6 +18,8 @@ from .preparation import Prepared
 from .select import Selection
 from .verdict import Ruling
 from .where import Localisation
+
+_LEAST_MSE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,3 +58,15 @@ class Findings:
     left_out: tuple[str, ...]
     seed: int
     seconds: Mapping[str, float]
+
+    @property
+    def left(self) -> float:
+        """RMSE on the final trials with all causes, by what noise and the simulator's own form leave."""
+        return left_of(self.far.gap, self.prepared.form_mse, self.floor)
+
+
+def left_of(gap: Gap, form_mse: float, floor: Floor) -> float:
+    """RMSE with all causes by what noise and form leave; 1 where the form error is not known."""
+    if form_mse <= 0:
+        return 1.0
+    return gap.with_effects_rmse_deg / math.sqrt(max(form_mse, floor.noise_deg**2, _LEAST_MSE))

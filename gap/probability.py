@@ -5,25 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-# Ridge logistic regression on the 56 names that the diagnosis gave on development seed 102 (docs/diagnosis.md); frozen.
-_BIAS, _GENERIC, _SEVERAL, _AMBIGUOUS, _SHARE = 1.3, -1.3, -0.3, -0.3, 0.4
+# Ridge logistic regression on 141 names that the diagnosis gave on development seeds 104 and 105; frozen.
+_BIAS, _GENERIC, _SEVERAL, _AMBIGUOUS, _LEFT, _SHARE = 2.1, -1.0, -0.75, -0.7, -0.6, 1.3
 # Effects that bend to almost anything: a name of theirs is worth less.
 GENERIC = frozenset({"asymmetry", "nonlinear_gain", "trial_shift"})
 
 
-def probability(name: str, share: float, several: bool, ambiguous: bool) -> float:
+def probability(name: str, share: float, several: bool, ambiguous: bool, left: float) -> float:
     """Probability that a chosen effect is there.
 
-    logit P = b_0 + b_1 generic + b_2 several + b_3 ambiguous + b_4 share
+    logit P = b_0 + b_1 generic + b_2 several + b_3 ambiguous + b_4 max(ln left, 0) + b_5 share
 
     Args:
         name: of the effect; whether it is one that bends to almost anything.
         share: of the structural gap that it closes, 0 to 1.
         several: whether other effects were chosen, too.
-        ambiguous: whether anything could stand in the place of one of them.
+        ambiguous: whether anything could stand in its place.
+        left: RMSE that all causes together leave, by what noise and the simulator's own form leave.
     """
     logit = _BIAS + _GENERIC * (name in GENERIC) + _SEVERAL * several + _AMBIGUOUS * ambiguous
-    return 1 / (1 + math.exp(-logit - _SHARE * min(max(share, 0.0), 1.0)))
+    logit += _LEFT * math.log(max(left, 1.0)) + _SHARE * min(max(share, 0.0), 1.0)
+    return 1 / (1 + math.exp(-logit))
 
 
 def ranking(

@@ -16,7 +16,7 @@ from hystmpc.trials.trial import Trial
 
 from .diagnosis import Diagnosis, FoundEffect, NextMotion, Verdict
 from .evidence_of import evidence_of
-from .findings import Findings
+from .findings import Findings, left_of
 from .floor import Floor, find_floor
 from .how_far import measure
 from .hypothesis import Court, Hypothesis
@@ -26,7 +26,7 @@ from .probability import probability, ranking
 from .reason import reason_for
 from .report.evidence import Evidence
 from .where import Localisation, localise
-from .which import DiagnosisSettings, decide
+from .which import DiagnosisSettings, decide, stands
 
 Vec = NDArray[np.float64]
 Progress = Callable[..., None]
@@ -109,6 +109,9 @@ def investigate(
     chosen = court.polished(which.selection.chosen.hypothesis) if which.explained else retuned
     floor = _floor(prepared, chosen)
     far = measure(prepared, court, retuned, chosen, floor, which.sensor, seed)
+    if which.explained and not stands(which, far.gap, left_of(far.gap, prepared.form_mse, floor), settings.verdict):
+        which, chosen, floor = which.unexplained(), retuned, _floor(prepared, retuned)
+        far = measure(prepared, court, retuned, retuned, floor, which.sensor, seed)
     if which.jumps:
         far = far.joined_by("stick_slip", which.jumps.parameters)
     clock.lap("how far")
@@ -214,8 +217,9 @@ def _verdict(findings: Findings, least_closed: float) -> Verdict:
 
 def _sure(findings: Findings) -> dict[str, float]:
     """Probability of each effect found."""
-    shares, ambiguous = findings.far.shares, bool(findings.ruling.ambiguity)
-    return {name: probability(name, share, len(shares) > 1, ambiguous) for name, share in shares.items()}
+    shares, open_names = findings.far.shares, {name for names in findings.ruling.ambiguity for name in names}
+    several, left = len(shares) > 1, findings.left
+    return {name: probability(name, share, several, name in open_names, left) for name, share in shares.items()}
 
 
 def _effects(findings: Findings, sure: Mapping[str, float]) -> tuple[FoundEffect, ...]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from .candidate import Scale
 from .candidates import candidates
+from .diagnosis import Gap
 from .floor import find_floor
 from .hypothesis import Court, Hypothesis
 from .jumps import Jumps, find_jumps
@@ -49,6 +50,27 @@ class Which:
     sensor: bool
     jumps: Jumps | None
     floor_mse: float
+
+    def unexplained(self) -> Which:
+        """The same where the causes do not stand: a gap without a name."""
+        return replace(self, ruling=replace(self.ruling, verdict="unknown", ambiguity=()), explained=False)
+
+
+def stands(which: Which, gap: Gap, left: float, settings: VerdictSettings) -> bool:
+    """Whether causes that were chosen stand on the final trials: they close most of the gap, or leave little.
+
+    A class that is not in the library is mimicked by others that close a part of it. What a sensor or jumps leave is
+    noise to any free run and says nothing.
+
+    Args:
+        which: causes chosen on the development trials.
+        gap: on the final trials.
+        left: see `Findings.left`.
+        settings: thresholds.
+    """
+    if which.sensor or which.jumps:
+        return True
+    return gap.closed_share >= settings.stands_closed or left <= settings.stands_left
 
 
 def decide(
