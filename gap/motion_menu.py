@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.trajectories.checks import require_positive
@@ -243,7 +243,8 @@ def _reach(plan: Plan, limits: CommandLimits) -> float:
     rate, whole = RATE_SHARE * limits.rate, limits.upper - limits.lower
     if _lasts(plan, whole, rate) <= plan.longest_s:
         return whole
-    return float(brentq(lambda reach: _lasts(plan, reach, rate) - plan.longest_s, 0.0, whole))
+    found = root_scalar(lambda reach: _lasts(plan, reach, rate) - plan.longest_s, bracket=(0.0, whole))
+    return float(found.root)
 
 
 def _lasts(plan: Plan, reach: float, rate: float) -> float:
