@@ -25,7 +25,7 @@ from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.resample import resample
 from hystmpc.trials.trial import Trial
 
-WORDS = {*LABELS, *SUITES, *(g.name for g in GENERATORS), "unknown", "decoy", "capstan", "dahl"} - {"none"}
+WORDS = {*LABELS, *SUITES, *(g.name for g in GENERATORS), "unknown", "decoy", "capstan", "dahl", "rodcore"} - {"none"}
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from hystmpc.rig.gate import Gate
 from hystmpc.rig.histogram import BINS, Histogram
 from hystmpc.rig.intake import Intake, SensorSettings
 from hystmpc.rig.latch import RUNNING, Latch
-from hystmpc.rig.realtime_ import RealtimeSettings, control_process
+from hystmpc.rig.realtime_ import RealtimeSettings, SchedulingSettings, control_process, scheduled
 from hystmpc.rig.transports.link import Outgoing
 from hystmpc.rig.transports.order import NEW, REPLAYED, RESTARTED, Order
 from hystmpc.rig.transports.reading import Reading
@@ -166,6 +167,46 @@ def test_realtime_that_is_refused_says_so_and_everything_is_put_back() -> None:
     assert len(notes) == 1
     assert "core 10000 refused" in notes[0]
     assert os.sched_getaffinity(0) == cores
+
+
+def permitted(setting: dict[str, object]) -> None:
+    with scheduled(SchedulingSettings.parse(setting)) as notes:
+        refused = list(notes)
+    if refused:
+        pytest.skip(refused[0])
+
+
+def test_all_threads_that_may_hold_the_interpreter_are_scheduled_like_the_loop_and_put_back() -> None:
+    permitted({"priority": 5})
+    end, found = threading.Event(), []
+    thread = threading.Thread(target=end.wait)
+    thread.start()
+    assert thread.native_id is not None
+    try:
+        for _ in range(2):
+            with control_process(RealtimeSettings(priority=5)) as notes:
+                assert not notes
+                found.append(
+                    [(os.sched_getscheduler(n), os.sched_getparam(n).sched_priority) for n in (0, thread.native_id)]
+                )
+            assert os.sched_getscheduler(0) == os.sched_getscheduler(thread.native_id) == os.SCHED_OTHER
+    finally:
+        end.set()
+        thread.join()
+    assert found == [[(os.SCHED_FIFO, 5), (os.SCHED_FIFO, 4)]] * 2
+
+
+def test_locked_memory_is_given_back() -> None:
+    permitted({"lock_memory": True})
+
+    def locked_kb() -> int:
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return int(next(line for line in lines if line.startswith("VmLck")).split()[1])
+
+    with control_process(RealtimeSettings(lock_memory=True)) as notes:
+        assert not notes
+        assert locked_kb() > 1000
+    assert locked_kb() == 0
 
 
 def out(wire: FaultyReadings, count: int = 50) -> list[Outgoing]:

@@ -183,7 +183,7 @@ def test_what_a_stranger_gets_wrong_is_one_line_and_nothing_is_written(
         assert f"got no angle from udp 127.0.0.1 port {port} within 0.2 s" in refusal(
             capsys, "run", config, "--out", out
         )
-    assert "nobody listens" in refusal(capsys, "run", config, "--out", out)
+    assert "; nobody listens, " in refusal(capsys, "run", config, "--out", out)
     assert not out.exists()
     out.mkdir()
     (out / "notes.txt").write_text("mine")
@@ -224,6 +224,16 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ")
     return line
+
+
+@pytest.mark.slow
+def test_a_device_says_what_of_its_scheduling_is_refused_and_serves_all_the_same(tmp_path: Path) -> None:
+    config = write_device(PLAIN, tmp_path)
+    done = hystmpc("device", config, "--seconds", "0.3", "--set", "realtime.cpu=10000")
+    assert done.returncode == 0
+    assert "device ready" in done.stdout
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("realtime.cpu: core 10000 refused")
 
 
 @pytest.mark.slow

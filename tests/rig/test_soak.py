@@ -12,6 +12,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from hystmpc.rig.stop_flag import StopFlag
+
 from ..conftest import ROOT
 
 SCRIPTS = ROOT / "benchmarks"
@@ -33,10 +35,18 @@ def test_the_sleeper_counts_what_came_later_than_a_period() -> None:
     assert (found.wake_ups, found.late, found.greatest_s) == (4, 2, 0.1)
 
 
+def test_a_loop_that_is_busy_for_longer_than_a_period_is_late_every_time() -> None:
+    loop = bare_loop()
+    wake_ups = loop.sleep_on(100.0, 0.2, StopFlag(), busy_s=0.012)
+    assert 0 < len(wake_ups) <= 10
+    assert loop.floor(wake_ups, 100.0).late == len(wake_ups)
+
+
 @pytest.mark.slow
 def test_a_soak_of_seconds(tmp_path: Path) -> None:
     """Whether a deadline was missed is the machine's affair; that the figures and the exit code agree is ours."""
     command = [sys.executable, "benchmarks/soak.py", "--rate", "25", "--minutes", "0.05", "--transport", "udp"]
+    command += ["--blocks", "1,2,4,8"]
     done = subprocess.run(
         [*command, "--json", str(tmp_path / "soak.json"), "--out", str(tmp_path / "runs")],
         cwd=ROOT,
@@ -52,8 +62,12 @@ def test_a_soak_of_seconds(tmp_path: Path) -> None:
         assert run["sources"]["mpc"] > 30
         assert 0 < run["tracking_deg"] < 5
         assert 0 <= run["beside_stall"] <= run["missed"] <= run["samples"]
+        assert 0 < run["execution"]["least_s"] <= run["execution"]["greatest_s"]
+        assert run["refused"] == []
         assert run["execution"]["median_s"] <= run["execution"]["p99_s"] <= run["execution"]["greatest_s"]
         assert 0.5 * run["samples"] < run["floor"]["wake_ups"] < 1.5 * run["samples"]
     assert row["ratio"] == pytest.approx(row["wire"]["tracking_deg"] / row["in_process"]["tracking_deg"])
+    assert 0 <= row["spinner"]["late"] <= row["spinner"]["wake_ups"] <= 126
+    assert "move_blocking" in (tmp_path / "runs" / "udp-25hz" / "run.yaml").read_text(encoding="utf-8")
     assert (done.returncode == 0) == row["passed"] == (row["wire"]["missed"] == 0 and row["ratio"] <= 1.1)
     assert "udp 25 Hz" in done.stdout
