@@ -31,6 +31,20 @@ class Confusable:
     one_class: bool = False
 
 
+TWINS = (
+    ("lag", "delay", "rate_dependence"),
+    ("lag", "creep"),
+    ("creep", "first_flexure"),
+    ("creep", "drift"),
+    ("stick_slip", "lag"),
+    ("slack", "nonlinear_gain"),
+    ("contact", "nonlinear_gain"),
+    ("asymmetry", "nonlinear_gain"),
+    ("drift", "trial_shift"),
+)
+"""Effects that look alike in many motions."""
+
+
 def confusability(excitation: Excitation) -> tuple[Confusable, ...]:
     """The table of confusable pairs, judged for these motions."""
     return tuple(rule(excitation) for rule in _RULES)
@@ -112,3 +126,8 @@ _RULES: tuple[Callable[[Excitation], Confusable], ...] = (
     _low,
     _ends,
 )
+
+
+def twins(name: str) -> frozenset[str]:
+    """Effects that an effect is easily taken for: what a library has to hold for its name to mean much."""
+    return frozenset(other for names in TWINS if name in names for other in names if other != name)

@@ -11,7 +11,10 @@ _BIAS, _GENERIC, _SEVERAL, _AMBIGUOUS, _LEFT, _SHARE = 2.1, -1.0, -0.75, -0.7, -
 GENERIC = frozenset({"asymmetry", "nonlinear_gain", "trial_shift"})
 
 
-def probability(name: str, share: float, several: bool, ambiguous: bool, left: float) -> float:
+_UNTRIED = -2.0  # a judgement, not a fit: below 0.8 whatever else
+
+
+def probability(name: str, share: float, several: bool, ambiguous: bool, left: float, untried: bool = False) -> float:
     """Probability that a chosen effect is there.
 
     logit P = b_0 + b_1 generic + b_2 several + b_3 ambiguous + b_4 max(ln left, 0) + b_5 share
@@ -22,9 +25,10 @@ def probability(name: str, share: float, several: bool, ambiguous: bool, left: f
         several: whether other effects were chosen, too.
         ambiguous: whether anything could stand in its place.
         left: RMSE that all causes together leave, by what noise and the simulator's own form leave.
+        untried: whether the library lacks an effect that this one is easily taken for.
     """
     logit = _BIAS + _GENERIC * (name in GENERIC) + _SEVERAL * several + _AMBIGUOUS * ambiguous
-    logit += _LEFT * math.log(max(left, 1.0)) + _SHARE * min(max(share, 0.0), 1.0)
+    logit += _UNTRIED * untried + _LEFT * math.log(max(left, 1.0)) + _SHARE * min(max(share, 0.0), 1.0)
     return 1 / (1 + math.exp(-logit))
 
 

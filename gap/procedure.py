@@ -14,6 +14,7 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
 
+from .confusable import twins
 from .diagnosis import Diagnosis, FoundEffect, NextMotion, Verdict
 from .evidence_of import evidence_of
 from .findings import Findings, left_of
@@ -218,8 +219,11 @@ def _verdict(findings: Findings, least_closed: float) -> Verdict:
 def _sure(findings: Findings) -> dict[str, float]:
     """Probability of each effect found."""
     shares, open_names = findings.far.shares, {name for names in findings.ruling.ambiguity for name in names}
-    several, left = len(shares) > 1, findings.left
-    return {name: probability(name, share, several, name in open_names, left) for name, share in shares.items()}
+    several, left, missing = len(shares) > 1, findings.left, set(findings.left_out)
+    return {
+        name: probability(name, share, several, name in open_names, left, bool(twins(name) & missing))
+        for name, share in shares.items()
+    }
 
 
 def _effects(findings: Findings, sure: Mapping[str, float]) -> tuple[FoundEffect, ...]:

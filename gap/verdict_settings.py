@@ -23,8 +23,8 @@ class VerdictSettings:
             two to be told apart ...
         nearer_errors: ... and by how many standard errors.
         goes_on: standard errors by which a drift has to show within trials to be told apart from shifts between them.
-        stands_closed, stands_left: causes have to close this share of the gap on the final trials, or to leave no more
-            than this many times what noise and form leave.
+        stands_alone, stands_several, stands_left: one cause, or several, have to close this share of the gap on the final
+            trials, or to leave no more than so many times what noise and form leave.
         noise_share: share of the error that is left, from which noise and resolution of the sensor are named.
         mended_share: the same for outliers and dropouts.
         simplicity: share of the structural error that a resample has to gain by one more cause.
@@ -40,7 +40,8 @@ class VerdictSettings:
     nearer: float = 0.2
     nearer_errors: float = 1.5
     goes_on: float = 3.0
-    stands_closed: float = 0.75
+    stands_alone: float = 0.55
+    stands_several: float = 0.8
     stands_left: float = 2.4
     noise_share: float = 0.3
     mended_share: float = 0.1

@@ -59,7 +59,7 @@ class Which:
 def stands(which: Which, gap: Gap, left: float, settings: VerdictSettings) -> bool:
     """Whether causes that were chosen stand on the final trials: they close most of the gap, or leave little.
 
-    A class that is not in the library is mimicked by others that close a part of it. What a sensor or jumps leave is
+    A class that is not in the library is mimicked by others, mostly by several, that close a part of it. What a sensor or jumps leave is
     noise to any free run and says nothing.
 
     Args:
@@ -70,7 +70,9 @@ def stands(which: Which, gap: Gap, left: float, settings: VerdictSettings) -> bo
     """
     if which.sensor or which.jumps:
         return True
-    return gap.closed_share >= settings.stands_closed or left <= settings.stands_left
+    several = len(which.selection.chosen.hypothesis.effects) > 1
+    enough = settings.stands_several if several else settings.stands_alone
+    return gap.closed_share >= enough or left <= settings.stands_left
 
 
 def decide(
