@@ -7,7 +7,7 @@ The loop tracks a sinusoidal scan in real time. A row says how many deadlines th
 long a sample took and how late it woke up, and the RMS tracking error over the wire beside that of the same run in
 process: same controller, motion, device and seeds. Beside every run a third process only sleeps at the same rate: what
 is late there is late without us. A missed deadline `beside a stall` is one at whose time the sleeper, too, woke up
-later than a period. After it, for a quarter of its time, a `spinner` spins in every period for as long as the run's
+later than a period. After it, for up to a minute, a `spinner` spins in every period for as long as the run's
 median sample took, and does nothing else: its misses are those of a machine that takes the core away. Exit code 1 if a
 deadline was missed, a run did not come to its end, or the ratio of the errors is beyond 1.10. With `--realtime`
 controller, device, sleeper and spinner run under SCHED_FIFO with their memory locked, by the settings that users have;
@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import subprocess
 import sys
 import tempfile
@@ -117,19 +118,30 @@ def soak(folder: Path, plan: Plan, transport: str) -> Soaked:
         (folder / "run.yaml").write_text(dump_yaml(run), encoding="utf-8")
         sets = [word for change in plan.changes for word in ("--set", change)]
         with sleeping(folder / "floor.npy", plan):
+            before_s = stolen_s()
             controller = start(["run", folder / "run.yaml", "--out", folder / "run", *sets])
             said, _ = controller.communicate()
+            taken_s = stolen_s() - before_s
     finally:
         if device is not None:
             end(device)
     lines = [line for line in said.splitlines() if line.strip()]
     ended = "" if controller.returncode == 0 else f"exit code {controller.returncode}: {(lines or ['nothing'])[-1]}"
-    return _measured(folder, transport, plan.rate_hz, ended)
+    return _measured(folder, transport, plan.rate_hz, ended, taken_s)
+
+
+def stolen_s() -> float:
+    """Processor time that a host has taken from this machine since its start [s]; NaN where that is not told."""
+    try:
+        ticks = Path("/proc/stat").read_text(encoding="utf-8").splitlines()[0].split()[8]
+        return int(ticks) / os.sysconf("SC_CLK_TCK")
+    except (OSError, IndexError, ValueError):
+        return math.nan
 
 
 def spun(plan: Plan, busy_s: float) -> Floor:
     """The bare loop alone, busy for so long in every period."""
-    seconds = max(15.0 * plan.minutes, 5.0)
+    seconds = min(max(15.0 * plan.minutes, 5.0), 60.0)
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "spun.npy"
         words = _bare(plan, file, seconds, "--busy", busy_s)
@@ -156,7 +168,7 @@ def sleeping(file: Path, plan: Plan) -> Any:
         sleeper.communicate()
 
 
-def _measured(folder: Path, transport: str, rate_hz: float, ended: str) -> Soaked:
+def _measured(folder: Path, transport: str, rate_hz: float, ended: str, taken_s: float) -> Soaked:
     """The figures of a run from what it left.
 
     Raises:
@@ -168,6 +180,7 @@ def _measured(folder: Path, transport: str, rate_hz: float, ended: str) -> Soake
     settings, log = RunSettings.parse(run.config()), run.log()
     timing: Mapping[str, Any] = json.loads((run.path / "timing.json").read_text(encoding="utf-8"))
     wall_s, missed, reference = (_numbers(log[name]) for name in ("wall_ns", "missed", "reference_deg"))
+    planned = _numbers(log["stage_execution_s"])[[source == "mpc" for source in log["source"]]]
     wake_ups = np.load(folder / "floor.npy")
     wake_ups = wake_ups[(wake_ups[:, 0] >= 1e-9 * wall_s[0]) & (wake_ups[:, 0] <= 1e-9 * wall_s[-1])]
     stalls = wake_ups[wake_ups[:, 1] > 1 / rate_hz, 0]
@@ -180,12 +193,13 @@ def _measured(folder: Path, transport: str, rate_hz: float, ended: str) -> Soake
         samples=wall_s.size,
         missed=int(missed.sum()),
         skipped=int(timing["skipped"]),
-        execution={"least_s": float(_numbers(log["stage_execution_s"]).min()), **timing["execution"]["summary"]},
+        execution={"least_s": float(np.nanmin(planned, initial=math.inf)), **timing["execution"]["summary"]},
         jitter=timing["jitter"]["summary"],
         tracking_deg=review(judged(run, settings), settings.review.due_above_deg).tracking_deg,
         sources=dict(Counter(str(s) for s, r in zip(log["source"], reference, strict=True) if math.isfinite(r))),
         floor=floor(wake_ups, rate_hz),
         beside_stall=int(np.count_nonzero(beside)),
+        taken_s=taken_s,
         refused=tuple(timing["notes"]),
     )
 

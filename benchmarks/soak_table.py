@@ -20,11 +20,13 @@ class Soaked:
         transport, rate_hz: of the run.
         ended: empty for a run that came to its end, else the last thing it said.
         samples, missed, skipped: of the run.
-        execution, jitter: `median_s`, `p99_s`, `greatest_s` and others, execution with `least_s`, see `TimingSummary` [s].
+        execution, jitter: `median_s`, `p99_s`, `greatest_s` and others, see `TimingSummary`, and `least_s` of the
+            samples that were planned [s].
         tracking_deg: RMS of measured less wanted angle [deg].
         sources: tracking samples by what gave the command.
         floor: what the sleeping process saw meanwhile.
         beside_stall: missed samples at whose time the sleeper was late, too.
+        taken_s: processor time that a host took from this machine meanwhile [s]; NaN where that is not told.
         refused: what of the run's scheduling the system did not permit.
     """
 
@@ -40,6 +42,7 @@ class Soaked:
     sources: dict[str, int]
     floor: Floor
     beside_stall: int
+    taken_s: float
     refused: tuple[str, ...]
 
 
@@ -82,6 +85,7 @@ def _figures(row: Row) -> dict[str, str]:
         "samples": str(one.samples),
         "missed (bar 0)": str(one.missed),
         "... beside a stall": str(one.beside_stall),
+        "taken by the host, s": f"{one.taken_s:.2f}",
         "execution, least": f"{1e3 * one.execution['least_s']:.2f}",
         "execution, median": f"{1e3 * one.execution['median_s']:.2f}",
         "execution, p99": f"{1e3 * one.execution['p99_s']:.2f}",

@@ -17,6 +17,7 @@ Vec = NDArray[np.float64]
 _EDGE = 1e-9
 _JITTER = 1e-13
 _DIVERGED = 1e9
+_COMMON = 1.0  # of the samples, that the mean of the trials' own terms counts as
 _HELD = 1e-10  # of the greatest curvature: what no run determines stays where it began
 
 
@@ -66,14 +67,18 @@ class _Search:
     """Errors and derivatives of all runs, condensed: the triangle R of a QR factorisation of (J, r).
 
     Least squares needs no more than the norm of r, J^T r and the singular values of J, and R has them all; with ten
-    thousand samples the solver's own decompositions would cost more than the free runs. A touch of the distance from
-    the start is added: with a shift of its own for each trial nothing determines the common one.
+    thousand samples the solver's own decompositions would cost more than the free runs.
+
+    Where each trial has an offset and a gain of its own, nothing determines the common ones. They are those against
+    which the trials' own have no mean: the mean of each counts as an error of every sample.
     """
 
     def __init__(self, problem: Problem, runs: Sequence[Run], start: Vec) -> None:
         self._problem, self._runs, self._start = problem, runs, start
+        self._samples = sum(int(run.counts.sum()) for run in runs)
         self._at: Vec | None = None
         self._triangle: Vec = np.empty((0, 0))
+        self._energy = 0.0
         self.evaluations = 0
 
     def residuals(self, q: Vec) -> Vec:
@@ -84,16 +89,20 @@ class _Search:
 
     def mse(self, q: Vec) -> float:
         """Mean square of the errors that count [deg^2]."""
-        return float(np.sum(self.residuals(q) ** 2)) / sum(int(run.counts.sum()) for run in self._runs)
+        self._condensed(q)
+        return self._energy / self._samples
 
     def _condensed(self, q: Vec) -> Vec:
         if self._at is None or not np.array_equal(q, self._at):
-            square = np.zeros((q.size + 1, q.size + 1))
+            square, common = np.zeros((q.size + 1, q.size + 1)), []
             for run in self._runs:
-                error, by_q = self._problem.error(q, run)
+                (error, by_q), (own, own_by_q) = self._problem.error_and_common(q, run)
                 both = np.column_stack([by_q, error])
                 square += both.T @ both
-            self._triangle = _triangle(square + self._pull(square, q))
+                common.append(np.column_stack([own_by_q, own]))
+            mean = np.mean(common, axis=0)
+            self._energy = float(square[-1, -1])
+            self._triangle = _triangle(square + self._pull(square, q) + _COMMON * self._samples * mean.T @ mean)
             self._at = q.copy()
             self.evaluations += 1
         return self._triangle

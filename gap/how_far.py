@@ -15,8 +15,8 @@ from .hypothesis import Court, Hypothesis
 from .preparation import Prepared
 from .shares import closed_interval, closed_share, final_blocks, shapley
 
-# Of a 90 % interval; less than a normal's, since sessions have the same kinds of motion: 25 of 27 sessions of development
-# seed 106 that were recorded again lie within, 26 with 1.645, 19 without any of it.
+# Of a 90 % interval; less than a normal's, since sessions have the same kinds of motion: of 27 sessions of development
+# seed 106 that were recorded again 25 lie within, 26 with 1.645, 19 without any of it.
 _TRIALS = 0.66
 _LEAST_FLOOR = 0.02  # of the floor found that is left once a sensor's noise is taken out
 _GAP_FACTOR = 2.0  # of the floor, from which a single trial says anything about shares

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from .baseline import Baseline
 from .blocks import Blocks, blocks_of
 from .candidate import Candidate
-from .centre import centred
 from .fit import fit
 from .problem import Problem
 from .recording import Run
@@ -112,7 +111,7 @@ class Court:
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
         """The same with its fit run to the end."""
         found = fit(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
-        return Hypothesis(hypothesis.problem, centred(hypothesis.problem, found.q, self.runs), found.mse)
+        return Hypothesis(hypothesis.problem, found.q, found.mse)
 
     def judge(self, hypothesis: Hypothesis) -> Judged:
         """Errors on each fold of a fit to the others; with one run, of the fit to it."""

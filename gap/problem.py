@@ -67,11 +67,6 @@ class Problem:
         """Number of unknowns."""
         return self._z + len(self._freedoms)
 
-    @property
-    def own(self) -> int:
-        """Number of the baseline's unknowns, the first ones."""
-        return self._z
-
     def start(self, z: Vec, effects: Sequence[Sequence[float]]) -> Vec:
         """Unknowns from the baseline's freedom z (Z,) and each effect's free parameters."""
         return self.scaled(np.array([*z[self._active], *(v for values in effects for v in values)], dtype=np.float64))
@@ -129,9 +124,13 @@ class Problem:
 
     def error(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angle less measurement where it counts (C,) and its derivative (C, Q), a trial's own terms projected out."""
+        return self.error_and_common(q, run)[0]
+
+    def error_and_common(self, q: Vec, run: Run) -> tuple[tuple[Vec, Vec], tuple[Vec, Vec]]:
+        """The error, and the trial's own offset and gain (2,) [deg] with their derivative (2, Q)."""
         theta, by_q = self.linearised(q, run)
-        error, by_q = (theta - run.angle)[run.counts], by_q[run.counts]
-        return self.terms.projected(run, theta[run.counts], error, by_q)
+        theta, error, by_q = theta[run.counts], (theta - run.angle)[run.counts], by_q[run.counts]
+        return self.terms.projected(run, theta, error, by_q), self.terms.common(run, theta, error, by_q)
 
     def held_out_error(self, q: Vec, run: Run) -> Vec:
         """Angle less measurement where it counts (C,); what belongs to the trial alone is estimated on other blocks."""

@@ -64,6 +64,18 @@ class TrialTerms:
         columns = self.columns(run, theta[run.counts], by_q[run.counts])
         return np.asarray(np.linalg.lstsq(columns, (theta - run.angle)[run.counts], rcond=None)[0], dtype=np.float64)
 
+    def common(self, run: Run, theta: Vec, error: Vec, by_q: Vec) -> tuple[Vec, Vec]:
+        """Offset and gain of a run against the others (2,) [deg], and their derivative (2, Q); none without a shift.
+
+        The gain counts by what it moves: the coefficient of theta times the spread of theta.
+        """
+        if not self.shift:
+            return np.empty(0), np.empty((0, by_q.shape[1]))
+        columns = self.columns(run, theta, by_q)
+        scale = np.array([1.0, max(float(theta.std()), 1e-9)])[:, None]
+        found = scale * np.linalg.pinv(columns)[:2]
+        return found @ error, found @ by_q
+
     def projected(self, run: Run, theta: Vec, error: Vec, by_q: Vec) -> tuple[Vec, Vec]:
         """Error (C,) and derivative (C, Q) less what the terms explain of them."""
         columns = self.columns(run, theta, by_q)

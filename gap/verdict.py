@@ -75,7 +75,9 @@ def rule(
         return Ruling("none" if least < settings.no_cause * news else "unknown", (), inclusion)
     closed = (start - end) / max(start - floor_mse, 1e-12)
     open_still = closed < settings.least_closed and end > settings.still_open * floor_mse
-    elsewhere = _bent_otherwise(selection, court.runs, floor_mse, settings) or _wanders(selection, court.runs, settings)
+    elsewhere = _bent_otherwise(selection, court.runs, floor_mse, settings) or _wanders(
+        selection, court.runs, floor_mse, settings
+    )
     if open_still and least < settings.no_cause * news:
         return Ruling("none", (), inclusion)
     if open_still or elsewhere:
@@ -87,18 +89,19 @@ def rule(
 def _bent_otherwise(selection: Selection, runs: Sequence[Run], floor_mse: float, settings: VerdictSettings) -> bool:
     """Whether what is explained by a curved gain alone is another curve than that."""
     chosen, before = selection.chosen.hypothesis, selection.baseline.hypothesis.mse - floor_mse
-    if chosen.effects != {"nonlinear_gain"} or before <= 0:
+    if chosen.effects != {"nonlinear_gain"} or before <= 0 or chosen.mse < settings.still_open * floor_mse:
         return False
     left = curves_left(chosen, runs, floor_mse)
     return left > settings.curve_left and left * (chosen.mse - floor_mse) > settings.curve_size * before
 
 
-def _wanders(selection: Selection, runs: Sequence[Run], settings: VerdictSettings) -> bool:
+def _wanders(selection: Selection, runs: Sequence[Run], floor_mse: float, settings: VerdictSettings) -> bool:
     """Whether what is explained by shifts between trials alone goes on within them."""
     chosen = selection.chosen.hypothesis
     if chosen.effects != {"trial_shift"}:
         return False
-    return slow_within(chosen, runs) > settings.wander * (selection.baseline.hypothesis.mse - chosen.mse)
+    slow = slow_within(chosen, runs) - floor_mse  # the simulator's own form is slow, too
+    return slow > settings.wander * (selection.baseline.hypothesis.mse - chosen.mse)
 
 
 def _inclusion(selection: Selection, floor_mse: float, settings: VerdictSettings, seed: int) -> dict[str, float]:

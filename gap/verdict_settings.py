@@ -23,8 +23,8 @@ class VerdictSettings:
             two to be told apart ...
         nearer_errors: ... and by how many standard errors.
         goes_on: standard errors by which a drift has to show within trials to be told apart from shifts between them.
-        stands_alone, stands_several, stands_left: one cause, or several, have to close this share of the gap on the final
-            trials, or to leave no more than so many times what noise and form leave.
+        stands_alone, stands_several, stands_left: one cause, or several, have to close this share of the gap on the
+            final trials, or to leave no more than so many times what noise and form leave.
         noise_share: share of the error that is left, from which noise and resolution of the sensor are named.
         mended_share: the same for outliers and dropouts.
         simplicity: share of the structural error that a resample has to gain by one more cause.

@@ -59,8 +59,8 @@ class Which:
 def stands(which: Which, gap: Gap, left: float, settings: VerdictSettings) -> bool:
     """Whether causes that were chosen stand on the final trials: they close most of the gap, or leave little.
 
-    A class that is not in the library is mimicked by others, mostly by several, that close a part of it. What a sensor or jumps leave is
-    noise to any free run and says nothing.
+    A class that is not in the library is mimicked by others, mostly by several, that close a part of it. What a sensor
+    or jumps leave is noise to any free run and says nothing.
 
     Args:
         which: causes chosen on the development trials.

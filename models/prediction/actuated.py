@@ -34,6 +34,7 @@ class ActuatedPredictor(Predictor):
         self.dt, self.command_range = predictor.dt, predictor.command_range
         self.gain = 1 - math.exp(-predictor.dt / lag_s)
         self._predictor = predictor
+        self._kept = np.empty((0, 0))
 
     def initial(self, y: float, u: float) -> Array:
         return np.append(self._predictor.initial(y, u), u)
@@ -56,9 +57,12 @@ class ActuatedPredictor(Predictor):
         return plans @ self._response(plans.shape[-1]).T + state[-1] * (1 - self.gain) ** samples
 
     def _response(self, horizon: int) -> Array:
-        """L (H, H): travel at sample i for a unit command at sample j."""
-        age = np.subtract.outer(np.arange(horizon), np.arange(horizon))
-        return np.where(age >= 0, self.gain * (1 - self.gain) ** np.maximum(age, 0), 0.0)
+        """L (H, H): travel at sample i for a unit command at sample j; computed once for a horizon."""
+        kept = self._kept
+        if kept.shape[0] != horizon:
+            age = np.subtract.outer(np.arange(horizon), np.arange(horizon))
+            self._kept = kept = np.where(age >= 0, self.gain * (1 - self.gain) ** np.maximum(age, 0), 0.0)
+        return kept
 
 
 @final
