@@ -7,20 +7,28 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .recording import Run
 
+Vec = NDArray[np.float64]
 FINAL_SHARE = 0.25
 _LEAST_TRIALS = 3
 _PART_FINAL = 0.35
+_SPEEDS = (0.25, 0.5, 0.75, 0.9, 0.99)
+_STILL = 1e-3  # strokes per second
+_LENGTH = 0.3
+_DIGITS = 2  # of a distance: repeats by hand are never quite equal
 
 
 def split_runs(runs: Sequence[Run], motions: Sequence[str]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     """Development and final runs, by whole trials.
 
-    A quarter of the trials is kept for the end, of motions that the development runs have too where that is possible,
-    the latest first. With one or two trials the last third of each is kept, run from its beginning but scored alone; a
-    single trial's other two thirds are judged against each other.
+    A quarter of the trials is kept for the end, of motions that the development runs have too where that is possible:
+    first a motion's repeat, then what is most like another, the latest among equals. A motion that is like no other,
+    such as one recorded because a diagnosis asked for it, stays with the development runs. With one or two trials the
+    last third of each is kept, run from its beginning but scored alone; a single trial's other two thirds are judged
+    against each other.
 
     Args:
         runs: in recording order.
@@ -31,12 +39,34 @@ def split_runs(runs: Sequence[Run], motions: Sequence[str]) -> tuple[tuple[Run, 
     count = max(round(FINAL_SHARE * len(runs)), 1)
     chosen: list[int] = []
     left = list(range(len(runs)))
+    apart = _distances(runs)
     while len(chosen) < count:
-        # Of the most frequent motion among those that remain, the latest trial; the first of all is never taken.
-        often = max(left[1:], key=lambda k: (sum(motions[j] == motions[k] for j in left), k))
+        # Of the most frequent motion among those that remain, what is most like another; the first is never taken.
+        often = max(
+            left[1:],
+            key=lambda k: (
+                sum(motions[j] == motions[k] for j in left),
+                -round(min(float(apart[k, j]) for j in left if j != k), _DIGITS),
+                k,
+            ),
+        )
         chosen.append(often)
         left.remove(often)
     return tuple(runs[k] for k in left), tuple(runs[k] for k in sorted(chosen))
+
+
+def _distances(runs: Sequence[Run]) -> Vec:
+    """How unlike the commands of any two runs are (K, K): levels, speeds, rests and length."""
+    span = max(float(np.ptp(np.concatenate([run.command for run in runs]))), 1e-12)
+    found = np.array([_character(run, span) for run in runs])
+    return np.asarray(np.linalg.norm(found[:, None] - found[None], axis=-1))
+
+
+def _character(run: Run, span: float) -> Vec:
+    speed = np.abs(np.diff(run.command)) / (run.dt_s * span)
+    levels = np.array([run.command.min(), run.command.mean(), run.command.max()]) / span
+    quantiles = np.log1p(np.quantile(speed, _SPEEDS))
+    return np.array([*levels, *quantiles, np.mean(speed < _STILL), _LENGTH * np.log(run.command.size * run.dt_s)])
 
 
 def _cut(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:

@@ -70,3 +70,14 @@ def test_one_trial_is_judged_by_its_parts() -> None:
     assert np.all(together == 1)
     assert final[0].counts[-1]
     assert development[0].counts[0]
+
+
+@given(st.integers(3, 8), st.integers(1, 7))
+def test_a_motion_like_no_other_is_chosen_on_and_not_kept_for_the_end(pairs: int, at: int) -> None:
+    """Whatever it is called and wherever it stands: each of the others was recorded twice."""
+    base = [replace(RUN, command=RUN.command * (0.4 + 0.1 * k), name=f"{k}") for k in range(pairs)]
+    odd = replace(RUN, command=RUN.command[::-1] * 0.05 + 2.0, name="odd")
+    runs = [*base, *base]
+    runs.insert(min(at, len(runs)), odd)
+    _, final = split_runs(runs, ["point_to_point"] * len(runs))
+    assert "odd" not in {run.name for run in final}
