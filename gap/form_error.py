@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
 from hystmpc.models.fit.trial_set import fingerprint
 from hystmpc.models.simulator import Identification
+from hystmpc.trials.errors import LogError
 from hystmpc.trials.resample import resample
 from hystmpc.trials.trial import Trial
 
@@ -28,10 +30,7 @@ def form_error_mse(
         dt_s: sample time of the simulator, to which logs were brought before it was identified on them [s].
     """
     stored = identification.residuals
-    known = {r.fingerprint for r in stored if r.fingerprint}
-    if not stored or identification.training_data_hash in (fingerprint(trials), fingerprint(_at(trials, dt_s))):
-        return 0.0
-    if any(fingerprint([trial]) in known for trial in (*trials, *_at(trials, dt_s))):
+    if not stored or _has_seen(identification, trials, dt_s):
         return 0.0
     held = ["holds" if motion in ("holds", "steps", "point_to_point", "ramps") else "continuous" for motion in motions]
     everything = [r.rmse_deg**2 for r in stored]
@@ -39,9 +38,25 @@ def form_error_mse(
     return float(np.mean([np.mean(values) for values in own]))
 
 
-def _at(trials: Sequence[Trial], dt_s: float) -> list[Trial]:
-    """The trials as an identification at that sample time would have taken them; slower logs are left out."""
-    return [resample(trial, 1 / dt_s) for trial in trials if trial.dt <= dt_s * (1 + 1e-6)]
+def _has_seen(identification: Identification, trials: Sequence[Trial], dt_s: float) -> bool:
+    """Whether it was identified on one of these trials, or on all of them, at whatever rate."""
+    known = {r.fingerprint for r in identification.residuals if r.fingerprint}
+    # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.
+    for taken in (trials, *(_at(trials, rate) for rate in {1 / dt_s, round(1 / dt_s, 4)})):
+        if identification.training_data_hash == fingerprint(taken):
+            return True
+        if any(fingerprint([trial]) in known for trial in taken):
+            return True
+    return False
+
+
+def _at(trials: Sequence[Trial], rate_hz: float) -> list[Trial]:
+    """The trials as an identification at that rate would have taken them; those that it could not take are left out."""
+    taken = []
+    for trial in trials:
+        with suppress(LogError):
+            taken.append(resample(trial, rate_hz))
+    return taken
 
 
 def nominal_noise_deg(identification: Identification) -> float | None:

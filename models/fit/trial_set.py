@@ -47,7 +47,7 @@ def check_trial_set(trials: Sequence[Trial]) -> float:
     """
     if not trials:
         raise FitError("got no trials, expected at least one")
-    dt, units = round(trials[0].dt, 9), trials[0].units  # 0.04, not the difference of two time stamps
+    dt, units = float(f"{trials[0].dt:.10g}"), trials[0].units  # 0.04, not the difference of two time stamps
     for trial in trials:
         if len(trial) < LEAST_SAMPLES:
             raise FitError(f"{trial.source}: {len(trial)} samples, expected at least {LEAST_SAMPLES}")

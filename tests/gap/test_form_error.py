@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -9,8 +10,11 @@ import pytest
 
 from hystmpc.gap.form_error import form_error_mse, nominal_noise_deg
 from hystmpc.models.chain import Chain
+from hystmpc.models.fit.identify import DeviceLimits, simulator_of
 from hystmpc.models.fit.trial_set import fingerprint
-from hystmpc.models.simulator import Identification, Residual
+from hystmpc.models.simulator import Identification, Residual, Simulator, load_simulator, save_simulator
+from hystmpc.trials.resample import resample
+from hystmpc.trials.trial import Trial
 
 from ..models.zoo import BACKLASH
 from .engine_examples import moves, trials_of
@@ -58,6 +62,48 @@ def test_trials_that_it_was_identified_from_say_nothing() -> None:
     older = Identification(method="fit", residuals=(residual("holds", 2.0),), training_data_hash=fingerprint(TRIALS))
     assert form_error_mse(older, TRIALS, MOTIONS, DT) == 0.0
     assert form_error_mse(older, OTHERS, MOTIONS, DT) > 0
+
+
+def logs_at(hz: float, seed: int, decimals: int = 9) -> list[Trial]:
+    """Two trials as a logger of that rate would write them down, its clock started before the first sample."""
+    logs = []
+    for trial in trials_of(Chain(BACKLASH), [moves(seed), moves(seed + 1)]):
+        t = np.round(3.7 + np.arange(round(trial.duration_s * hz)) / hz, decimals)
+        own = t - 3.7
+        logs.append(Trial(t, np.interp(own, trial.t, trial.command), np.interp(own, trial.t, trial.angle)))
+    return logs
+
+
+def identified_on(logs: list[Trial], rate_hz: float, folder: Path) -> Simulator:
+    """What `fit` makes of logs, read back from its file."""
+    made = simulator_of(Chain(BACKLASH), [resample(log, rate_hz) for log in logs], DeviceLimits(), "fit")
+    return load_simulator(save_simulator(made, folder / "sim.yaml"))
+
+
+@pytest.mark.parametrize("rate_hz", [25.0, 29.97, 30.0, 49.0, 50.0, 60.0, 1 / 0.03, 120.0])
+@pytest.mark.parametrize(("logger", "decimals"), [(500.0, 9), (500.0, 4), (1.0, 9), (1.0, 3)])
+def test_it_knows_the_logs_that_it_was_identified_from(
+    rate_hz: float, logger: float, decimals: int, tmp_path: Path
+) -> None:
+    """Whatever the rate, the logger's own rate (500 Hz, or the same rate) and the digits of its time stamps."""
+    own_hz = logger if logger > rate_hz else rate_hz
+    logs, others = logs_at(own_hz, 1, decimals), logs_at(own_hz, 3, decimals)
+    made = identified_on(logs, rate_hz, tmp_path)
+    assert form_error_mse(made.identification, logs, MOTIONS, made.dt_s) == 0.0
+    assert form_error_mse(made.identification, [others[0], logs[1]], MOTIONS, made.dt_s) == 0.0
+    assert form_error_mse(made.identification, others, MOTIONS, made.dt_s) > 0.0
+
+
+def test_it_knows_logs_slower_than_itself(tmp_path: Path) -> None:
+    """`fit` takes 20 Hz logs at its 25 Hz."""
+    logs = logs_at(20.0, 1)
+    made = identified_on(logs, 25.0, tmp_path)
+    assert form_error_mse(made.identification, logs, MOTIONS, made.dt_s) == 0.0
+
+
+def test_logs_that_it_could_not_have_taken_are_others(tmp_path: Path) -> None:
+    made = identified_on(logs_at(60.0, 1), 60.0, tmp_path)
+    assert form_error_mse(made.identification, logs_at(25.0, 1), MOTIONS, made.dt_s) > 0.0
 
 
 def test_white_noise_is_bounded_by_the_correlation_of_neighbours() -> None:
