@@ -113,11 +113,12 @@ _LIST = (
     ),
     _effect(
         Contact,
-        "y = u - (1 - stiffness_ratio) max(u - angle, 0)",
+        "y = u - (1 - stiffness_ratio) max(u - angle, 0), stiffening over a toe",
         "From a curved gain: approach the end from several amplitudes; a corner stays where it is.",
         {"stiffness_ratio": 1.0},
         (Free("angle", "place", 0.2, 1.0, (0.6, 0.85)), Free("stiffness_ratio", "1", 0.0, 1.0, (0.4,))),
         sides=OUTPUT,
+        defaults={"toe": 0.0},
     ),
     _effect(
         NonlinearGain,

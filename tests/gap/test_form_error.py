@@ -80,8 +80,8 @@ def identified_on(logs: list[Trial], rate_hz: float, folder: Path) -> Simulator:
     return load_simulator(save_simulator(made, folder / "sim.yaml"))
 
 
-@pytest.mark.parametrize("rate_hz", [25.0, 29.97, 30.0, 49.0, 50.0, 60.0, 1 / 0.03, 120.0])
-@pytest.mark.parametrize(("logger", "decimals"), [(500.0, 9), (500.0, 4), (1.0, 9), (1.0, 3)])
+@pytest.mark.parametrize("rate_hz", [25.0, 29.97, 30.0, 1 / 0.03, 50.0, 60.0])
+@pytest.mark.parametrize(("logger", "decimals"), [(500.0, 4), (1.0, 9), (1.0, 3)])
 def test_it_knows_the_logs_that_it_was_identified_from(
     rate_hz: float, logger: float, decimals: int, tmp_path: Path
 ) -> None:
@@ -90,6 +90,7 @@ def test_it_knows_the_logs_that_it_was_identified_from(
     logs, others = logs_at(own_hz, 1, decimals), logs_at(own_hz, 3, decimals)
     made = identified_on(logs, rate_hz, tmp_path)
     assert form_error_mse(made.identification, logs, MOTIONS, made.dt_s) == 0.0
+    assert form_error_mse(made.identification, logs, MOTIONS, round(made.dt_s, 9)) == 0.0  # as older files have it
     assert form_error_mse(made.identification, [others[0], logs[1]], MOTIONS, made.dt_s) == 0.0
     assert form_error_mse(made.identification, others, MOTIONS, made.dt_s) > 0.0
 

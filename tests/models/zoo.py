@@ -72,6 +72,7 @@ EXAMPLES: tuple[Operator, ...] = (
     DirectionalGain(-0.1, 40.0, 3.0),
     StickSlip(0.3, 4.0),
     Contact(4.0, 0.3),
+    Contact(4.0, 0.3, 1.5),
     NonlinearGain(0.03, -0.002, 2.0),
     Asymmetry(1.2, 0.85, 3.0),
     TrialShift(0.4, 1.1, 0.2),
