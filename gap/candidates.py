@@ -74,7 +74,6 @@ def _rate_dependence(s: Scale) -> list[Candidate]:
     plain, lasting = RateDependence(0.0), RateDependence(0.0, recovery_s=1e4)
     return [
         Candidate("rate_dependence", "command", "command", 60, (plain,), free, starts),
-        Candidate("rate_dependence", "output", "output", 7, (plain,), free, starts),
         Candidate("rate_dependence", "skewed", "command", 60, (plain,), (*free, kept, growth, skew, thinning), skewed),
         Candidate("rate_dependence", "presliding", "command", 60, (lasting,), (*free, over, growth, thinning), dahl),
     ]
