@@ -143,9 +143,9 @@ def _contact(s: Scale) -> list[Candidate]:
         Freedom("angle", s.angle_low, s.angle_high, 0.1 * s.angle_span),
         Freedom("stiffness_ratio", 0.0, 1.0, 0.1),
     )
-    toe = Freedom("toe", 1e-3 * s.angle_span, s.angle_span, 0.0)
+    toe = Freedom("toe", 1e-3 * s.angle_span, 0.25 * s.angle_span, 0.0)
     starts = tuple((s.angle_low + at * s.angle_span, 0.8) for at in (0.4, 0.65, 0.85))
-    soft = tuple((s.angle_low + at * s.angle_span, 0.6, 0.2 * s.angle_span) for at in (0.4, 0.65))
+    soft = tuple((s.angle_low + at * s.angle_span, 0.6, 0.1 * s.angle_span) for at in (0.4, 0.65))
     return [
         Candidate("contact", "output", "output", 10, (Contact(0.0, 1.0),), free, starts),
         Candidate("contact", "soft", "output", 10, (Contact(0.0, 1.0),), (*free, toe), soft),

@@ -59,11 +59,6 @@ class Findings:
     seed: int
     seconds: Mapping[str, float]
 
-    @property
-    def left(self) -> float:
-        """RMSE on the final trials with all causes, by what noise and the simulator's own form leave."""
-        return left_of(self.far.gap, self.prepared.form_mse, self.floor)
-
 
 def left_of(gap: Gap, form_mse: float, floor: Floor) -> float:
     """RMSE with all causes by what noise and form leave; 1 where the form error is not known."""

@@ -219,9 +219,9 @@ def _verdict(findings: Findings, least_closed: float) -> Verdict:
 def _sure(findings: Findings) -> dict[str, float]:
     """Probability of each effect found."""
     shares, open_names = findings.far.shares, {name for names in findings.ruling.ambiguity for name in names}
-    several, left, missing = len(shares) > 1, findings.left, set(findings.left_out)
+    several, missing = len(shares) > 1, set(findings.left_out)
     return {
-        name: probability(name, share, several, name in open_names, left, bool(twins(name) & missing))
+        name: probability(name, share, several, name in open_names, bool(twins(name) & missing))
         for name, share in shares.items()
     }
 

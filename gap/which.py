@@ -65,7 +65,7 @@ def stands(which: Which, gap: Gap, left: float, settings: VerdictSettings) -> bo
     Args:
         which: causes chosen on the development trials.
         gap: on the final trials.
-        left: see `Findings.left`.
+        left: see `left_of`.
         settings: thresholds.
     """
     if which.sensor or which.jumps:
