@@ -66,7 +66,8 @@ def _character(run: Run, span: float) -> Vec:
     speed = np.abs(np.diff(run.command)) / (run.dt_s * span)
     levels = np.array([run.command.min(), run.command.mean(), run.command.max()]) / span
     quantiles = np.log1p(np.quantile(speed, _SPEEDS))
-    return np.array([*levels, *quantiles, np.mean(speed < _STILL), _LENGTH * np.log(run.command.size * run.dt_s)])
+    still, length = float(np.mean(speed < _STILL)), _LENGTH * float(np.log(run.command.size * run.dt_s))
+    return np.concatenate([levels, quantiles, [still, length]]).astype(np.float64)
 
 
 def _cut(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
