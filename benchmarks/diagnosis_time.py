@@ -24,19 +24,10 @@ from hystmpc.gap.blind.catalogue import generator_named
 from hystmpc.gap.blind.cores import CapstanCore, DahlCore
 from hystmpc.gap.blind.device import BlindDevice
 from hystmpc.gap.blind.generator import Withheld
-from hystmpc.gap.blind.motions import (
-    FAST_SMALL,
-    LONG_HOLD,
-    POINT_TO_POINT,
-    RAMP_HOLD,
-    SINE,
-    STEPS,
-    TRIANGLES,
-    MotionType,
-)
+from hystmpc.gap.blind.plan import RICH
 from hystmpc.gap.blind.rod_core import RodCore
 from hystmpc.gap.blind.scene import RATE_HZ
-from hystmpc.gap.procedure import run_diagnosis
+from hystmpc.gap.procedure import conclude, investigate
 from hystmpc.models.fit.identify import identify
 from hystmpc.models.fit.operators import OperatorFitSettings
 from hystmpc.models.simulator import Simulator
@@ -46,7 +37,6 @@ Vec = NDArray[np.float64]
 
 GOAL_S = 30.0
 CORES = {"capstan": CapstanCore, "dahl": DahlCore, "rod": RodCore}
-MOTIONS: tuple[MotionType, ...] = (SINE, TRIANGLES, RAMP_HOLD, POINT_TO_POINT, STEPS, FAST_SMALL, LONG_HOLD)
 EFFECTS = (
     Withheld(generator_named("tendon_log_creep"), 0.12, {"onset_s": 0.5}),
     Withheld(generator_named("cascaded_servo"), 0.15, {"inner": 2.0, "strokes_per_s": 8.0}),
@@ -79,7 +69,7 @@ def commands(count: int, seconds: float, random: np.random.Generator) -> list[Ve
     for k in range(max(count - 2, 1)):
         parts: list[Vec] = []
         while sum(part.size for part in parts) < seconds * RATE_HZ:
-            parts.append(MOTIONS[k % len(MOTIONS)].draw(random))
+            parts.append(RICH[k % len(RICH)].draw(random))
         made.append(np.concatenate(parts)[: round(seconds * RATE_HZ)])
     return [*made, *made[: count - len(made)]]
 
@@ -119,7 +109,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     trials, simulator = recorded(args)
     for k in range(args.repeat):
         laps = Laps()
-        diagnosis, _ = run_diagnosis(trials, simulator, seed=args.seed, progress=laps)
+        diagnosis, _ = conclude(investigate(trials, simulator, seed=args.seed, progress=laps), laps)
         laps(100, 100)
         names = ", ".join(effect.name for effect in diagnosis.effects) or "-"
         show(console, laps, f"diagnosis {k + 1}: {diagnosis.verdict}, {names}")

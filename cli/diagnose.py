@@ -75,10 +75,11 @@ def _diagnosed(
     require_free(folder)
     simulator = _simulator(sim)
     trials = _recorded(files, preset)
-    from hystmpc.gap.procedure import run_diagnosis  # compiles: kept out of the way of refusals
+    from hystmpc.gap.procedure import conclude, investigate  # compiles: kept out of the way of refusals
 
     with bar("diagnose") as show:
-        diagnosis, evidence = run_diagnosis(trials, simulator, seed=seed, without=without, progress=_progress(show))
+        told = _progress(show)
+        diagnosis, evidence = conclude(investigate(trials, simulator, seed=seed, without=without, progress=told), told)
         show(100, "writing the report", total=100)
         settings = {
             "logs": [str(file) for file in files],

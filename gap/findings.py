@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.simulator import Simulator
 
-from .diagnosis import Gap
 from .floor import Floor
 from .how_far import HowFar
 from .hypothesis import Court, Hypothesis
@@ -18,8 +16,7 @@ from .preparation import Prepared
 from .select import Selection
 from .verdict import Ruling
 from .where import Localisation
-
-_LEAST_MSE = 1e-9
+from .which import DiagnosisSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +37,7 @@ class Findings:
         jumps: of the tip in steady motion, where they are the sign of stick-slip.
         left_out: effects that the library went without.
         seed: of everything drawn at random.
+        settings: thresholds that were used.
         seconds: time of each step.
     """
 
@@ -57,11 +55,5 @@ class Findings:
     jumps: Jumps | None
     left_out: tuple[str, ...]
     seed: int
+    settings: DiagnosisSettings
     seconds: Mapping[str, float]
-
-
-def left_of(gap: Gap, form_mse: float, floor: Floor) -> float:
-    """RMSE with all causes by what noise and form leave; 1 where the form error is not known."""
-    if form_mse <= 0:
-        return 1.0
-    return gap.with_effects_rmse_deg / math.sqrt(max(form_mse, floor.noise_deg**2, _LEAST_MSE))

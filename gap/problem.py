@@ -124,13 +124,18 @@ class Problem:
 
     def error(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angle less measurement where it counts (C,) and its derivative (C, Q), a trial's own terms projected out."""
-        return self.error_and_common(q, run)[0]
+        theta, error, by_q = self._counted(q, run)
+        return self.terms.projected(run, theta, error, by_q)
 
     def error_and_common(self, q: Vec, run: Run) -> tuple[tuple[Vec, Vec], tuple[Vec, Vec]]:
         """The error, and the trial's own offset and gain (2,) [deg] with their derivative (2, Q)."""
-        theta, by_q = self.linearised(q, run)
-        theta, error, by_q = theta[run.counts], (theta - run.angle)[run.counts], by_q[run.counts]
+        theta, error, by_q = self._counted(q, run)
         return self.terms.projected(run, theta, error, by_q), self.terms.common(run, theta, error, by_q)
+
+    def _counted(self, q: Vec, run: Run) -> tuple[Vec, Vec, Vec]:
+        """Angle, error and derivative of the samples that count."""
+        theta, by_q = self.linearised(q, run)
+        return theta[run.counts], (theta - run.angle)[run.counts], by_q[run.counts]
 
     def held_out_error(self, q: Vec, run: Run) -> Vec:
         """Angle less measurement where it counts (C,); what belongs to the trial alone is estimated on other blocks."""

@@ -17,7 +17,7 @@ from hystmpc.trials.trial import Trial
 from .confusable import twins
 from .diagnosis import Diagnosis, FoundEffect, NextMotion, Verdict
 from .evidence_of import evidence_of
-from .findings import Findings, left_of
+from .findings import Findings
 from .floor import Floor, find_floor
 from .how_far import measure
 from .hypothesis import Court, Hypothesis
@@ -27,7 +27,7 @@ from .probability import probability, ranking
 from .reason import reason_for
 from .report.evidence import Evidence
 from .where import Localisation, localise
-from .which import DiagnosisSettings, decide, stands
+from .which import DiagnosisSettings, decide, left_of, stands
 
 Vec = NDArray[np.float64]
 Progress = Callable[..., None]
@@ -65,24 +65,8 @@ def diagnose(
         GapError: on unusable trials (`check_trials`), or an unknown effect.
         ModelError: if the simulator is an inverse map.
     """
-    return run_diagnosis(trials, simulator, seed=seed, without=without, only=only, progress=progress)[0]
-
-
-def run_diagnosis(
-    trials: Sequence[Trial],
-    simulator: Simulator | OnnxModel,
-    *,
-    seed: int = 0,
-    without: Sequence[str] = (),
-    only: Sequence[str] | None = None,
-    progress: Progress | None = None,
-    settings: DiagnosisSettings = DEFAULT_SETTINGS,
-) -> tuple[Diagnosis, Evidence]:
-    """The diagnosis with everything that its report shows; see `diagnose`."""
-    findings = investigate(
-        trials, simulator, seed=seed, without=without, only=only, progress=progress, settings=settings
-    )
-    return conclude(findings, progress, settings)
+    findings = investigate(trials, simulator, seed=seed, without=without, only=only, progress=progress)
+    return conclude(findings, progress)[0]
 
 
 def investigate(
@@ -120,18 +104,16 @@ def investigate(
     places = _places(prepared, retuned, seed)
     clock.lap("where")
     judged = which.selection, which.ruling, retuned, chosen, floor, which.floor_mse, far, places, which.jumps
-    return Findings(simulator, prepared, court, *judged, left_out, seed, clock.seconds)
+    return Findings(simulator, prepared, court, *judged, left_out, seed, settings, clock.seconds)
 
 
-def conclude(
-    findings: Findings, progress: Progress | None = None, settings: DiagnosisSettings = DEFAULT_SETTINGS
-) -> tuple[Diagnosis, Evidence]:
-    """What next, and the verdict, from the findings of all earlier steps."""
+def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diagnosis, Evidence]:
+    """What next, the verdict, and everything that a report shows, from the findings of all earlier steps."""
     told, clock = progress or _silent, _Clock()
     proposal, motion = next_step(findings)
     clock.lap("what next")
     findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
-    diagnosis = _diagnosis(findings, motion, settings.verdict.least_closed)
+    diagnosis = _diagnosis(findings, motion)
     evidence = evidence_of(findings, diagnosis, proposal)
     told(_STEPS, _STEPS, diagnosis.verdict)
     return diagnosis, evidence
@@ -186,11 +168,11 @@ def _places(prepared: Prepared, retuned: Hypothesis, seed: int) -> Localisation 
     return localise(prepared.checked.trials, errors, width, seed)
 
 
-def _diagnosis(findings: Findings, motion: NextMotion | None, least_closed: float) -> Diagnosis:
+def _diagnosis(findings: Findings, motion: NextMotion | None) -> Diagnosis:
     ruling, far, prepared = findings.ruling, findings.far, findings.prepared
     sure = _sure(findings)
     effects = _effects(findings, sure)
-    verdict = _verdict(findings, least_closed)
+    verdict = _verdict(findings)
     z = far.retuned.problem.retuned(far.retuned.q)
     nominal, retuned = prepared.baseline.quantities(prepared.baseline.nominal), prepared.baseline.quantities(z)
     library = [name for name in LIBRARY if name not in findings.left_out]
@@ -208,12 +190,12 @@ def _diagnosis(findings: Findings, motion: NextMotion | None, least_closed: floa
     )
 
 
-def _verdict(findings: Findings, least_closed: float) -> Verdict:
+def _verdict(findings: Findings) -> Verdict:
     """The ruling; but a faulty sensor is a name too where it explains enough."""
     verdict, far = findings.ruling.verdict, findings.far
     if "sensor" not in far.shares or verdict != "unknown":
         return verdict
-    return "named" if far.gap.closed_share >= least_closed else verdict
+    return "named" if far.gap.closed_share >= findings.settings.verdict.least_closed else verdict
 
 
 def _sure(findings: Findings) -> dict[str, float]:

@@ -33,7 +33,7 @@ from hystmpc.trials.trial import Trial
 
 from .diagnosis import Diagnosis
 from .planned import settled
-from .procedure import run_diagnosis
+from .procedure import conclude, investigate
 
 Vec = NDArray[np.float64]
 Progress = Callable[..., None]
@@ -188,7 +188,7 @@ def _legs(levels: Sequence[float] | Vec, holds: Sequence[float] | Vec) -> tuple[
 
 def _row(name: str, case: _Case, simulator: Simulator, seed: int) -> SelfTestRow:
     started = time.perf_counter()
-    diagnosis, _ = run_diagnosis(record(case, seed), simulator, seed=seed)
+    diagnosis, _ = conclude(investigate(record(case, seed), simulator, seed=seed))
     return SelfTestRow(
         name=name,
         truth=", ".join(case.truth) or "none",

@@ -51,15 +51,15 @@ class TrialTerms:
 
     def amplitude(self, run: Run, theta: Vec, by_q: Vec) -> float:
         """Amplitude of the first harmonic of the disturbance in a run [deg]."""
-        weights = self.weights(run, theta, by_q)
+        weights = self._weights(run, theta, by_q)
         first = weights[-2 * self.harmonics :][:2]
         return float(np.hypot(first[0], first[1]))
 
     def offset(self, run: Run, theta: Vec, by_q: Vec) -> float:
         """Mean of the shift of a run [deg]."""
-        return float(-self.weights(run, theta, by_q)[0])
+        return float(-self._weights(run, theta, by_q)[0])
 
-    def weights(self, run: Run, theta: Vec, by_q: Vec) -> Vec:
+    def _weights(self, run: Run, theta: Vec, by_q: Vec) -> Vec:
         """Coefficients (K,) of the terms that explain most of a run's error."""
         columns = self.columns(run, theta[run.counts], by_q[run.counts])
         return np.asarray(np.linalg.lstsq(columns, (theta - run.angle)[run.counts], rcond=None)[0], dtype=np.float64)

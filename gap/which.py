@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from .candidate import Scale
 from .candidates import candidates
 from .diagnosis import Gap
-from .floor import find_floor
+from .floor import Floor, find_floor
 from .hypothesis import Court, Hypothesis
 from .jumps import Jumps, find_jumps
 from .preparation import Prepared
@@ -16,6 +17,7 @@ from .select import Selection, SelectionSettings, select
 from .verdict import Ruling, rule, sensor_matters
 from .verdict_settings import VerdictSettings
 
+_LEAST_MSE = 1e-9
 _PREDICTABLE = 0.5  # of the retuned error: jumps count as no news up to this share of it
 
 
@@ -73,6 +75,13 @@ def stands(which: Which, gap: Gap, left: float, settings: VerdictSettings) -> bo
     several = len(which.selection.chosen.hypothesis.effects) > 1
     enough = settings.stands_several if several else settings.stands_alone
     return gap.closed_share >= enough or left <= settings.stands_left
+
+
+def left_of(gap: Gap, form_mse: float, floor: Floor) -> float:
+    """RMSE with all causes by what noise and form leave; 1 where the form error is not known."""
+    if form_mse <= 0:
+        return 1.0
+    return gap.with_effects_rmse_deg / math.sqrt(max(form_mse, floor.noise_deg**2, _LEAST_MSE))
 
 
 def decide(

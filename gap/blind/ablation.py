@@ -20,7 +20,7 @@ from hystmpc.trials.trial import Trial
 from ..floor import find_floor
 from ..hypothesis import Court, Judged, gain
 from ..preparation import prepare
-from ..procedure import run_diagnosis
+from ..procedure import conclude, investigate
 from .reading import Reading, reading_of
 
 Progress = Callable[[int, int, str], None]
@@ -157,7 +157,7 @@ def _row(component: str, whole: Judged, less: Judged, floor_deg: float) -> Ablat
 
 def _asked(row: Ablated, trials: Sequence[Trial], less: Simulator, folder: Path, seed: int) -> Ablated:
     """The row with the diagnosis' answer."""
-    found, _ = run_diagnosis(trials, less, seed=seed)
+    found, _ = conclude(investigate(trials, less, seed=seed))
     data: dict[str, Any] = dict(found.as_json())
     save_simulator(less, folder / "sim.yaml")
     write_atomically(folder / "diagnosis.json", json.dumps(data, indent=1))

@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from ..confusable import CONFUSABLE
 from .motions import (
     FAST_SMALL,
     LONG_HOLD,
@@ -23,14 +24,14 @@ from .motions import (
 
 Vec = NDArray[np.float64]
 
-_RICH = (SINE, TRIANGLES, RAMP_HOLD, POINT_TO_POINT, STEPS, FAST_SMALL, LONG_HOLD)
+RICH = (SINE, TRIANGLES, RAMP_HOLD, POINT_TO_POINT, STEPS, FAST_SMALL, LONG_HOLD)
 _PLANS: Mapping[str, tuple[MotionType, ...]] = MappingProxyType(
     {
-        "rich": _RICH,
+        "rich": RICH,
         "short": (SINE, TRIANGLES, POINT_TO_POINT, STEPS, RAMP_HOLD),
         "no_holds": (SINE, SINE, TRIANGLES, MULTISINE, FAST_SMALL, SINE),
         "no_fast": (SINE, MULTISINE, RAMP_HOLD, POINT_TO_POINT, LONG_HOLD),
-        "no_repeats": (*_RICH, MULTISINE),
+        "no_repeats": (*RICH, MULTISINE),
         "sines": (SINE, SINE, SINE, SINE, SINE, SINE),
     }
 )
@@ -50,22 +51,6 @@ _NEEDS: Mapping[str, frozenset[str]] = MappingProxyType(
         "trial_shift": frozenset({"repeat"}),
     }
 )
-
-FAMILY_PAIRS = frozenset(
-    frozenset(pair)
-    for pair in (
-        ("lag", "delay"),
-        ("lag", "rate_dependence"),
-        ("delay", "rate_dependence"),
-        ("lag", "creep"),
-        ("creep", "first_flexure"),
-        ("drift", "creep"),
-        ("stick_slip", "lag"),
-        ("slack", "nonlinear_gain"),
-        ("contact", "nonlinear_gain"),
-    )
-)
-"""Pairs of effects that some motions cannot tell apart (design, section 2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,4 +97,4 @@ def draw_plan(random: np.random.Generator, name: str | None = None) -> Plan:
 
 def confusable(a: str, b: str) -> bool:
     """Whether two effects are the same or one of the confusable pairs."""
-    return a == b or frozenset((a, b)) in FAMILY_PAIRS
+    return a == b or any(a in names and b in names for names in CONFUSABLE)

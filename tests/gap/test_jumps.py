@@ -13,7 +13,7 @@ from hystmpc.gap.blind.tip_effects import lugre_tip
 from hystmpc.gap.hypothesis import Court
 from hystmpc.gap.jumps import Jumps, find_jumps
 from hystmpc.gap.preparation import prepare
-from hystmpc.gap.procedure import run_diagnosis
+from hystmpc.gap.procedure import conclude, investigate
 from hystmpc.models.chain import Chain
 from hystmpc.trials.trial import Trial
 
@@ -102,9 +102,9 @@ def test_too_little_steady_motion_says_nothing() -> None:
 
 @pytest.mark.slow
 def test_the_diagnosis_names_it_and_says_that_its_share_stays_open() -> None:
-    diagnosis, _ = run_diagnosis(noisy(through(clean(), 6.0)), simulator_of(BACKLASH))
+    diagnosis, _ = conclude(investigate(noisy(through(clean(), 6.0)), simulator_of(BACKLASH)))
     assert diagnosis.verdict in ("named", "one_of")
     assert "stick_slip" in {effect.name for effect in diagnosis.effects}
     assert any("cannot be predicted in a free run" in note for note in diagnosis.notes)
-    without, _ = run_diagnosis(noisy(through(clean(), 6.0)), simulator_of(BACKLASH), without=("stick_slip",))
+    without, _ = conclude(investigate(noisy(through(clean(), 6.0)), simulator_of(BACKLASH), without=("stick_slip",)))
     assert "stick_slip" not in {effect.name for effect in without.effects}
