@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +14,7 @@ import typer
 from hystmpc.rig.bench import BenchResult, reset_latch
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.histogram import TimingSummary
+from hystmpc.rig.outcome import Outcome
 from hystmpc.trials.run_folder import require_vacant
 
 from .console import errors, out, table
@@ -54,7 +58,9 @@ def tell(text: str) -> None:
 
 
 def finish(settings: BenchSettings, result: BenchResult) -> None:
-    """Timing as a table, then faults, then how it ended."""
+    """Timing as a table, then faults, then how it ended; to nobody where the terminal has been closed."""
+    if result.outcome.cause == "SIGHUP":
+        sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for the rest of the process
     timings, outcome = result.timings, result.outcome
     rows = [
         _row("period", timings.period.summary()),
@@ -68,14 +74,23 @@ def finish(settings: BenchSettings, result: BenchResult) -> None:
     if outcome.faults:
         out.print("faults: " + ", ".join(f"{n} {name}" for name, n in sorted(outcome.faults.items())), soft_wrap=True)
     if outcome.cause:
-        took = f"{outcome.safe_s - outcome.stop_s:.2f} s later" if outcome.safe_s == outcome.safe_s else "never"
         errors.print(
-            f"stopped: {outcome.cause}; safe command {settings.safe_command:g} {settings.command_unit} held {took}; "
-            "latched until --reset",
+            f"stopped: {outcome.cause}; {_end_of(settings, outcome)}; latched until --reset",
             style="red",
             soft_wrap=True,
             markup=False,
         )
+
+
+def _end_of(settings: BenchSettings, outcome: Outcome) -> str:
+    """What became of the safe command, in words that claim no more than the device has said."""
+    safe = f"safe command {settings.safe_command:g} {settings.command_unit}"
+    if math.isnan(outcome.safe_s):
+        return f"{safe} not sent: the device's own watchdog has to act, look at the device"
+    took = f"{outcome.safe_s - outcome.stop_s:.2f} s later"
+    if outcome.confirmed:
+        return f"{safe} held {took}"
+    return f"{safe} sent {took}, the device has not said that it holds it"
 
 
 def end(result: BenchResult) -> None:

@@ -6,23 +6,26 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.trials.files import write_atomically
 
+from .anchor import Anchor
 from .clock import Clock, MonotonicClock
 from .config import BenchSettings
-from .connect import first_contact
+from .connect import Contact, first_contact
 from .gate import Gate
 from .histogram import Timings
 from .intake import Intake
-from .latch import RUNNING, Latch
+from .latch import RUNNING, Latch, latch_text
 from .loop import ControlLoop
 from .outcome import Outcome
-from .phases.motion import CommandMotion, SafeStop
+from .phases.motion import SafeStop
 from .phases.phase import Phase
-from .ramp import ramp_commands
+from .plausibility import MotionWatch
+from .ramp import ramp_commands, stop_commands
 from .realtime_ import control_process
 from .sample import Sink
 from .signals_ import stopping_on_signals
@@ -32,6 +35,10 @@ from .transports.reading import Transport
 from .transports.units import Conversion
 
 Note = Callable[[str], None]
+
+_REPEATS = 5  # of the safe command
+_PATIENCE_S = 1.0  # how long it is sent to a device that does not say that it holds it
+_TOLERANCE = 0.01  # of the range: how far what a device says it holds may lie beside what was sent, where none is set
 
 
 @dataclass(frozen=True)
@@ -81,23 +88,21 @@ def run_bench(
     Raises:
         ConfigError: if the stop is latched, the device does not answer, or settings do not fit it; nothing has moved.
     """
-    latch = Latch.of(settings.name, settings.latch_file)
-    latch.require_released()
     clock, flag = MonotonicClock(settings.realtime.spin_s), StopFlag()
-    transport = build_transport(
-        settings.transport, Conversion.of(settings.wire, settings.command_unit), settings.dt_s, clock.now_ns, plants
-    )
-    with stopping_on_signals(flag):
+    with Latch.of(settings.name, settings.latch_file).held() as latch, stopping_on_signals(flag):
+        latch.require_released()
+        transport = build_transport(
+            settings.transport, Conversion.of(settings.wire, settings.command_unit), settings.dt_s, clock.now_ns, plants
+        )
         try:
             contact = first_contact(settings, transport, clock, flag)
-            gate = Gate(_limits(settings), settings.dt_s, contact.held)
             work = [*(step.phase(settings.ramps, settings.dt_s) for step in settings.prepare), *phases()]
             samples = _opened(latch, sink)
         except BaseException:
             _part(transport)
             raise
         try:
-            result = _loop(settings, transport, clock, gate, flag, work, samples, note, contact.received_ns)
+            result = _loop(settings, transport, clock, contact, flag, work, samples, note)
             _conclude(latch, result.outcome.cause)
         finally:
             _part(transport)
@@ -111,26 +116,35 @@ def _loop(
     settings: BenchSettings,
     transport: Transport,
     clock: Clock,
-    gate: Gate,
+    contact: Contact,
     flag: StopFlag,
     work: Sequence[Phase],
     samples: Sink,
     note: Note,
-    received_ns: int,
 ) -> BenchResult:
-    ramps, dt_s, safe = settings.ramps, settings.dt_s, settings.safe_command
-    back = CommandMotion("return", lambda held: ramp_commands(held, 0.0, safe, ramps, dt_s))
+    ramps, dt_s, safe, sensor = settings.ramps, settings.dt_s, settings.safe_command, settings.sensor
+    limits, overshoot = _limits(settings), settings.overshoot
+    span = limits.upper - limits.lower
+    tolerance = sensor.held_tolerance or _TOLERANCE * span
 
-    def stop(cause: str, velocity: float) -> SafeStop:
-        return SafeStop(lambda held: ramp_commands(held, velocity, safe, ramps, dt_s), safe, cause)
+    def to_safe(cause: str, velocity: float) -> SafeStop:
+        way = partial(stop_commands, velocity=velocity, safe=safe, ramps=ramps, overshoot=overshoot, dt_s=dt_s)
+        return SafeStop(way, safe, tolerance, cause, patience=max(_REPEATS, round(_PATIENCE_S / dt_s)))
 
-    ramp_commands(gate.last, 0.0, safe, ramps, dt_s)  # ruckig is loaded before it is needed in a hurry
+    ramp_commands(contact.held, 0.0, safe, ramps, dt_s)  # ruckig is loaded before it is needed in a hurry
+    gate = Gate(limits, dt_s)
+    if not contact.tells:
+        gate.anchor(contact.held)
+    anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), sensor.dead_after_s)
     with control_process(settings.realtime) as notes:
         for text in notes:
             note(text)
-        intake = Intake(settings.sensor, clock.now_ns())
-        loop = ControlLoop(clock, transport, intake, gate, dt_s, samples, stop, flag, settings.sensor.dead_after_s)
-        outcome = loop.run([*work, back], received_ns + round(0.5e9 * dt_s))
+        watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg)
+        intake = Intake(sensor, clock.now_ns(), watch)
+        loop = ControlLoop(
+            clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, settings.sensor.dead_after_s
+        )
+        outcome = loop.run(work, contact.received_ns + round(0.5e9 * dt_s))
     return BenchResult(outcome, loop.timings, dict(transport.counters), intake.lost, tuple(notes))
 
 
@@ -145,7 +159,7 @@ def _opened(latch: Latch, sink: Callable[[], Sink]) -> Sink:
 
 
 def _part(transport: Transport) -> None:
-    """Close the wire; a driver that fails at it must not hide why the run has ended."""
+    """Close the wire without a goodbye; a driver that fails at it must not hide why the run has ended."""
     with suppress(Exception):
         transport.stop()
 
@@ -161,7 +175,7 @@ def _conclude(latch: Latch, cause: str) -> None:
 def _leave_files(result: BenchResult, folder: Path) -> None:
     try:
         if result.outcome.cause:
-            Latch(folder / "latched.json").set(result.outcome.cause)
+            write_atomically(folder / "latched.json", latch_text(result.outcome.cause))
         write_atomically(folder / "timing.json", json.dumps(result.as_dict(), indent=1) + "\n")
     except Exception:  # noqa: BLE001 - a full disk must not hide how the run ended
         return
@@ -178,6 +192,5 @@ def reset_latch(settings: BenchSettings) -> None:
     Raises:
         ConfigError: if another program controls the device now.
     """
-    latch = Latch.of(settings.name, settings.latch_file)
-    latch.require_unused()
-    latch.release()
+    with Latch.of(settings.name, settings.latch_file).held() as latch:
+        latch.release()

@@ -5,12 +5,18 @@ from __future__ import annotations
 import time
 from typing import Protocol, final
 
+_BOOT: int | None = getattr(time, "CLOCK_BOOTTIME", None)  # Linux
+
 
 class Clock(Protocol):
     """Where time comes from."""
 
     def now_ns(self) -> int:
         """Monotonic time [ns]."""
+        ...
+
+    def boot_ns(self) -> int:
+        """Monotonic time that also counts while the machine is suspended [ns]."""
         ...
 
     def wall_ns(self) -> int:
@@ -36,6 +42,10 @@ class MonotonicClock:
     def now_ns(self) -> int:
         """Monotonic time [ns]."""
         return time.monotonic_ns()
+
+    def boot_ns(self) -> int:
+        """Monotonic time with suspension [ns]; the monotonic time itself where the system has no such clock."""
+        return time.monotonic_ns() if _BOOT is None else time.clock_gettime_ns(_BOOT)
 
     def wall_ns(self) -> int:
         """Wall clock [ns since 1970]."""

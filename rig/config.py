@@ -16,6 +16,7 @@ from hystmpc.trials.config import Settings, load_settings
 
 from .excitation import Excitation, MotionFileSettings
 from .intake import SensorSettings
+from .plausibility import PlausibilitySettings
 from .prepare import PrepareStep
 from .ramp import RampSettings
 from .realtime_ import RealtimeSettings
@@ -36,7 +37,10 @@ class BenchSettings(Settings):
         limits: hard limits of value and rate, applied once more right before the wire.
         ramps: how the loop moves the command by itself.
         start_command: what the device holds at the start; null asks the device, which has to tell then.
-        safe_command: where a stop leads.
+        safe_command: where a stop leads. Choose the command to which the device's own watchdog leads.
+        stop_overshoot: how far a stop may go on in the direction of the motion, in the command's unit; null takes the
+            smaller of 0.2 and 2 % of the range of `limits`.
+        plausibility: how far commanded and measured motion may disagree.
         sensor: plausibility of the angle.
         wire: units of the device.
         transport: the wire itself.
@@ -53,7 +57,9 @@ class BenchSettings(Settings):
     ramps: RampSettings = RampSettings()
     start_command: float | None = None
     safe_command: float
+    stop_overshoot: Positive | None = None
     sensor: SensorSettings
+    plausibility: PlausibilitySettings = PlausibilitySettings()
     wire: WireUnits = WireUnits()
     transport: TransportSettings
     prepare: tuple[PrepareStep, ...] = ()
@@ -73,7 +79,19 @@ class BenchSettings(Settings):
                 f"got ramps.velocity_per_s {self.ramps.velocity_per_s}, expected at most limits.rate_per_s "
                 f"{self.limits.rate_per_s}"
             )
+        brake, rate = self.ramps.brake_per_s2, self.limits.rate_per_s
+        if brake is not None and rate**2 / (2.0 * brake) > self.overshoot * (1 + 1e-9):
+            raise ValueError(
+                f"got ramps.brake_per_s2 {brake:g}, with which a stop from {rate:g} per s goes on for v^2 / (2 a) = "
+                f"{rate**2 / (2.0 * brake):.4g}, expected at most stop_overshoot {self.overshoot:g}: brake with at "
+                f"least {rate**2 / (2.0 * self.overshoot):.4g}, or leave it out"
+            )
         return self
+
+    @property
+    def overshoot(self) -> float:
+        """How far a stop may go on [mm or bar]."""
+        return self.stop_overshoot or min(0.2, 0.02 * (self.limits.upper - self.limits.lower))
 
     @property
     def dt_s(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from .config import RunSettings
 from .phases.phase import Phase
 from .phases.timely import timely
 from .phases.tracking import Tracking
+from .plausibility import ModelWatch
 from .sample import Sink
 from .transports.build import PlantFactory
 
@@ -81,7 +83,10 @@ def tracking_phase(settings: RunSettings) -> Tracking:
 
     drill = settings.drill
     fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)
-    return Tracking(tip, law_of_it, lead_in, fails)
+    estimator = getattr(tip_settings.controller, "estimator", None)
+    limit = math.inf if estimator is None else estimator.disturbance_limit_deg
+    watch = ModelWatch(settings.plausibility, limit, settings.dt_s)
+    return Tracking(tip, law_of_it, lead_in, watch, fails)
 
 
 def _fits(settings: RunSettings, dt_s: float, unit: str, limits: CommandLimits) -> None:

@@ -31,9 +31,11 @@ class Followed:
 
         Args:
             held: what the device says it holds; NaN where it does not tell.
-            sent: command sent last.
+            sent: command sent last; NaN before the first.
             now_ns: monotonic time now [ns].
         """
+        if math.isnan(sent):
+            return True, ""
         window = self._sent
         window.append((now_ns, sent))
         while len(window) > 1 and window[1][0] <= now_ns - self._window_ns:

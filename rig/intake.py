@@ -12,6 +12,7 @@ from pydantic import model_validator
 from hystmpc.trials.config import Settings
 
 from .followed import Followed
+from .plausibility import MotionWatch
 from .settings_types import Count, Positive
 from .transports.order import NEW, REPLAYED, Order
 from .transports.reading import Reading
@@ -61,11 +62,16 @@ class Seen:
         angle_deg: the newest accepted angle, NaN where none is new.
         faults: names of what was rejected or missing.
         dead: why the run has to stop, empty while it has not.
+        held: the command that the device holds, told by a new reading that is not stale, whatever its angle; NaN where
+            there is none or the device does not listen to this session.
+        follows: whether the device holds what it was sent lately; True where it does not tell.
     """
 
     angle_deg: float
     faults: tuple[str, ...]
     dead: str
+    held: float = math.nan
+    follows: bool = True
 
 
 @final
@@ -79,17 +85,18 @@ class Intake:
     Args:
         settings: the limits.
         start_ns: monotonic time from which silence counts [ns].
+        watch: compares commanded with measured motion; None does not.
     """
 
-    def __init__(self, settings: SensorSettings, start_ns: int) -> None:
-        self._settings, self._order = settings, Order()
+    def __init__(self, settings: SensorSettings, start_ns: int, watch: MotionWatch | None = None) -> None:
+        self._settings, self._order, self._watch = settings, Order(), watch
         self._accepted_ns, self._angle = start_ns, math.nan
         self._flight_ns: float | None = None
         self._repeats, self._travel, self._command = 0, 0.0, math.nan
         self._followed = Followed(settings.held_tolerance, settings.dead_after_s)
         self._dead = ""
+        self._held = math.nan
         self.counts: Counter[str] = Counter()
-        self.held = math.nan
 
     def judge(self, readings: list[Reading], now_ns: int, command: float) -> Seen:
         """The newest plausible angle among what has arrived.
@@ -97,11 +104,11 @@ class Intake:
         Args:
             readings: in the order of arrival.
             now_ns: monotonic time now [ns].
-            command: the command sent last; its travel tells a frozen sensor from a resting one.
+            command: the command sent last; its travel tells a frozen sensor from a resting one. NaN before the first.
         """
         faults: list[str] = []
-        angle = math.nan
-        self._travel += abs(command - self._command) if math.isfinite(self._command) else 0.0
+        angle = self._held = math.nan
+        self._travel += abs(command - self._command) if math.isfinite(command - self._command) else 0.0
         self._command = command
         for reading in readings:
             fault = self._fault(reading, now_ns)
@@ -111,15 +118,15 @@ class Intake:
                 angle = self._accept(reading)
         if math.isnan(angle) and not faults:
             faults.append("no-angle")
-        follows, stray = self._followed.judge(math.nan if math.isnan(angle) else self.held, command, now_ns)
+        follows, stray = self._followed.judge(self._held, command, now_ns)
         if not follows:
             faults.append("not-followed")
-        self._dead = self._dead or stray
+        self._dead = self._dead or stray or ("" if self._watch is None else self._watch.judge(angle, command, now_ns))
         silent_s = _S * (now_ns - self._accepted_ns)
         if not self._dead and silent_s > self._settings.dead_after_s:
             self._dead = f"sensor dead: no plausible angle for {silent_s:.2f} s ({', '.join(sorted(set(faults)))})"
         self.counts.update(faults)
-        return Seen(angle, tuple(dict.fromkeys(faults)), self._dead)
+        return Seen(angle, tuple(dict.fromkeys(faults)), self._dead, self._held, follows)
 
     @property
     def lost(self) -> int:
@@ -135,6 +142,7 @@ class Intake:
             return "device-restarted"
         if self._age_s(reading, now_ns) > self._settings.age_limit_s:
             return "stale"
+        self._held = reading.held if reading.listens else math.nan
         return self._implausible(reading)
 
     def _age_s(self, reading: Reading, now_ns: int) -> float:
@@ -164,5 +172,5 @@ class Intake:
         return "frozen" if frozen else ""
 
     def _accept(self, reading: Reading) -> float:
-        self._accepted_ns, self._angle, self.held = reading.received_ns, reading.angle_deg, reading.held
+        self._accepted_ns, self._angle = reading.received_ns, reading.angle_deg
         return reading.angle_deg

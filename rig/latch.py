@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import final
 
+from filelock import FileLock, Timeout
 from platformdirs import user_state_path
 
 from hystmpc.trials.errors import ConfigError
@@ -19,6 +22,9 @@ RUNNING = "the program was killed while it controlled the device"
 @final
 class Latch:
     """One file for one device. It is set while a run lasts, so that a killed program leaves it set.
+
+    Beside it lies a lock of the operating system. A run holds it from before it looks at the latch until after it has
+    released it: two programs never share a device, and the lock of one that was killed is free.
 
     Args:
         file: where it is; the folder is made.
@@ -32,13 +38,37 @@ class Latch:
         """The latch of a device: `file`, or one in the user's state folder."""
         return cls(file or user_state_path("hystmpc", appauthor=False) / f"{name}.latched.json")
 
+    @contextmanager
+    def held(self) -> Iterator[Latch]:
+        """The latch, for this program alone while the block lasts.
+
+        Raises:
+            ConfigError: if another program controls the device now, or the lock cannot be made.
+        """
+        lock = FileLock(self.file.with_name(self.file.name + ".lock"))
+        try:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            lock.acquire(blocking=False)
+        except Timeout:
+            process = (self._read() or {}).get("pid", "of unknown number")
+            raise ConfigError(
+                f"{self.file}: process {process} controls this device now, expected it to have ended"
+            ) from None
+        except OSError as error:
+            raise ConfigError(
+                f"{lock.lock_file}: cannot be locked ({error.strerror}), expected a place to latch"
+            ) from None
+        try:
+            yield self
+        finally:
+            lock.release()
+
     def require_released(self) -> None:
         """Refuse to move a device whose last run was stopped.
 
         Raises:
-            ConfigError: with the cause and how to reset, or if another program controls the device now.
+            ConfigError: with the cause and how to reset.
         """
-        self.require_unused()
         held = self._read()
         if held is not None:
             raise ConfigError(
@@ -46,26 +76,14 @@ class Latch:
                 f"--reset (latch: {self.file})"
             )
 
-    def require_unused(self) -> None:
-        """Refuse to touch a device that another program controls.
-
-        Raises:
-            ConfigError: if one does.
-        """
-        held = self._read() or {}
-        cause, process = held.get("cause"), held.get("pid")
-        if cause == RUNNING and isinstance(process, int) and process != os.getpid() and _alive(process):
-            raise ConfigError(f"{self.file}: process {process} controls this device now, expected it to have ended")
-
     def set(self, cause: str) -> None:
         """Remember a stop.
 
         Raises:
             ConfigError: if the file cannot be written: a run that could not be latched must not start.
         """
-        text = {"cause": cause, "since": datetime.now(UTC).isoformat(timespec="seconds"), "pid": os.getpid()}
         try:
-            write_atomically(self.file, json.dumps(text, indent=2) + "\n")
+            write_atomically(self.file, latch_text(cause))
         except OSError as error:
             raise ConfigError(f"{self.file}: cannot be written ({error.strerror}), expected a place to latch") from None
 
@@ -91,11 +109,7 @@ class Latch:
         return found if isinstance(found, dict) else {"cause": "unreadable latch", "since": "?"}
 
 
-def _alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
+def latch_text(cause: str) -> str:
+    """What a latch says: the cause, since when, and which process has set it."""
+    text = {"cause": cause, "since": datetime.now(UTC).isoformat(timespec="seconds"), "pid": os.getpid()}
+    return json.dumps(text, indent=2) + "\n"

@@ -1,12 +1,14 @@
-"""The loop at a bench: absolute deadlines on a monotonic clock, one phase after another, a safe stop at every end."""
+"""The loop at a bench: absolute deadlines on a monotonic clock, one phase after another, a safe end."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import final
 
+from .anchor import Anchor
 from .clock import Clock
 from .gate import Gate
 from .histogram import Timings
@@ -23,7 +25,8 @@ _READINGS = 64  # taken at most in one sample; a flood must not cost the deadlin
 _PILED_UP = 100_000
 _REMEMBERED = 200_000  # samples of preparation that a controller can be told of
 
-SafeStopOf = Callable[[str, float], SafeStop]
+# Cause, and velocity of the command, to the phase that leads to the safe command; no cause at the regular end.
+ToSafe = Callable[[str, float], SafeStop]
 
 
 @final
@@ -34,14 +37,18 @@ class ControlLoop:
     Samples that have passed wholly are skipped and told to the phase. The loop stops safely on a signal, a
     dead sensor, a fault of a phase, anything raised, and after standing still for longer than `stall_s`.
 
+    Nothing is sent while it is not known what the device holds, see `Anchor`. The transport says goodbye only where the
+    device has said that it holds the safe command.
+
     Args:
         clock: time.
         transport: the device.
         intake: judge of what it measures.
         gate: hard limits.
+        anchor: judge of whether anything may be sent.
         dt_s: sample time [s].
         sink: takes every sample.
-        safe_stop: cause and velocity of the command to the phase that ends the run.
+        to_safe: makes the last phase of every run.
         flag: asks for a stop from outside.
         stall_s: greatest time between two samples [s].
     """
@@ -52,14 +59,21 @@ class ControlLoop:
         transport: Transport,
         intake: Intake,
         gate: Gate,
+        anchor: Anchor,
         dt_s: float,
         sink: Sink,
-        safe_stop: SafeStopOf,
+        to_safe: ToSafe,
         flag: StopFlag,
         stall_s: float = 0.5,
     ) -> None:
         self._clock, self._transport, self._intake, self._gate = clock, transport, intake, gate
-        self._dt_ns, self._sink, self._safe_stop, self._flag = round(1e9 * dt_s), sink, safe_stop, flag
+        self._anchor, self._dt_ns, self._sink, self._to_safe, self._flag = (
+            anchor,
+            round(1e9 * dt_s),
+            sink,
+            to_safe,
+            flag,
+        )
         self._stall_ns = round(1e9 * stall_s)
         self.timings = Timings(dt_s)
         self.faults: Counter[str] = Counter()
@@ -67,14 +81,14 @@ class ControlLoop:
         self._rest: deque[Phase] = deque()
         self._past_u: deque[float] = deque(maxlen=_REMEMBERED)
         self._past_y: deque[float] = deque(maxlen=_REMEMBERED)
-        self._start_ns = self._woke_ns = 0
-        self._sequence = self._skipped = self._unsent = self._refused = 0
+        self._start_ns = self._woke_ns = self._boot_ns = 0
+        self._sequence = self._skipped = self._waited = self._commands = self._unsent = self._refused = 0
         self._late = False
         self._newest: Reading | None = None
-        self._cause, self._stop_s, self._safe_s = "", math.nan, math.nan
+        self._cause, self._stop_s, self._safe_s, self._confirmed = "", math.nan, math.nan, False
 
     def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> Outcome:
-        """Go through the phases; whatever happens, the device is left at rest and the transport closed.
+        """Go through the phases and lead the device to the safe command; whatever happens, the transport is closed.
 
         Args:
             phases: what to do.
@@ -85,49 +99,96 @@ class ControlLoop:
         now = self._clock.now_ns()
         deadline = now + self._dt_ns + (beat_ns - now) % self._dt_ns
         self._start_ns = self._woke_ns = deadline - self._dt_ns
+        self._boot_ns = self._clock.boot_ns()
         going = True
         while going:
             self._clock.wait_until(deadline)
             going = self._sample(deadline)
             deadline = self._next(deadline)
         try:
-            self._transport.stop()
-        except Exception:  # noqa: BLE001 - the device is at rest; there is nobody left to tell
+            self._transport.stop(goodbye=self._confirmed)
+        except Exception:  # noqa: BLE001 - the run is over; there is nobody left to tell
             self._unsent += 1
         counts = self._gate.clipped, self._unsent, self._refused
-        return Outcome(self._cause, self._sequence, self._stop_s, self._safe_s, *counts, dict(self.faults))
+        return Outcome(
+            self._cause, self._sequence, self._stop_s, self._safe_s, self._confirmed, *counts, dict(self.faults)
+        )
 
     def _sample(self, deadline: int) -> bool:
         """One sample; False after the last one."""
-        woke = self._clock.now_ns()
+        woke, boot = self._clock.now_ns(), self._clock.boot_ns()
+        if boot - self._boot_ns > self._stall_ns + self._dt_ns:
+            self._flag.set(f"the loop stood still for {_S * (boot - self._boot_ns):.2f} s")
+        self._boot_ns = boot
         seen = self._look(woke)
-        now = Now(seen.angle_deg, self._gate.last, self._late, self._skipped)
         stop = self._flag.cause or seen.dead
-        if stop:
+        sure = self._anchor.judge(seen, boot)
+        if not sure:
+            return self._wait(woke, deadline, seen, stop)
+        skipped = self._skipped + (self._waited if self._commands else 0)
+        now = Now(seen.angle_deg, self._gate.last, self._late, skipped, seen.held)
+        if self._waited and isinstance(self._phase, SafeStop):
+            self._phase.begin(now, Past([], []))  # the way out starts where the device was found
+        self._waited = 0
+        if stop := stop or self._anchor.moved:
             self._halt(stop, now)
         decision = self._decide(now)
-        self._past_u.append(u := self._gate.admit(decision.u))
-        self._past_y.append(seen.angle_deg)
+        u = self._gate.admissible(decision.u, self._clock.now_ns())
         sent = self._send(u)
+        held = self._gate.last
+        self._past_u.append(held)
+        self._past_y.append(seen.angle_deg)
+        faults = seen.faults if sent else (*seen.faults, "command-not-sent")
+        self._conclude(woke, deadline, seen, decision, held, faults)
+        if not decision.finished:
+            return True
+        if isinstance(self._phase, SafeStop):
+            self._confirmed = self._phase.confirmed
+            if self._cause and self._phase.sent:
+                self._safe_s = _S * (self._clock.now_ns() - self._start_ns)
+            return False
+        self._phase = None
+        return True
+
+    def _wait(self, woke: int, deadline: int, seen: Seen, stop: str) -> bool:
+        """Send nothing in this sample, since it is not known what the device holds; False where that is given up."""
+        over = self._anchor.given_up or (stop if not self._commands else "")
+        held = seen.held if math.isfinite(seen.held) else self._gate.last
+        if math.isfinite(held):
+            self._past_u.append(held)
+            self._past_y.append(seen.angle_deg)
+        try:
+            self._transport.greet()
+        except Exception:  # noqa: BLE001 - as a command that did not leave
+            self._unsent += 1
+        decision = Decision(held, "wait", over or "nothing is sent until it is known what the device holds")
+        faults = (*seen.faults, "held-unknown") if self._commands else seen.faults
+        self._conclude(woke, deadline, seen, decision, held, faults)
+        self._waited += 1
+        if not over:
+            return True
+        if not self._cause:
+            self._cause, self._stop_s = stop or over, _S * (self._clock.now_ns() - self._start_ns)
+        if over not in self._cause:
+            self._cause = f"{self._cause}; {over}"
+        return False
+
+    def _conclude(
+        self, woke: int, deadline: int, seen: Seen, decision: Decision, u: float, faults: tuple[str, ...]
+    ) -> None:
+        """Count and hand on what the sample was."""
         done = self._clock.now_ns()
         period = woke - self._woke_ns
         self._count(period, woke - deadline, done - woke)
         self._late = done > deadline + self._dt_ns
         self.timings.missed += self._late
-        faults = seen.faults if sent else (*seen.faults, "command-not-sent")
         if self._late:
             faults = (*faults, "deadline-missed")
         self.faults.update(faults)
-        self._hand_on(self._record(woke, deadline, period, seen, decision, u, faults, done - woke))
+        if math.isfinite(u):  # before the first contact there is nothing to record
+            self._hand_on(self._record(woke, deadline, period, seen, decision, u, faults, done - woke))
         self._woke_ns = woke
         self._sequence += 1
-        if not decision.finished:
-            return True
-        if isinstance(self._phase, SafeStop):
-            self._safe_s = _S * (done - self._start_ns)
-            return False
-        self._phase = None
-        return bool(self._rest)
 
     def _drain(self) -> None:
         """Throw away what has piled up before the first sample, all but the newest: it is old."""
@@ -153,14 +214,14 @@ class ControlLoop:
         except Exception as error:  # noqa: BLE001 - a device's driver may raise anything
             fault = f"transport-{type(error).__name__}"
         seen = self._intake.judge(readings, woke, self._gate.last)
-        return Seen(seen.angle_deg, (*seen.faults, fault), seen.dead) if fault else seen
+        return replace(seen, faults=(*seen.faults, fault)) if fault else seen
 
     def _decide(self, now: Now) -> Decision:
         """What the present phase wants; the stop's way out where it fails."""
         for _ in range(3):
             try:
                 if self._phase is None:
-                    phase = self._rest.popleft()
+                    phase = self._rest.popleft() if self._rest else self._to_safe("", self._gate.velocity)
                     phase.begin(now, Past(list(self._past_u), list(self._past_y)))
                     self._phase = phase
                 decision = self._phase.step(now)
@@ -175,20 +236,28 @@ class ControlLoop:
 
     def _halt(self, cause: str, now: Now) -> None:
         """Turn to the safe stop, once."""
-        if isinstance(self._phase, SafeStop):
+        if isinstance(self._phase, SafeStop) and self._phase.cause:
             return
         self._cause, self._stop_s = cause, _S * (self._clock.now_ns() - self._start_ns)
         self._rest.clear()
-        phase = self._safe_stop(cause, self._gate.velocity)
+        phase = self._to_safe(cause, self._gate.velocity)
         phase.begin(now, Past([], []))
         self._phase = phase
 
     def _send(self, u: float) -> bool:
+        """Whether the command has left; one that has not counts as never sent."""
+        if not self._anchor.in_time(self._clock.boot_ns()):
+            self._unsent += 1
+            return False
         try:
             self._transport.write(u)
         except Exception:  # noqa: BLE001 - counted and shown; a dead device ends the run by its silence
             self._unsent += 1
+            self._anchor.not_sent(self._clock.boot_ns())
             return False
+        self._gate.sent(u, self._clock.now_ns())
+        self._anchor.sent()
+        self._commands += 1
         return True
 
     def _hand_on(self, sample: Sample) -> None:
@@ -210,8 +279,6 @@ class ControlLoop:
         self._skipped = max(0, behind // self._dt_ns)
         self.timings.skipped += self._skipped
         self._sequence += self._skipped
-        if behind > self._stall_ns:
-            self._flag.set(f"the loop stood still for {_S * behind:.2f} s")
         return deadline + self._skipped * self._dt_ns
 
     def _record(

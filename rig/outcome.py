@@ -12,8 +12,9 @@ class Outcome:
     Attributes:
         cause: why it was stopped; empty after a run that came to its end.
         samples: samples with a command, and those skipped.
-        stop_s, safe_s: monotonic time since the start at which the stop began and the safe command was held [s]; NaN
-            without a stop.
+        stop_s, safe_s: monotonic time since the start at which the stop began, and at which the safe command had been
+            sent and, where `confirmed`, was held [s]; NaN without a stop, or where nothing could be sent any more.
+        confirmed: whether the device has said that it holds the safe command.
         clipped: commands that the last line has limited.
         unsent: commands that the transport did not take.
         refused: samples on which the sink raised, which it should not.
@@ -24,6 +25,7 @@ class Outcome:
     samples: int
     stop_s: float
     safe_s: float
+    confirmed: bool
     clipped: int
     unsent: int
     refused: int

@@ -20,11 +20,16 @@ Vec = NDArray[np.float64]
 
 
 class RampSettings(Settings):
-    """How fast the loop itself moves the command: preparation, lead-in and safe stop, in command units."""
+    """How fast the loop itself moves the command: preparation, lead-in and the way back, in command units.
+
+    A stop brakes first, see `stop_commands`: as gently as `acceleration_per_s2` where that keeps within the overshoot
+    allowed, else with the deceleration that the overshoot needs, or with `brake_per_s2` where it is given.
+    """
 
     velocity_per_s: Positive = 2.0
     acceleration_per_s2: Positive = 10.0
     jerk_per_s3: Positive = 100.0
+    brake_per_s2: Positive | None = None
 
     @property
     def limits(self) -> AngleMotion:
@@ -50,6 +55,37 @@ def ramp_commands(start: float, velocity: float, target: float, ramps: RampSetti
     commands = motion(dt_s * np.arange(1, steps + 1))
     commands[-1] = target
     return commands
+
+
+def stop_commands(
+    start: float, velocity: float, safe: float, ramps: RampSettings, overshoot: float, dt_s: float
+) -> Vec:
+    """Commands (N,) of a stop: from `start`, moving at `velocity`, to rest at `safe`.
+
+    The jerk-limited ramp where it stays between `start` and `safe` but for `overshoot`. Otherwise it brakes first, in a
+    straight line of velocity over time, which takes |v| / a and travels v^2 / (2 a), and ramps from rest:
+
+        a = max(acceleration_per_s2, v^2 / (2 overshoot)), or brake_per_s2
+
+    Args:
+        start: command held now.
+        velocity: of the command [unit/s].
+        safe: where the stop leads.
+        ramps: limits of the motion.
+        overshoot: how far the command may go beyond the way from `start` to `safe`, at either end.
+        dt_s: sample time [s].
+
+    Raises:
+        TrajectoryError: if ruckig finds no motion.
+    """
+    ramp = ramp_commands(start, velocity, safe, ramps, dt_s)
+    if min(start, safe) - overshoot <= ramp.min() and ramp.max() <= max(start, safe) + overshoot:
+        return ramp
+    brake = ramps.brake_per_s2 or max(ramps.acceleration_per_s2, velocity**2 / (2.0 * overshoot))
+    lasts_s = abs(velocity) / brake
+    t = np.minimum(dt_s * np.arange(1, math.ceil(lasts_s / dt_s) + 1), lasts_s)
+    braking = start + velocity * t - math.copysign(0.5 * brake, velocity) * t**2
+    return np.concatenate([braking, ramp_commands(float(braking[-1]), 0.0, safe, ramps, dt_s)])
 
 
 def way_commands(

@@ -10,7 +10,8 @@ from typing import Any
 
 from .stop_flag import StopFlag
 
-_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
+"""Signals that stop a run; a closed terminal sends SIGHUP to all its processes."""
 
 
 @contextmanager
@@ -27,7 +28,7 @@ def stopping_on_signals(flag: StopFlag) -> Iterator[None]:
         del frame
         flag.set(signal.Signals(number).name)
 
-    known = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
+    known = [getattr(signal, name) for name in STOPPING if hasattr(signal, name)]
     before = {number: signal.signal(number, stop) for number in known}
     try:
         yield

@@ -24,6 +24,7 @@ from .config import DeviceSettings, UdpListenSettings
 from .faulty_wire import FaultyDatagrams, FaultyReadings
 
 _MESSAGES = 64  # taken at most in one sample
+_AT_REST = 1e-3  # of the range
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class Served:
         beyond: commands beyond the drive's limits of value or rate, which were clipped; the rate is that over the time
             since the last command.
         watchdog: how often the controller fell silent.
+        unheard: commands that came after the watchdog had acted and before a new greeting; they were not taken.
         rejected: messages rejected, by cause.
     """
 
@@ -43,6 +45,7 @@ class Served:
     commands: int
     beyond: int
     watchdog: int
+    unheard: int
     rejected: dict[str, int]
 
 
@@ -60,12 +63,17 @@ def open_link(settings: DeviceSettings) -> DeviceLink:
     require_dds()
     from ..transports.dds_ import DdsLink
 
-    return DdsLink(settings.link)
+    return DdsLink(settings.link, settings.watchdog_s)
 
 
 @final
 class Device:
     """One simulated device.
+
+    Its watchdog leads the drive back to rest once the controller has been silent for `watchdog_s`. From then on no
+    command is taken until a controller greets anew; on a wire without greetings, until one lies where the drive is.
+    The return goes on until the first command that is taken. A goodbye ends the watchdog's count, but only where the
+    drive is at rest.
 
     Args:
         settings: of the server.
@@ -90,7 +98,8 @@ class Device:
         self._wire = FaultyReadings(settings.faults, settings.seed)
         self._dt, self._rest, self._held, self._target = settings.dt_s, held, held, held
         self._silent, self._first = math.inf, math.nan
-        self._samples = self._commands = self._beyond = self._bites = 0
+        self._deaf = False
+        self._samples = self._commands = self._beyond = self._bites = self._unheard = 0
         self._angle = plant.reset()
 
     def serve(self, flag: StopFlag, duration_s: float = math.inf) -> Served:
@@ -104,7 +113,8 @@ class Device:
             behind = clock.now_ns() - deadline
             deadline += max(0, behind // dt_ns) * dt_ns  # a stalled machine: samples are left out, not crowded
             self.sample(1e-9 * (clock.now_ns() - start))
-        return Served(self._samples, self._commands, self._beyond, self._bites, dict(self._link.counters))
+        counts = self._samples, self._commands, self._beyond, self._bites, self._unheard
+        return Served(*counts, dict(self._link.counters))
 
     def sample(self, t_s: float) -> None:
         """Take commands, move for one sample, measure, send what the faults leave."""
@@ -116,7 +126,7 @@ class Device:
         self._angle = self._plant.apply(self._held)
         since = t_s - self._first if math.isfinite(self._first) else -1.0
         raw = self._conversion.raw_angle(self._angle), self._conversion.raw_command(self._held)
-        self._wire.put(Outgoing(*raw, self._samples, time.monotonic_ns()), since)
+        self._wire.put(Outgoing(*raw, self._samples, time.monotonic_ns(), not self._deaf), since)
         for message in self._wire.due(since):
             self._link.send(message)
         if self._log is not None:
@@ -124,22 +134,38 @@ class Device:
         self._samples += 1
 
     def _receive(self) -> float:
-        """The newest command of this sample, NaN where there is none."""
+        """The newest command of this sample that is taken, NaN where there is none."""
         newest = math.nan
         for _ in range(_MESSAGES):
             message = self._link.receive()
             if message is None:
                 break
-            if message.stopped:
-                self._silent = math.inf  # it has left the device where it wanted it
-                continue
-            newest = self._conversion.command(message.command)
-            low, high = self._limits.lower, self._limits.upper
-            slack = 1e-9 * (high - low)
-            self._beyond += not low - slack <= newest <= high + slack
-            self._target, self._silent = newest, 0.0
-            self._commands += 1
+            if message.says == "greeting":
+                self._deaf = False
+            elif message.says == "goodbye":
+                self._leave()
+            else:
+                newest = self._taken(self._conversion.command(message.command), newest)
         return newest
+
+    def _leave(self) -> None:
+        """The watchdog rests where the drive does; anywhere else it goes on to count, or to return."""
+        if abs(self._held - self._rest) <= _AT_REST * (self._limits.upper - self._limits.lower):
+            self._silent = math.inf
+
+    def _taken(self, command: float, newest: float) -> float:
+        """The command, which is the new target; `newest` where the watchdog has acted and nobody has greeted since."""
+        low, high = self._limits.lower, self._limits.upper
+        if self._deaf and not self._link.greeted:
+            self._deaf = abs(command - self._held) > self._limits.rate * self._dt
+        if self._deaf:
+            self._unheard += 1
+            return newest
+        slack = 1e-9 * (high - low)
+        self._beyond += not low - slack <= command <= high + slack
+        self._target, self._silent = command, 0.0
+        self._commands += 1
+        return command
 
     def _watch(self) -> None:
         """Return to rest when the controller that moved the device has fallen silent."""
@@ -148,7 +174,9 @@ class Device:
         self._silent += self._dt
         if self._silent <= self._settings.watchdog_s:
             return
-        self._bites += self._silent - self._dt <= self._settings.watchdog_s
+        bites = self._silent - self._dt <= self._settings.watchdog_s
+        self._bites += bites
+        self._deaf = self._deaf or bites
         step = self._settings.watchdog_rate_per_s * self._dt
         self._target = self._held + min(max(self._rest - self._held, -step), step)
 

@@ -88,38 +88,58 @@ class PretensionCheck:
 
 @final
 class SafeStop:
-    """Leads the command to rest at the safe one, within the ramp's limits, and ends there.
+    """Leads the command to rest at the safe one and ends where the device has said that it holds it.
 
-    The safe command is sent `repeats` times, since a wire may lose some.
+    Every run ends with it: after its last phase, and after a stop. The safe command is sent `repeats` times at least,
+    since a wire may lose some; where the device does not say that it is there, `patience` times.
 
     Args:
         commands: held command to the commands (N,) to send; where it fails, the safe command itself is wanted, and the
             gate lets the device there as fast as the limits allow.
         safe: the safe command.
-        cause: why.
+        tolerance: how far beside it the device may be, in the command's unit.
+        cause: why; empty at the regular end of a run.
         repeats: how often it is sent at the end.
+        patience: how often it is sent to a device that does not say that it holds it.
+        attempts: how often the way out may begin; a device that follows none of them is left to its watchdog.
     """
 
-    name = "stop"
-
-    def __init__(self, commands: Callable[[float], Vec], safe: float, cause: str, repeats: int = 5) -> None:
-        self._plan, self._safe, self.cause, self._repeats = commands, safe, cause, repeats
+    def __init__(
+        self,
+        commands: Callable[[float], Vec],
+        safe: float,
+        tolerance: float,
+        cause: str,
+        repeats: int = 5,
+        patience: int = 25,
+        attempts: int = 5,
+    ) -> None:
+        self._plan, self._safe, self._tolerance, self.cause = commands, safe, tolerance, cause
+        self._repeats, self._patience, self._attempts = repeats, patience, attempts
+        self.name = "stop" if cause else "return"
+        self._status = f"safe stop: {cause}" if cause else "ok"
         self._commands: list[float] = []
         self._k, self._rested = 0, 0
+        self.sent = self.confirmed = False
 
     def begin(self, now: Now, past: Past) -> None:
-        """Work the way out; never raises."""
+        """Work the way out, also anew from where the device was found; never raises."""
         del past
+        self._attempts -= 1
         try:
             self._commands = self._plan(now.held).tolist()
         except Exception:  # noqa: BLE001 - a stop cannot fail: the gate's limits lead there as well
             self._commands = []
-        self._k = 0
+        self._k = self._rested = 0
 
     def step(self, now: Now) -> Decision:
-        """The next command; finished once the safe one is held."""
+        """The next command; finished once the safe one is held, or where no attempt is left."""
+        if self._attempts < 0:
+            return Decision(now.held, self.name, f"{self._status}; given up", finished=True)
         u = self._commands[self._k] if self._k < len(self._commands) else self._safe
         self._k += 1
         self._rested += abs(now.held - self._safe) <= 1e-9 * (1 + abs(self._safe))
-        there = self._k >= len(self._commands) and self._rested >= self._repeats
-        return Decision(u, "stop", f"safe stop: {self.cause}", finished=there)
+        self.confirmed = abs(now.told - self._safe) <= self._tolerance
+        self.sent = self._k >= len(self._commands) and self._rested >= self._repeats
+        there = self.sent and (self.confirmed or self._rested >= self._patience)
+        return Decision(u, self.name, self._status, finished=there)

@@ -13,15 +13,17 @@ class Now:
 
     Attributes:
         angle_deg: measured angle, NaN where none is usable [deg].
-        held: the command sent last, which the device holds.
+        held: the command sent last, or the one that the device was found to hold.
         late: whether the previous sample missed its deadline, so that there is no time for a plan.
         skipped: whole samples since the previous one in which nothing was sent and the device held `held`.
+        told: the command that the device says it holds, NaN where it does not tell.
     """
 
     angle_deg: float
     held: float
     late: bool = False
     skipped: int = 0
+    told: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from hystmpc.ctrl.command import Command, Source
 from hystmpc.ctrl.tip_controller import TipController
 from hystmpc.trajectories.trajectory import Trajectory
 
+from ..plausibility import ModelWatch
 from .phase import Decision, Now, Past
 from .timely import TimelyLaw
 
@@ -35,15 +36,21 @@ class Tracking:
         tip: the controller.
         law: its law, to be told that there is no time.
         lead_in: measured angle to the reference to follow.
+        watch: finds a model that the device does not obey.
         drill_s: from when until when the law is made to fail, as an exercise [s]; None for never.
     """
 
     name = "track"
 
     def __init__(
-        self, tip: TipController, law: TimelyLaw, lead_in: LeadIn, drill_s: tuple[float, float] | None = None
+        self,
+        tip: TipController,
+        law: TimelyLaw,
+        lead_in: LeadIn,
+        watch: ModelWatch,
+        drill_s: tuple[float, float] | None = None,
     ) -> None:
-        self._tip, self._law, self._lead_in, self._drill = tip, law, lead_in, drill_s
+        self._tip, self._law, self._lead_in, self._watch, self._drill = tip, law, lead_in, watch, drill_s
         self._reference: Trajectory | None = None
         self._worker: Thread | None = None
         self._past: Past | None = None
@@ -125,5 +132,5 @@ class Tracking:
             predicted_deg=predicted,
             stages_s=stages,
             finished=t >= reference.duration_s,
-            fault=f"controller {command.status}" if stopped else "",
+            fault=f"controller {command.status}" if stopped else self._watch.judge(command.disturbance),
         )

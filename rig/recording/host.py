@@ -16,6 +16,7 @@ from hystmpc.trials.run_folder import RunFolder
 from ..live.page import LivePage
 from ..live.terminal import TerminalView
 from ..sample import Sink
+from ..signals_ import STOPPING
 from .fan import Fan
 from .recording import Recording, RecordingMeta
 from .wire import unpack
@@ -25,8 +26,9 @@ _lock = Lock()
 
 def main() -> int:
     """Read the order, then samples until the pipe closes, which is also what a killed controller leaves."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # meant for the controller; this process ends after it
-        signal.signal(number, signal.SIG_IGN)
+    for name in STOPPING:  # meant for the controller; this process ends after it
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     order = json.loads(sys.stdin.buffer.readline() or b"{}")
     try:
         sink, page = _sinks(order)

@@ -17,15 +17,16 @@ from cyclonedds.topic import Topic
 
 from hystmpc.trials.errors import ConfigError
 
+from .admission import Admission
 from .dds_types_ import Float64, Float64Stamped, Header, Time
 from .link import Incoming, Outgoing
-from .order import NEW, RESTARTED, Order
 from .reading import Reading
 from .settings import DdsSettings
 from .units import Conversion
 
 _NS = 1_000_000_000
-_STOP = "stop"  # frame_id of a controller's last message
+# What a controller says by frame_id beside commands; a device says there which session it listens to.
+_GREETING, _GOODBYE, _LISTENS = "greeting", "goodbye", "listens:"
 
 # Discovery and data on one interface; unicast, so that nothing is announced beyond it.
 _XML = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{name}"/></Interfaces>
@@ -109,7 +110,8 @@ class DdsTransport:
 
     def __init__(self, settings: DdsSettings, conversion: Conversion) -> None:
         self._wire: _Wire | None = _Wire(settings, settings.command_topic, settings.angle_topic)
-        self._conversion, self._count = conversion, 0
+        self._conversion, self._count, self._session = conversion, 0, self._wire.session
+        self._device_has_sessions = False
         self._counters: Counter[str] = Counter()
 
     @property
@@ -127,7 +129,10 @@ class DdsTransport:
         if isinstance(message, Float64Stamped):
             stamp = message.header.stamp
             sent, held = stamp.sec * _NS + stamp.nanosec, self._conversion.command(message.held)
-            return Reading(angle, message.sequence, message.session, sent, now, held)
+            note = message.header.frame_id
+            self._device_has_sessions = note.startswith(_LISTENS)
+            listens = not self._device_has_sessions or note == f"{_LISTENS}{self._session:08x}"
+            return Reading(angle, message.sequence, message.session, sent, now, held, listens)
         sent = int(message.sample_info.source_timestamp)
         return Reading(angle, self._count, 0, sent - time.time_ns() + now, now, math.nan)
 
@@ -136,31 +141,40 @@ class DdsTransport:
         if self._wire is not None:
             self._wire.write(self._conversion.raw_command(command), 0.0)
 
-    def stop(self) -> None:
-        """Say goodbye, where the message can, and leave the domain."""
+    def greet(self) -> None:
+        """Ask the device to listen; one that has no sessions would take this for a command."""
+        if self._wire is not None and self._device_has_sessions:
+            self._wire.write(math.nan, 0.0, note=_GREETING)
+
+    def stop(self, goodbye: bool = False) -> None:
+        """Leave the domain; say goodbye before where that is wanted and the device has sessions."""
         wire, self._wire = self._wire, None
         if wire is not None:
-            if wire.stamped:
-                wire.write(math.nan, 0.0, note=_STOP)
+            if goodbye and self._device_has_sessions:
+                wire.write(math.nan, 0.0, note=_GOODBYE)
                 time.sleep(0.02)  # the last message leaves before the writer does
             wire.close()
 
 
 @final
 class DdsLink:
-    """The device's end: reads the command's topic, writes the angle's.
+    """The device's end: reads the command's topic, writes the angle's. One controller at a time, see `Admission`.
+
+    Plain Float64 has no sessions: every command is taken.
 
     Args:
         settings: topics, message, domain, quality of service.
+        silence_s: how long a controller has to be silent before another may take its place [s].
 
     Raises:
         ConfigError: if the domain cannot be joined.
     """
 
-    def __init__(self, settings: DdsSettings) -> None:
+    def __init__(self, settings: DdsSettings, silence_s: float) -> None:
         self._wire = _Wire(settings, settings.angle_topic, settings.command_topic)
-        self._order = Order()
+        self._admission = Admission(silence_s)
         self._counters: Counter[str] = Counter()
+        self.greeted = self._wire.stamped
 
     @property
     def counters(self) -> Mapping[str, int]:
@@ -168,24 +182,35 @@ class DdsLink:
         return self._counters
 
     def receive(self) -> Incoming | None:
-        """The oldest command not yet taken."""
+        """The oldest message of the controller that has the device."""
         while (message := self._wire.take()) is not None:
-            if isinstance(message, Float64Stamped):
-                if self._order.judge(message.session, message.sequence) not in (NEW, RESTARTED):
-                    self._counters["replayed-or-reordered"] += 1
-                    continue
-                if message.header.frame_id == _STOP:
-                    return Incoming(math.nan, stopped=True)
-            if math.isfinite(message.data):
-                return Incoming(message.data)
-            self._counters["not-a-number"] += 1
+            said = self._said(message) if self._wire.stamped else _command(message.data)
+            if isinstance(said, Incoming):
+                return said
+            self._counters[said] += 1
         return None
 
     def send(self, message: Outgoing) -> None:
-        """Send a measurement."""
+        """Send a measurement, and which session is listened to."""
         stamp_ns = message.stamp_ns + time.time_ns() - time.monotonic_ns()  # ROS stamps are those of the wall clock
-        self._wire.write(message.angle, message.held, message.sequence, stamp_ns)
+        session = self._admission.session if message.listens else None
+        note = f"{_LISTENS}none" if session is None else f"{_LISTENS}{session:08x}"
+        self._wire.write(message.angle, message.held, message.sequence, stamp_ns, note)
 
     def close(self) -> None:
         """Leave the domain."""
         self._wire.close()
+
+    def _said(self, message: Any) -> Incoming | str:
+        """What an admitted message says, or why it is refused; it has to come from the writer that has greeted."""
+        writer = message.sample_info.publication_handle
+        come = writer, message.session, message.sequence, time.monotonic_ns()
+        if message.header.frame_id == _GREETING:
+            return self._admission.greeting(*come) or Incoming(says="greeting")
+        if message.header.frame_id == _GOODBYE:
+            return self._admission.goodbye(*come) or Incoming(says="goodbye")
+        return self._admission.command(*come) or _command(message.data)
+
+
+def _command(raw: float) -> Incoming | str:
+    return Incoming(raw) if math.isfinite(raw) else "not-a-number"

@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 
 @dataclass(frozen=True, slots=True)
 class Outgoing:
-    """A measurement on its way: raw angle and held command in the wire's units, sequence, sender's clock [ns]."""
+    """A measurement on its way.
+
+    Attributes:
+        angle, held: raw angle and held command in the wire's units.
+        sequence: rises by one a measurement.
+        stamp_ns: sender's clock [ns].
+        listens: whether commands are taken now, or a new greeting is wanted first.
+    """
 
     angle: float
     held: float
     sequence: int
     stamp_ns: int
+    listens: bool = True
+
+
+Says = Literal["command", "greeting", "goodbye"]
 
 
 @dataclass(frozen=True, slots=True)
 class Incoming:
-    """What a controller says: a raw command, or that it has stopped (then `command` is NaN)."""
+    """What the controller that is listened to says; `command` is the raw one, NaN unless it says one."""
 
-    command: float
-    stopped: bool = False
+    command: float = math.nan
+    says: Says = "command"
 
 
 class DeviceLink(Protocol):
     """What a device server talks through. Nothing blocks."""
+
+    greeted: bool
+    """Whether controllers greet on this wire: without sessions they cannot."""
 
     def receive(self) -> Incoming | None:
         """The oldest message not yet taken, None where there is none."""

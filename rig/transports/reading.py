@@ -18,6 +18,7 @@ class Reading:
         sent_ns: the sender's monotonic clock, of any origin [ns].
         received_ns: this process's monotonic clock at receipt [ns].
         held: the command that the device holds; NaN where it does not tell.
+        listens: whether the device takes commands of this session; True where it does not tell.
     """
 
     angle_deg: float
@@ -26,6 +27,7 @@ class Reading:
     sent_ns: int
     received_ns: int
     held: float
+    listens: bool = True
 
 
 class Transport(Protocol):
@@ -39,8 +41,17 @@ class Transport(Protocol):
         """Send a command, in the run's unit."""
         ...
 
-    def stop(self) -> None:
-        """Tell the device that nobody will command it any more, and close; may be called twice."""
+    def greet(self) -> None:
+        """Ask the device to take commands of this session, again after its watchdog has acted; nothing is moved."""
+        ...
+
+    def stop(self, goodbye: bool = False) -> None:
+        """Close; may be called twice.
+
+        Args:
+            goodbye: whether to tell the device that nobody will command it any more, so that its watchdog may rest.
+                Only for a device that has said that it holds the safe command.
+        """
         ...
 
     @property

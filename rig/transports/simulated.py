@@ -35,9 +35,9 @@ class SimulatedTransport:
     def __init__(self, plant: Plant, dt_s: float, held: float, now_ns: Callable[[], int]) -> None:
         if abs(plant.dt - dt_s) > 1e-9 * dt_s:
             raise ConfigError(f"simulated device: got a plant at {plant.dt} s, expected the loop's {dt_s} s")
-        self._plant, self._held, self._now = plant, held, now_ns
+        self._plant, self._held, self._now, self._dt_ns = plant, held, now_ns, round(1e9 * dt_s)
         self._angle, self._sequence = plant.reset(), 0
-        self._fresh, self._moved = True, False
+        self._read_ns: int | None = None
 
     @property
     def counters(self) -> Mapping[str, int]:
@@ -45,21 +45,23 @@ class SimulatedTransport:
         return {}
 
     def read(self) -> Reading | None:
-        """The angle at the end of the last sample, once; that at rest, before the first command, as often as asked."""
-        if not self._fresh:
-            self._fresh = not self._moved
-            return None
-        self._fresh = False
+        """The angle at the end of the last sample: once after every command, and once a sample time without one."""
         now = self._now()
+        if self._read_ns is not None and now - self._read_ns < self._dt_ns:
+            return None
+        self._read_ns, self._sequence = now, self._sequence + 1
         return Reading(self._angle, self._sequence, 0, now, now, self._held)
 
     def write(self, command: float) -> None:
         """Let one sample pass under the command."""
-        self._angle, self._held = self._plant.apply(command), command
-        self._sequence, self._fresh, self._moved = self._sequence + 1, True, True
+        self._angle, self._held, self._read_ns = self._plant.apply(command), command, None
 
-    def stop(self) -> None:
+    def greet(self) -> None:
+        """Nothing to do: it always listens."""
+
+    def stop(self, goodbye: bool = False) -> None:
         """Leave the plant in its safe state."""
+        del goodbye
         self._plant.stop()
 
 
@@ -104,4 +106,8 @@ def recorded_plant(run: RunFolder, dt_s: float) -> tuple[RecordedPlant, float]:
     if "angle_deg" not in log or not names:
         raise LogError(f"{run.path}: the log has columns {', '.join(log)}, expected angle_deg and command")
     angles, commands = (np.asarray(log[name], dtype=np.float64) for name in ("angle_deg", names[0]))
+    sent = np.array([source != "wait" for source in log.get("source", angles)])  # nothing moved while nothing was sent
+    angles, commands = angles[sent], commands[sent]
+    if not angles.size:
+        raise LogError(f"{run.path}: got a run in which nothing was sent, expected commands")
     return RecordedPlant(angles, dt_s), float(commands[0])

@@ -13,9 +13,9 @@ from typing import Any, Protocol, final
 
 from hystmpc.trials.errors import ConfigError
 
+from .admission import Admission
 from .datagram import SIZE, Datagram, Kind, decode, encode
 from .link import Incoming, Outgoing
-from .order import NEW, RESTARTED, Order
 from .reading import Reading
 from .settings import UdpSettings
 from .units import Conversion
@@ -96,8 +96,8 @@ class UdpTransport:
 
     def read(self) -> Reading | None:
         """The oldest measurement that has not been read yet."""
-        if not self._answered:
-            self._greet()
+        if not self._answered and time.monotonic_ns() - self._greeted_ns >= _HELLO_NS:
+            self.greet()
         for _ in range(_TRIES):
             try:
                 data = self._wire.recv(SIZE + 1)
@@ -122,24 +122,23 @@ class UdpTransport:
         """Send a command."""
         self._send(Kind.COMMAND, self._conversion.raw_command(command))
 
-    def stop(self) -> None:
-        """Say goodbye, more than once since one may be lost, and close."""
+    def greet(self) -> None:
+        """Ask the device to listen; one that is not there is counted."""
+        self._greeted_ns = time.monotonic_ns()
+        try:
+            self._send(Kind.HELLO, 0.0)
+        except ConnectionRefusedError:
+            self._counters["nobody listens"] += 1
+
+    def stop(self, goodbye: bool = False) -> None:
+        """Close; say goodbye before where that is wanted, more than once since one may be lost."""
         if not self._open:
             return
         self._open = False
-        for _ in range(_GOODBYES):
+        for _ in range(_GOODBYES if goodbye else 0):
             with suppress(OSError):  # nobody is there to say goodbye to
                 self._send(Kind.STOP, 0.0)
         self._wire.close()
-
-    def _greet(self) -> None:
-        now = time.monotonic_ns()
-        if now - self._greeted_ns >= _HELLO_NS:
-            self._greeted_ns = now
-            try:
-                self._send(Kind.HELLO, 0.0)
-            except ConnectionRefusedError:
-                self._counters["nobody listens"] += 1
 
     def _send(self, kind: Kind, value: float) -> None:
         self._sequence += 1
@@ -148,7 +147,7 @@ class UdpTransport:
 
 @final
 class UdpLink:
-    """The device's end: one controller at a time. Another is heard only after the first has been silent or has left.
+    """The device's end: one controller at a time, see `Admission`.
 
     Args:
         host, port: where to listen; port 0 takes a free one.
@@ -159,15 +158,15 @@ class UdpLink:
         ConfigError: if the address cannot be had.
     """
 
+    greeted = True
+
     def __init__(
         self, host: str, port: int, silence_s: float, through: Callable[[Datagrams], Datagrams] | None = None
     ) -> None:
         wire = _open(host, port, "the device")
         self._wire: Datagrams = wire if through is None else through(wire)
-        self._silence_ns = round(1e9 * silence_s)
-        self._session, self._order = secrets.randbits(32), Order()
+        self._session, self._admission = secrets.randbits(32), Admission(silence_s)
         self._peer: Peer | None = None
-        self._heard_ns = 0
         self._counters: Counter[str] = Counter()
 
     @property
@@ -181,7 +180,7 @@ class UdpLink:
         return self._counters
 
     def receive(self) -> Incoming | None:
-        """The oldest command, or goodbye, of the controller that has the device."""
+        """The oldest message of the controller that has the device."""
         for _ in range(_TRIES):
             try:
                 data, peer = self._wire.recvfrom(SIZE + 1)
@@ -190,17 +189,10 @@ class UdpLink:
             except ConnectionError:  # the answer to a datagram that nobody took
                 continue
             message = decode(data)
-            if isinstance(message, str):
-                self._counters[message] += 1
-            elif not self._admitted(message, peer):
-                continue
-            elif message.kind is Kind.STOP:
-                self._peer = None
-                return Incoming(math.nan, stopped=True)
-            elif message.kind is Kind.COMMAND:
-                if math.isfinite(message.value):
-                    return Incoming(message.value)
-                self._counters["not-a-number"] += 1
+            said = message if isinstance(message, str) else self._said(message, peer)
+            if isinstance(said, Incoming):
+                return said
+            self._counters[said] += 1
         return None
 
     def send(self, message: Outgoing) -> None:
@@ -217,22 +209,21 @@ class UdpLink:
         """Free the port."""
         self._wire.close()
 
-    def _admitted(self, message: Datagram, peer: Peer) -> bool:
-        """Whether it comes from the controller that has the device, or from one that may take it now."""
-        if message.kind is Kind.READING:
-            self._counters["not a command"] += 1
-            return False
-        now = time.monotonic_ns()
-        free = self._peer is None or now - self._heard_ns > self._silence_ns
-        if peer != self._peer and not free:
-            self._counters["another controller"] += 1
-            return False
-        if peer != self._peer and message.kind is not Kind.HELLO:
-            if message.kind is not Kind.STOP:  # goodbyes come more than once
-                self._counters["no greeting"] += 1
-            return False
-        if self._order.judge(message.session, message.sequence) not in (NEW, RESTARTED):
-            self._counters["replayed-or-reordered"] += 1
-            return False
-        self._peer, self._heard_ns = peer, now
-        return True
+    def _said(self, message: Datagram, peer: Peer) -> Incoming | str:
+        """What an admitted message says, or why it is refused."""
+        come = peer, message.session, message.sequence, time.monotonic_ns()
+        if message.kind is Kind.HELLO:
+            if reason := self._admission.greeting(*come):
+                return reason
+            self._peer = peer
+            return Incoming(says="greeting")
+        if message.kind is Kind.STOP:
+            if reason := self._admission.goodbye(*come):
+                return reason
+            self._peer = None
+            return Incoming(says="goodbye")
+        if message.kind is not Kind.COMMAND:
+            return "not a command"
+        if reason := self._admission.command(*come):
+            return reason
+        return Incoming(message.value) if math.isfinite(message.value) else "not-a-number"

@@ -7,13 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.rig.anchor import Anchor
 from hystmpc.rig.gate import Gate
 from hystmpc.rig.intake import Intake, SensorSettings
 from hystmpc.rig.loop import ControlLoop
 from hystmpc.rig.outcome import Outcome
 from hystmpc.rig.phases.motion import CommandMotion, SafeStop
 from hystmpc.rig.phases.phase import Phase
-from hystmpc.rig.ramp import RampSettings, ramp_commands, way_commands
+from hystmpc.rig.plausibility import MotionWatch, PlausibilitySettings
+from hystmpc.rig.ramp import RampSettings, stop_commands, way_commands
 from hystmpc.rig.sample import Sample
 from hystmpc.rig.stop_flag import StopFlag
 from hystmpc.rig.transports.reading import Reading
@@ -22,6 +24,9 @@ DT = 0.04
 LIMITS = CommandLimits(0.0, 6.0, 10.0)
 SENSOR = SensorSettings(lower_deg=0.0, upper_deg=120.0)
 RAMPS = RampSettings()
+OVERSHOOT = 0.12
+BLIND = PlausibilitySettings(watch_motion=False)
+WATCHDOG_S, RETURN_PER_S = 0.5, 2.0
 NS = 1_000_000_000
 
 
@@ -31,9 +36,13 @@ class FakeClock:
 
     ns: int = 7 * NS
     wall: int = 1_700_000_000 * NS
+    suspended: int = 0
 
     def now_ns(self) -> int:
         return self.ns
+
+    def boot_ns(self) -> int:
+        return self.ns + self.suspended
 
     def wall_ns(self) -> int:
         return self.wall + self.ns
@@ -48,34 +57,78 @@ Script = Callable[[int, float], float | None]
 
 @dataclass
 class ScriptedTransport:
-    """A device whose angle is a function of sample and command; remembers every command."""
+    """A device whose angle is a function of the count of commands and of the one it holds; remembers every command.
+
+    With `watchdog` it returns to 0 by itself after half a second without a command, and then wants a new greeting.
+    """
 
     clock: FakeClock
     script: Script
     sent: list[float] = field(default_factory=list)
     costs_ns: Mapping[int, int] = field(default_factory=dict)
+    tells: bool = True
+    held: float = 0.0
+    watchdog: bool = False
+    fails: Callable[[int], bool] = lambda k: False
+    history: list[tuple[int, float]] = field(default_factory=list)
     stopped: int = 0
-    _k: int = -1
-    _asked: int = -1
+    goodbyes: int = 0
+    greeted: int = 0
+    _read_ns: int = -NS
+    _sequence: int = 0
+    _writes: int = 0
+    _written_ns: int | None = None
+    _lived_ns: int = 0
+    _deaf: bool = False
 
     @property
     def counters(self) -> Mapping[str, int]:
         return {}
 
     def read(self) -> Reading | None:
-        k = len(self.sent)
-        if self._asked == k:
+        self._live()
+        if self.clock.ns - self._read_ns < 0.5 * DT * NS:
             return None
-        self._asked = k
-        angle = self.script(k, self.sent[-1] if self.sent else 0.0)
-        return None if angle is None else Reading(angle, k, 1, self.clock.ns, self.clock.ns, math.nan)
+        self._read_ns, self._sequence = self.clock.ns, self._sequence + 1
+        angle = self.script(len(self.sent), self.held)
+        held = self.held if self.tells else math.nan
+        return None if angle is None else Reading(angle, self._sequence, 1, self.clock.ns, self.clock.ns, held)
 
     def write(self, command: float) -> None:
+        self._writes += 1
+        if self.fails(self._writes):
+            raise OSError("no buffer space")
         self.clock.ns += self.costs_ns.get(len(self.sent), 0)
+        self._live()
         self.sent.append(command)
+        if not self._deaf:
+            self.held, self._written_ns = command, self.clock.ns
+            self.history.append((self.clock.ns, command))
 
-    def stop(self) -> None:
+    def greet(self) -> None:
+        self.greeted += 1
+        self._deaf = False
+
+    def rest(self) -> float:
+        """What the device holds when nobody has said anything for a long time."""
+        self.clock.ns += 10 * NS
+        self._live()
+        return self.held
+
+    def _live(self) -> None:
+        """What the device has done by itself since it was looked at."""
+        now = self.clock.ns + self.clock.suspended
+        bites = None if self._written_ns is None else self._written_ns + round(WATCHDOG_S * NS)
+        if self.watchdog and bites is not None and now > bites:
+            self._deaf = self._deaf or self._lived_ns <= bites
+            moved = RETURN_PER_S * 1e-9 * (now - max(bites, self._lived_ns))
+            self.held = max(0.0, self.held - moved)
+            self.history.append((now, self.held))
+        self._lived_ns = now
+
+    def stop(self, goodbye: bool = False) -> None:
         self.stopped += 1
+        self.goodbyes += goodbye
 
 
 @dataclass
@@ -101,19 +154,37 @@ class Rig:
     safe: float = 0.0
     sensor: SensorSettings = SENSOR
     costs_ns: Mapping[int, int] = field(default_factory=dict)
+    tells: bool = True
+    watchdog: bool = False
+    fails: Callable[[int], bool] = lambda k: False
+    plausibility: PlausibilitySettings = BLIND
 
     def __post_init__(self) -> None:
         self.clock, self.flag, self.sink = FakeClock(), StopFlag(), ListSink()
-        self.transport = ScriptedTransport(self.clock, self.script, costs_ns=self.costs_ns)
-        self.gate = Gate(LIMITS, DT, self.held)
-        self.intake = Intake(self.sensor, self.clock.ns)
+        self.transport = ScriptedTransport(
+            self.clock,
+            self.script,
+            costs_ns=self.costs_ns,
+            tells=self.tells,
+            held=self.held,
+            watchdog=self.watchdog,
+            fails=self.fails,
+        )
+        self.gate = Gate(LIMITS, DT)
+        if not self.tells:
+            self.gate.anchor(self.held)
+        watch = MotionWatch(self.plausibility, LIMITS.upper - LIMITS.lower, SENSOR.upper_deg - SENSOR.lower_deg)
+        self.intake = Intake(self.sensor, self.clock.ns, watch)
+        self.anchor = Anchor(self.gate, 0.1, 3 * DT, 0.5)
 
     def run(self, phases: Sequence[Phase]) -> Outcome:
-        def stop(cause: str, velocity: float) -> SafeStop:
-            return SafeStop(lambda held: ramp_commands(held, velocity, self.safe, RAMPS, DT), self.safe, cause)
+        def to_safe(cause: str, velocity: float) -> SafeStop:
+            return SafeStop(
+                lambda held: stop_commands(held, velocity, self.safe, RAMPS, OVERSHOOT, DT), self.safe, 0.1, cause
+            )
 
         self.loop = ControlLoop(
-            self.clock, self.transport, self.intake, self.gate, DT, self.sink, stop, self.flag, stall_s=0.5
+            self.clock, self.transport, self.intake, self.gate, self.anchor, DT, self.sink, to_safe, self.flag
         )
         return self.loop.run(phases)
 

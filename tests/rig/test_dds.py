@@ -50,7 +50,7 @@ def test_a_measurement_and_a_command_cross(message: str) -> None:
     from hystmpc.rig.transports.dds_ import DdsLink, DdsTransport
 
     settings = DdsSettings.parse({"kind": "dds", "domain": 73, "message": message})
-    link, transport = DdsLink(settings), DdsTransport(settings, SAME)
+    link, transport = DdsLink(settings, 0.3), DdsTransport(settings, SAME)
     try:
 
         def measured() -> Any:
@@ -64,13 +64,18 @@ def test_a_measurement_and_a_command_cross(message: str) -> None:
         reading = until(measured)
         assert reading.angle_deg == 42.5
         assert abs(reading.received_ns - time.monotonic_ns()) < 5e9
-        if message == "float64_stamped":
+        stamped = message == "float64_stamped"
+        assert reading.listens != stamped
+        if stamped:
             assert (reading.sequence, reading.held) == (7, 1.25)
+            transport.greet()
+            assert until(link.receive).says == "greeting"
+            assert until(lambda: (found := measured()) and found.listens and found).listens
         assert until(commanded) == Incoming(2.5)
         transport.write(math.nan)
-        transport.stop()
-        if message == "float64_stamped":
-            assert until(lambda: (m := link.receive()) and m.stopped and m).stopped
+        transport.stop(goodbye=True)
+        if stamped:
+            assert until(lambda: (m := link.receive()) and m.says == "goodbye" and m).says == "goodbye"
             assert link.counters["not-a-number"] == 1
     finally:
         transport.stop()

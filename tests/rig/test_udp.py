@@ -40,7 +40,7 @@ def pair() -> Iterator[tuple[UdpTransport, UdpLink]]:
     link = UdpLink("127.0.0.1", 0, silence_s=0.3)
     transport = UdpTransport(UdpSettings(kind="udp", port=link.port), SAME)
     assert transport.read() is None  # greets
-    wait_for(lambda: link.receive() or link._peer)
+    assert wait_for(link.receive) == Incoming(says="greeting")
     yield transport, link
     transport.stop()
     link.close()
@@ -88,8 +88,8 @@ def test_a_measurement_and_a_command_cross(pair: tuple[UdpTransport, UdpLink]) -
     assert (reading.angle_deg, reading.held, reading.sequence, reading.sent_ns) == (42.5, 1.25, 7, 123)
     transport.write(2.5)
     assert wait_for(link.receive) == Incoming(2.5)
-    transport.stop()
-    assert wait_for(link.receive).stopped
+    transport.stop(goodbye=True)
+    assert wait_for(link.receive).says == "goodbye"
 
 
 @given(st.lists(st.one_of(st.binary(max_size=60), MESSAGES.map(encode)), max_size=20))
@@ -135,11 +135,11 @@ def test_a_second_controller_is_heard_only_after_the_first_has_left(pair: tuple[
     transport.write(1.0)
     assert wait_for(link.receive) == Incoming(1.0)
     assert link.counters["another controller"] == 2
-    transport.stop()
-    wait_for(link.receive)
-    other._greeted_ns = 0
-    other.read()
+    transport.stop(goodbye=True)
+    assert wait_for(link.receive).says == "goodbye"
+    other.greet()
     other.write(2.0)
+    assert wait_for(link.receive).says == "greeting"
     assert wait_for(link.receive) == Incoming(2.0)
     other.stop()
 

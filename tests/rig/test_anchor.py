@@ -1,0 +1,252 @@
+"""Commands only where it is known what the device holds: after a pause, a failed send, a device that moved itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.rig.gate import Gate
+from hystmpc.rig.phases.phase import Decision, Now, Past
+from hystmpc.rig.plausibility import ModelWatch, MotionWatch, PlausibilitySettings
+from hystmpc.rig.ramp import RampSettings, stop_commands
+
+from .bench_parts import DT, LIMITS, NS, OVERSHOOT, RAMPS, Rig, following, travel
+
+STEP = LIMITS.rate * DT
+
+
+@dataclass
+class Rising:
+    """A phase that raises the command at a rate [unit/s] for 20 s."""
+
+    rate: float
+    samples: int = 0
+    name = "rising"
+
+    def begin(self, now: Now, past: Past) -> None:
+        del now, past
+
+    def step(self, now: Now) -> Decision:
+        self.samples += 1
+        return Decision(now.held + self.rate * DT, "rising", finished=self.samples >= 500)
+
+
+def rise_after(rig: Rig, moment_ns: int) -> float:
+    """How far the device moved away from the safe command after a moment."""
+    held = [u for t, u in rig.transport.history if t >= moment_ns]
+    return max((b - a for k, a in enumerate(held) for b in held[k:]), default=0.0)
+
+
+def test_a_paused_loop_does_not_drive_a_device_that_has_made_itself_safe() -> None:
+    """3 s of pause at 4 mm: the watchdog leads to 0, and nothing leads up again."""
+    rig = Rig(following, costs_ns={60: 3 * NS}, watchdog=True)
+    outcome = rig.run([travel(4.0, hold_s=10.0)])
+    resumed = next(k for k, s in enumerate(rig.sink.samples) if s.period_s > 1.0)
+    assert max(u for t, u in rig.transport.history) > 3.9
+    assert rise_after(rig, rig.transport.history[60][0] + 2 * NS) <= 1e-9
+    assert all(s.command == 0.0 for s in rig.sink.samples[resumed + 1 :])
+    assert "stood still" in outcome.cause
+    assert outcome.confirmed
+    assert rig.transport.held == 0.0
+
+
+@given(
+    at=st.integers(5, 80),
+    pause_s=st.floats(0.13, 5.0),
+    rate=st.floats(0.1, 10.0),
+    suspended=st.booleans(),
+)
+@settings(max_examples=60)
+def test_after_any_pause_the_device_never_moves_away_from_safe(
+    at: int, pause_s: float, rate: float, suspended: bool
+) -> None:
+    """Stalls and suspensions of any length, at any moment of a rise at any rate."""
+
+    def script(k: int, command: float) -> float:
+        if k == at and rig.clock.suspended == 0 and suspended:
+            rig.clock.suspended = round(pause_s * NS)
+        if k == at + 20:
+            rig.flag.set("end")
+        return following(k, command)
+
+    rig = Rig(script, costs_ns={} if suspended else {at: round(pause_s * NS)}, watchdog=True)
+    outcome = rig.run([Rising(rate)])
+    assert within_limits_while_commanding(rig)
+    stopped_ns = round(outcome.stop_s * NS) + 7 * NS
+    assert rise_after(rig, stopped_ns) <= OVERSHOOT + STEP
+    assert rig.transport.rest() == pytest.approx(0.0)
+
+
+def within_limits_while_commanding(rig: Rig) -> bool:
+    """Every command lies within the limits, and by at most a sample's rate beside what the device held then."""
+    steps = [b.command - a.command for a, b in pairwise(rig.sink.samples) if "wait" not in (a.source, b.source)]
+    inside = all(LIMITS.lower <= u <= LIMITS.upper for u in rig.transport.sent)
+    return inside and max(map(abs, steps), default=0.0) <= STEP + 1e-9
+
+
+def test_a_suspended_machine_is_a_gap_although_the_monotonic_clock_stood_still() -> None:
+    def script(k: int, command: float) -> float:
+        if k == 40:
+            rig.clock.suspended = 10 * NS
+        return following(k, command)
+
+    rig = Rig(script, watchdog=True)
+    outcome = rig.run([travel(4.0, hold_s=10.0)])
+    assert "stood still for 10" in outcome.cause
+    assert max(rig.transport.sent[40:]) == pytest.approx(0.0)
+
+
+def test_a_device_that_does_not_tell_gets_nothing_after_a_pause() -> None:
+    rig = Rig(following, costs_ns={60: 3 * NS}, tells=False, watchdog=True)
+    outcome = rig.run([travel(4.0, hold_s=10.0)])
+    assert len(rig.transport.sent) == 61
+    assert "has not told what it holds" in outcome.cause
+    assert not outcome.confirmed
+    assert math.isnan(outcome.safe_s)
+    assert rig.transport.goodbyes == 0
+    assert rig.transport.rest() == 0.0
+
+
+def test_failed_sends_do_not_let_the_gate_run_on() -> None:
+    """Ten commands in a row that do not leave, while the command rises as fast as the limits allow."""
+    rig = Rig(following, fails=lambda k: 8 <= k <= 14)
+    outcome = rig.run([Rising(10.0)])
+    steps = [b - a for a, b in pairwise(rig.transport.sent)]
+    assert outcome.unsent >= 2
+    assert max(map(abs, steps)) <= STEP + 1e-9
+
+
+def test_a_gate_rolls_back_what_was_not_sent_and_counts_the_time_that_has_passed() -> None:
+    gate = Gate(CommandLimits(0.0, 6.0, 10.0), DT)
+    assert gate.anchor(1.0)
+    assert gate.admissible(6.0, 0) == pytest.approx(1.4)
+    assert gate.admissible(6.0, 0) == pytest.approx(1.4)  # it was not sent: nothing is added up
+    gate.sent(1.4, 0)
+    assert gate.admissible(6.0, 300_000) == pytest.approx(1.4 + 10 * 0.1 * DT)  # .3 ms later: the floor
+    assert gate.admissible(6.0, round(0.5 * DT * NS)) == pytest.approx(1.4 + 10 * 0.5 * DT)
+    assert gate.admissible(6.0, 10 * NS) == pytest.approx(1.4 + 10 * DT)  # a pause earns no jump
+
+
+@pytest.mark.parametrize("held", [-0.1, 6.1, math.nan, math.inf])
+def test_a_device_beyond_the_limits_is_no_place_to_start_from(held: float) -> None:
+    gate = Gate(LIMITS, DT)
+    assert not gate.anchor(held)
+    assert not gate.anchored
+    rig = Rig(following, held=held)
+    outcome = rig.run([travel()])
+    assert rig.transport.sent == []
+    assert outcome.cause
+
+
+def test_nothing_is_sent_before_the_device_stands_still() -> None:
+    """A device that is on its way back at the start of a run: the first command is one that it holds."""
+    rig = Rig(following, held=5.6, watchdog=True)
+    rig.transport._written_ns = rig.clock.ns - NS  # its last controller was killed a second ago
+    outcome = rig.run([travel(1.0)])
+    assert rig.transport.sent[0] <= RAMPS.velocity_per_s * DT
+    assert outcome.cause == ""
+    assert rise_after(rig, 0) <= 1.0 + 1e-9
+
+
+def test_a_device_that_moves_by_itself_during_a_run_stops_it() -> None:
+    def script(k: int, command: float) -> float:
+        if k == 30:
+            rig.transport.held = 0.3
+        return following(k, command)
+
+    rig = Rig(script)
+    outcome = rig.run([travel(4.0, hold_s=10.0)])
+    assert outcome.cause.startswith("the device does not follow: it holds 0.3")
+    assert max(rig.transport.sent[30:]) <= 0.3 + OVERSHOOT
+    assert outcome.confirmed
+
+
+def test_the_safe_command_is_held_only_where_the_device_says_so() -> None:
+    """A device that stays beside it: sent for a while, never confirmed, and no goodbye."""
+    rig = Rig(following)
+    write = rig.transport.write
+
+    def sticking(command: float) -> None:
+        write(command)
+        rig.transport.held = max(command, 0.5)
+
+    rig.transport.write = sticking  # type: ignore[method-assign]
+    outcome = rig.run([travel(2.0, hold_s=0.2)])
+    assert not outcome.confirmed
+    assert rig.transport.goodbyes == 0
+
+
+@given(
+    start=st.floats(0, 6),
+    velocity=st.floats(-10, 10),
+    safe=st.floats(0, 6),
+    overshoot=st.floats(0.01, 1.0),
+    acceleration=st.floats(1, 1000),
+)
+@settings(max_examples=300)
+def test_a_stop_stays_within_the_overshoot_and_ends_at_the_safe_command(
+    start: float, velocity: float, safe: float, overshoot: float, acceleration: float
+) -> None:
+    ramps = RampSettings(acceleration_per_s2=acceleration)
+    commands = stop_commands(start, velocity, safe, ramps, overshoot, DT)
+    assert commands[-1] == safe
+    assert commands.max() <= max(start, safe) + overshoot * (1 + 1e-9)
+    assert commands.min() >= min(start, safe) - overshoot * (1 + 1e-9)
+
+
+def test_a_stop_is_as_gentle_as_the_overshoot_allows() -> None:
+    """Slow motions keep the jerk-limited ramp, fast ones brake first."""
+    gentle = stop_commands(3.0, 0.5, 0.0, RAMPS, OVERSHOOT, DT)
+    assert 3.0 < gentle.max() <= 3.0 + OVERSHOOT
+    steps = [abs(b - a) / DT for a, b in pairwise([3.0, *gentle])]
+    assert max(abs(b - a) / DT for a, b in pairwise([0.5, *steps])) <= RAMPS.acceleration_per_s2 * (1 + 1e-6)
+    assert stop_commands(3.0, 10.0, 0.0, RAMPS, OVERSHOOT, DT).max() == pytest.approx(3.0 + OVERSHOOT)
+
+
+def blocked_at(k0: int, deg: float = 40.0) -> Rig:
+    """A tip that does not move any more from sample `k0` on, under a sensor with noise."""
+    noise = [0.15 * math.sin(37.1 * k**2) for k in range(2000)]
+    return Rig(
+        lambda k, u: following(k, u) + noise[k] if k < k0 else deg + noise[k], plausibility=PlausibilitySettings()
+    )
+
+
+@pytest.mark.parametrize("rate", [1.0, 3.0, 10.0])
+def test_a_blocked_tip_stops_the_run(rate: float) -> None:
+    """It is noticed after 30 % of the range and .3 s; today's rate decides how far the command has gone by then."""
+    rig = blocked_at(10)
+    outcome = rig.run([Rising(rate)])
+    assert outcome.cause.startswith("implausible: the command went from")
+    assert max(rig.transport.sent) <= 11 * rate * DT + 1.8 + (0.3 + 3 * DT) * rate + OVERSHOOT
+    assert outcome.confirmed
+
+
+def test_a_tip_that_moves_or_rests_is_plausible() -> None:
+    noise = [0.15 * math.sin(37.1 * k**2) for k in range(2000)]
+    rig = Rig(lambda k, u: following(k, u) + noise[k], plausibility=PlausibilitySettings())
+    assert rig.run([travel(5.0, hold_s=5.0), travel(1.0)]).cause == ""
+
+
+@given(st.lists(st.floats(-0.5, 0.5), min_size=10, max_size=100), st.floats(0.2, 5.0))
+def test_travel_below_the_threshold_is_never_implausible(noise: list[float], slope: float) -> None:
+    """Whatever the angle does: a command that stays within the travel allowed is no evidence."""
+    watch = MotionWatch(PlausibilitySettings(travel=1.0), 6.0, 120.0)
+    for k, e in enumerate(noise):
+        assert watch.judge(40.0 + e, min(slope * k * 0.01, 0.99), k * 40_000_000) == ""
+
+
+def test_a_model_that_the_device_does_not_obey_stops_the_run() -> None:
+    watch = ModelWatch(PlausibilitySettings(), 30.0, DT)
+    assert [watch.judge(21.0) for _ in range(24)] == [""] * 24
+    assert watch.judge(21.0).startswith("implausible: the device is 21.0 deg off its model")
+    assert watch.judge(19.0) == ""
+    saturated = ModelWatch(PlausibilitySettings(), 10.0, DT)
+    assert [bool(saturated.judge(-10.0)) for _ in range(25)][-1]
+    off = ModelWatch(PlausibilitySettings(watch_model=False), 30.0, DT)
+    assert not any(off.judge(30.0) for _ in range(100))

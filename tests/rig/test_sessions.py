@@ -1,0 +1,294 @@
+"""Which controller a device listens to, when its watchdog acts, and what may end that: over every wire."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hystmpc.rig.device.config import DeviceSettings
+from hystmpc.rig.device.server import Device
+from hystmpc.rig.transports.admission import ANOTHER, NO_GREETING, OLD, Admission
+from hystmpc.rig.transports.link import Incoming, Outgoing
+from hystmpc.rig.transports.settings import DdsSettings, UdpSettings
+from hystmpc.rig.transports.udp import UdpLink, UdpTransport
+from hystmpc.rig.transports.units import Conversion
+
+SAME = Conversion(1.0, 0.0, 1.0)
+S = 1_000_000_000
+DT, RATE = 0.04, 10.0
+
+
+def test_a_session_is_pinned_by_its_greeting_and_freed_by_goodbye_or_silence() -> None:
+    desk = Admission(0.5)
+    assert desk.command("a", 1, 1, 0) == NO_GREETING
+    assert desk.greeting("a", 1, 2, 0) == ""
+    assert desk.command("a", 1, 3, 0) == ""
+    assert desk.greeting("b", 2, 1, S // 4) == ANOTHER
+    assert desk.command("b", 2, 2, S // 4) == ANOTHER
+    assert desk.goodbye("b", 2, 3, S // 4) == ANOTHER
+    assert desk.command("a", 2, 4, S // 4) == ANOTHER  # right sender, wrong session
+    assert desk.command("b", 1, 4, S // 4) == ANOTHER  # right session, another sender
+    assert desk.command("a", 1, 3, S // 4) == OLD
+    assert desk.command("a", 1, 4, S // 4) == ""
+    assert desk.greeting("b", 2, 4, S) == ""  # three quarters of a second later
+    assert desk.command("a", 1, 5, S) == ANOTHER
+    assert desk.goodbye("b", 2, 5, S) != ""  # it has never commanded: the device is told nothing
+    assert desk.session is None
+    assert desk.greeting("a", 1, 6, S) == OLD  # a session that has ended
+    assert desk.greeting("c", 3, 1, S) == ""
+    assert desk.command("c", 3, 2, S) == ""
+    assert desk.goodbye("c", 3, 3, S) == ""
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["greeting", "command", "goodbye"]),
+            st.integers(1, 3),
+            st.integers(1, 3),
+            st.integers(0, 60),
+        ),
+        max_size=40,
+    )
+)
+def test_what_others_send_changes_nothing_for_the_pinned_session(messages: list[tuple[str, int, int, int]]) -> None:
+    """Any messages of any other session and sender, in any order, while the pinned one is not silent."""
+    desk = Admission(0.5)
+    assert desk.greeting("mine", 9, 1, 0) == ""
+    for k, (says, session, sender, sequence) in enumerate(messages):
+        now = k * S // 100
+        assert getattr(desk, says)(f"other {sender}", session, sequence, now) == ANOTHER
+        assert getattr(desk, says)(f"other {sender}", 9, k + 2, now) == ANOTHER
+        assert desk.command("mine", 9, k + 2, now) == ""
+
+
+@dataclass
+class ListLink:
+    """A wire that is a list."""
+
+    greeted: bool = True
+    come: deque[Incoming] = field(default_factory=deque)
+    sent: list[Outgoing] = field(default_factory=list)
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        return {}
+
+    def receive(self) -> Incoming | None:
+        return self.come.popleft() if self.come else None
+
+    def send(self, message: Outgoing) -> None:
+        self.sent.append(message)
+
+    def close(self) -> None:
+        pass
+
+
+class Straight:
+    """A plant whose angle is ten times the command."""
+
+    dt = DT
+
+    def reset(self) -> float:
+        return 0.0
+
+    def apply(self, u: float) -> float:
+        return 10.0 * u
+
+    def stop(self) -> None:
+        pass
+
+
+class Drive:
+    """A device and what it holds, sample by sample."""
+
+    def __init__(self, greeted: bool = True) -> None:
+        self.link = ListLink(greeted)
+        settings = DeviceSettings.parse(
+            {
+                "rate_hz": 25,
+                "command_unit": "mm",
+                "plant": {},
+                "limits": {"lower": 0, "upper": 6, "rate_per_s": RATE},
+                "link": {"kind": "udp"},
+            }
+        )
+        self.device, self.k = Device(settings, Straight(), 0.0, self.link), 0
+
+    def samples(self, count: int, *messages: Incoming) -> list[float]:
+        """What it holds after each of `count` samples; the messages come in every one of them."""
+        held = []
+        for _ in range(count):
+            self.link.come.extend(messages)
+            self.device.sample(self.k * DT)
+            self.k += 1
+            held.append(self.link.sent[-1].held)
+        return held
+
+    def at(self, command: float) -> Drive:
+        """Greeted, and at a command."""
+        self.samples(1, Incoming(says="greeting"))
+        assert self.samples(30, Incoming(command))[-1] == pytest.approx(command)
+        return self
+
+
+def test_the_watchdog_bites_half_a_second_after_the_last_command_and_leads_to_rest() -> None:
+    drive = Drive().at(4.0)
+    assert min(drive.samples(11)) == 4.0
+    back = drive.samples(60)
+    assert back[:3] == pytest.approx([3.92, 3.84, 3.76])
+    assert back[-1] == 0.0
+
+
+def test_after_the_watchdog_commands_want_a_new_greeting() -> None:
+    drive = Drive().at(4.0)
+    drive.samples(20)
+    falling = drive.samples(10, Incoming(4.0))
+    assert falling == sorted(falling, reverse=True)
+    assert not drive.link.sent[-1].listens
+    drive.samples(1, Incoming(says="greeting"))
+    assert drive.link.sent[-1].listens
+    assert drive.samples(5)[-1] < falling[-1]  # a greeting alone does not end the return
+    assert drive.samples(30, Incoming(4.0))[-1] == pytest.approx(4.0)
+
+
+def test_without_greetings_a_command_is_taken_where_the_drive_is() -> None:
+    """Plain Float64 has no sessions: the motion is taken up without a jump, or not at all."""
+    drive = Drive(greeted=False)
+    drive.samples(30, Incoming(4.0))
+    assert drive.samples(80, Incoming(4.0))[-1] == 4.0
+    drive.samples(20)
+    assert drive.samples(80, Incoming(4.0))[-1] == 0.0
+    assert drive.samples(5, Incoming(0.1))[-1] == pytest.approx(0.1)
+    assert drive.samples(30, Incoming(4.0))[-1] == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("silent", [0, 5, 30])
+def test_a_goodbye_away_from_rest_does_not_disarm_the_watchdog(silent: int) -> None:
+    """Before the watchdog has bitten, and while it returns."""
+    drive = Drive().at(4.0)
+    drive.samples(silent)
+    drive.samples(1, Incoming(says="goodbye"))
+    assert drive.samples(80)[-1] == 0.0
+
+
+def test_a_goodbye_at_rest_ends_the_watch() -> None:
+    drive = Drive().at(0.0)
+    drive.samples(1, Incoming(says="goodbye"))
+    drive.samples(40)
+    assert drive.device._bites == 0
+
+
+@dataclass
+class Wire:
+    """Two controllers and a device on a real wire."""
+
+    link: Any
+    first: Any
+    second: Any
+    _sequence: int = 0
+
+    def until(self, get: Callable[[], Any], seconds: float = 5.0) -> Any:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            if found := get():
+                return found
+            self._sequence += 1
+            self.link.send(Outgoing(40.0, 0.0, self._sequence, time.monotonic_ns()))
+            time.sleep(0.005)
+        raise AssertionError("nothing came")
+
+    def said(self, says: str) -> bool:
+        message = self.link.receive()
+        return message is not None and message.says == says
+
+    def heard(self, transport: Any) -> None:
+        """The transport reads until it has been listened to."""
+
+        def listens() -> bool:
+            self.link.receive()
+            reading = transport.read()
+            if reading is not None and not reading.listens:
+                transport.greet()
+            return reading is not None and reading.listens
+
+        self.until(listens)
+
+
+HAS_DDS = importlib.util.find_spec("cyclonedds") is not None
+DDS = pytest.param("dds", marks=[pytest.mark.slow, pytest.mark.skipif(not HAS_DDS, reason="cyclonedds (extra rig)")])
+
+
+@pytest.fixture(params=["udp", DDS])
+def wire(request: pytest.FixtureRequest) -> Iterator[Wire]:
+    made: Wire
+    if request.param == "udp":
+        link = UdpLink("127.0.0.1", 0, 0.3)
+        settings = UdpSettings(kind="udp", port=link.port)
+        made = Wire(link, UdpTransport(settings, SAME), UdpTransport(settings, SAME))
+    else:
+        from hystmpc.rig.transports.dds_ import DdsLink, DdsTransport
+
+        topics = DdsSettings.parse({"kind": "dds", "domain": 74})
+        made = Wire(DdsLink(topics, 0.3), DdsTransport(topics, SAME), DdsTransport(topics, SAME))
+    yield made
+    made.first.stop()
+    made.second.stop()
+    made.link.close()
+
+
+def test_a_second_controller_leaves_the_first_one_unharmed(wire: Wire) -> None:
+    """It greets, commands and says goodbye: the first one's next command is taken all the same."""
+    wire.heard(wire.first)
+    taken = []
+    for k in range(20):
+        wire.first.write(0.1 * k)
+        if wire.second.read() is None:
+            wire.second.greet()
+        wire.second.write(6.0)
+        time.sleep(0.01)
+        wire.link.send(Outgoing(40.0, 0.0, 1000 + k, time.monotonic_ns()))
+        while (message := wire.link.receive()) is not None:
+            taken.append(message)
+    wire.second.stop(goodbye=True)
+    wire.first.write(2.0)
+    taken.append(wire.until(wire.link.receive))
+    assert {message.says for message in taken} == {"command"}
+    assert [message.command for message in taken] == [*(pytest.approx(0.1 * k) for k in range(20)), 2.0]
+    assert wire.link.counters[ANOTHER] >= 20
+
+
+def test_a_session_that_has_never_commanded_says_no_goodbye(wire: Wire) -> None:
+    wire.heard(wire.first)
+    wire.first.stop(goodbye=True)
+    time.sleep(0.1)
+    messages = []
+    while (message := wire.link.receive()) is not None:
+        messages.append(message.says)
+    assert "goodbye" not in messages
+
+
+def test_without_a_goodbye_nothing_is_said_at_the_end(wire: Wire) -> None:
+    wire.heard(wire.first)
+    wire.first.write(1.0)
+    wire.until(lambda: wire.said("command"))
+    wire.first.stop()
+    time.sleep(0.1)
+    assert wire.link.receive() is None
+
+
+def test_a_command_that_is_no_number_is_refused(wire: Wire) -> None:
+    wire.heard(wire.first)
+    wire.first.write(math.nan)
+    wire.first.write(1.5)
+    assert wire.until(wire.link.receive) == Incoming(1.5)
+    assert wire.link.counters["not-a-number"] == 1
