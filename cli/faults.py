@@ -28,6 +28,7 @@ FAILED = 1
 
 _COUNTS = ("commands", "beyond", "safe after s", "rise after fault mm")
 _COLUMNS = ("fault", "over", "has to", "does", *_COUNTS, "log", "says")
+_WIDTH = 132
 _DOMAINS = range(10, 100)  # of DDS; beyond 100 their ports lie among those that the system gives away
 
 
@@ -49,12 +50,14 @@ def faults(
     """Break sensor, wire, processes, disk, model and solver, case by case; exit code 1 if a case fails."""
     plays = _chosen(folder, only or [], transport)
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # no device may be left behind
-    verdicts = []
-    with bar("faults", len(plays)) as show:
-        for k, verdict in enumerate(_judged(plays, jobs), 1):
-            verdicts.append(verdict)
-            show(k, verdict.name)
-    _show(verdicts)
+    verdicts: list[Verdict] = []
+    try:
+        with bar("faults", len(plays)) as show:
+            for verdict in _judged(plays, jobs):
+                verdicts.append(verdict)
+                show(len(verdicts), verdict.name)
+    finally:  # an interrupted campaign shows what it has found
+        _show(verdicts)
     failed = [v for v in verdicts if not v.passed]
     if failed:
         for v in failed:
@@ -124,7 +127,8 @@ def _show(verdicts: list[Verdict]) -> None:
         + [v.claim or "-"]
         for v in verdicts
     ]
-    out.print(table("fault campaign, device and controller in two processes", _COLUMNS, rows))
+    grid = table("fault campaign, device and controller in two processes", _COLUMNS, rows)
+    out.print(grid, width=max(out.width, _WIDTH), crop=False)  # a terminal may break its lines; a file keeps them
     out.print("what the user sees:")
     for v in verdicts:
         out.print(f"  {v.name}, {v.wire}: {v.seen}", soft_wrap=True, markup=False, highlight=False)

@@ -109,14 +109,15 @@ def _ending(case: Case, played: Played, commands: int) -> str:
         return "left alone"
     if code == _STOPPED:
         return "stops"
-    if case.signal == "SIGHUP" and _latched(played.folder / "run") == "SIGHUP":
+    if case.signal == "SIGHUP" and _latched(played.folder) == "SIGHUP":
         return "stops"  # nobody reads the exit code of what ran in a terminal that is gone
     return "refuses" if not commands else f"exit code {code}"
 
 
-def _latched(run: Path) -> str:
+def _latched(folder: Path) -> str:
+    """The cause of the stop that is latched, empty where none is."""
     try:
-        return str(json.loads((run / "latched.json").read_text(encoding="utf-8"))["cause"])
+        return str(json.loads((folder / "latched.json").read_text(encoding="utf-8"))["cause"])
     except (OSError, ValueError, KeyError):
         return ""
 

@@ -96,10 +96,10 @@ class _Stage:
 
     def clear(self) -> None:
         """End whatever still runs."""
-        for process in self._processes:
-            end(process)
         if self._terminal is not None:
             self._terminal.close()
+        for process in self._processes:
+            end(process)
 
     def _device(self) -> subprocess.Popen[str]:
         process, port = start_device(write_device(self._case, self._folder, self._link), self._program)

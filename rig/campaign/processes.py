@@ -21,8 +21,23 @@ PROGRAM = (sys.executable, "-c", "from hystmpc.cli.main import main; main()")
 
 _PORT = re.compile(r"udp port (\d+)")
 _CTRL_C, _POLL_S = b"\x03", 0.02
-# What a login does: standard input becomes the terminal that controls the session, then the program takes over.
-_LOGIN = ("import fcntl, os, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); os.execv(sys.argv[1], sys.argv[1:])",)
+# What a shell does: it owns the terminal, runs the program in a group of processes of its own in the foreground, and
+# hands SIGHUP on to that group when the terminal goes.
+_SHELL = """
+import fcntl, os, signal, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+child = os.fork()
+if not child:
+    os.setpgid(0, 0)
+    signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+    os.tcsetpgrp(0, os.getpid())
+    signal.signal(signal.SIGTTOU, signal.SIG_DFL)
+    os.execv(sys.argv[1], sys.argv[1:])
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+signal.signal(signal.SIGHUP, lambda number, frame: os.killpg(child, number))
+code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+sys.exit(code if code >= 0 else 128 - code)
+"""
 
 
 def start(arguments: Sequence[object], program: Sequence[str] = PROGRAM, **more: Any) -> subprocess.Popen[str]:
@@ -66,12 +81,13 @@ def end(process: subprocess.Popen[str]) -> None:
 
 @final
 class Terminal:
-    """A terminal with one program in it; Ctrl-C and closing reach all the processes that the program has started."""
+    """A terminal with a shell and one program in it; Ctrl-C and closing reach all that the program has started."""
 
     def __init__(self, arguments: Sequence[object], program: Sequence[str] = PROGRAM) -> None:
         self._ours, theirs = pty.openpty()
-        command = [sys.executable, "-c", *_LOGIN, *program, *map(str, arguments)]
+        command = [sys.executable, "-c", _SHELL, *program, *map(str, arguments)]
         try:
+            # The shell, which ends with the program's exit code.
             self.process: subprocess.Popen[str] = subprocess.Popen(
                 command, stdin=theirs, stdout=theirs, stderr=theirs, text=True, start_new_session=True
             )

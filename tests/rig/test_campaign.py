@@ -127,7 +127,7 @@ def test_a_closed_terminal_is_judged_by_what_is_latched(tmp_path: Path) -> None:
     """Its exit code says nothing: the last words of the run have nowhere to go."""
     case = replace(STOPS, signal="SIGHUP", terminal=True)
     assert verdict(tmp_path, UP + DOWN, case, code=1).got == "exit code 1"
-    (tmp_path / "run" / "latched.json").write_text('{"cause": "SIGHUP"}')
+    (tmp_path / "latched.json").write_text('{"cause": "SIGHUP"}')
     played = Played(tmp_path, Link(), 1400 * MS, 2200 * MS, 1, "")
     assert judge(case, played).failures == ()
 
@@ -146,6 +146,8 @@ import os, signal, sys, time
 def caught(number, frame):
     with open(sys.argv[1], "a") as file:
         file.write(f"{who} {signal.Signals(number).name}\\n")
+    if child:
+        os.waitpid(child, 0)
     os._exit(7)
 for name in ("SIGINT", "SIGHUP"):
     signal.signal(getattr(signal, name), caught)
