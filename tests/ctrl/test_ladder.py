@@ -12,7 +12,9 @@ from hystmpc.ctrl.command import Command, Source
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.ladder import Ladder, LadderOptions
+from hystmpc.ctrl.law import Law, Proposal, Situation
 from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.stopwatch import Stopwatch
 from hystmpc.models.model import Array, Inverse, Predictor
 from hystmpc.trials.errors import ControllerError
 
@@ -148,6 +150,37 @@ def test_model_whose_state_cannot_be_advanced_is_not_trusted() -> None:
     bench.model.broken = set()
     bench.step()
     assert bench.step().source is Source.MPC
+
+
+class Answering(Law[int]):
+    """A law that wants the same number whatever it sees; its memory counts how often it was asked."""
+
+    horizon, source = 1, Source.CONTROLLER
+
+    def __init__(self, answer: float) -> None:
+        self.answer = answer
+
+    def init(self, y: float, u: float) -> int:
+        del y, u
+        return 0
+
+    def propose(self, memory: int, situation: Situation, watch: Stopwatch) -> Proposal[int]:
+        del situation, watch
+        return Proposal(self.answer, memory + 1)
+
+
+@pytest.mark.parametrize("answer", [np.nan, np.inf, -np.inf])
+def test_a_law_that_wants_no_number_has_failed(answer: float) -> None:
+    """Limits alone would turn it into a hold that passes for the law's own; its memory is not kept either."""
+    controller = Bench(stop_after_failures=3).controller.with_law(Answering(answer))
+    state = controller.init(CASE.y_rest, CASE.u_rest)
+    sources = []
+    for _ in range(3):
+        command, state = controller.step(state, CASE.y_rest, np.full(5, 45.0))
+        sources.append(command.source)
+        assert f"the law answers {answer}" in command.status
+    assert sources == [Source.INVERSE, Source.INVERSE, Source.STOP]
+    assert state.memory == 0
 
 
 def test_pid_has_nothing_to_fall_back_on_but_a_hold() -> None:
