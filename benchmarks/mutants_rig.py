@@ -7,7 +7,7 @@ from mutant import Mutant, mutated_file  # isort: skip
 _intake = mutated_file("rig", "intake.py", "test_parts.py", "test_intake.py", "test_loop.py")
 _followed = mutated_file("rig", "followed.py", "test_followed.py")
 _order = mutated_file("rig", "transports/order.py", "test_parts.py", "test_udp.py")
-_units = mutated_file("rig", "transports/units.py", "test_parts.py")
+_units = mutated_file("rig", "transports/units.py", "test_units.py")
 _datagram = mutated_file("rig", "transports/datagram.py", "test_udp.py")
 _signals = mutated_file("rig", "signals_.py", "test_signals.py")
 _prepare = mutated_file("rig", "prepare.py", "test_prepare.py")

@@ -203,7 +203,8 @@ def _log(folder: Path, case: Case) -> tuple[str, int]:
     steps, samples = np.abs(np.diff(u[sent])), np.diff(sequence[sent])
     beyond = int(np.count_nonzero((u[sent] < LOWER - _CLOSE) | (u[sent] > UPPER + _CLOSE)))
     beyond += int(np.count_nonzero(steps > samples * RATE_PER_S / RATE_HZ + _CLOSE))
-    return _wholeness(folder, case, log["source"], sequence, sent, log["faults"]), beyond
+    sources, faults = ([str(cell) for cell in log[name]] for name in ("source", "faults"))
+    return _wholeness(folder, case, sources, sequence, sent, faults), beyond
 
 
 def _wholeness(

@@ -110,12 +110,13 @@ def test_missing_and_outlying_measurements_leave_the_prediction(y: float) -> Non
     assert estimator.correct(corrected, 20.1).missing == 0
 
 
-def test_disturbance_is_bounded() -> None:
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_disturbance_is_bounded(side: float) -> None:
     estimator = OutputEstimator(Lag(), replace(OPTIONS, disturbance_limit_deg=3.0))
     estimate = estimator.init(20.0, 0.0)
     for _ in range(200):
-        estimate = estimator.advance(estimator.correct(estimate, 20.0 + estimate.disturbance + 10.0), 0.0)
-    assert estimate.disturbance == 3.0
+        estimate = estimator.advance(estimator.correct(estimate, 20.0 + estimate.disturbance + 10.0 * side), 0.0)
+    assert estimate.disturbance == 3.0 * side
 
 
 def test_what_the_model_cannot_explain_at_rest_is_the_first_disturbance() -> None:

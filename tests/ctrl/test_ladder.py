@@ -52,14 +52,16 @@ class Switched(Predictor):
 
 
 class SwitchedInverse(Inverse):
-    """An inverse that fails while `broken`."""
+    """An inverse that fails while `broken`, and gives another's `answer` where there is one."""
 
     def __init__(self, inner: Inverse) -> None:
-        self.inner, self.broken = inner, False
+        self.inner, self.broken, self.answer = inner, False, 0.0
 
     def command(self, state: Array, theta: float, u_last: float) -> float:
         if self.broken:
             raise ZeroDivisionError("no inverse")
+        if self.answer:
+            return self.answer
         return self.inner.command(state, theta, u_last)
 
 
@@ -101,6 +103,15 @@ def test_rungs_come_in_order_and_the_stop_stays(call: str) -> None:
         last = bench.step()
     assert last.u == 0.0
     assert last.status.startswith("stopped: latched")
+
+
+@pytest.mark.parametrize("answer", [np.nan, np.inf, -np.inf])
+def test_an_inverse_that_answers_no_number_is_passed_over(answer: float) -> None:
+    bench = Bench()
+    bench.model.broken, bench.inverse.answer = {"rollout"}, answer
+    command = bench.step()
+    assert (command.source, command.u) == (Source.HOLD, CASE.u_rest)
+    assert f"the inverse answers {answer}" in command.status
 
 
 def test_stop_without_a_safe_command_stays_where_it_is() -> None:
