@@ -8,7 +8,7 @@ _intake = mutated_file("rig", "intake.py", "test_parts.py", "test_intake.py", "t
 _followed = mutated_file("rig", "followed.py", "test_followed.py")
 _order = mutated_file("rig", "transports/order.py", "test_parts.py", "test_udp.py")
 _units = mutated_file("rig", "transports/units.py", "test_units.py")
-_datagram = mutated_file("rig", "transports/datagram.py", "test_udp.py")
+_datagram = mutated_file("rig", "transports/datagram.py", "test_datagram.py", "test_udp.py")
 _signals = mutated_file("rig", "signals_.py", "test_signals.py")
 _prepare = mutated_file("rig", "prepare.py", "test_prepare.py")
 
