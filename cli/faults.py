@@ -1,12 +1,16 @@
-"""`hystmpc faults`: the fault campaign, over a real connection, as a table."""
+"""`hystmpc faults`: the fault campaign, over real connections, as a table."""
 
 from __future__ import annotations
 
 import math
+import os
 import signal
 import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -16,50 +20,119 @@ from hystmpc.trials.run_folder import require_vacant
 
 from .console import bar, errors, out, table
 
+if TYPE_CHECKING:
+    from hystmpc.rig.campaign.judge import Verdict
+    from hystmpc.rig.campaign.setup import Kind, Link
+
 FAILED = 1
 
-_COLUMNS = ("fault", "has to", "does", "commands", "beyond", "safe after s", "log")
+_COUNTS = ("commands", "beyond", "safe after s", "rise after fault mm")
+_COLUMNS = ("fault", "over", "has to", "does", *_COUNTS, "log", "says")
+_WIDTH = 132
+_DOMAINS = range(10, 100)  # of DDS; beyond 100 their ports lie among those that the system gives away
+
+
+@dataclass(frozen=True)
+class _Play:
+    """One case over one wire, and its folder."""
+
+    case: Case
+    link: Link
+    folder: Path
 
 
 def faults(
     folder: Annotated[Path, typer.Option("--out", help="Folder for the cases, new or empty.")],
     only: Annotated[list[str] | None, typer.Option("--only", help="A part of a case's name; may be repeated.")] = None,
+    transport: Annotated[Literal["udp", "dds", "both"], typer.Option("--transport", help="The wires.")] = "both",
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Cases at a time; more than cores spoils timing.")] = 1,
 ) -> None:
-    """Break sensor, wire, processes, disk, model and solver, one after another; exit code 1 if a case fails."""
-    from hystmpc.rig.campaign.judge import judge
-    from hystmpc.rig.campaign.play import play
-
-    chosen, verdicts = _chosen(folder, only or []), []
+    """Break sensor, wire, processes, disk, model and solver, case by case; exit code 1 if a case fails."""
+    plays = _chosen(folder, only or [], transport)
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # no device may be left behind
-    with bar("faults", len(chosen)) as show:
-        for k, case in enumerate(chosen):
-            show(k, case.name)
-            verdicts.append(judge(case, play(case, folder / f"{k:02d}")))
-        show(len(chosen))
-    rows = [[v.name, v.expected, v.got, str(v.commands), str(v.beyond), _seconds(v.safe_s), v.log] for v in verdicts]
-    out.print(table("fault campaign over UDP, device and controller in two processes", _COLUMNS, rows))
-    out.print("what the user sees:")
-    for v in verdicts:
-        out.print(f"  {v.name}: {v.seen}", soft_wrap=True, markup=False, highlight=False)
-    failed = [v.name for v in verdicts if not v.passed]
+    verdicts: list[Verdict] = []
+    try:
+        with bar("faults", len(plays)) as show:
+            for verdict in _judged(plays, jobs):
+                verdicts.append(verdict)
+                show(len(verdicts), verdict.name)
+    finally:  # an interrupted campaign shows what it has found
+        _show(verdicts)
+    failed = [v for v in verdicts if not v.passed]
     if failed:
-        errors.print(f"failed: {', '.join(failed)}", style="red", soft_wrap=True, markup=False)
+        for v in failed:
+            text = f"failed: {v.name}, {v.wire}: {', '.join(v.failures)}"
+            errors.print(text, style="red", soft_wrap=True, markup=False, highlight=False)
         raise typer.Exit(FAILED)
     out.print(f"{len(verdicts)} cases, all as they have to be; no command beyond the limits")
 
 
-def _chosen(folder: Path, only: list[str]) -> list[Case]:
+def _chosen(folder: Path, only: list[str], transport: str) -> list[_Play]:
     """The cases to play, in a folder that is new or empty.
 
     Raises:
-        ConfigError: on an unknown case, or a folder that is not empty.
+        ConfigError: on an unknown case, a wire whose package is missing, or a folder that is not empty.
     """
+    from hystmpc.rig.campaign.setup import KINDS, Link
+    from hystmpc.rig.transports.build import require_dds
+
+    kinds: list[Kind] = [kind for kind in KINDS if transport in (kind, "both")]
+    if "dds" in kinds:
+        require_dds()
     chosen = [case for case in CASES if not only or any(text in case.name for text in only)]
-    if not chosen:
-        raise ConfigError(f"--only: got {', '.join(only)}, available: {'; '.join(case.name for case in CASES)}")
+    wanted = [(case, kind) for kind in kinds for case in chosen if kind == "udp" or not case.of_datagrams]
+    if not wanted:
+        known = "; ".join(case.name for case in CASES if "udp" in kinds or not case.of_datagrams)
+        raise ConfigError(f"--only: got {', '.join(only)}, available over {transport}: {known}")
     require_vacant(folder)
-    return chosen
+    first = os.getpid()  # two campaigns at a time keep apart
+    domains = (_DOMAINS[(first + k) % len(_DOMAINS)] for k in range(len(wanted)))
+    return [
+        _Play(case, Link(kind, domain=domain), folder / f"{k:02d}_{kind}")
+        for k, ((case, kind), domain) in enumerate(zip(wanted, domains, strict=True))
+    ]
 
 
-def _seconds(value: float) -> str:
+def _judged(plays: list[_Play], jobs: int) -> Iterator[Verdict]:
+    """The verdicts, in the order of the cases; on an interruption the cases under way come to their end."""
+    from hystmpc.rig.campaign.judge import judge
+    from hystmpc.rig.campaign.play import play
+
+    def one(this: _Play) -> Verdict:
+        return judge(this.case, play(this.case, this.folder, this.link))
+
+    if jobs == 1:  # in this thread, so that an interruption ends its processes at once
+        yield from map(one, plays)
+        return
+    pool = ThreadPoolExecutor(jobs)
+    try:
+        yield from pool.map(one, plays)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _show(verdicts: list[Verdict]) -> None:
+    rows = [
+        [
+            v.name,
+            v.wire,
+            v.expected,
+            v.got,
+            str(v.commands),
+            str(v.beyond),
+            _number(v.safe_s),
+            _number(v.rise_mm),
+            v.log,
+        ]
+        + [v.claim or "-"]
+        for v in verdicts
+    ]
+    grid = table("fault campaign, device and controller in two processes", _COLUMNS, rows)
+    out.print(grid, width=max(out.width, _WIDTH), crop=False)  # a terminal may break its lines; a file keeps them
+    out.print("what the user sees:")
+    for v in verdicts:
+        out.print(f"  {v.name}, {v.wire}: {v.seen}", soft_wrap=True, markup=False, highlight=False)
+
+
+def _number(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.2f}"

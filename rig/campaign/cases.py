@@ -12,6 +12,19 @@ Ending = Literal["goes on", "stops", "left alone", "refuses"]
 
 
 @dataclass(frozen=True)
+class Second:
+    """A second run on the same device, which has to be refused.
+
+    Attributes:
+        arguments: of `hystmpc run`, beside configuration and folder.
+        after_fault: start it after the fault; else the fault waits until it has been refused.
+    """
+
+    arguments: tuple[str, ...]
+    after_fault: bool = False
+
+
+@dataclass(frozen=True)
 class Case:
     """One fault.
 
@@ -19,11 +32,19 @@ class Case:
         name: as the table shows it.
         expected: how the run has to end.
         device: faults of the wire, as in a device's configuration.
+        drive: other changes of the device's configuration, nested.
         settings: changes of the run's configuration, nested.
-        kill: process that gets `signal` at `at_s`.
+        kill: process that gets `signal` at `at_s`, or as soon as `height` and `rising_per_s` are reached.
         signal: its name.
         at_s: when the fault begins, seconds after the first command.
-        restart: start the device again after that.
+        height: the signal waits until the device holds at least this command [mm]; None waits for `at_s`.
+        rising_per_s: and until that command rises at least that fast [mm/s].
+        pause_s: how long a SIGSTOP lasts [s].
+        notice_s: the longest time from the fault until the controller must stop moving away from the safe command [s]:
+            what its sensor's and plausibility's settings allow.
+        terminal: the controller runs in a terminal of its own: SIGINT is a typed Ctrl-C, SIGHUP closes the terminal.
+        restart: start the device again after the signal.
+        second: a second run on the same device.
         file_limit_bytes: greatest size of any file that the controller may write, None for no limit: a full disk.
         corrupt_model: give the controller half of a model file.
     """
@@ -31,31 +52,68 @@ class Case:
     name: str
     expected: Ending
     device: tuple[Mapping[str, Any], ...] = ()
+    drive: Mapping[str, Any] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     kill: Literal["device", "controller"] | None = None
     signal: str = "SIGKILL"
     at_s: float = 3.0
+    height: float | None = None
+    rising_per_s: float = 0.0
+    pause_s: float = 2.0
+    notice_s: float = 0.0
+    terminal: bool = False
     restart: bool = False
+    second: Second | None = None
     file_limit_bytes: int | None = None
     corrupt_model: bool = False
 
+    @property
+    def of_datagrams(self) -> bool:
+        """Whether it needs to get at datagrams, so that it can be played over UDP only."""
+        return any(fault.get("of") == "commands" or fault["fault"] == "corrupt" for fault in self.device)
 
-def _wire(name: str, expected: Ending, fault: str, **more: float) -> Case:
-    return Case(name, expected, ({"fault": fault, "start_s": 3.0, **more},))
+    @property
+    def device_gone(self) -> bool:
+        """Whether the device is killed and stays away: nobody can bring it to the safe command."""
+        return self.kill == "device" and self.signal == "SIGKILL" and not self.restart
+
+
+_AT_S = 3.0
+_DEAD_S = 1.0  # `dead_after_s` 0.5, and half a second for what is under way and for a busy machine
+_STRAY_S = 2.0  # a device that does not follow: twice `dead_after_s`, and the same
+_IMPLAUSIBLE_S = 4.0  # the command has to travel before an angle that stands still is implausible
+
+
+def _wire(name: str, expected: Ending, fault: str, notice_s: float = _DEAD_S, **more: float) -> Case:
+    return Case(name, expected, ({"fault": fault, "start_s": _AT_S, **more},), notice_s=notice_s)
 
 
 def _commands(name: str, expected: Ending, fault: str, **more: float) -> Case:
-    return Case(name, expected, ({"fault": fault, "of": "commands", "start_s": 3.0, **more},))
+    faults = ({"fault": fault, "of": "commands", "start_s": _AT_S, **more},)
+    return Case(name, expected, faults, notice_s=_STRAY_S + more.get("delay_s", 0.0))
+
+
+def _strike(name: str, expected: Ending, signal: str, **more: Any) -> Case:
+    return Case(name, expected, kill="controller", signal=signal, **more)
 
 
 _FAILS = {"drill": {"solver_fails_from_s": 2.0, "solver_fails_for_s": 0.4}}
 _FAILS_ON = {"drill": {"solver_fails_from_s": 2.0, "solver_fails_for_s": 1000.0}}
+_LONG = {"reference": {"cycles": 16}}  # long enough for a second run to be refused meanwhile
+_FAST = {"reference": {"frequency_hz": 0.8, "cycles": 8}}
+_SLOW_RETURN = {"watchdog_rate_per_s": 0.1}  # a second run comes while the device is still on its way back
+_OTHER_NAME = Second(("--set", "name=other", "--set", "latch_file=other.json"))
+_RESET = Second(("--reset", "--set", "start_command=0"), after_fault=True)
+_SOFT = {"ramps": {"acceleration_per_s2": 5.0, "jerk_per_s3": 50.0}}  # v^2 / 2a is ten times the overshoot
+_HIGHER = {"limits": {"lower": 1.0}, "safe_command": 1.0}  # the device holds 0
 
 CASES: tuple[Case, ...] = (
     Case("no fault", "goes on"),
     _wire("sensor frozen", "stops", "freeze"),
     _wire("sensor NaN", "stops", "nan"),
     _wire("sensor out of range", "stops", "out_of_range"),
+    _wire("tip blocked", "stops", "blocked", _IMPLAUSIBLE_S),
+    _wire("sensor dislodged", "stops", "dislodged", _IMPLAUSIBLE_S, size_deg=10.0),
     _wire("outliers, 10 % of readings", "goes on", "outlier", share=0.1, duration_s=4.0),
     _wire("outliers, all readings", "stops", "outlier", size_deg=80.0),
     _wire("dropout, 1 sample", "goes on", "dropout", duration_s=0.04),
@@ -81,15 +139,23 @@ CASES: tuple[Case, ...] = (
     _commands("all commands corrupted", "stops", "corrupt"),
     _wire("device clock back by 1 h", "stops", "stamp_jump", delay_s=-3600.0),
     _wire("device clock ahead by 1 h", "goes on", "stamp_jump", delay_s=3600.0),
+    Case("device beyond the limits", "refuses", settings=_HIGHER),
+    Case("ramps that cannot brake in time", "refuses", settings=_SOFT),
     Case("device killed", "stops", kill="device"),
     Case("device killed, restarted", "stops", kill="device", restart=True),
-    Case("device paused 2 s", "stops", kill="device", signal="SIGSTOP"),
-    Case("controller killed", "left alone", kill="controller"),
-    Case("controller SIGTERM", "stops", kill="controller", signal="SIGTERM"),
-    Case("controller Ctrl-C", "stops", kill="controller", signal="SIGINT"),
-    Case("controller paused 2 s", "stops", kill="controller", signal="SIGSTOP"),
+    Case("device paused 0.3 s", "goes on", kill="device", signal="SIGSTOP", pause_s=0.3),
+    Case("device paused 2 s", "stops", kill="device", signal="SIGSTOP", notice_s=_DEAD_S),
+    _strike("controller killed", "left alone", "SIGKILL"),
+    _strike("killed, then a refused run", "left alone", "SIGKILL", height=4.0, drive=_SLOW_RETURN, second=_RESET),
+    Case("second run of another name", "goes on", settings=_LONG, second=_OTHER_NAME),
+    _strike("the same, then the first one killed", "left alone", "SIGKILL", settings=_LONG, second=_OTHER_NAME),
+    _strike("controller SIGTERM", "stops", "SIGTERM"),
+    _strike("controller Ctrl-C", "stops", "SIGINT", terminal=True),
+    _strike("Ctrl-C while rising fast", "stops", "SIGINT", height=1.0, rising_per_s=5.0, settings=_FAST, terminal=True),
+    _strike("terminal closed", "stops", "SIGHUP", terminal=True),
+    _strike("controller paused 3 s at 4 mm", "stops", "SIGSTOP", height=4.0, pause_s=3.0),
     Case("disk full", "goes on", file_limit_bytes=20_000),
     Case("model file corrupt", "refuses", corrupt_model=True),
     Case("solver fails for 0.4 s", "goes on", settings=_FAILS),
-    Case("solver fails for good", "stops", settings=_FAILS_ON),
+    Case("solver fails for good", "stops", settings=_FAILS_ON, notice_s=2.0),
 )

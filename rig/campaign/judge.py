@@ -1,8 +1,10 @@
-"""What became of a case: commands in limits, time to the safe state, log, what the user saw."""
+"""What became of a case: commands in limits, the device's way to the safe state, log, what the user saw."""
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,10 +18,13 @@ from hystmpc.trials.run_folder import RunFolder
 
 from .cases import Case, Ending
 from .play import Played, device_log
-from .setup import LOWER, RATE_HZ, RATE_PER_S, SAFE, UPPER
+from .setup import IN_FLIGHT, LOWER, OVERSHOOT, RATE_HZ, RATE_PER_S, SAFE, UPPER
 
 _CLOSE = 1e-6
-_STOPPED = 3
+_REFUSED, _STOPPED = 2, 3
+_CLAIM = re.compile(r"safe command \S+ \S+ (held|sent)")
+
+Rows = Sequence[tuple[float, ...]]
 
 
 @dataclass(frozen=True)
@@ -28,28 +33,51 @@ class Verdict:
 
     Attributes:
         name: of the case.
+        wire: over which it was played.
         expected, got: how the run had to end, and did.
         commands: that the device received.
         beyond: of those and of the log's, beyond the limits on value or rate. Anything but 0 is a failure.
-        safe_s: from the fault to the safe command held for good [s]; NaN where the run went on, nothing moved, or the
-            device was gone.
+        safe_s: from the fault to the safe command held for good [s]; infinite where the device never came there, NaN
+            where the run went on, nothing moved, or the device was gone.
+        rise_mm: how far the device moved away from the safe command after the fault, measured from the nearest that it
+            had come to it since [mm]; NaN where the run went on or the device was gone.
         log: `whole`, or what is wrong with it.
+        second: what became of a second run: `refused`, something else, or nothing where there was none.
+        claim: whether the user was told that the safe command is `held` or `sent`; `held, is not` is a failure.
         seen: the last line that says what happened.
     """
 
     name: str
+    wire: str
     expected: Ending
     got: str
     commands: int
     beyond: int
     safe_s: float
+    rise_mm: float
     log: str
+    second: str
+    claim: str
     seen: str
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What is not as it has to be, in words."""
+        found = {
+            f"{self.got} instead of {self.expected}": self.got != self.expected,
+            f"{self.beyond} commands beyond the limits": self.beyond != 0,
+            "never came to the safe command": math.isinf(self.safe_s),
+            f"rose by {self.rise_mm:.2f} mm": self.rise_mm > OVERSHOOT + IN_FLIGHT + _CLOSE,
+            f"log: {self.log}": self.log != "whole",
+            f"second run: {self.second}": self.second not in ("", "refused"),
+            f"told: {self.claim}": self.claim not in ("", "held", "sent"),
+        }
+        return tuple(text for text, failed in found.items() if failed)
 
     @property
     def passed(self) -> bool:
         """Whether everything is as it has to be."""
-        return self.got == self.expected and self.beyond == 0 and self.log == "whole"
+        return not self.failures
 
 
 def judge(case: Case, played: Played) -> Verdict:
@@ -59,24 +87,39 @@ def judge(case: Case, played: Played) -> Verdict:
     log, beyond = _log(played.folder / "run", case)
     return Verdict(
         name=case.name,
+        wire=played.link.kind,
         expected=case.expected,
-        got=_ending(played.code, len(received)),
+        got=_ending(case, played, len(received)),
         commands=len(received),
         beyond=beyond + _beyond(received),
         safe_s=_safe_s(case, played, rows, received),
+        rise_mm=_rise_mm(case, played, rows, received),
         log=log,
+        second=_second(case, played),
+        claim=_claim(played, rows),
         seen=_seen(played.said),
     )
 
 
-def _ending(code: int, commands: int) -> str:
+def _ending(case: Case, played: Played, commands: int) -> str:
+    code = played.code
     if code == 0:
         return "goes on"
     if code < 0:
         return "left alone"
     if code == _STOPPED:
         return "stops"
+    if case.signal == "SIGHUP" and _latched(played.folder) == "SIGHUP":
+        return "stops"  # nobody reads the exit code of what ran in a terminal that is gone
     return "refuses" if not commands else f"exit code {code}"
+
+
+def _latched(folder: Path) -> str:
+    """The cause of the stop that is latched, empty where none is."""
+    try:
+        return str(json.loads((folder / "latched.json").read_text(encoding="utf-8"))["cause"])
+    except (OSError, ValueError, KeyError):
+        return ""
 
 
 def _beyond(received: Sequence[tuple[float, float]]) -> int:
@@ -90,22 +133,64 @@ def _beyond(received: Sequence[tuple[float, float]]) -> int:
     return count + sum(not LOWER - _CLOSE <= u <= UPPER + _CLOSE for _, u in received)
 
 
-def _safe_s(
-    case: Case, played: Played, rows: Sequence[tuple[float, ...]], received: Sequence[tuple[float, float]]
-) -> float:
+def _fault_ns(case: Case, played: Played, received: Sequence[tuple[float, float]]) -> float:
+    return played.fault_ns or received[0][0] + 1e9 * case.at_s
+
+
+def _safe_s(case: Case, played: Played, rows: Rows, received: Sequence[tuple[float, float]]) -> float:
     """Time from the fault until the device holds the safe command for good; none for one that is gone."""
-    gone = case.kill == "device" and case.signal == "SIGKILL"
-    if case.expected in ("goes on", "refuses") or gone or not received:
+    if case.expected in ("goes on", "refuses") or case.device_gone or not received:
         return math.nan
-    fault_ns = played.fault_ns or received[0][0] + 1e9 * case.at_s
     moving = [row[0] for row in rows if abs(row[3] - SAFE) > _CLOSE]
     if not moving or abs(rows[-1][3] - SAFE) > _CLOSE:
         return math.inf if moving else 0.0
-    return max(0.0, 1e-9 * (moving[-1] - fault_ns) + 1 / RATE_HZ)
+    return max(0.0, 1e-9 * (moving[-1] - _fault_ns(case, played, received)) + 1 / RATE_HZ)
+
+
+def _rise_mm(case: Case, played: Played, rows: Rows, received: Sequence[tuple[float, float]]) -> float:
+    """The greatest way away from the safe command since the controller had to notice the fault."""
+    if case.expected in ("goes on", "refuses") or case.device_gone or not received:
+        return math.nan
+    since = _fault_ns(case, played, received) + 1e9 * case.notice_s
+    if case.restart:  # a device that comes back holds its rest: what the one before it held is over
+        since = max((b[0] for a, b in pairwise(rows) if b[1] < a[1]), default=since)
+    first = max((k for k, row in enumerate(rows) if row[0] <= since), default=0)
+    return rise([abs(row[3] - SAFE) for row in rows[first:]])
+
+
+def rise(distances: Sequence[float]) -> float:
+    """The greatest increase of a distance above its least value so far, in its unit."""
+    least, greatest = math.inf, 0.0
+    for distance in distances:
+        least = min(least, distance)
+        greatest = max(greatest, distance - least)
+    return greatest
+
+
+def _second(case: Case, played: Played) -> str:
+    if case.second is None:
+        return ""
+    if played.second_code == _REFUSED:
+        return "refused"
+    return "did not start" if played.second_code is None else f"exit code {played.second_code}"
+
+
+def _claim(played: Played, rows: Rows) -> str:
+    """What the user was told of the safe command, against what the device held when the controller had ended."""
+    found = _CLAIM.search(" ".join(played.said.split()))
+    if found is None:
+        return ""
+    before = [row for row in rows if row[0] <= played.ended_ns]
+    there = bool(before) and abs(before[-1][3] - SAFE) <= _CLOSE
+    return found[1] if found[1] == "sent" or there else "held, is not"
 
 
 def _log(folder: Path, case: Case) -> tuple[str, int]:
-    """Whether the log is whole, and commands in it beyond the limits: sample by sample, without grace."""
+    """Whether the log is whole, and commands in it beyond the limits: sample by sample, without grace.
+
+    A sample in which nothing was sent has no command, and says why. After samples that passed without a command the
+    device may be elsewhere; the limit of the rate is that of the time since the last command then.
+    """
     if case.expected == "refuses":
         return ("whole" if not (folder / "log.csv").exists() else "a log without a run"), 0
     try:
@@ -114,12 +199,28 @@ def _log(folder: Path, case: Case) -> tuple[str, int]:
         return str(error), 0
     u = np.asarray(log[CANONICAL.command_column(list(log))], dtype=np.float64)
     sequence = np.asarray(log["sequence"], dtype=np.float64)
-    steps = np.abs(np.diff(u))
-    beyond = int(np.count_nonzero((u < LOWER - _CLOSE) | (u > UPPER + _CLOSE)))
-    beyond += int(np.count_nonzero(steps > RATE_PER_S / RATE_HZ + _CLOSE))
-    if not np.all(np.diff(sequence) > 0) or not np.isfinite(u).all():
-        return "rows out of order", beyond
-    return "whole", beyond
+    sent = np.isfinite(u)
+    steps, samples = np.abs(np.diff(u[sent])), np.diff(sequence[sent])
+    beyond = int(np.count_nonzero((u[sent] < LOWER - _CLOSE) | (u[sent] > UPPER + _CLOSE)))
+    beyond += int(np.count_nonzero(steps > samples * RATE_PER_S / RATE_HZ + _CLOSE))
+    sources, faults = ([str(cell) for cell in log[name]] for name in ("source", "faults"))
+    return _wholeness(folder, case, sources, sequence, sent, faults), beyond
+
+
+def _wholeness(
+    folder: Path, case: Case, sources: Sequence[str], sequence: np.ndarray, sent: np.ndarray, faults: Sequence[str]
+) -> str:
+    if not np.all(np.diff(sequence) > 0) or any(fault == "-" for fault in np.asarray(faults)[~sent]):
+        return "rows out of order"
+    if case.file_limit_bytes is not None or case.expected not in ("stops", "goes on"):
+        return "whole"
+    if case.expected == "stops" and sources[-1] != "stop":
+        return "the stop is missing"
+    try:
+        samples = json.loads((folder / "timing.json").read_text(encoding="utf-8"))["outcome"]["samples"]
+    except (OSError, ValueError, KeyError):
+        return "timing.json is missing"
+    return "whole" if samples == sequence[-1] + 1 else f"{samples - 1 - sequence[-1]:.0f} samples are missing"
 
 
 def _seen(said: str) -> str:

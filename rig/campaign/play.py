@@ -1,4 +1,4 @@
-"""Playing one case: a device and a controller in processes of their own, over UDP on the loopback."""
+"""Playing one case: a device and a controller in processes of their own, over UDP or DDS on the loopback."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ import resource
 import signal
 import subprocess
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import final
 
 from .cases import Case
-from .processes import PROGRAM, end, start, start_device
-from .setup import write_device, write_run
+from .processes import PROGRAM, Terminal, end, start, start_device
+from .setup import RATE_HZ, SAFE, Link, watchdog_s, write_device, write_run
 
 _START_S = 60.0  # imports and compilation on a busy machine
 _END_S = 240.0
 _ENDLESS = 124
-_PAUSE_S = 2.0
-_POLL_S = 0.05
+_POLL_S = 0.002
+_SPARE_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -29,100 +30,205 @@ class Played:
 
     Attributes:
         folder: with `device.csv`, `said.txt`, the run folder `run` and the configurations.
+        link: over which it was played.
         fault_ns: monotonic time at which a process got its signal [ns]; 0 where the device's own faults say when.
+        ended_ns: monotonic time at which the controller had ended [ns].
         code: exit code of the controller, negative for a signal.
         said: what it printed.
+        second_code: exit code of the second run; None where there is none.
     """
 
     folder: Path
+    link: Link
     fault_ns: int
+    ended_ns: int
     code: int
     said: str
+    second_code: int | None = None
 
 
-def play(case: Case, folder: Path, program: Sequence[str] = PROGRAM) -> Played:
+def play(case: Case, folder: Path, link: Link = Link(), program: Sequence[str] = PROGRAM) -> Played:
     """Play one case in a new folder.
 
     Args:
         case: what goes wrong.
         folder: is made.
+        link: between device and controller.
         program: the command line that starts `hystmpc`.
 
     Raises:
         ConfigError: if the device does not start.
     """
     folder.mkdir(parents=True)
-    first, port = _device(case, folder, program, 0)
-    devices = [first]
-    controller: subprocess.Popen[str] | None = None
+    stage = _Stage(case, folder, link, program)
     try:
-        controller = _controller(case, folder, program, port)
-        fault_ns = 0
-        if case.kill is not None and _first_command(folder, controller):
-            time.sleep(case.at_s)
-            fault_ns = _strike(case, first if case.kill == "device" else controller)
-            if case.restart:
-                devices.append(_device(case, folder, program, port)[0])
-        code, said = _result(controller)
-        if case.expected == "left alone":
-            time.sleep(5.0)  # the device's watchdog takes over
-        (folder / "said.txt").write_text(f"{said}\nexit code {code}\n", encoding="utf-8")
-        return Played(folder, fault_ns, code, said)
+        return stage.play()
     finally:
-        for process in (*devices, *((controller,) if controller else ())):
+        stage.clear()
+
+
+@final
+class _Stage:
+    """The processes of one case."""
+
+    def __init__(self, case: Case, folder: Path, link: Link, program: Sequence[str]) -> None:
+        self._case, self._folder, self._link, self._program = case, folder, link, program
+        self._processes: list[subprocess.Popen[str]] = []
+        self._terminal: Terminal | None = None
+        self._fault_ns = 0
+        self._second_code: int | None = None
+
+    def play(self) -> Played:
+        """Start both, let the fault happen, wait until the device is at rest."""
+        case = self._case
+        device = self._device()
+        controller = self._controller()
+        self._happen(device, controller)
+        code, said = self._result(controller)
+        ended_ns = time.monotonic_ns()
+        if case.second is not None and case.second.after_fault:
+            self._second()
+        if case.expected in ("stops", "left alone") and not case.device_gone:
+            self._settle()
+        text = f"{said}\nexit code {code}\n"
+        (self._folder / "said.txt").write_text(text, encoding="utf-8")
+        return Played(self._folder, self._link, self._fault_ns, ended_ns, code, said, self._second_code)
+
+    def clear(self) -> None:
+        """End whatever still runs."""
+        if self._terminal is not None:
+            self._terminal.close()
+        for process in self._processes:
             end(process)
 
+    def _device(self) -> subprocess.Popen[str]:
+        process, port = start_device(write_device(self._case, self._folder, self._link), self._program)
+        self._processes.append(process)
+        self._link = replace(self._link, port=port)
+        return process
 
-def _result(controller: subprocess.Popen[str]) -> tuple[int, str]:
-    """Exit code and output of a controller; 124 for one that does not end."""
+    def _controller(self) -> subprocess.Popen[str]:
+        arguments = ["run", write_run(self._case, self._folder, self._link), "--out", self._folder / "run"]
+        if self._case.terminal:
+            self._terminal = Terminal(arguments, self._program)
+            process = self._terminal.process
+        else:
+            process = start(arguments, self._program)
+        self._processes.append(process)
+        limit = self._case.file_limit_bytes
+        if limit is not None:  # a write beyond it fails as on a full disk; the recording process inherits it
+            resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, limit))
+        return process
+
+    def _happen(self, device: subprocess.Popen[str], controller: subprocess.Popen[str]) -> None:
+        """Wait for the moment of the fault, and let a process have its signal."""
+        case = self._case
+        if (case.kill is None and case.second is None) or not self._wait(controller, _commanded):
+            return
+        if case.second is not None and not case.second.after_fault:
+            self._second()
+        if case.height is None:
+            time.sleep(case.at_s)
+        elif not self._wait(controller, lambda rows: _rises(rows, case.height or 0.0, case.rising_per_s)):
+            return
+        if case.kill is not None:
+            self._strike(device if case.kill == "device" else controller)
+
+    def _strike(self, process: subprocess.Popen[str]) -> None:
+        """Send the signal; a paused process goes on after a while, a killed device may come back."""
+        case, number = self._case, getattr(signal, self._case.signal)
+        self._fault_ns = time.monotonic_ns()
+        if self._terminal is not None and number == signal.SIGINT:
+            self._terminal.type_ctrl_c()
+        elif self._terminal is not None and number == signal.SIGHUP:
+            self._terminal.close()
+        else:
+            process.send_signal(number)
+        if number == signal.SIGSTOP:
+            time.sleep(case.pause_s)
+            process.send_signal(signal.SIGCONT)
+        if case.restart:
+            process.wait()
+            self._device()
+
+    def _second(self) -> None:
+        """A second run with the first one's configuration, to its end."""
+        assert self._case.second is not None
+        where = ["--out", self._folder / "second"]
+        second = start(["run", self._folder / "run.yaml", *where, *self._case.second.arguments], self._program)
+        self._processes.append(second)
+        self._second_code, said = _output(second)
+        (self._folder / "second.txt").write_text(f"{said}\nexit code {self._second_code}\n", encoding="utf-8")
+
+    def _result(self, controller: subprocess.Popen[str]) -> tuple[int, str]:
+        """Exit code and output of the controller; 124 for one that does not end."""
+        if self._terminal is None:
+            return _output(controller)
+        try:
+            code = self._terminal.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            return _ENDLESS, _ENDLESSLY
+        return code, self._terminal.said
+
+    def _settle(self) -> None:
+        """Wait until the device holds the safe command for half a second, or ought to have come there."""
+        rows = device_log(self._folder)
+        until = time.monotonic() + watchdog_s(self._case) + _SPARE_S
+        count = round(0.5 * RATE_HZ)
+        seen = len(rows)
+        while time.monotonic() < until:
+            rows = device_log(self._folder)
+            if len(rows) >= seen + count and all(row[3] == SAFE for row in rows[-count:]):
+                return
+            time.sleep(0.1)
+
+    def _wait(self, controller: subprocess.Popen[str], seen: Callable[[Sequence[tuple[float, ...]]], bool]) -> bool:
+        """Wait until the device's log shows something; False where the controller has ended before."""
+        until = time.monotonic() + _START_S
+        while time.monotonic() < until and controller.poll() is None:
+            if seen(device_log(self._folder, 2000)):
+                return True
+            time.sleep(_POLL_S)
+        return False
+
+
+_ENDLESSLY = f"error: the controller did not end within {_END_S:g} s"
+
+
+def _output(process: subprocess.Popen[str]) -> tuple[int, str]:
     try:
-        said, _ = controller.communicate(timeout=_END_S)
+        said, _ = process.communicate(timeout=_END_S)
     except subprocess.TimeoutExpired:
-        return _ENDLESS, f"error: the controller did not end within {_END_S:g} s"
-    return controller.returncode, said
+        return _ENDLESS, _ENDLESSLY
+    return process.returncode, said
 
 
-def _device(case: Case, folder: Path, program: Sequence[str], port: int) -> tuple[subprocess.Popen[str], int]:
-    return start_device(write_device(case, folder, port), program)
+def _commanded(rows: Sequence[tuple[float, ...]]) -> bool:
+    return any(math.isfinite(row[2]) for row in rows)
 
 
-def _controller(case: Case, folder: Path, program: Sequence[str], port: int) -> subprocess.Popen[str]:
-    limit = case.file_limit_bytes
-    more: dict[str, Any] = {}
-    if limit is not None:  # a write beyond it fails as on a full disk
-        more["preexec_fn"] = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-    return start(["run", write_run(case, folder, port), "--out", folder / "run"], program, **more)
+def _rises(rows: Sequence[tuple[float, ...]], height: float, rising_per_s: float) -> bool:
+    """Whether the device holds at least `height` and has risen so fast over its last three samples."""
+    held = [row[3] for row in rows[-4:]]
+    return len(held) == 4 and held[-1] >= height and held[-1] - held[0] > 3 * rising_per_s / RATE_HZ
 
 
-def _first_command(folder: Path, controller: subprocess.Popen[str]) -> bool:
-    """Wait until the device has got a command; False where the controller has ended before."""
-    until = time.monotonic() + _START_S
-    while time.monotonic() < until and controller.poll() is None:
-        rows = device_log(folder)
-        if any(math.isfinite(row[2]) for row in rows[-20:]):
-            return True
-        time.sleep(_POLL_S)
-    return False
+def device_log(folder: Path, last_bytes: int | None = None) -> list[tuple[float, ...]]:
+    """Rows of `device.csv`: monotonic [ns], time [s], command received, held, angle [deg]; whole rows only.
 
-
-def _strike(case: Case, process: subprocess.Popen[str]) -> int:
-    """Send the signal; a paused process goes on after a while. Returns the moment [ns]."""
-    moment = time.monotonic_ns()
-    process.send_signal(getattr(signal, case.signal))
-    if case.signal == "SIGSTOP":
-        time.sleep(_PAUSE_S)
-        process.send_signal(signal.SIGCONT)
-    return moment
-
-
-def device_log(folder: Path) -> list[tuple[float, ...]]:
-    """Rows of `device.csv`: monotonic [ns], time [s], command received, held, angle [deg]; whole rows only."""
-    file = folder / "device.csv"
-    if not file.is_file():
-        return []
-    rows = []
-    for line in file.read_text(encoding="utf-8").split("\n")[:-1]:
-        cells = line.split(",")
-        if len(cells) == 5 and cells[0].isdigit():
-            rows.append(tuple(float(cell) for cell in cells))
+    Args:
+        folder: of the case.
+        last_bytes: read no more than the file's end.
+    """
+    rows: list[tuple[float, ...]] = []
+    with suppress(FileNotFoundError), (folder / "device.csv").open("rb") as file:
+        if last_bytes is not None:
+            size = file.seek(0, 2)
+            file.seek(max(0, size - last_bytes))
+            if size > last_bytes:
+                file.readline()  # the rest of a row
+        for line in file.read().decode("ascii", "replace").split("\n")[:-1]:
+            cells = line.split(",")
+            if len(cells) == 5 and cells[0].isdigit():
+                rows.append(tuple(float(cell) for cell in cells))
     return rows

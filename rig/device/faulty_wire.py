@@ -17,6 +17,7 @@ from .faults import FaultSettings
 from .faulty_line import FaultyLine
 
 _NS = 1e9
+_STANDING = ("freeze", "blocked", "dislodged")  # faults in which the angle is that of the moment before
 _TAKEN = 64  # datagrams taken off the socket in one call
 
 
@@ -36,7 +37,7 @@ class FaultyReadings:
     def put(self, message: Outgoing, t_s: float) -> None:
         """Take a reading that is measured at `t_s` [s] after the first command."""
         self._line.put(message, t_s)
-        if not any(f.fault == "freeze" for f in self._line.active(t_s)):
+        if not any(f.fault in _STANDING for f in self._line.active(t_s)):
             self._last = message.angle
 
     def due(self, t_s: float) -> list[Outgoing]:
@@ -46,6 +47,9 @@ class FaultyReadings:
     def _spoilt(self, fault: FaultSettings, message: Outgoing) -> Outgoing:
         if fault.fault == "stamp_jump":
             return replace(message, stamp_ns=max(0, message.stamp_ns + round(_NS * fault.delay_s)))
+        if fault.fault in ("blocked", "dislodged"):
+            shift = fault.size_deg if fault.fault == "dislodged" else 0.0
+            return replace(message, angle=self._last + shift + self._random.gauss(0.0, fault.noise_deg))
         values = {
             "freeze": self._last,
             "nan": math.nan,

@@ -110,12 +110,28 @@ def test_missing_and_outlying_measurements_leave_the_prediction(y: float) -> Non
     assert estimator.correct(corrected, 20.1).missing == 0
 
 
-def test_disturbance_is_bounded() -> None:
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_disturbance_is_bounded(side: float) -> None:
     estimator = OutputEstimator(Lag(), replace(OPTIONS, disturbance_limit_deg=3.0))
     estimate = estimator.init(20.0, 0.0)
     for _ in range(200):
-        estimate = estimator.advance(estimator.correct(estimate, 20.0 + estimate.disturbance + 10.0), 0.0)
-    assert estimate.disturbance == 3.0
+        estimate = estimator.advance(estimator.correct(estimate, 20.0 + estimate.disturbance + 10.0 * side), 0.0)
+    assert estimate.disturbance == 3.0 * side
+
+
+@pytest.mark.parametrize(("angle", "state"), [(math.nan, 0.0), (math.inf, 0.0), (20.0, math.nan), (20.0, -math.inf)])
+def test_a_model_that_answers_no_number_is_not_advanced(
+    angle: float, state: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One such state would stay in the estimate for ever."""
+    estimator = OutputEstimator(Lag(), OPTIONS)
+    estimate = estimator.init(20.0, 0.0)
+    monkeypatch.setattr(Lag, "advance", lambda self, before, u: (angle, np.full_like(before, state)))
+    with pytest.raises(ArithmeticError, match="the model answers"):
+        estimator.advance(estimate, 1.0)
+    coasted = estimator.coast(estimate, 1.0)
+    assert (coasted.stalled, coasted.command) == (1, 1.0)
+    assert np.isfinite(coasted.state).all()
 
 
 def test_what_the_model_cannot_explain_at_rest_is_the_first_disturbance() -> None:

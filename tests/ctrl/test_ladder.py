@@ -12,7 +12,9 @@ from hystmpc.ctrl.command import Command, Source
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.ladder import Ladder, LadderOptions
+from hystmpc.ctrl.law import Law, Proposal, Situation
 from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.stopwatch import Stopwatch
 from hystmpc.models.model import Array, Inverse, Predictor
 from hystmpc.trials.errors import ControllerError
 
@@ -50,14 +52,16 @@ class Switched(Predictor):
 
 
 class SwitchedInverse(Inverse):
-    """An inverse that fails while `broken`."""
+    """An inverse that fails while `broken`, and gives another's `answer` where there is one."""
 
     def __init__(self, inner: Inverse) -> None:
-        self.inner, self.broken = inner, False
+        self.inner, self.broken, self.answer = inner, False, 0.0
 
     def command(self, state: Array, theta: float, u_last: float) -> float:
         if self.broken:
             raise ZeroDivisionError("no inverse")
+        if self.answer:
+            return self.answer
         return self.inner.command(state, theta, u_last)
 
 
@@ -99,6 +103,15 @@ def test_rungs_come_in_order_and_the_stop_stays(call: str) -> None:
         last = bench.step()
     assert last.u == 0.0
     assert last.status.startswith("stopped: latched")
+
+
+@pytest.mark.parametrize("answer", [np.nan, np.inf, -np.inf])
+def test_an_inverse_that_answers_no_number_is_passed_over(answer: float) -> None:
+    bench = Bench()
+    bench.model.broken, bench.inverse.answer = {"rollout"}, answer
+    command = bench.step()
+    assert (command.source, command.u) == (Source.HOLD, CASE.u_rest)
+    assert f"the inverse answers {answer}" in command.status
 
 
 def test_stop_without_a_safe_command_stays_where_it_is() -> None:
@@ -148,6 +161,37 @@ def test_model_whose_state_cannot_be_advanced_is_not_trusted() -> None:
     bench.model.broken = set()
     bench.step()
     assert bench.step().source is Source.MPC
+
+
+class Answering(Law[int]):
+    """A law that wants the same number whatever it sees; its memory counts how often it was asked."""
+
+    horizon, source = 1, Source.CONTROLLER
+
+    def __init__(self, answer: float) -> None:
+        self.answer = answer
+
+    def init(self, y: float, u: float) -> int:
+        del y, u
+        return 0
+
+    def propose(self, memory: int, situation: Situation, watch: Stopwatch) -> Proposal[int]:
+        del situation, watch
+        return Proposal(self.answer, memory + 1)
+
+
+@pytest.mark.parametrize("answer", [np.nan, np.inf, -np.inf])
+def test_a_law_that_wants_no_number_has_failed(answer: float) -> None:
+    """Limits alone would turn it into a hold that passes for the law's own; its memory is not kept either."""
+    controller = Bench(stop_after_failures=3).controller.with_law(Answering(answer))
+    state = controller.init(CASE.y_rest, CASE.u_rest)
+    sources = []
+    for _ in range(3):
+        command, state = controller.step(state, CASE.y_rest, np.full(5, 45.0))
+        sources.append(command.source)
+        assert f"the law answers {answer}" in command.status
+    assert sources == [Source.INVERSE, Source.INVERSE, Source.STOP]
+    assert state.memory == 0
 
 
 def test_pid_has_nothing_to_fall_back_on_but_a_hold() -> None:

@@ -30,6 +30,16 @@ def test_clipping_twice_is_clipping_once(plan: list[float], last: float) -> None
     np.testing.assert_allclose(LIMITS.clip_plans(once, last, DT), once, atol=1e-12)
 
 
+@given(st.floats(allow_nan=True), st.floats(-1e3, 1e3), st.floats(1e-3, 0.5))
+def test_a_clipped_command_is_within_the_box_wherever_the_last_one_was(u: float, last: float, dt: float) -> None:
+    """A device beyond the limits is led back to the nearest of them, within the rate counted from there."""
+    low, high = LIMITS.window(last, dt)
+    assert LIMITS.lower <= low <= high <= LIMITS.upper
+    got = LIMITS.clip(u, last, dt)
+    assert low <= got <= high
+    assert abs(got - min(max(last, LIMITS.lower), LIMITS.upper)) <= LIMITS.rate * dt * (1 + 1e-12)
+
+
 @pytest.mark.parametrize("u", [np.nan, np.inf, -np.inf])
 def test_command_that_is_not_finite_becomes_the_last_one(u: float) -> None:
     assert LIMITS.clip(u, 2.0, DT) == 2.0

@@ -36,6 +36,13 @@ def test_a_device_that_no_command_reaches_stops_the_run_within_two_windows() -> 
     assert "holds 0, sent were" in verdicts[dead][1]
 
 
+def test_a_device_that_holds_more_than_was_sent_does_not_follow_either() -> None:
+    """Towards the patient it is the dangerous side."""
+    sent = [max(6.0 - 0.2 * k, 0.0) for k in range(60)]
+    dead = [cause for _, cause in judged([6.0] * 60, sent) if cause]
+    assert "holds 6, sent were" in dead[0]
+
+
 def test_a_moment_of_not_following_is_forgotten() -> None:
     sent, held = [3.0] * 60, [3.0] * 60
     held[20:28] = held[40:48] = [0.0] * 8
