@@ -68,7 +68,7 @@ def _logged(run: Path, got: Sequence[float], ended: bool) -> tuple[int, str]:
         try:
             log = RunFolder.open(run).log()
             answer = len(log["sequence"]), _missing(log["command_mm"], log["sequence"], got)
-            if ended and not answer[1] and log["source"][-1] != "stop":
+            if ended and not answer[1] and log["source"][-1] not in ("stop", "wait"):
                 answer = answer[0], "log: the stop is missing"
         except HystmpcError as error:
             answer = 0, f"log: {error}" if got else ""

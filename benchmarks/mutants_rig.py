@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mutant import Mutant, mutated_file  # isort: skip
+from mutant import Mutant, Mutated, mutated_file  # isort: skip
 
 _intake = mutated_file("rig", "intake.py", "test_parts.py", "test_intake.py", "test_loop.py")
 _followed = mutated_file("rig", "followed.py", "test_followed.py")
@@ -11,6 +11,23 @@ _units = mutated_file("rig", "transports/units.py", "test_units.py")
 _datagram = mutated_file("rig", "transports/datagram.py", "test_datagram.py", "test_udp.py")
 _signals = mutated_file("rig", "signals_.py", "test_signals.py")
 _prepare = mutated_file("rig", "prepare.py", "test_prepare.py")
+_gate = mutated_file("rig", "gate.py", "test_anchor.py", "test_parts.py", "test_loop.py")
+_anchor = mutated_file("rig", "anchor.py", "test_anchor.py")
+_loop = mutated_file("rig", "loop.py", "test_anchor.py", "test_loop.py")
+_motion = mutated_file("rig", "phases/motion.py", "test_anchor.py", "test_loop.py")
+_ramp = mutated_file("rig", "ramp.py", "test_anchor.py")
+_config = mutated_file("rig", "config.py", "test_parts.py")
+_plausibility = mutated_file("rig", "plausibility.py", "test_anchor.py")
+_tracking = mutated_file("rig", "phases/tracking.py", "test_bench.py")
+_admission = mutated_file("rig", "transports/admission.py", "test_sessions.py")
+_udp = mutated_file("rig", "transports/udp.py", "test_udp.py", "test_sessions.py")
+_dds = mutated_file("rig", "transports/dds_.py", "test_sessions.py", "test_dds.py")
+_server = mutated_file("rig", "device/server.py", "test_sessions.py")
+_latch = mutated_file("rig", "latch.py", "test_parts.py", "test_bench.py")
+_bench = mutated_file("rig", "bench.py", "test_bench.py")
+_connect = mutated_file("rig", "connect.py", "test_bench.py")
+_host = mutated_file("rig", "recording/host.py", "test_recording_faults.py")
+_at_bench = Mutated("cli", "cli/at_bench.py", ("tests/rig/test_bench.py",))
 
 MUTANTS: tuple[Mutant, ...] = (
     _intake(
@@ -130,4 +147,176 @@ MUTANTS: tuple[Mutant, ...] = (
         "            self.least_move_deg,\n            self.most_move_deg,",
         "            -1e9,\n            1e9,",
     ),
+    _gate(
+        "a pause earns a larger step",
+        "min(max(_S * (now_ns - self._sent_ns), _SHORTEST * self._dt), self._dt)",
+        "max(_S * (now_ns - self._sent_ns), _SHORTEST * self._dt)",
+    ),
+    _gate(
+        "two commands close together are a whole sample apart",
+        "min(max(_S * (now_ns - self._sent_ns), _SHORTEST * self._dt), self._dt)",
+        "self._dt",
+    ),
+    _gate(
+        "any held command is a place to start from",
+        "if not low - slack <= held <= high + slack:",
+        "if held < -1e9:",
+    ),
+    _gate("the gate does not limit", "u = self._limits.clip(wanted, self.last, self._elapsed_s(now_ns))", "u = wanted"),
+    _anchor("a gap is no gap", "(away or not seen.follows)", "(not seen.follows)"),
+    _anchor("a device that does not follow is commanded on", "(away or not seen.follows)", "away"),
+    _anchor(
+        "a held command on the move is believed",
+        "still = max(values) - min(values) <= _STILL * self._tolerance",
+        "still = True",
+    ),
+    _anchor("silence is waited out", "if silent_ns > self._silence_ns:", "if silent_ns > 1e18:"),
+    _anchor(
+        "a device that has moved by itself is commanded on",
+        "if abs(held - before) > self._tolerance:",
+        "if abs(held - before) > 1e9:",
+    ),
+    _anchor(
+        "a command is sent however old its judgement",
+        "if boot_ns - self._judged_ns <= self._gap_ns:",
+        "if boot_ns >= 0:",
+    ),
+    _loop("commands are sent without an anchor", "if not sure:", "if not sure and not self._commands:"),
+    _loop("goodbye is always said", "stop(goodbye=self._confirmed)", "stop(goodbye=True)"),
+    _loop(
+        "a phase that raises is held",
+        '                self._halt(f"{type(error).__name__}: {text}", now)\n                continue',
+        '                return Decision(now.held, "hold", text)',
+    ),
+    _loop(
+        "the fault of a phase is ignored",
+        "if not decision.fault or isinstance(self._phase, SafeStop):",
+        "if decision is not None:",
+    ),
+    _loop("a dead sensor is ignored", "stop = self._flag.cause or seen.dead", "stop = self._flag.cause"),
+    _loop("a signal is ignored", "stop = self._flag.cause or seen.dead", "stop = seen.dead"),
+    _loop(
+        "a stalled loop goes on",
+        "if boot - self._boot_ns > self._stall_ns + self._dt_ns:",
+        "if boot < 0:",
+    ),
+    _loop(
+        "the stop goes on from where it was before the pause",
+        "if self._waited and isinstance(self._phase, SafeStop):",
+        "if self._waited < 0 and isinstance(self._phase, SafeStop):",
+    ),
+    _loop(
+        "a command that did not leave counts as sent",
+        "            self._unsent += 1\n            self._anchor.not_sent(self._clock.boot_ns())",
+        "            self._unsent += 1\n            self._gate.sent(u, self._clock.now_ns())",
+    ),
+    _motion(
+        "the stop has no ramp",
+        "            self._commands = self._plan(now.held, now.velocity).tolist()\n        except",
+        "            self._commands = []\n        except",
+    ),
+    _motion(
+        "held is claimed without the device's word",
+        "self.confirmed = abs(now.told - self._safe) <= self._tolerance",
+        "self.confirmed = True",
+    ),
+    _motion("the stop ends at once", "there = self.sent and (", "there = True or ("),
+    _ramp(
+        "a stop does not brake",
+        "if min(start, safe) - overshoot <= ramp.min() and ramp.max() <= max(start, safe) + overshoot:",
+        "if ramp.size:",
+    ),
+    _ramp(
+        "a stop brakes as gently as a ramp",
+        "max(ramps.acceleration_per_s2, velocity**2 / (2.0 * overshoot))",
+        "ramps.acceleration_per_s2",
+    ),
+    _config("a weak brake is accepted", "> self.overshoot * (1 + 1e-9):", "> 1e9:"),
+    _plausibility("a blocked tip is not noticed", "if now_ns - self._since_ns < self._hold_ns:", "if now_ns >= 0:"),
+    _plausibility(
+        "an angle that moves counts as one that does not",
+        "if not max(self._high, angle) - min(self._low, angle) < self._moves:",
+        "if math.isnan(self._high):",
+    ),
+    _plausibility(
+        "only a positive disturbance counts", "self._on and abs(disturbance_deg)", "self._on and disturbance_deg"
+    ),
+    _plausibility(
+        "the estimator's own limit does not count", "min(settings.model_error_deg, 0.99 * limit_deg)", "30.5"
+    ),
+    _tracking("the model is not watched", "self._watch.judge(command.disturbance)", '""'),
+    _intake(
+        "the command held by a device that listens to another counts",
+        "self._held = reading.held if reading.listens else math.nan",
+        "self._held = reading.held",
+    ),
+    _admission(
+        "anybody may take a device over",
+        "if not known and self._pinned is not None and now_ns - self._heard_ns <= self._silence_ns:",
+        "if now_ns < 0:",
+    ),
+    _admission("anybody may command", 'return "" if self._pinned == (sender, session) else ANOTHER', 'return ""'),
+    _admission(
+        "the sender does not matter",
+        'return "" if self._pinned == (sender, session) else ANOTHER',
+        'return "" if self._pinned[1] == session else ANOTHER',
+    ),
+    _admission(
+        "who has never commanded may say goodbye",
+        'return "" if self._commanded else "goodbye without a command"',
+        'return ""',
+    ),
+    _admission(
+        "old messages are new", "if self._order.judge(session, sequence) not in (NEW, RESTARTED):", "if now_ns < 0:"
+    ),
+    _udp("any kind is a reading", "elif message.kind is not Kind.READING:", "elif message.kind is None:"),
+    _udp("goodbye is said anyway", "for _ in range(_GOODBYES if goodbye else 0):", "for _ in range(_GOODBYES):"),
+    _udp(
+        "not a number passes",
+        'return Incoming(message.value) if math.isfinite(message.value) else "not-a-number"',
+        "return Incoming(message.value)",
+    ),
+    _dds("goodbye is said anyway", "if goodbye and self._device_has_sessions:", "if self._device_has_sessions:"),
+    _dds(
+        "not a number passes", 'return Incoming(raw) if math.isfinite(raw) else "not-a-number"', "return Incoming(raw)"
+    ),
+    _dds("every writer is the same", "come = writer, message.session,", "come = 0, 0,"),
+    _server("the watchdog never bites", "if self._silent <= self._settings.watchdog_s:", "if self._silent <= 1e9:"),
+    _server("no greeting is wanted after the watchdog", "self._deaf = self._deaf or bites", "self._deaf = False"),
+    _server(
+        "a goodbye disarms the watchdog anywhere",
+        "if abs(self._held - self._rest) <= _AT_REST * (self._limits.upper - self._limits.lower):",
+        "if self._rest >= 0:",
+    ),
+    _server(
+        "a greeting ends the return",
+        "                self._deaf = False\n",
+        "                self._deaf, self._silent = False, 0.0\n",
+    ),
+    _server(
+        "the drive jumps",
+        "self._held = self._limits.clip(self._target, self._held, self._dt)",
+        "self._held = self._target",
+    ),
+    _latch("nothing keeps a second program out", "lock.acquire(blocking=False)", "lock.lock_file"),
+    _latch("an unreadable latch is released", '{"cause": "unreadable latch", "since": "?"}', "None"),
+    _bench("a run is not latched while it lasts", "    latch.set(RUNNING)\n", ""),
+    _bench(
+        "a stop is not latched",
+        "    if cause:\n        latch.set(cause)",
+        "    if not cause:\n        latch.set(cause)",
+    ),
+    _bench("a latched stop is ignored", "        latch.require_released()\n", ""),
+    _connect(
+        "a device beyond the limits is accepted", "if not low - slack <= held <= high + slack:", "if held < -1e9:"
+    ),
+    _connect("a device of another controller is accepted", "seen += listens and sensor", "seen += sensor"),
+    _connect(
+        "another start command is accepted",
+        "if wanted is not None and abs(held - wanted)",
+        "if wanted is None and abs(held)",
+    ),
+    _host("Ctrl-C ends the recording", "for name in STOPPING:", 'for name in ("SIGHUP",):'),
+    _host("a closed terminal ends the recording", "for name in STOPPING:", 'for name in ("SIGINT", "SIGTERM"):'),
+    _at_bench("held is always claimed", "    if outcome.confirmed:", "    if outcome:"),
 )

@@ -127,8 +127,9 @@ def _loop(
     span = limits.upper - limits.lower
     tolerance = sensor.held_tolerance or _TOLERANCE * span
 
-    def to_safe(cause: str, velocity: float) -> SafeStop:
-        way = partial(stop_commands, velocity=velocity, safe=safe, ramps=ramps, overshoot=overshoot, dt_s=dt_s)
+    way = partial(stop_commands, safe=safe, ramps=ramps, overshoot=overshoot, dt_s=dt_s)
+
+    def to_safe(cause: str) -> SafeStop:
         return SafeStop(way, safe, tolerance, cause, patience=max(_REPEATS, round(_PATIENCE_S / dt_s)))
 
     ramp_commands(contact.held, 0.0, safe, ramps, dt_s)  # ruckig is loaded before it is needed in a hurry

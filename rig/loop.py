@@ -25,8 +25,8 @@ _READINGS = 64  # taken at most in one sample; a flood must not cost the deadlin
 _PILED_UP = 100_000
 _REMEMBERED = 200_000  # samples of preparation that a controller can be told of
 
-# Cause, and velocity of the command, to the phase that leads to the safe command; no cause at the regular end.
-ToSafe = Callable[[str, float], SafeStop]
+# Cause to the phase that leads to the safe command; no cause at the regular end.
+ToSafe = Callable[[str], SafeStop]
 
 
 @final
@@ -126,7 +126,7 @@ class ControlLoop:
         if not sure:
             return self._wait(woke, deadline, seen, stop)
         skipped = self._skipped + (self._waited if self._commands else 0)
-        now = Now(seen.angle_deg, self._gate.last, self._late, skipped, seen.held)
+        now = Now(seen.angle_deg, self._gate.last, self._late, skipped, seen.held, self._gate.velocity)
         if self._waited and isinstance(self._phase, SafeStop):
             self._phase.begin(now, Past([], []))  # the way out starts where the device was found
         self._waited = 0
@@ -221,7 +221,7 @@ class ControlLoop:
         for _ in range(3):
             try:
                 if self._phase is None:
-                    phase = self._rest.popleft() if self._rest else self._to_safe("", self._gate.velocity)
+                    phase = self._rest.popleft() if self._rest else self._to_safe("")
                     phase.begin(now, Past(list(self._past_u), list(self._past_y)))
                     self._phase = phase
                 decision = self._phase.step(now)
@@ -240,7 +240,7 @@ class ControlLoop:
             return
         self._cause, self._stop_s = cause, _S * (self._clock.now_ns() - self._start_ns)
         self._rest.clear()
-        phase = self._to_safe(cause, self._gate.velocity)
+        phase = self._to_safe(cause)
         phase.begin(now, Past([], []))
         self._phase = phase
 

@@ -104,7 +104,7 @@ _FAST = {"reference": {"frequency_hz": 0.8, "cycles": 8}}
 _SLOW_RETURN = {"watchdog_rate_per_s": 0.1}  # a second run comes while the device is still on its way back
 _OTHER_NAME = Second(("--set", "name=other", "--set", "latch_file=other.json"))
 _RESET = Second(("--reset", "--set", "start_command=0"), after_fault=True)
-_SOFT = {"ramps": {"acceleration_per_s2": 5.0, "jerk_per_s3": 50.0}}  # v^2 / 2a is ten times the overshoot
+_SOFT = {"ramps": {"brake_per_s2": 20.0}}  # v^2 / 2a is twenty times the overshoot
 _HIGHER = {"limits": {"lower": 1.0}, "safe_command": 1.0}  # the device holds 0
 
 CASES: tuple[Case, ...] = (
@@ -140,7 +140,7 @@ CASES: tuple[Case, ...] = (
     _wire("device clock back by 1 h", "stops", "stamp_jump", delay_s=-3600.0),
     _wire("device clock ahead by 1 h", "goes on", "stamp_jump", delay_s=3600.0),
     Case("device beyond the limits", "refuses", settings=_HIGHER),
-    Case("ramps that cannot brake in time", "refuses", settings=_SOFT),
+    Case("a brake that is too weak", "refuses", settings=_SOFT),
     Case("device killed", "stops", kill="device"),
     Case("device killed, restarted", "stops", kill="device", restart=True),
     Case("device paused 0.3 s", "goes on", kill="device", signal="SIGSTOP", pause_s=0.3),

@@ -188,8 +188,8 @@ def _claim(played: Played, rows: Rows) -> str:
 def _log(folder: Path, case: Case) -> tuple[str, int]:
     """Whether the log is whole, and commands in it beyond the limits: sample by sample, without grace.
 
-    A sample in which nothing was sent has no command, and says why. After samples that passed without a command the
-    device may be elsewhere; the limit of the rate is that of the time since the last command then.
+    A sample in which nothing was sent has the source `wait` and the command that the device says it holds, which may be
+    anywhere. The command after it is measured from there, as every other one from that before.
     """
     if case.expected == "refuses":
         return ("whole" if not (folder / "log.csv").exists() else "a log without a run"), 0
@@ -199,22 +199,19 @@ def _log(folder: Path, case: Case) -> tuple[str, int]:
         return str(error), 0
     u = np.asarray(log[CANONICAL.command_column(list(log))], dtype=np.float64)
     sequence = np.asarray(log["sequence"], dtype=np.float64)
-    sent = np.isfinite(u)
-    steps, samples = np.abs(np.diff(u[sent])), np.diff(sequence[sent])
-    beyond = int(np.count_nonzero((u[sent] < LOWER - _CLOSE) | (u[sent] > UPPER + _CLOSE)))
-    beyond += int(np.count_nonzero(steps > samples * RATE_PER_S / RATE_HZ + _CLOSE))
-    sources, faults = ([str(cell) for cell in log[name]] for name in ("source", "faults"))
-    return _wholeness(folder, case, sources, sequence, sent, faults), beyond
+    sources = [str(cell) for cell in log["source"]]
+    sent = np.array([source != "wait" for source in sources])
+    beyond = int(np.count_nonzero(sent & ~((u >= LOWER - _CLOSE) & (u <= UPPER + _CLOSE))))
+    beyond += int(np.count_nonzero(sent[1:] & ~(np.abs(np.diff(u)) <= RATE_PER_S / RATE_HZ + _CLOSE)))
+    return _wholeness(folder, case, sources, sequence), beyond
 
 
-def _wholeness(
-    folder: Path, case: Case, sources: Sequence[str], sequence: np.ndarray, sent: np.ndarray, faults: Sequence[str]
-) -> str:
-    if not np.all(np.diff(sequence) > 0) or any(fault == "-" for fault in np.asarray(faults)[~sent]):
+def _wholeness(folder: Path, case: Case, sources: Sequence[str], sequence: np.ndarray) -> str:
+    if not np.all(np.diff(sequence) > 0):
         return "rows out of order"
     if case.file_limit_bytes is not None or case.expected not in ("stops", "goes on"):
         return "whole"
-    if case.expected == "stops" and sources[-1] != "stop":
+    if case.expected == "stops" and sources[-1] not in ("stop", "wait"):
         return "the stop is missing"
     try:
         samples = json.loads((folder / "timing.json").read_text(encoding="utf-8"))["outcome"]["samples"]

@@ -94,8 +94,8 @@ class SafeStop:
     since a wire may lose some; where the device does not say that it is there, `patience` times.
 
     Args:
-        commands: held command to the commands (N,) to send; where it fails, the safe command itself is wanted, and the
-            gate lets the device there as fast as the limits allow.
+        commands: held command and its velocity to the commands (N,) to send; where it fails, the safe command itself is
+            wanted, and the gate lets the device there as fast as the limits allow.
         safe: the safe command.
         tolerance: how far beside it the device may be, in the command's unit.
         cause: why; empty at the regular end of a run.
@@ -106,7 +106,7 @@ class SafeStop:
 
     def __init__(
         self,
-        commands: Callable[[float], Vec],
+        commands: Callable[[float, float], Vec],
         safe: float,
         tolerance: float,
         cause: str,
@@ -127,7 +127,7 @@ class SafeStop:
         del past
         self._attempts -= 1
         try:
-            self._commands = self._plan(now.held).tolist()
+            self._commands = self._plan(now.held, now.velocity).tolist()
         except Exception:  # noqa: BLE001 - a stop cannot fail: the gate's limits lead there as well
             self._commands = []
         self._k = self._rested = 0

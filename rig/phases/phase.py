@@ -17,6 +17,7 @@ class Now:
         late: whether the previous sample missed its deadline, so that there is no time for a plan.
         skipped: whole samples since the previous one in which nothing was sent and the device held `held`.
         told: the command that the device says it holds, NaN where it does not tell.
+        velocity: of the command between the last two samples; 0 where the device was found at rest [unit/s].
     """
 
     angle_deg: float
@@ -24,6 +25,7 @@ class Now:
     late: bool = False
     skipped: int = 0
     told: float = math.nan
+    velocity: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -178,9 +178,12 @@ class Rig:
         self.anchor = Anchor(self.gate, 0.1, 3 * DT, 0.5)
 
     def run(self, phases: Sequence[Phase]) -> Outcome:
-        def to_safe(cause: str, velocity: float) -> SafeStop:
+        def to_safe(cause: str) -> SafeStop:
             return SafeStop(
-                lambda held: stop_commands(held, velocity, self.safe, RAMPS, OVERSHOOT, DT), self.safe, 0.1, cause
+                lambda held, velocity: stop_commands(held, velocity, self.safe, RAMPS, OVERSHOOT, DT),
+                self.safe,
+                0.1,
+                cause,
             )
 
         self.loop = ControlLoop(

@@ -113,13 +113,31 @@ def test_a_device_that_does_not_tell_gets_nothing_after_a_pause() -> None:
     assert rig.transport.rest() == 0.0
 
 
-def test_failed_sends_do_not_let_the_gate_run_on() -> None:
-    """Ten commands in a row that do not leave, while the command rises as fast as the limits allow."""
-    rig = Rig(following, fails=lambda k: 8 <= k <= 14)
+@pytest.mark.parametrize("tells", [True, False])
+def test_failed_sends_do_not_let_the_gate_run_on(tells: bool) -> None:
+    """Commands in a row that do not leave, while the command rises as fast as the limits allow."""
+    rig = Rig(following, fails=lambda k: 8 <= k <= 9, tells=tells)
     outcome = rig.run([Rising(10.0)])
     steps = [b - a for a, b in pairwise(rig.transport.sent)]
-    assert outcome.unsent >= 2
+    assert outcome.unsent == 2
+    assert outcome.cause == ""
     assert max(map(abs, steps)) <= STEP + 1e-9
+
+
+@pytest.mark.parametrize("pause_s", [0.2, 0.7, 1.0, 3.0])
+def test_a_pause_during_the_stop_begins_its_way_out_anew(pause_s: float) -> None:
+    """The device has come down meanwhile: the rest of the old way would lead it up again."""
+
+    def script(k: int, command: float) -> float:
+        if k == 60:
+            rig.flag.set("SIGTERM")
+        return following(k, command)
+
+    rig = Rig(script, costs_ns={70: round(pause_s * NS)}, watchdog=True)
+    outcome = rig.run([travel(5.0, hold_s=10.0)])
+    assert outcome.cause == "SIGTERM"
+    assert outcome.confirmed
+    assert rise_after(rig, rig.transport.history[69][0]) <= 1e-9
 
 
 def test_a_gate_rolls_back_what_was_not_sent_and_counts_the_time_that_has_passed() -> None:

@@ -113,6 +113,21 @@ def test_when_the_recording_process_dies_the_run_goes_on(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
+def test_signals_to_all_of_a_terminal_cost_no_sample(tmp_path: Path) -> None:
+    """Ctrl-C and a closed terminal reach the recording process too: it records the stop all the same."""
+    sink = open_apart(tmp_path / "run", {}, META, 100.0)
+    for k, number in enumerate((signal.SIGINT, signal.SIGTERM, signal.SIGHUP)):
+        sink.put(sample(k))
+        os.kill(sink.pid, number)
+        time.sleep(0.1)
+    for k in range(3, 40):
+        sink.put(sample(k))
+    sink.close()
+    assert sink.problem == ""
+    assert len(read_log(tmp_path / "run" / "log.csv")) == 40
+
+
+@pytest.mark.slow
 def test_kill_minus_nine_costs_nothing_that_was_flushed() -> None:
     """The campaign of the benchmark in its smallest honest version: each way of dying once."""
     command = [sys.executable, "benchmarks/kill_recording.py", "--kills", "3", "--longest", "1.5", "--seed", "5"]

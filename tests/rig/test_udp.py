@@ -127,6 +127,17 @@ def test_replayed_and_broken_commands_of_the_right_sender_are_counted(pair: tupl
     assert {cause: link.counters[cause] for cause in broken} == dict.fromkeys(broken, 1)
 
 
+def test_only_a_reading_is_taken_for_one(pair: tuple[UdpTransport, UdpLink]) -> None:
+    """Greetings, commands and goodbyes that come back are no angles."""
+    transport, link = pair
+    for kind in Kind:
+        if kind is not Kind.READING:
+            link._wire.sendto(encode(Datagram(kind, 1, 1, 0, 55.0)), link._peer)
+    link.send(Outgoing(42.5, 0.0, 7, 1))
+    assert wait_for(transport.read).angle_deg == 42.5
+    assert transport.counters["not a reading"] == 3
+
+
 def test_a_second_controller_is_heard_only_after_the_first_has_left(pair: tuple[UdpTransport, UdpLink]) -> None:
     transport, link = pair
     other = UdpTransport(UdpSettings(kind="udp", port=link.port), SAME)
