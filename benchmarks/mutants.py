@@ -242,6 +242,7 @@ def main() -> int:
     if not chosen:
         console.print(f"error: --only: got {', '.join(options.only)}, expected a part of a mutant's name or file")
         return 2
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # the copies go, whoever ends it
     try:
         results = run(chosen, options.jobs, options.timeout, console)
     except NotApplicableError as error:

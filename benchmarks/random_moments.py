@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
 import json
 import math
 import multiprocessing
@@ -49,8 +50,14 @@ from moments import KINDS, Moment, judged, table  # isort: skip
 
 PAUSE_S, STALL_S, MOTION_S = 3.0, 1.0, 3.0
 _PATIENCE_S = 60.0
+_PARENT_DEATH_SIGNAL = 1  # of prctl
 _CASE = Case("random moments", "stops", settings={"reference": {"frequency_hz": 0.8, "cycles": 3}})
 _USED = (review_run,)  # imported before the forks, so that no run has to
+
+
+def dies_with_its_parent() -> None:
+    """Have the system end this process when the one that has started it is gone: no device may be left behind."""
+    ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
 
 
 def forked(work: Callable[[], object], output: int | None = None) -> int:
@@ -61,6 +68,7 @@ def forked(work: Callable[[], object], output: int | None = None) -> int:
     code = 1
     try:
         os.setsid()
+        dies_with_its_parent()
         if output is not None:
             os.dup2(output, 1)
             os.dup2(output, 2)
@@ -219,7 +227,7 @@ def campaign(kinds: Sequence[str], moments: int, lanes: int, seed: int, folder: 
     work = [(kind, float(draws.uniform(0.0, MOTION_S))) for _ in range(moments) for kind in kinds]
     tracking_phase(load_run(write_run(_CASE, folder, Link())))  # compiled and imported once, for all that are forked
     lanes = min(lanes, len(work))
-    with ProcessPoolExecutor(lanes, multiprocessing.get_context("fork")) as pool:
+    with ProcessPoolExecutor(lanes, multiprocessing.get_context("fork"), dies_with_its_parent) as pool:
         parts = pool.map(lane_of, [folder / str(k) for k in range(lanes)], [work[k::lanes] for k in range(lanes)])
         return [moment for part in parts for moment in part]
 

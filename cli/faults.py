@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+from rich.console import Console
 
 from hystmpc.rig.campaign.cases import CASES, Case
 from hystmpc.trials.errors import ConfigError
@@ -128,7 +129,7 @@ def _show(verdicts: list[Verdict]) -> None:
         for v in verdicts
     ]
     grid = table("fault campaign, device and controller in two processes", _COLUMNS, rows)
-    out.print(grid, width=max(out.width, _WIDTH), crop=False)  # a terminal may break its lines; a file keeps them
+    Console(width=max(out.width, _WIDTH)).print(grid)  # a narrow terminal breaks its lines; a file keeps them
     out.print("what the user sees:")
     for v in verdicts:
         out.print(f"  {v.name}, {v.wire}: {v.seen}", soft_wrap=True, markup=False, highlight=False)

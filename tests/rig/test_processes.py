@@ -78,7 +78,7 @@ def test_a_signal_ends_a_run_at_the_safe_command_and_latches(
         ("controller paused 3 s at 4 mm", "udp"),
         ("terminal closed", "udp"),
         pytest.param("tip blocked", "dds", marks=needs_dds),
-        pytest.param("second run of another name", "dds", marks=needs_dds),
+        pytest.param("the same, then the first one killed", "dds", marks=needs_dds),
     ],
 )
 def test_a_part_of_the_campaign(name: str, kind: Kind, tmp_path: Path) -> None:
