@@ -36,7 +36,7 @@ def simulate(
     sweep: Annotated[Path | None, typer.Option(help="Many studies in one: grid, draws, seeds (YAML).")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes of a sweep; else one a core.")] = None,
     cluster: Annotated[
-        str | None, typer.Option(help="Dask scheduler of a sweep, tcp://host:8786; `local` starts one.")
+        str | None, typer.Option(help="Dask scheduler of a sweep, tcp://host:8786; `local`: processes of this machine.")
     ] = None,
     row: Annotated[
         tuple[Path, str] | None, typer.Option(metavar="DIR ID", help="Make one row of a sweep again and compare.")

@@ -20,7 +20,7 @@ def tune(
     overrides: Annotated[list[str] | None, typer.Option("--set", help="Change a setting: trials=200.")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes, one thread each; else one a core.")] = None,
     cluster: Annotated[
-        str | None, typer.Option(help="Dask scheduler, tcp://host:8786, or `local`; wants a shared --storage.")
+        str | None, typer.Option(help="Dask scheduler, tcp://host:8786, with a shared --storage; `local`: as --jobs.")
     ] = None,
     storage: Annotated[
         str | None, typer.Option(help="Where trials are kept, such as postgresql://host/db; several machines share it.")
