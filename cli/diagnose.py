@@ -14,6 +14,7 @@ from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.simulator import Simulator, load_simulator
 from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError, LogError, ModelError
+from hystmpc.trials.files import require_writable
 from hystmpc.trials.trial import Trial
 
 from .console import Bar, bar, errors, out, table
@@ -72,6 +73,7 @@ def _diagnosed(
     """Diagnose and write the folder; what is unusable is refused before the long part."""
     from hystmpc.gap.report.folder import require_free, save_diagnosis
 
+    require_writable(folder)
     require_free(folder)
     simulator = _simulator(sim)
     trials = _recorded(files, preset)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from hystmpc.trials.check import check_trial
-from hystmpc.trials.csv_ import read_trials
+from hystmpc.trials.csv_ import expand_logs, read_trials
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.findings import Severity
 from hystmpc.trials.presets import PRESETS
@@ -41,6 +41,15 @@ def processes(jobs: int | None) -> int:
     if jobs is not None and jobs < 1:
         raise ConfigError(f"--jobs: got {jobs}, expected 1 or more; left out it is one a core, here {os.cpu_count()}")
     return jobs or os.cpu_count() or 1
+
+
+def files_read(logs: Sequence[Path], layout: str) -> list[Path]:
+    """Files that stand behind `LOG...` and `--preset`.
+
+    Raises:
+        LogError: if a folder holds no log.
+    """
+    return [*expand_logs(logs), Path(layout)]
 
 
 def trials_at(logs: Sequence[Path], layout: str, rate_hz: float) -> list[Trial]:

@@ -14,6 +14,7 @@ from hystmpc.sim.config import load_simulation
 from hystmpc.sim.results import Result, StudyResult
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.run_folder import require_resumable, require_vacant
 
 from .console import bar, errors, out, table
 from .options import processes
@@ -89,7 +90,13 @@ def _study(config: Path, overrides: Sequence[str], folder: Path) -> None:
 
 
 def show_study(title: str, folder: Path, run: Callable[[Progress], StudyResult]) -> None:
-    """Do a study behind a bar and print what came of it; what Ctrl-C left of it is said too."""
+    """Do a study behind a bar and print what came of it; what Ctrl-C left of it is said too.
+
+    Raises:
+        ConfigError: if the folder is not new or empty, or the study cannot be run.
+        typer.Exit: with 130 if the user ended it before a run was finished.
+    """
+    require_vacant(folder)
     try:
         with bar(title) as show:
             result = run(lambda done, total: show(done, total=total))
@@ -110,6 +117,7 @@ def _sweep(file: Path, overrides: Sequence[str], folder: Path, jobs: int, cluste
     from hystmpc.sim.sweep.settings import load_sweep
 
     settings = load_sweep(file, overrides)
+    require_resumable(folder)
     backend = backend_for(jobs, cluster, str(folder))
     try:
         with bar("sweep") as show:
@@ -132,6 +140,8 @@ def _again(folder: Path, identity: str, target: Path | None) -> None:
     """Make a row again; exit code 1 if a figure differs."""
     from hystmpc.sim.sweep.reproduce import reproduce
 
+    if target is not None:
+        require_vacant(target)
     figures = reproduce(folder, identity, target)
     rows = [[f.name, str(f.before), str(f.again), "yes" if f.equal else "NO"] for f in figures]
     out.print(table(f"row {identity}", ("figure", "table", "again", "equal"), rows))

@@ -13,6 +13,7 @@ from hystmpc.sim.studies.control_settings import ControlSettings
 from hystmpc.sim.studies.control_tables import bars_table
 from hystmpc.sim.studies.tally import Tally
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.run_folder import require_resumable
 
 from .console import Bar, bar, errors, out, table
 
@@ -30,6 +31,7 @@ def control(changes: dict[str, Any], folder: Path, workers: int) -> None:
     from hystmpc.sim.studies.control_run import prepare_control, run_control  # as other studies: late
 
     settings = ControlSettings.of(**changes)
+    require_resumable(folder)
     ready = prepare_control(settings, folder)
     minutes = ready.minutes(workers)
     errors.print(f"{len(ready.open)} of {len(ready.jobs)} jobs to do on {workers} cores: about {minutes} min")

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from hystmpc.trials.run_folder import require_resumable
+
 from .console import bar, errors, out, table
 from .options import processes
 
@@ -36,6 +38,7 @@ def tune(
 
     workers = processes(jobs)
     settings = load_tuning(config, overrides or [])
+    require_resumable(folder)
     backend = backend_for(workers, cluster, str(folder))
     try:
         with bar("tune") as show:
