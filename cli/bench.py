@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import require_vacant
 
-from .console import bar, errors, out, table
+from .console import bar, errors, out, plain_console, table
 from .outputs import BENCHMARK, Force, check_output
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from hystmpc.sim.bench.report import Report
 
 INTERRUPTED = 130
@@ -88,5 +89,5 @@ def _title(report: Report) -> str:
 
 def _write_table(report: Report, path: Path) -> None:
     text = io.StringIO()
-    _print(report, Console(width=_WIDTH, file=text))
+    _print(report, plain_console(width=_WIDTH, file=text))
     write_atomically(path, text.getvalue())

@@ -64,7 +64,7 @@ def diagnose(
         sys.stdout.write(diagnosis_json(diagnosis))
         return
     print_diagnosis(diagnosis)
-    out.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
+    out.print(f"report: {folder / 'report.html'}", soft_wrap=True, highlight=False)
 
 
 def _diagnosed(
@@ -100,7 +100,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     from hystmpc.gap.report.words import headline, how_far, percent
 
     for line in (headline(diagnosis), diagnosis.reason, how_far(diagnosis)):
-        out.print(line, markup=False, highlight=False)
+        out.print(line, highlight=False)
     if diagnosis.ranking:
         found = {effect.name: effect for effect in diagnosis.effects}
         rows = []
@@ -118,7 +118,6 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         out.print(
             f"next: record {motion.file} ({motion.duration_s:.0f} s) to tell apart {names}: "
             f"{percent(motion.expected_probability)} expected",
-            markup=False,
             highlight=False,
         )
 

@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.markup import escape
 from rich.table import Table
 
 from hystmpc.models.effects.catalogue import EFFECTS
@@ -40,7 +39,7 @@ def effects(
         grid.add_column("equation; parameters with unit, bounds, neutral value", overflow="fold")
         for effect in EFFECTS.values():
             lines = "\n".join((effect.equation, *(f"  {line}" for line in parameter_lines(effect))))
-            grid.add_row(f"{effect.name}\n  {', '.join(effect.sides)}", escape(lines), end_section=True)
+            grid.add_row(f"{effect.name}\n  {', '.join(effect.sides)}", lines, end_section=True)
         out.print(grid)
 
 

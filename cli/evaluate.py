@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 from rich.table import Table
 
 from hystmpc.models.contract.metadata import ModelMetadata
@@ -59,7 +58,7 @@ def warn_outside(results: Sequence[TrialEvaluation], facts: ModelMetadata) -> No
         errors.print(
             f"{len(beyond)} of {len(results)} trials leave the identified range of {trained.lower:.4g} to "
             f"{trained.upper:.4g} {facts.command_unit}, where the model guesses: {100 * worst.outside:.1f} % of the "
-            f"samples of {escape(Path(worst.trial.source).name)}",
+            f"samples of {Path(worst.trial.source).name}",
             style="yellow",
         )
 

@@ -75,5 +75,5 @@ def main() -> None:
 
 def _end(text: str) -> NoReturn:
     line = " ".join(text.split())
-    errors.print(f"error: {line}", style="red", soft_wrap=True, markup=False, highlight=False)
+    errors.print(f"error: {line}", style="red", soft_wrap=True, highlight=False)
     sys.exit(UNUSABLE)

@@ -65,4 +65,4 @@ def warn_of_units(trials: Sequence[Trial]) -> None:
         for finding in check_trial(trial).findings:
             if finding.topic.startswith("units") and finding.severity is Severity.WARNING:
                 text = f"warning: {trial.source}: {finding.topic}: {finding.message}"
-                errors.print(text, style="yellow", soft_wrap=True, markup=False, highlight=False)
+                errors.print(text, style="yellow", soft_wrap=True, highlight=False)

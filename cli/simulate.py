@@ -128,7 +128,7 @@ def _sweep(file: Path, overrides: Sequence[str], folder: Path, jobs: int, cluste
         errors.print(f"interrupted: finished runs are kept in {folder}, the same command goes on", style="yellow")
         raise typer.Exit(INTERRUPTED) from None
     if found.failed:
-        errors.print(f"failed: {found.failed} runs, the first: {found.message}", style="red", markup=False)
+        errors.print(f"failed: {found.failed} runs, the first: {found.message}", style="red")
     out.print(f"{found.rows} runs, {found.kept} of them from before, {found.failed} failed")
     if found.others:
         out.print(f"{found.others} more rows are of another form of this sweep: in the table, not in the report")

@@ -105,7 +105,7 @@ def _run(settings: StudySettings, folder: Path, workers: int) -> None:
         errors.print(f"interrupted: finished jobs are kept in {folder}, the same command goes on", style="yellow")
         raise typer.Exit(INTERRUPTED) from None
     for failed in outcome.failed:
-        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", markup=False, highlight=False)
+        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", highlight=False)
     out.print(f"{len(outcome.done)} jobs done, {len(outcome.failed)} failed; report: {folder / 'report.html'}")
 
 

@@ -42,7 +42,7 @@ def control(changes: dict[str, Any], folder: Path, workers: int) -> None:
         errors.print(f"interrupted: finished jobs are kept in {folder}, the same command goes on", style="yellow")
         raise typer.Exit(INTERRUPTED) from None
     for failed in outcome.failed:
-        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", markup=False, highlight=False)
+        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", highlight=False)
     out.print(table("Bars", ("bar", "at most", "met by", "of", "worst", "verdict"), _bar_rows(outcome)))
     done = len(outcome.results) - len(outcome.failed)
     out.print(f"{done} jobs done, {len(outcome.failed)} failed; report: {folder / 'report.html'}")

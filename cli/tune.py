@@ -49,7 +49,7 @@ def tune(
         errors.print(f"interrupted: finished trials are kept in {folder}, the same command goes on", style="yellow")
         raise typer.Exit(INTERRUPTED) from None
     for failed in found.failed:
-        errors.print(f"failed: trial {failed.slot}: {failed.message}", style="red", markup=False, highlight=False)
+        errors.print(f"failed: trial {failed.slot}: {failed.message}", style="red", highlight=False)
     check = found.check
     rows = [[name, *(f"{value:.3f}" for value in figures), str(beyond)] for name, *figures, beyond in check.rows()]
     out.print(table(f"{len(check.given)} plants that the search has not seen [deg]", _COLUMNS, rows))

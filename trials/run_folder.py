@@ -27,6 +27,7 @@ from .table import format_table, read_lines, read_table
 from .trial import Trial
 
 FORMAT = "hystmpc-run/1"
+_META = {"start": str, "versions": dict}  # of meta.json, that readers rely on
 _PACKAGES = ("hystmpc", "numpy", "casadi", "onnxruntime", "osqp")
 
 Column = NDArray[np.float64] | tuple[str, ...]
@@ -105,6 +106,8 @@ class RunFolder:
         found = meta.get("format") if isinstance(meta, dict) else None
         if found != FORMAT:
             raise LogError(f"{file}: format {found!r}, expected {FORMAT!r}")
+        if gone := [name for name, kind in _META.items() if not isinstance(meta.get(name), kind)]:
+            raise LogError(f"{file}: lacks {', '.join(gone)}, expected what a run writes there")
         return cls(Path(path), meta)
 
     def write_log(self, columns: Mapping[str, ArrayLike | Sequence[str]]) -> None:
