@@ -62,7 +62,6 @@ def fit(
 ) -> None:
     """Identify a model; Ctrl-C keeps the best so far."""
     chosen = kind_named(kind)
-    # Before hours of training, not after.
     kinds = (MODEL, SIMULATOR) if chosen.readable else (MODEL,)
     check_output("--out", path, kinds, files_read(logs, preset), force, of=chosen.name)
     request = FitRequest(

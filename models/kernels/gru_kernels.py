@@ -24,7 +24,7 @@ from .numba_ import njit
 Float32 = NDArray[np.float32]
 _CHUNK = 64  # rows at a time, which the second cache holds with the weights
 _HALF, _ONE = np.float32(0.5), np.float32(1.0)
-_OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp", "reassoc"}}
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp", "reassoc"}}
 
 
 class PackedGru(NamedTuple):
