@@ -54,7 +54,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=1000, help="closed-loop runs")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2], help="numbers of processes")
-    parser.add_argument("--cluster", help="Dask scheduler instead of a process pool, or `local`")
+    parser.add_argument("--cluster", help="Dask scheduler instead of a process pool")
     arguments = parser.parse_args()
     print(f"{arguments.runs} runs of linearised MPC on builtin:backlash, {os.cpu_count()} cores, ", end="")
     print(f"load of the machine {os.getloadavg()[0]:.1f} before")

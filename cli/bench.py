@@ -8,13 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.run_folder import require_vacant
 
-from .console import bar, errors, out, table
+from .console import bar, errors, out, plain_console, table
+from .outputs import BENCHMARK, Force, check_output
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from hystmpc.sim.bench.report import Report
 
 INTERRUPTED = 130
@@ -23,9 +26,12 @@ _TEXT = ("measured", "against", "ratio", "goal", "note")
 
 
 def bench(
-    folder: Annotated[Path | None, typer.Option("--out", help="Folder for table, JSON and figures.")] = None,
+    folder: Annotated[
+        Path | None, typer.Option("--out", help="Folder for table, JSON and figures; new or empty.")
+    ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-bench/1 here.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few repetitions: rough ratios.")] = False,
+    force: Force = False,
 ) -> None:
     """Time the controllers and their peers on this machine.
 
@@ -38,6 +44,10 @@ def bench(
     from hystmpc.sim.bench.run import run_bench
     from hystmpc.sim.bench.settings import QUICK, BenchSettings
 
+    if json_file is not None:
+        check_output("--json", json_file, (BENCHMARK,), (), force)
+    if folder is not None:
+        require_vacant(folder)
     with bar("bench") as show:
         report = run_bench(QUICK if quick else BenchSettings(), show)
     _print(report, out)
@@ -79,5 +89,5 @@ def _title(report: Report) -> str:
 
 def _write_table(report: Report, path: Path) -> None:
     text = io.StringIO()
-    _print(report, Console(width=_WIDTH, file=text))
+    _print(report, plain_console(width=_WIDTH, file=text))
     write_atomically(path, text.getvalue())

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import typer
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from hystmpc.trials.check import check_trial
 from hystmpc.trials.csv_ import expand_logs
@@ -26,8 +26,8 @@ def check(logs: Logs, preset: Layout = "auto") -> None:
         report = check_trial(log, preset)
         grid = Table(title=f"{report.source} ({report.preset})", title_justify="left", show_header=False)
         for finding in report.findings:
-            colour = _COLOURS[finding.severity]
-            grid.add_row(f"[{colour}]{finding.severity}[/]", finding.topic, escape(finding.message))
+            severity = Text(str(finding.severity), style=_COLOURS[finding.severity])
+            grid.add_row(severity, finding.topic, finding.message)
         out.print(grid)
         unusable |= report.worst is Severity.ERROR
     if unusable:

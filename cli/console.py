@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-out = Console()
-errors = Console(stderr=True)
+
+def plain_console(**options: Any) -> Console:
+    """A console that shows text as it is: a file may be called `[/red].csv` or `:bell:.csv`."""
+    return Console(markup=False, emoji=False, **options)
+
+
+out = plain_console()
+errors = plain_console(stderr=True)
 
 
 class Bar:
@@ -42,13 +48,13 @@ class Bar:
 def bar(title: str, total: float | None = None) -> Iterator[Bar]:
     """Show a progress bar while the block runs; nothing of it stays on a screen that is not a terminal."""
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
     )
     shown = Bar(Progress(*columns, console=errors, transient=False), title, total)
     try:
@@ -59,11 +65,11 @@ def bar(title: str, total: float | None = None) -> Iterator[Bar]:
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], last_apart: bool = False) -> Table:
     """A table whose first column is text and whose others are numbers; the last row may stand apart."""
-    grid = Table(title=escape(title), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    grid = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for k, name in enumerate(columns):
         grid.add_column(name, justify="left" if k == 0 else "right", no_wrap=k == 0)
     for k, row in enumerate(rows):
         if last_apart and k == len(rows) - 1:
             grid.add_section()
-        grid.add_row(*map(escape, row))
+        grid.add_row(*row)
     return grid

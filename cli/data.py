@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from hystmpc.trials.run_folder import require_vacant
+
 from .console import bar, out, table
 
 data = typer.Typer(no_args_is_help=True, help="Data sets of the papers, recorded on simulated devices.")
@@ -29,7 +31,7 @@ def make(
     seed: Annotated[int, typer.Option("--seed", help="Of devices, motions and noise.", min=0)] = 0,
 ) -> None:
     """Record a whole data set and write it as canonical CSV files with a manifest; all of it or nothing."""
-    from hystmpc.sim.devices.dataset_files import require_vacant, write_dataset
+    from hystmpc.sim.devices.dataset_files import write_dataset
     from hystmpc.sim.devices.make import make_dataset
 
     require_vacant(folder)

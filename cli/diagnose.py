@@ -14,6 +14,7 @@ from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.simulator import Simulator, load_simulator
 from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError, LogError, ModelError
+from hystmpc.trials.files import require_writable
 from hystmpc.trials.trial import Trial
 
 from .console import Bar, bar, errors, out, table
@@ -63,7 +64,7 @@ def diagnose(
         sys.stdout.write(diagnosis_json(diagnosis))
         return
     print_diagnosis(diagnosis)
-    out.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
+    out.print(f"report: {folder / 'report.html'}", soft_wrap=True, highlight=False)
 
 
 def _diagnosed(
@@ -72,6 +73,7 @@ def _diagnosed(
     """Diagnose and write the folder; what is unusable is refused before the long part."""
     from hystmpc.gap.report.folder import require_free, save_diagnosis
 
+    require_writable(folder)
     require_free(folder)
     simulator = _simulator(sim)
     trials = _recorded(files, preset)
@@ -98,7 +100,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     from hystmpc.gap.report.words import headline, how_far, percent
 
     for line in (headline(diagnosis), diagnosis.reason, how_far(diagnosis)):
-        out.print(line, markup=False, highlight=False)
+        out.print(line, highlight=False)
     if diagnosis.ranking:
         found = {effect.name: effect for effect in diagnosis.effects}
         rows = []
@@ -116,7 +118,6 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         out.print(
             f"next: record {motion.file} ({motion.duration_s:.0f} s) to tell apart {names}: "
             f"{percent(motion.expected_probability)} expected",
-            markup=False,
             highlight=False,
         )
 

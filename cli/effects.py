@@ -8,19 +8,18 @@ from typing import Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.markup import escape
 from rich.table import Table
 
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.effects.describe import library_data, parameter_lines
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.run_folder import require_vacant
 
 from .console import out
 
 
 def effects(
     folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder for a picture of each effect and one HTML page.")
+        Path | None, typer.Option("--out", help="Folder for a picture of each effect and one HTML page; new or empty.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the library as JSON.")] = False,
 ) -> None:
@@ -40,7 +39,7 @@ def effects(
         grid.add_column("equation; parameters with unit, bounds, neutral value", overflow="fold")
         for effect in EFFECTS.values():
             lines = "\n".join((effect.equation, *(f"  {line}" for line in parameter_lines(effect))))
-            grid.add_row(f"{effect.name}\n  {', '.join(effect.sides)}", escape(lines), end_section=True)
+            grid.add_row(f"{effect.name}\n  {', '.join(effect.sides)}", lines, end_section=True)
         out.print(grid)
 
 
@@ -48,11 +47,9 @@ def _pictures(folder: Path) -> Path:
     """Draw all of them; returns the page.
 
     Raises:
-        ConfigError: if the folder cannot be written.
+        ConfigError: if the folder is not new or empty, or cannot be written.
     """
     from hystmpc.models.effects.pictures import write_pictures
 
-    try:
-        return write_pictures(folder)
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot be written ({error.strerror}), expected a writable folder") from None
+    require_vacant(folder)
+    return write_pictures(folder)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 from rich.table import Table
 
 from hystmpc.models.contract.metadata import ModelMetadata
@@ -18,7 +17,8 @@ from hystmpc.models.load import load_model
 from hystmpc.trials.files import write_atomically
 
 from .console import bar, errors, out, table
-from .options import Layout, Logs, SkipFirstFlexure, trials_at
+from .options import Layout, Logs, SkipFirstFlexure, files_read, trials_at
+from .outputs import EVALUATION, Force, check_output
 
 _COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
 
@@ -29,11 +29,14 @@ def evaluate(
     preset: Layout = "auto",
     skip_first_flexure: SkipFirstFlexure = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-evaluation/1 here.")] = None,
+    force: Force = False,
 ) -> None:
     """Free run from the command alone against the measured angle.
 
     An inverse map runs from the angle to the command.
     """
+    if json_file is not None:
+        check_output("--json", json_file, (EVALUATION,), [model, *files_read(logs, preset)], force)
     opened = load_model(model)
     trials = trials_at(logs, preset, 1 / opened.metadata.dt_s)
     results = []
@@ -55,7 +58,7 @@ def warn_outside(results: Sequence[TrialEvaluation], facts: ModelMetadata) -> No
         errors.print(
             f"{len(beyond)} of {len(results)} trials leave the identified range of {trained.lower:.4g} to "
             f"{trained.upper:.4g} {facts.command_unit}, where the model guesses: {100 * worst.outside:.1f} % of the "
-            f"samples of {escape(Path(worst.trial.source).name)}",
+            f"samples of {Path(worst.trial.source).name}",
             style="yellow",
         )
 

@@ -12,6 +12,7 @@ from hystmpc.models.export_simulator import export_simulator
 from hystmpc.models.simulator import load_simulator
 
 from .console import out
+from .outputs import MODEL, Force, check_output
 
 
 def export(
@@ -19,11 +20,13 @@ def export(
         Path, typer.Argument(metavar="SIMULATOR", help="A simulator file (.yaml) as `fit` writes it.")
     ],
     path: Annotated[Path, typer.Option("--out", help="The ONNX file to write.")],
+    force: Force = False,
 ) -> None:
     """Export a simulator as a stateful ONNX step.
 
     It is held against its reference in onnxruntime and CasADi before it is written.
     """
+    check_output("--out", path, (MODEL,), [simulator], force)
     gate = export_simulator(load_simulator(simulator), path)
     out.print(
         f"{path}: {gate.steps} steps within {max(gate.runtime_deg, gate.casadi_deg):.2g} deg of the reference "

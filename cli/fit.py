@@ -16,14 +16,12 @@ from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest, ModelKind
 from hystmpc.models.load import load_model
 from hystmpc.models.simulator import save_simulator
-from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.trial import Trial
 
 from .console import bar, errors, out
 from .evaluate import errors_table
-from .options import Layout, Logs, SkipFirstFlexure, trials_at
-
-_READABLE = (".yaml", ".yml")
+from .options import Layout, Logs, SkipFirstFlexure, files_read, trials_at
+from .outputs import MODEL, SIMULATOR, Force, check_output
 
 
 class Direction(StrEnum):
@@ -60,10 +58,12 @@ def fit(
     command_rate: Annotated[
         float | None, typer.Option(min=0.0, help="Greatest command change per second; else the one seen.")
     ] = None,
+    force: Force = False,
 ) -> None:
     """Identify a model; Ctrl-C keeps the best so far."""
     chosen = kind_named(kind)
-    _check_ending(chosen, path)
+    kinds = (MODEL, SIMULATOR) if chosen.readable else (MODEL,)
+    check_output("--out", path, kinds, files_read(logs, preset), force, of=chosen.name)
     request = FitRequest(
         preset=training or chosen.presets[0],
         seed=seed,
@@ -101,7 +101,7 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
             show(done, f"best {best:.4f} {unit}", total=done)
     if found.interrupted:
         errors.print("interrupted: the best so far is kept", style="yellow")
-    if found.simulator is not None and path.suffix.lower() in _READABLE:
+    if found.simulator is not None and path.suffix.lower() in SIMULATOR.endings:
         save_simulator(found.simulator, path)
         out.print(found.report, soft_wrap=True)
         return
@@ -115,12 +115,3 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
 
 def _duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
-
-
-def _check_ending(kind: ModelKind, path: Path) -> None:
-    """Refuse a wrong ending before hours of training, not after."""
-    wanted = (".onnx", *_READABLE) if kind.readable else (".onnx",)
-    if path.suffix.lower() not in wanted:
-        raise ConfigError(f"--out {path}: expected a file ending in {' or '.join(wanted)} for {kind.name}")
-    if path.is_dir():
-        raise ConfigError(f"--out {path}: is a folder, expected a file")

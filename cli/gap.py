@@ -10,6 +10,7 @@ import typer
 
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.csv_ import read_trials
+from hystmpc.trials.run_folder import require_vacant
 
 from .console import bar, errors, out, table
 from .options import Layout, Logs
@@ -124,7 +125,6 @@ def ablate(
 ) -> None:
     """Take each effect out of a simulator of real logs, and ask the diagnosis for its name."""
     from hystmpc.gap.blind.ablation import ablate as ablate_all
-    from hystmpc.gap.blind.sealed import require_vacant
 
     require_vacant(folder)
     trials, simulator = read_trials(logs, preset), load_simulator(sim)

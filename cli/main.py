@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import NoReturn
 
 import typer
 
@@ -67,5 +68,12 @@ def main() -> None:
     try:
         app()
     except HystmpcError as error:
-        errors.print(f"error: {error}", style="red", soft_wrap=True, markup=False, highlight=False)
-        sys.exit(UNUSABLE)
+        _end(str(error))
+    except OSError as error:  # a full disk, a file that may not be read: the machine's, not a defect of the program
+        _end(f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error))
+
+
+def _end(text: str) -> NoReturn:
+    line = " ".join(text.split())
+    errors.print(f"error: {line}", style="red", soft_wrap=True, highlight=False)
+    sys.exit(UNUSABLE)

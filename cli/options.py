@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from hystmpc.trials.check import check_trial
-from hystmpc.trials.csv_ import read_trials
+from hystmpc.trials.csv_ import expand_logs, read_trials
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.findings import Severity
 from hystmpc.trials.presets import PRESETS
@@ -43,6 +43,15 @@ def processes(jobs: int | None) -> int:
     return jobs or os.cpu_count() or 1
 
 
+def files_read(logs: Sequence[Path], layout: str) -> list[Path]:
+    """Files that stand behind `LOG...` and `--preset`.
+
+    Raises:
+        LogError: if a folder holds no log.
+    """
+    return [*expand_logs(logs), Path(layout)]
+
+
 def trials_at(logs: Sequence[Path], layout: str, rate_hz: float) -> list[Trial]:
     """Read logs and resample them; say what seems to be in another unit."""
     trials = [resample(trial, rate_hz) for trial in read_trials(logs, layout)]
@@ -56,4 +65,4 @@ def warn_of_units(trials: Sequence[Trial]) -> None:
         for finding in check_trial(trial).findings:
             if finding.topic.startswith("units") and finding.severity is Severity.WARNING:
                 text = f"warning: {trial.source}: {finding.topic}: {finding.message}"
-                errors.print(text, style="yellow", soft_wrap=True, markup=False, highlight=False)
+                errors.print(text, style="yellow", soft_wrap=True, highlight=False)

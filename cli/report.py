@@ -25,7 +25,7 @@ def report(
     if {"transport", "sensor", "reference"} <= keys:
         from hystmpc.rig.review import review_run
 
-        out.print(f"review: {review_run(run).advice}", soft_wrap=True, markup=False)
+        out.print(f"review: {review_run(run).advice}", soft_wrap=True)
         out.print(f"report: {run / 'report.html'}", soft_wrap=True)
     elif {"transport", "sensor", "excitations"} <= keys:
         from hystmpc.rig.recording.report import write_report

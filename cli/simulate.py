@@ -14,6 +14,7 @@ from hystmpc.sim.config import load_simulation
 from hystmpc.sim.results import Result, StudyResult
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.run_folder import require_resumable, require_vacant
 
 from .console import bar, errors, out, table
 from .options import processes
@@ -36,7 +37,7 @@ def simulate(
     sweep: Annotated[Path | None, typer.Option(help="Many studies in one: grid, draws, seeds (YAML).")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes of a sweep; else one a core.")] = None,
     cluster: Annotated[
-        str | None, typer.Option(help="Dask scheduler of a sweep, tcp://host:8786; `local` starts one.")
+        str | None, typer.Option(help="Dask scheduler of a sweep, tcp://host:8786; `local`: processes of this machine.")
     ] = None,
     row: Annotated[
         tuple[Path, str] | None, typer.Option(metavar="DIR ID", help="Make one row of a sweep again and compare.")
@@ -89,7 +90,13 @@ def _study(config: Path, overrides: Sequence[str], folder: Path) -> None:
 
 
 def show_study(title: str, folder: Path, run: Callable[[Progress], StudyResult]) -> None:
-    """Do a study behind a bar and print what came of it; what Ctrl-C left of it is said too."""
+    """Do a study behind a bar and print what came of it; what Ctrl-C left of it is said too.
+
+    Raises:
+        ConfigError: if the folder is not new or empty, or the study cannot be run.
+        typer.Exit: with 130 if the user ended it before a run was finished.
+    """
+    require_vacant(folder)
     try:
         with bar(title) as show:
             result = run(lambda done, total: show(done, total=total))
@@ -110,6 +117,7 @@ def _sweep(file: Path, overrides: Sequence[str], folder: Path, jobs: int, cluste
     from hystmpc.sim.sweep.settings import load_sweep
 
     settings = load_sweep(file, overrides)
+    require_resumable(folder)
     backend = backend_for(jobs, cluster, str(folder))
     try:
         with bar("sweep") as show:
@@ -120,7 +128,7 @@ def _sweep(file: Path, overrides: Sequence[str], folder: Path, jobs: int, cluste
         errors.print(f"interrupted: finished runs are kept in {folder}, the same command goes on", style="yellow")
         raise typer.Exit(INTERRUPTED) from None
     if found.failed:
-        errors.print(f"failed: {found.failed} runs, the first: {found.message}", style="red", markup=False)
+        errors.print(f"failed: {found.failed} runs, the first: {found.message}", style="red")
     out.print(f"{found.rows} runs, {found.kept} of them from before, {found.failed} failed")
     if found.others:
         out.print(f"{found.others} more rows are of another form of this sweep: in the table, not in the report")
@@ -132,6 +140,8 @@ def _again(folder: Path, identity: str, target: Path | None) -> None:
     """Make a row again; exit code 1 if a figure differs."""
     from hystmpc.sim.sweep.reproduce import reproduce
 
+    if target is not None:
+        require_vacant(target)
     figures = reproduce(folder, identity, target)
     rows = [[f.name, str(f.before), str(f.again), "yes" if f.equal else "NO"] for f in figures]
     out.print(table(f"row {identity}", ("figure", "table", "again", "equal"), rows))

@@ -13,6 +13,7 @@ import typer
 from hystmpc.sim.studies.settings import STAGES, StudySettings
 from hystmpc.sim.studies.tally import Tally
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.run_folder import require_resumable
 
 from .console import Bar, bar, errors, out
 from .study_control import control, rates
@@ -90,6 +91,7 @@ def _run(settings: StudySettings, folder: Path, workers: int) -> None:
     """Say how long it will take, do it, and say what failed."""
     from hystmpc.sim.studies.run import prepare, run_study  # kept out of the way of the other verbs' start
 
+    require_resumable(folder)
     if settings.left_out:
         errors.print(f"not in the catalogue, left out: {', '.join(settings.left_out)}", style="yellow")
     errors.print("making the trials and timing a few steps of every model ...")
@@ -103,7 +105,7 @@ def _run(settings: StudySettings, folder: Path, workers: int) -> None:
         errors.print(f"interrupted: finished jobs are kept in {folder}, the same command goes on", style="yellow")
         raise typer.Exit(INTERRUPTED) from None
     for failed in outcome.failed:
-        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", markup=False, highlight=False)
+        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", highlight=False)
     out.print(f"{len(outcome.done)} jobs done, {len(outcome.failed)} failed; report: {folder / 'report.html'}")
 
 

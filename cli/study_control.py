@@ -13,6 +13,7 @@ from hystmpc.sim.studies.control_settings import ControlSettings
 from hystmpc.sim.studies.control_tables import bars_table
 from hystmpc.sim.studies.tally import Tally
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.run_folder import require_resumable
 
 from .console import Bar, bar, errors, out, table
 
@@ -30,6 +31,7 @@ def control(changes: dict[str, Any], folder: Path, workers: int) -> None:
     from hystmpc.sim.studies.control_run import prepare_control, run_control  # as other studies: late
 
     settings = ControlSettings.of(**changes)
+    require_resumable(folder)
     ready = prepare_control(settings, folder)
     minutes = ready.minutes(workers)
     errors.print(f"{len(ready.open)} of {len(ready.jobs)} jobs to do on {workers} cores: about {minutes} min")
@@ -40,7 +42,7 @@ def control(changes: dict[str, Any], folder: Path, workers: int) -> None:
         errors.print(f"interrupted: finished jobs are kept in {folder}, the same command goes on", style="yellow")
         raise typer.Exit(INTERRUPTED) from None
     for failed in outcome.failed:
-        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", markup=False, highlight=False)
+        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", highlight=False)
     out.print(table("Bars", ("bar", "at most", "met by", "of", "worst", "verdict"), _bar_rows(outcome)))
     done = len(outcome.results) - len(outcome.failed)
     out.print(f"{done} jobs done, {len(outcome.failed)} failed; report: {folder / 'report.html'}")

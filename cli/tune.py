@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from hystmpc.trials.run_folder import require_resumable
+
 from .console import bar, errors, out, table
 from .options import processes
 
@@ -20,7 +22,7 @@ def tune(
     overrides: Annotated[list[str] | None, typer.Option("--set", help="Change a setting: trials=200.")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes, one thread each; else one a core.")] = None,
     cluster: Annotated[
-        str | None, typer.Option(help="Dask scheduler, tcp://host:8786, or `local`; wants a shared --storage.")
+        str | None, typer.Option(help="Dask scheduler, tcp://host:8786, with a shared --storage; `local`: as --jobs.")
     ] = None,
     storage: Annotated[
         str | None, typer.Option(help="Where trials are kept, such as postgresql://host/db; several machines share it.")
@@ -36,6 +38,7 @@ def tune(
 
     workers = processes(jobs)
     settings = load_tuning(config, overrides or [])
+    require_resumable(folder)
     backend = backend_for(workers, cluster, str(folder))
     try:
         with bar("tune") as show:
@@ -46,7 +49,7 @@ def tune(
         errors.print(f"interrupted: finished trials are kept in {folder}, the same command goes on", style="yellow")
         raise typer.Exit(INTERRUPTED) from None
     for failed in found.failed:
-        errors.print(f"failed: trial {failed.slot}: {failed.message}", style="red", markup=False, highlight=False)
+        errors.print(f"failed: trial {failed.slot}: {failed.message}", style="red", highlight=False)
     check = found.check
     rows = [[name, *(f"{value:.3f}" for value in figures), str(beyond)] for name, *figures, beyond in check.rows()]
     out.print(table(f"{len(check.given)} plants that the search has not seen [deg]", _COLUMNS, rows))

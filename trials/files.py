@@ -1,10 +1,15 @@
-"""Writing files whole or not at all."""
+"""Writing files whole or not at all, and whether they can be written."""
 
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
 from pathlib import Path
+
+from .errors import ConfigError
+
+_NAME = 40  # characters of a file's name that its temporary file shows
 
 
 def write_atomically(path: Path | str, content: bytes | str) -> Path:
@@ -16,7 +21,7 @@ def write_atomically(path: Path | str, content: bytes | str) -> Path:
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     data = content.encode("utf-8") if isinstance(content, str) else content
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name[:_NAME]}.", suffix=".part")
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
@@ -30,3 +35,37 @@ def write_atomically(path: Path | str, content: bytes | str) -> Path:
         Path(name).unlink(missing_ok=True)
         raise
     return target
+
+
+def require_writable(path: Path | str) -> None:
+    """Refuse a place where no file or folder can be made or replaced, before any work is done for it.
+
+    Raises:
+        ConfigError: if a part of the path is a file or cannot be entered, the name is too long, or what the file or
+            folder would be written into may not be changed.
+    """
+    target = Path(path)
+    try:
+        mode = _mode(target)
+        place = target if mode is not None and stat.S_ISDIR(mode) else target.absolute().parent
+        while _mode(place) is None:
+            place = place.parent
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(f"{target}: cannot be written ({reason}), expected a path that can be made") from None
+    if not place.is_dir():
+        raise ConfigError(f"{target}: cannot be written ({place} is not a folder), expected a path that can be made")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise ConfigError(f"{target}: cannot be written (no permission in {place}), expected a writable folder")
+
+
+def _mode(path: Path) -> int | None:
+    """What lies at a path, links not followed; None where nothing does.
+
+    Raises:
+        OSError: if that cannot be told.
+    """
+    try:
+        return os.lstat(path).st_mode
+    except FileNotFoundError:
+        return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,12 +21,13 @@ from . import mcap_
 from .config import Settings, dump_yaml, read_yaml
 from .csv_ import read_csv
 from .errors import ConfigError, LogError
-from .files import write_atomically
+from .files import require_writable, write_atomically
 from .presets import CANONICAL
 from .table import format_table, read_lines, read_table
 from .trial import Trial
 
 FORMAT = "hystmpc-run/1"
+_META = {"start": str, "versions": dict}  # of meta.json, that readers rely on
 _PACKAGES = ("hystmpc", "numpy", "casadi", "onnxruntime", "osqp")
 
 Column = NDArray[np.float64] | tuple[str, ...]
@@ -104,6 +106,8 @@ class RunFolder:
         found = meta.get("format") if isinstance(meta, dict) else None
         if found != FORMAT:
             raise LogError(f"{file}: format {found!r}, expected {FORMAT!r}")
+        if gone := [name for name, kind in _META.items() if not isinstance(meta.get(name), kind)]:
+            raise LogError(f"{file}: lacks {', '.join(gone)}, expected what a run writes there")
         return cls(Path(path), meta)
 
     def write_log(self, columns: Mapping[str, ArrayLike | Sequence[str]]) -> None:
@@ -152,19 +156,37 @@ class RunFolder:
 
 
 def require_vacant(folder: Path) -> None:
-    """A run never overwrites anything.
+    """A run never overwrites anything: refuse what holds something, before any work is done.
 
     Raises:
-        ConfigError: if the path is a file, or a folder that is not empty.
+        ConfigError: if the path is a file, a folder that is not empty, or cannot be written.
     """
+    require_writable(folder)
     if folder.is_dir():
-        inside = sorted(entry.name for entry in folder.iterdir())
+        try:
+            inside = sorted(entry.name for entry in folder.iterdir())
+        except OSError as error:
+            raise ConfigError(f"{folder}: cannot be read ({error.strerror}), expected a new or empty folder") from None
         if inside:
             what = "holds a run" if "meta.json" in inside else "is not empty"
             names = ", ".join(inside[:5]) + (", ..." if len(inside) > 5 else "")
             raise ConfigError(f"{folder}: {what} ({names}), expected a new or empty folder")
-    elif folder.exists():
+    elif os.path.lexists(folder):
         raise ConfigError(f"{folder}: is a file, expected a new or empty folder")
+
+
+def require_resumable(folder: Path) -> None:
+    """A run that can go on begins in a new or empty folder, or goes on in one of a run; whose it is its settings tell.
+
+    Raises:
+        ConfigError: if the path is a file, a folder that holds something else, or cannot be written.
+        LogError: if it is the folder of a run of another format.
+    """
+    if (folder / "meta.json").is_file():
+        require_writable(folder)
+        RunFolder.open(folder)
+    else:
+        require_vacant(folder)
 
 
 def _column(values: ArrayLike | Sequence[str]) -> NDArray[np.generic] | tuple[str, ...]:

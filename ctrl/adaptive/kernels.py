@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from hystmpc.models.kernels.numba_ import njit
 
 _EDGE = 1e-12
 

@@ -6,7 +6,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from hystmpc.models.kernels.numba_ import njit
 
 _SOLVES = 30
 

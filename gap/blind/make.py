@@ -12,11 +12,12 @@ from hystmpc.sim.parallel.backend import backend_for
 from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.resample import resample
+from hystmpc.trials.run_folder import require_vacant
 from hystmpc.trials.trial import Trial
 
 from .answer import Answer, Suite
 from .scene import RATE_HZ
-from .sealed import Manifest, case_name, require_vacant, seal, write_case
+from .sealed import Manifest, case_name, seal, write_case
 from .suites import make_case, places
 
 Progress = Callable[[int, int], None]

@@ -32,7 +32,8 @@ def record_motion(folder: Path, case: str, motion: Path) -> Path:
         The log, in `follow_up/CASE`, numbered on from the trials that the case has.
 
     Raises:
-        ConfigError: on an unknown case, one of real logs, or a command beyond the device's travel.
+        ConfigError: on an unknown case, one of real logs, a command beyond the device's travel, or a log that is
+            there already.
         LogError: if the motion or the answers cannot be read.
     """
     answers = open_answers(folder)
@@ -42,8 +43,11 @@ def record_motion(folder: Path, case: str, motion: Path) -> Path:
         raise ConfigError(f"{folder}: case {case} has no device that could move again")
     before = read_trials([folder / "cases" / case])
     clock_s = sum(lasts_s(len(trial)) for trial in before)
-    (trial,) = answers[case].blind_device().record([_command(motion)], len(before), clock_s)
-    return write_csv(trial, folder / "follow_up" / case / f"trial_{len(before) + 1:02d}.csv")
+    command, log = _command(motion), folder / "follow_up" / case / f"trial_{len(before) + 1:02d}.csv"
+    if log.exists():
+        raise ConfigError(f"{log}: is recorded already, expected no log there; remove it to record another motion")
+    (trial,) = answers[case].blind_device().record([command], len(before), clock_s)
+    return write_csv(trial, log)
 
 
 def record_again(folder: Path, case: str) -> list[Trial]:

@@ -38,16 +38,6 @@ class Manifest(Settings):
     without: dict[str, tuple[str, ...]]
 
 
-def require_vacant(folder: Path) -> None:
-    """Refuse to make cases among other files.
-
-    Raises:
-        ConfigError: if the folder holds anything.
-    """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ConfigError(f"{folder}: is not empty, expected a new or empty folder")
-
-
 def write_case(folder: Path, case: Case) -> None:
     """Write logs and simulator of one case; equal names and layout for every case."""
     for number, trial in enumerate(case.trials, start=1):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import os
 import sys
 import tempfile
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -14,6 +15,8 @@ import numba
 import platformdirs
 
 from hystmpc.trials.files import write_atomically
+
+_HEADER = "from hystmpc.models.kernels.numba_ import njit\n\n\n"
 
 
 def cache_folder() -> Path:
@@ -26,26 +29,41 @@ def cache_folder() -> Path:
             return folder
     except OSError:
         pass
-    return Path(tempfile.mkdtemp(prefix="hystmpc-kernels-"))
+    return _temporary()
 
 
 def generated_module(source: str) -> ModuleType:
-    """Import `source` as a module of its own; the same text gives the same module.
+    """Import `source`, in which `njit` is known, as a module of its own; the same text gives the same module.
 
     The file's name is the hash of the text: numba's own cache looks at the file only, so a changed text must be a
-    changed file.
+    changed file. Python's byte code of it is not kept: a damaged file of that would end the program.
     """
-    digest = hashlib.sha256(f"{numba.__version__}\n{source}".encode()).hexdigest()[:24]
+    text = _HEADER + source
+    digest = hashlib.sha256(f"{numba.__version__}\n{text}".encode()).hexdigest()[:24]
     name = f"hystmpc_kernel_{digest}"
     if name in sys.modules:
         return sys.modules[name]
-    path = cache_folder() / f"{name}.py"
-    if not path.exists() or path.read_text(encoding="utf-8") != source:
-        write_atomically(path, source)
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{path}: cannot be imported")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    path = _written(cache_folder() / f"{name}.py", text)
+    module = ModuleType(name)
+    module.__file__ = str(path)
+    exec(compile(text, str(path), "exec"), module.__dict__)
     sys.modules[name] = module
     return module
+
+
+def _written(path: Path, text: str) -> Path:
+    """The file with this text, in a temporary folder where it cannot be written."""
+    with suppress(OSError, UnicodeDecodeError):
+        if path.read_text(encoding="utf-8") == text:
+            return path
+    with suppress(OSError):
+        path.rmdir()  # an empty folder in the file's place
+    try:
+        return write_atomically(path, text)
+    except OSError:
+        return write_atomically(_temporary() / path.name, text)
+
+
+@cache
+def _temporary() -> Path:
+    return Path(tempfile.mkdtemp(prefix="hystmpc-kernels-"))

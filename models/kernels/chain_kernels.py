@@ -71,7 +71,7 @@ def _compile(serialized: str) -> ChainKernels:
     )
     generated = "".join(_DECORATOR + program.source + "\n\n" for program in (step, tangent, sensitivity))
     loops = resources.files("hystmpc.models.kernels").joinpath("chain_loops.py").read_text(encoding="utf-8")
-    module = generated_module("import math\n\nfrom numba import njit\n\n\n" + generated + loops)
+    module = generated_module("import math\n\n\n" + generated + loops)
     return ChainKernels(
         module.simulate,
         module.rollout,

@@ -13,7 +13,6 @@ k...):
 # pyright: reportUndefinedVariable=false
 
 import numpy as np
-from numba import njit
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -11,10 +11,7 @@ from importlib.resources.abc import Traversable
 from .cache import generated_module
 from .chain_kernels import ChainKernels
 
-_ALONE = '''from numba import njit
-
-
-@njit(cache=True)
+_ALONE = '''@njit(cache=True)
 def sample(packed, states, rows, v, theta):
     """No network."""
 '''

@@ -12,7 +12,6 @@ first `rows` of a table of network states by one sample:
 import math
 
 import numpy as np
-from numba import njit
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -14,17 +14,17 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from hystmpc.trials.errors import ModelError
 
 from .lstm_gates import add_row, dot_row, rational_tanh
+from .numba_ import njit
 
 Float32 = NDArray[np.float32]
 _CHUNK = 64  # rows at a time, which the second cache holds with the weights
 _HALF, _ONE = np.float32(0.5), np.float32(1.0)
-_OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp", "reassoc"}}
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp", "reassoc"}}
 
 
 class PackedGru(NamedTuple):

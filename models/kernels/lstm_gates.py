@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-_OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp", "reassoc"}}
+from .numba_ import njit
+
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp", "reassoc"}}
 _HALF, _ONE = np.float32(0.5), np.float32(1.0)
 
 # Odd polynomial of degree 13 over even one of degree 6, as in Eigen and XLA: 3e-7 on the whole line.

@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from ..lstm.weights import LstmWeights
 from .lstm_gates import add_multiple, add_row, cell_row, derivative_row, differentiated_cell_row, dot_row
+from .numba_ import njit
 
 Float32 = NDArray[np.float32]
 _BLOCK = 4  # rows that a BLAS kernel keeps in registers

@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from ..play_kernel.weights import PlayKernelWeights
+from .numba_ import njit
 
 
 def pack_play_kernel(weights: PlayKernelWeights) -> tuple[Any, ...]:

@@ -9,7 +9,6 @@ layers behind it: what a layer reads, the new output of the layer below and its 
 # pyright: reportUndefinedVariable=false
 
 import numpy as np
-from numba import njit
 
 PLANS = 36  # at a time: with a panel of the weights their rows are in the first cache
 

@@ -92,5 +92,5 @@ def _compile(serialized: str) -> _Kernels:
     partials = scalar_program(dense("partials", [x, u, p], slopes), "partials")
     generated = "".join(_DECORATOR + program.source + "\n\n" for program in (forward, partials))
     loops = resources.files("hystmpc.models.networks").joinpath("operator_loops.py").read_text(encoding="utf-8")
-    module = generated_module("import math\n\nfrom numba import njit\n\n\n" + generated + loops)
+    module = generated_module("import math\n\n\n" + generated + loops)
     return _Kernels(module.run, module.pull_back, np.array(forward.constants), np.array(partials.constants))

@@ -11,7 +11,6 @@ The generated functions, on flat float64 arrays (state x, input u (1,), paramete
 # pyright: reportUndefinedVariable=false
 
 import numpy as np
-from numba import njit
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

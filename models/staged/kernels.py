@@ -51,7 +51,7 @@ def stage_kernels(operator: Operator) -> StageKernels:
 @lru_cache(maxsize=256)
 def _compile(kind: type[Operator], structure: tuple[tuple[str, Any], ...]) -> StageKernels:
     source = stage_source(kind.template(**dict(structure)))
-    module = generated_module("import math\n\nfrom numba import njit\n\n\n" + source.text)
+    module = generated_module("import math\n\n\n" + source.text)
     plain, exact, rest = (np.array(k, dtype=np.float64) for k in source.constants)
     return StageKernels(
         module.prepare,

@@ -13,28 +13,13 @@ from hystmpc.trials.csv_ import read_csv, write_csv
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.presets import CANONICAL
+from hystmpc.trials.run_folder import require_vacant
 from hystmpc.trials.trial import Trial
 
 from .dataset import Dataset, Progress
 
 FORMAT = "hystmpc-dataset/1"
 MANIFEST = "manifest.yaml"
-
-
-def require_vacant(folder: Path | str) -> Path:
-    """The folder, if a data set can be written there: it is new or empty.
-
-    Raises:
-        ConfigError: if it holds anything, or is a file.
-    """
-    path = Path(folder)
-    if path.is_dir():
-        if inside := sorted(entry.name for entry in path.iterdir()):
-            names = ", ".join(inside[:5]) + (", ..." if len(inside) > 5 else "")
-            raise ConfigError(f"{path}: is not empty ({names}), expected a new or empty folder")
-    elif path.exists():
-        raise ConfigError(f"{path}: is a file, expected a new or empty folder")
-    return path
 
 
 def write_dataset(dataset: Dataset, folder: Path | str, progress: Progress | None = None) -> Path:
@@ -46,7 +31,8 @@ def write_dataset(dataset: Dataset, folder: Path | str, progress: Progress | Non
     Raises:
         ConfigError: if the folder is not vacant or cannot be made.
     """
-    path = require_vacant(folder)
+    path = Path(folder)
+    require_vacant(path)
     total, done = sum(map(len, dataset.splits.values())), 0
     part = None
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from numba import njit
+from hystmpc.models.kernels.numba_ import njit
 
 PRESSURE, BLADDER, FRICTION, LATE, BEND = range(5)
 STATES = 5

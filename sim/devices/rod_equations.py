@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from numba import njit
+from hystmpc.models.kernels.numba_ import njit
 
 
 class RodNumbers(NamedTuple):

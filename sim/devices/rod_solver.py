@@ -20,7 +20,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from hystmpc.models.kernels.numba_ import njit
 
 from .rod_equations import RodNumbers, StepNumbers, grip, span
 from .rod_shooting import Knots, shoot

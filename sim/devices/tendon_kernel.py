@@ -6,7 +6,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+
+from hystmpc.models.kernels.numba_ import njit
 
 DRIVE, ROUGHNESS, VISCOUS, CREEP, REACHED = range(5)  # of the state, after the elements
 EXTRA_STATES = 5

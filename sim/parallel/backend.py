@@ -19,8 +19,6 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_
 class Backend(ABC):
     """Calls one function for many items; every item gives one result, however often its worker dies on the way."""
 
-    workers: int
-
     def check(self) -> None:  # noqa: B027  # only what is elsewhere can be missing
         """Find out before anything is written whether there is anybody to work.
 
@@ -46,8 +44,6 @@ class Backend(ABC):
 class InTurn(Backend):
     """One call after the other in this process, on one thread."""
 
-    workers = 1
-
     def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
         """See `Backend`."""
         with threadpool_limits(limits=1):
@@ -60,21 +56,21 @@ def backend_for(workers: int, cluster: str | None = None, where: str = "") -> Ba
 
     Args:
         workers: processes, each on one thread; with 1 and no cluster the calls are made in this process.
-        cluster: address of a Dask scheduler such as `tcp://host:8786`, `local` for one that is started with `workers`
-            processes, None for a process pool.
+        cluster: address of a Dask scheduler such as `tcp://host:8786`; None or `local` for processes of this machine,
+            which talk through pipes: a scheduler of our own would listen, and run what anybody on the machine sends it.
         where: what is worked on, for messages.
 
     Raises:
         ConfigError: if the address is none, or Dask is not installed.
     """
-    if cluster is None:
+    if cluster is None or cluster == "local":
         from .processes import Processes
 
         return InTurn() if workers == 1 else Processes(workers, where)
-    if cluster != "local" and "://" not in cluster:
+    if "://" not in cluster:
         raise ConfigError(f"--cluster {cluster}: expected `local` or an address such as tcp://host:8786")
     try:
         from .dask_ import DaskCluster
     except ModuleNotFoundError as error:
         raise ConfigError(f"--cluster {cluster}: {error.name} is not installed: pip install 'hystmpc[tune]'") from None
-    return DaskCluster(cluster, workers, where)
+    return DaskCluster(cluster, where)

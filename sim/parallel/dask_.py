@@ -1,4 +1,4 @@
-"""A Dask cluster, one that runs already or one on this machine; the scheduler replaces what a lost worker was doing."""
+"""A Dask cluster that runs already; its scheduler replaces what a lost worker was doing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import Any, final
 
-from distributed import Client, LocalCluster, as_completed
+from distributed import Client, as_completed
 from distributed.scheduler import KilledWorker
 from threadpoolctl import threadpool_limits
 
@@ -28,13 +28,11 @@ class DaskCluster(Backend):
     """A Dask cluster. Workers need this package, and model files where the settings name them.
 
     Args:
-        address: of a scheduler, or `local` for a cluster that lasts as long as the calls.
-        workers: processes of a local cluster; a running one has its own.
+        address: of a scheduler, such as `tcp://host:8786`; `tls://` with the certificates that Dask is configured with.
         where: what is worked on, for messages.
     """
 
-    def __init__(self, address: str, workers: int, where: str = "") -> None:
-        self.workers = workers
+    def __init__(self, address: str, where: str = "") -> None:
         self._address, self._where = address, where
 
     def check(self) -> None:
@@ -43,9 +41,8 @@ class DaskCluster(Backend):
         Raises:
             ConfigError: if no scheduler answers.
         """
-        if self._address != "local":
-            with self._client():
-                pass
+        with self._client():
+            pass
 
     def results(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
         """See `Backend`.
@@ -75,16 +72,11 @@ class DaskCluster(Backend):
 
     @contextmanager
     def _client(self) -> Iterator[Client]:
-        """A connection; a cluster of our own ends with it.
+        """A connection.
 
         Raises:
             ConfigError: if no scheduler answers.
         """
-        if self._address == "local":
-            options: dict[str, Any] = {"threads_per_worker": 1, "processes": True, "dashboard_address": None}
-            with LocalCluster(n_workers=self.workers, **options) as cluster, Client(cluster) as client:
-                yield client
-            return
         try:
             client = Client(self._address, timeout=_TIMEOUT_S)
         except (OSError, ValueError) as error:  # a timeout is an OSError

@@ -23,7 +23,7 @@ def test_the_table_names_every_effect_with_its_parameters() -> None:
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
-    with pytest.raises(ConfigError, match="cannot be written"):
+    with pytest.raises(ConfigError, match="is a file, expected a new or empty folder"):
         RUN.invoke(app, ["effects", "--out", str(tmp_path / "file")], catch_exceptions=False)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -130,9 +132,15 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
         run_sweep(sweep(), tmp_path, InTurn())
 
 
-def local_cluster() -> Backend:
-    pytest.importorskip("distributed", reason="dask is an extra")
-    return backend_for(2, "local", "test")
+@contextmanager
+def a_backend(name: str) -> Iterator[Backend]:
+    """Two workers: a pool of processes, or a Dask cluster that runs on this machine."""
+    if name == "processes":
+        yield Processes(2, "test")
+        return
+    distributed = pytest.importorskip("distributed", reason="dask is an extra")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        yield backend_for(1, cluster.scheduler_address, "test")
 
 
 def kill_a_worker(backend: str) -> None:
@@ -161,13 +169,36 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_doubles_nothing(
             kill_a_worker(backend)
 
     folder = tmp_path / "sweep"
-    runs = Processes(2, str(folder)) if backend == "processes" else local_cluster()
-    found = run_sweep(sweep(count=12), folder, runs, kill)
+    with a_backend(backend) as runs:
+        found = run_sweep(sweep(count=12), folder, runs, kill)
     assert killed == [1]
     assert (found.rows, found.failed) == (24, 0)
     assert len(ids(folder)) == len(set(ids(folder))) == 24
     before = figures(whole[0])
     assert {identity: figures(folder)[identity] for identity in before} == before
+
+
+def listening(process: Any) -> set[tuple[str, int]]:
+    """Addresses on which a process and its children take connections."""
+    family = [process, *process.children(recursive=True)]
+    sockets = [socket for one in family for socket in one.net_connections(kind="inet")]
+    return {tuple(socket.laddr) for socket in sockets if socket.status == "LISTEN"}
+
+
+def test_workers_of_this_machine_listen_to_nobody(whole: tuple[Path, SweepOutcome], tmp_path: Path) -> None:
+    """Who may connect to a scheduler may run code in its workers."""
+    psutil = pytest.importorskip("psutil", reason="comes with dask")
+    this, seen = psutil.Process(), []
+    before = listening(this)
+
+    def look(done: int, total: int, note: str) -> None:
+        workers = [child for child in this.children() if "spawn_main" in " ".join(child.cmdline())]
+        seen.append((len(workers), listening(this) - before))
+
+    folder = tmp_path / "sweep"
+    run_sweep(sweep(), folder, backend_for(2, "local", "test"), look)
+    assert seen == [(2, set())] * 6
+    assert figures(folder) == figures(whole[0])
 
 
 def test_workers_that_die_again_and_again_end_it() -> None:

@@ -1,0 +1,102 @@
+"""numba's `njit`, with compiled code on disk that is checked, and compiled anew where it cannot be read."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import logging
+import pickle
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, final
+
+import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+_logger = logging.getLogger(__name__)
+_told: list[str] = []  # the line that this process has logged, if any
+
+
+def njit(*, cache: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function as `numba.njit` does; a damaged cache costs time and one line of warning, never the start.
+
+    Args:
+        cache: keep the compiled code on disk; where numba finds no folder that it may write in, it is not kept.
+        options: of `numba.njit`.
+    """
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        dispatcher = numba.njit(**options)(function)
+        if cache:
+            try:
+                dispatcher._cache = _Cache(function)  # numba's `enable_caching` sets the same, with its own class
+            except (OSError, RuntimeError) as error:
+                _tell(f"compiled code is not kept, it is compiled at every start ({_cause(error)})")
+        return dispatcher
+
+    return compiled
+
+
+class _File(IndexDataCacheFile):
+    """Index and data files of numba; the data carry a check sum, because changed machine code would run."""
+
+    def _save_data(self, name: str, data: Any) -> None:
+        content = self._dump(data)
+        super()._save_data(name, (hashlib.sha256(content).digest(), content))
+
+    def _load_data(self, name: str) -> Any:
+        digest, content = super()._load_data(name)
+        if hashlib.sha256(content).digest() != digest:
+            raise ValueError(f"{name}: check sum differs")
+        return pickle.loads(content)
+
+
+@final
+class _Cache(FunctionCache):
+    """The cache of one function on disk; what cannot be read or written is removed, the function compiled anew."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._base = self._impl.filename_base
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = _File(cache_path=self._cache_path, filename_base=self._base, source_stamp=stamp)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled code for a signature; None where there is none, or none that can be used."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception as error:  # noqa: BLE001  # damaged bytes raise whatever they happen to spell
+            self._remove()
+            _tell(f"{self._cache_path}: compiled code is damaged and is compiled anew ({_cause(error)})")
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep compiled code for the next start; where that fails twice it is not kept."""
+        try:
+            super().save_overload(sig, data)
+        except Exception:  # noqa: BLE001  # the code is there and runs: nothing in the way of keeping it may stop that
+            self._remove()
+        else:
+            return
+        try:
+            super().save_overload(sig, data)
+        except Exception as error:  # noqa: BLE001
+            _tell(f"{self._cache_path}: compiled code is not kept, it is compiled at every start ({_cause(error)})")
+
+    def _remove(self) -> None:
+        """Remove the function's files, and empty folders in their place; another process then compiles anew too."""
+        for path in Path(self._cache_path).glob(f"{glob.escape(self._base)}.*"):
+            with suppress(OSError):
+                path.rmdir() if path.is_dir() else path.unlink()
+
+
+def _tell(text: str) -> None:
+    """Log a line, the first of a process only: a damaged folder holds hundreds of files."""
+    if not _told:
+        _told.append(text)
+        _logger.warning("%s", text)
+
+
+def _cause(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:200]
