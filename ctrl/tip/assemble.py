@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,7 @@ class Assembly:
         limits: hard limits that the controller keeps.
         workspace: what bounds the angle.
         unit: of the command.
+        model_hash: of the files that were opened.
     """
 
     controller: GuardedController[Any]
@@ -41,6 +43,15 @@ class Assembly:
     limits: CommandLimits
     workspace: Workspace
     unit: str
+    model_hash: str = ""
+
+    def origin(self, settings: TipSettings) -> str:
+        """Kind and fingerprint of a controller: equal where settings, limits and model are."""
+        own = settings.model_dump_json(
+            exclude={"model", "inverse", "limits", "motion", "start_command", "tolerance_deg"}
+        )
+        facts = (own, self.limits, self.controller.dt, type(self.predictor).__qualname__, self.model_hash)
+        return f"{settings.controller.kind} {hashlib.sha256(repr(facts).encode()).hexdigest()[:12]}"
 
 
 def assemble(settings: TipSettings, folder: Path) -> Assembly:
@@ -65,8 +76,14 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
     trained = facts.trained_angle.lower, facts.trained_angle.upper
     ends = angles_at_rest(predictor, limits, trained[0])
     _warm_up(controller, ends[0], limits)
+    files = [model_path(settings.model, folder)] + ([] if file is None else [file])
     return Assembly(
-        controller, predictor, limits, Workspace(ends, _soft(settings.controller), trained), facts.command_unit
+        controller,
+        predictor,
+        limits,
+        Workspace(ends, _soft(settings.controller), trained),
+        facts.command_unit,
+        " ".join(hashlib.sha256(path.read_bytes()).hexdigest() for path in files),
     )
 
 

@@ -165,8 +165,7 @@ def test_restoring_a_snapshot_restores_the_future(kind: str) -> None:
     first = [tip.step(angle).u for angle in future]
     tip.set_target(31.0)
     tip.step(y)
-    tip.stop()
-    tip.restore(stored)
+    tip.restore(stored, held=stored.command.u)  # the device is rewound too
     assert [tip.step(angle).u for angle in future] == first
 
 
