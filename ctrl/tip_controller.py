@@ -20,12 +20,14 @@ from .tip.memory import (
     Snapshot,
     fresh,
     halted,
+    recorded_end,
     replayed,
     require_usable,
     started,
     taken_up,
     tried_to_start,
     wished,
+    within,
 )
 from .tip.reach import Reach
 from .tip.reference import Wish, given, waypoints
@@ -39,7 +41,6 @@ if TYPE_CHECKING:
 Vec = NDArray[np.float64]
 
 _ROUNDS = 3  # evaluations of a reference within one step, where another thread sets a new one each time
-_ROUNDING = 1e-6  # of the command's range: two records of one command may differ by it
 
 
 @final
@@ -222,9 +223,10 @@ class TipController:
             ControllerError: if the command is beyond the limits, or the controller cannot start from the angle.
         """
         with self._lock:
-            known = command is None
-            held = self._memory.command.u if command is None else self._within(command, "reset: got command")
-            memory = fresh(self._origin, held, known and self._memory.sent)
+            held = self._memory.command.u
+            if command is not None:
+                held = within(command, self._assembly.limits, "reset: got command")
+            memory = fresh(self._origin, held, command is None and self._memory.sent)
             if measured_theta_deg is not None:
                 memory = started(memory, self._assembly.controller, measured_theta_deg)
             self._memory = memory
@@ -245,13 +247,11 @@ class TipController:
         """
         sent, seen = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in (commands, angles_deg))
         memory = replayed(self._origin, self._assembly.controller, sent, seen)  # takes longer than a sample
-        said = None if held is None else self._within(held, "replay: got held")
+        said = None if held is None else within(held, self._assembly.limits, "replay: got held")
         with self._lock:
-            present, newest = self._memory, memory.command.u
-            if said is None and present.sent:
-                self._require_same(newest, present.command.u)
-                newest = present.command.u
-            self._memory = taken_up(memory, present, self._assembly.controller, newest if said is None else said)
+            present = self._memory
+            holds = recorded_end(memory, present, self._assembly.limits) if said is None else said
+            self._memory = taken_up(memory, present, self._assembly.controller, holds)
 
     def snapshot(self) -> Snapshot:
         """Everything remembered; equal futures follow from it."""
@@ -271,29 +271,11 @@ class TipController:
             ControllerError: if it is no snapshot, one of another controller, or a command is beyond the limits.
         """
         usable = require_usable(snapshot, self._origin, self._assembly.limits)
-        said = None if held is None else self._within(held, "restore: got held")
+        said = None if held is None else within(held, self._assembly.limits, "restore: got held")
         with self._lock:
             present = self._memory
-            self._memory = taken_up(
-                usable, present, self._assembly.controller, present.command.u if said is None else said
-            )
-
-    def _within(self, command: float, what: str) -> float:
-        """The command, where it is within the limits."""
-        limits = self._assembly.limits
-        number = attempt(partial(float, command))[0]
-        if number is None or not limits.lower <= number <= limits.upper:
-            raise ControllerError(f"{what} {command!r}, expected {limits.lower} to {limits.upper}")
-        return number
-
-    def _require_same(self, newest: float, sent: float) -> None:
-        """Two records of the command that the device holds have to agree."""
-        limits = self._assembly.limits
-        if abs(newest - sent) > _ROUNDING * (limits.upper - limits.lower):
-            raise ControllerError(
-                f"replay: got a recording that ends at command {newest:.6g}, expected {sent:.6g}, which this "
-                "controller sent last; say with held= which of them the device holds"
-            )
+            holds = present.command.u if said is None else said
+            self._memory = taken_up(usable, present, self._assembly.controller, holds)
 
     def _wish(self, wish: Wish) -> None:
         """Take up a wish; where it starts from a user's reference, that is asked outside the lock."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ from .reference import Reference, Wish, rest_at
 from .ruckig_ import Kinematics
 
 Vec = NDArray[np.float64]
+
+_ROUNDING = 1e-6  # of the command's range: two records of one command may differ by it
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +153,35 @@ def taken_up(memory: Snapshot, present: Snapshot, controller: GuardedController[
         control = replace(control, estimate=replace(control.estimate, command=held))
     memory = replace(memory, command=command, control=control, sent=present.sent)
     return halted(memory, controller, present.stop_cause) if present.stopped else memory
+
+
+def recorded_end(memory: Snapshot, present: Snapshot, limits: CommandLimits) -> float:
+    """The command that the device holds after a recording: its newest, which has to be the one that was sent last.
+
+    Raises:
+        ControllerError: if this controller has sent another one.
+    """
+    newest, sent = memory.command.u, present.command.u
+    if not present.sent:
+        return newest
+    if abs(newest - sent) > _ROUNDING * (limits.upper - limits.lower):
+        raise ControllerError(
+            f"replay: got a recording that ends at command {newest:.6g}, expected {sent:.6g}, which this controller "
+            "sent last; say with held= which of them the device holds"
+        )
+    return sent
+
+
+def within(command: object, limits: CommandLimits, what: str) -> float:
+    """A command that the device is said to hold.
+
+    Raises:
+        ControllerError: if it is no number within the limits.
+    """
+    number = attempt(partial(float, command))[0]  # type: ignore[arg-type]  # anything may come from outside
+    if number is None or not limits.lower <= number <= limits.upper:
+        raise ControllerError(f"{what} {command!r}, expected {limits.lower} to {limits.upper}")
+    return number
 
 
 def require_usable(snapshot: object, origin: str, limits: CommandLimits) -> Snapshot:
