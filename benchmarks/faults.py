@@ -190,7 +190,7 @@ def faulty(settings: dict[str, Any]) -> tuple[TipController, Sick, CommandLimits
     tip = TipSettings.parse({"model": "builtin:pi", "controller": {**settings, "ladder": LADDER}})
     controller = build_controller(tip.controller, sick, SickInverse(inverse, sick), limits)
     workspace = Workspace(angles_at_rest(predictor, limits, 30.0), (-math.inf, math.inf), (30.0, 80.0))
-    return TipController(Assembly(controller, sick, limits, workspace, facts.command_unit), tip), sick, limits
+    return TipController(Assembly(controller, sick, limits, workspace, facts.command_unit, limits), tip), sick, limits
 
 
 def violates(limits: CommandLimits, u: float, last: float, dt: float) -> bool:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.errors import ControllerError
 
@@ -24,6 +25,7 @@ from .config import (
     InversePidControllerSettings,
     LimitsSettings,
     LinearisedMpcSettings,
+    ModelledLimitsSettings,
     PidControllerSettings,
     PidSettings,
     SamplingMpcSettings,
@@ -168,12 +170,37 @@ def _noise(settings: SamplingMpcSettings) -> NDArray[np.float64]:
 def _narrowed(device: CommandLimits, wanted: LimitsSettings | None) -> CommandLimits:
     if wanted is None:
         return device
-    if wanted.lower < device.lower or wanted.upper > device.upper or wanted.rate_per_s > device.rate:
+    limits = command_limits(wanted)
+    if not device.contains(limits):
+        raise ControllerError(f"limits: got {limits}, expected them within those of the device, {device}")
+    return limits
+
+
+def command_limits(settings: LimitsSettings) -> CommandLimits:
+    """The limits that the settings name."""
+    return CommandLimits(settings.lower, settings.upper, settings.rate_per_s)
+
+
+def limits_of_model(facts: ModelMetadata) -> CommandLimits:
+    """The limits that a model was made for."""
+    return CommandLimits(facts.command_limits.lower, facts.command_limits.upper, facts.command_rate)
+
+
+def modelled_limits(settings: ModelledLimitsSettings | None, model: CommandLimits) -> CommandLimits:
+    """Hard limits of command and rate: those of the settings; those of the model where they are left out.
+
+    Raises:
+        ControllerError: if the settings go beyond the model and do not say that they may.
+    """
+    if settings is None:
+        return model
+    limits = command_limits(settings)
+    if not (settings.beyond_model or model.contains(limits)):
         raise ControllerError(
-            f"limits: got {wanted.lower} to {wanted.upper} at {wanted.rate_per_s} per second, expected them within "
-            f"those of the device, {device.lower} to {device.upper} at {device.rate}"
+            f"limits: got {limits}, expected them within what the model was made for, {model}; "
+            "limits.beyond_model: true allows more"
         )
-    return CommandLimits(wanted.lower, wanted.upper, wanted.rate_per_s)
+    return limits
 
 
 def _estimator_options(settings: EstimatorSettings) -> EstimatorOptions:

@@ -28,6 +28,17 @@ class LimitsSettings(Settings):
         return self
 
 
+class ModelledLimitsSettings(LimitsSettings):
+    """Hard limits where a model is known: those of the model may be narrowed, and exceeded only where it is said.
+
+    Attributes:
+        beyond_model: whether the limits may be wider than the command limits and rate that the model was made for; its
+            predictions there are extrapolated, and the device may not be made for them either.
+    """
+
+    beyond_model: Annotated[bool, Field(strict=True)] = False
+
+
 class EstimatorSettings(Settings):
     """See `EstimatorOptions`; the delay is what the model itself does not contain."""
 

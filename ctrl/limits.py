@@ -12,6 +12,8 @@ from hystmpc.trials.errors import ControllerError
 
 Vec = NDArray[np.float64]
 
+_ROUNDING = 1e-9  # relative; a limit that was written with fewer digits
+
 
 @dataclass(frozen=True)
 class CommandLimits:
@@ -36,6 +38,15 @@ class CommandLimits:
                 f"command limits: got lower {self.lower}, upper {self.upper}, rate {self.rate}, "
                 "expected finite lower < upper and rate > 0"
             )
+
+    def __str__(self) -> str:
+        return f"{self.lower:g} to {self.upper:g} at {self.rate:g} per s"
+
+    def contains(self, other: CommandLimits) -> bool:
+        """Whether `other` allows nothing beyond these limits; rounding of the last digits passes."""
+        slack = _ROUNDING * (self.upper - self.lower)
+        inside = self.lower - slack <= other.lower and other.upper <= self.upper + slack
+        return inside and other.rate <= self.rate * (1 + _ROUNDING)
 
     def window(self, last: float, dt: float) -> tuple[float, float]:
         """Least and greatest command that may follow `last` after `dt` seconds."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING, Any, Self, final
@@ -15,9 +16,22 @@ from hystmpc.trials.errors import ControllerError
 
 from .command import Command
 from .ladder import attempt
-from .tip.memory import Snapshot, fresh, halted, replayed, started, tried_to_start, wished
+from .tip.memory import (
+    Snapshot,
+    fresh,
+    halted,
+    recorded_end,
+    replayed,
+    require_usable,
+    started,
+    taken_up,
+    tried_to_start,
+    wished,
+    within,
+)
 from .tip.reach import Reach
 from .tip.reference import Wish, given, waypoints
+from .tip.ruckig_ import Kinematics
 from .tip.settings import TipSettings, read_settings
 from .tip.views import TipPlan, TipState, plan_of, predicted_angles, state_of
 
@@ -25,6 +39,8 @@ if TYPE_CHECKING:
     from .tip.assemble import Assembly
 
 Vec = NDArray[np.float64]
+
+_ROUNDS = 3  # evaluations of a reference within one step, where another thread sets a new one each time
 
 
 @final
@@ -38,7 +54,11 @@ class TipController:
 
     `step` never raises and never leaves the limits, whatever the measurement; everything else raises
     `ControllerError` with one line. Time is the number of steps times the sample time. All methods may be called from
-    any thread while one thread steps; each waits for at most one step. All memory is one frozen `Snapshot`.
+    any thread while one thread steps; each waits for at most one step of the controller itself: a reference function is
+    evaluated outside the lock, however long it takes, and `stop` meanwhile is honoured by that very step.
+
+    All memory is one frozen `Snapshot`. A latched stop survives everything but `reset`. Whatever is restored, replayed
+    or reset, the next command is limited from the last one sent, unless the caller says that the device holds another.
 
     Args:
         assembly: controller, model and limits.
@@ -56,7 +76,8 @@ class TipController:
         self._assembly, self._settings, self._lock = assembly, settings, RLock()
         self._nothing = np.empty(0)  # a reference that is too short: the controller holds
         self._ahead: Vec = assembly.controller.dt * np.arange(1, assembly.controller.horizon + 1, dtype=np.float64)
-        self._memory = fresh(start)
+        self._origin = assembly.origin(settings)
+        self._memory = fresh(self._origin, start)
 
     @classmethod
     def from_config(cls, source: Path | str | Mapping[str, Any] | TipSettings) -> Self:
@@ -89,21 +110,39 @@ class TipController:
             measured_theta_deg: tip angle now [deg]; NaN where there is none. The first usable one starts the
                 controller at rest there; until then the start command is held.
         """
-        controller = self._assembly.controller
+        for _ in range(_ROUNDS):
+            with self._lock:
+                memory = self._memory
+                if memory.control is None:
+                    memory = tried_to_start(memory, self._assembly.controller, measured_theta_deg)
+                    self._memory = memory
+                reference = memory.reference
+                if reference is None or memory.stopped:
+                    return self._answer(measured_theta_deg, self._nothing, "")
+                ahead: Vec = memory.steps * self.dt + self._ahead
+                if not reference.foreign:
+                    return self._answer(measured_theta_deg, *attempt(partial(reference.at, ahead)))
+            wanted, fault = attempt(partial(reference.at, ahead))  # a user's code: anything may happen meanwhile
+            with self._lock:
+                now = self._memory
+                if now.stopped or (now.reference is reference and now.steps == memory.steps):
+                    return self._answer(measured_theta_deg, wanted, "" if now.stopped else fault)
         with self._lock:
-            memory = self._memory
-            if memory.control is None:
-                self._memory = memory = tried_to_start(memory, controller, measured_theta_deg)
-            control, reference = memory.control, memory.reference
-            if control is None or reference is None:
-                return memory.command
-            ahead: Vec = memory.steps * self.dt + self._ahead
-            wanted, fault = attempt(lambda: reference.at(ahead))
-            command, control = controller.step(control, measured_theta_deg, self._nothing if wanted is None else wanted)
-            if fault:
-                command = replace(command, status=f"reference: {fault}")
-            self._memory = replace(memory, steps=memory.steps + 1, control=control, command=command)
+            return self._answer(measured_theta_deg, None, "another was set each time this one was evaluated")
+
+    def _answer(self, measured_theta_deg: float, wanted: Vec | None, fault: str) -> Command:
+        """The command of this sample, remembered as sent; under the lock."""
+        memory = self._memory
+        command, control = memory.command, memory.control
+        if control is None:
+            self._memory = replace(memory, sent=True)
             return command
+        preview = self._nothing if wanted is None else wanted
+        command, control = self._assembly.controller.step(control, measured_theta_deg, preview)
+        if fault:
+            command = replace(command, status=f"reference: {fault}")
+        self._memory = replace(memory, steps=memory.steps + 1, control=control, command=command, sent=True)
+        return command
 
     def set_target(self, theta_deg: float) -> Reach:
         """Move to `theta_deg` [deg] and stay: the fastest motion within the limits, from the present state of motion.
@@ -160,10 +199,9 @@ class TipController:
             ControllerError: if the controller has not started or has no model, or a plan is not finite or beyond
                 the limits on value or rate.
         """
-        with self._lock:
-            control, assembly = self._memory.control, self._assembly
-            estimate = None if control is None else control.estimate
-            return predicted_angles(assembly.predictor, assembly.limits, estimate, commands)
+        control, assembly = self._memory.control, self._assembly
+        estimate = None if control is None else control.estimate
+        return predicted_angles(assembly.predictor, assembly.limits, estimate, commands)
 
     def reachable(self, theta_deg: float) -> Reach:
         """Whether the model can be held at `theta_deg` [deg] within command and soft angle limits, and why not."""
@@ -175,7 +213,7 @@ class TipController:
             self._memory = halted(self._memory, self._assembly.controller)
 
     def reset(self, measured_theta_deg: float | None = None, command: float | None = None) -> None:
-        """Forget everything, a latched stop included, and rest: at time 0, with no target.
+        """Forget everything and rest: at time 0, with no target. The one call that releases a latched stop.
 
         Args:
             measured_theta_deg: start at this angle [deg] now; None to start with the first usable measurement.
@@ -184,40 +222,76 @@ class TipController:
         Raises:
             ControllerError: if the command is beyond the limits, or the controller cannot start from the angle.
         """
-        limits = self._assembly.limits
         with self._lock:
-            held = self._memory.command.u if command is None else command
-            if not limits.lower <= held <= limits.upper:
-                raise ControllerError(f"reset: got command {held}, expected {limits.lower} to {limits.upper}")
-            memory = fresh(held)
+            held = self._memory.command.u
+            if command is not None:
+                held = within(command, self._assembly.limits, "reset: got command")
+            memory = fresh(self._origin, held, command is None and self._memory.sent)
             if measured_theta_deg is not None:
                 memory = started(memory, self._assembly.controller, measured_theta_deg)
             self._memory = memory
 
-    def replay(self, commands: ArrayLike, angles_deg: ArrayLike) -> None:
-        """Forget everything, as `reset`, and take up what another has done with the device, hysteresis included.
+    def replay(self, commands: ArrayLike, angles_deg: ArrayLike, held: float | None = None) -> None:
+        """Forget everything but a latched stop, and take up what another has done with the device, hysteresis included.
 
         Args:
-            commands: the last commands that were sent (T,) [mm or bar], the newest, which the device holds, at the end.
+            commands: the last commands that were sent (T,) [mm or bar], the newest at the end.
             angles_deg: tip angles (T,) [deg] measured when each was sent; NaN where there was none. `step` takes the
                 next one.
+            held: the command that the device holds now, from which the next one is limited; None for the newest of
+                `commands`, which then has to be the one that this controller sent last, if it has sent any.
 
         Raises:
-            ControllerError: if the lengths differ, no angle is usable, or a command is beyond the limits.
+            ControllerError: if the lengths differ, no angle is usable, a command is beyond the limits, or the recording
+                ends at another command than this controller sent last.
         """
         sent, seen = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in (commands, angles_deg))
+        memory = replayed(self._origin, self._assembly.controller, sent, seen)  # takes longer than a sample
+        said = None if held is None else within(held, self._assembly.limits, "replay: got held")
         with self._lock:
-            self._memory = replayed(self._assembly.controller, sent, seen)
+            present = self._memory
+            holds = recorded_end(memory, present, self._assembly.limits) if said is None else said
+            self._memory = taken_up(memory, present, self._assembly.controller, holds)
 
     def snapshot(self) -> Snapshot:
         """Everything remembered; equal futures follow from it."""
         return self._memory
 
-    def restore(self, snapshot: Snapshot) -> None:
-        """Be as at the moment of `snapshot`, which has to come from a controller of the same settings."""
+    def restore(self, snapshot: Snapshot, held: float | None = None) -> None:
+        """Be as at the moment of `snapshot`, but for a latched stop, which stays, and for the command that is held.
+
+        A simulation that rewinds its device too says so: `restore(snapshot, held=snapshot.command.u)`. After a stop it
+        calls `reset` first.
+
+        Args:
+            snapshot: of a controller of the same kind, settings, limits and model.
+            held: the command that the device holds now, from which the next one is limited; None for the one sent last.
+
+        Raises:
+            ControllerError: if it is no snapshot, one of another controller, or a command is beyond the limits.
+        """
+        usable = require_usable(snapshot, self._origin, self._assembly.limits)
+        said = None if held is None else within(held, self._assembly.limits, "restore: got held")
         with self._lock:
-            self._memory = snapshot
+            present = self._memory
+            holds = present.command.u if said is None else said
+            self._memory = taken_up(usable, present, self._assembly.controller, holds)
 
     def _wish(self, wish: Wish) -> None:
-        with self._lock:
-            self._memory = wished(self._memory, wish, self.dt)
+        """Take up a wish; where it starts from a user's reference, that is asked outside the lock."""
+        while True:
+            with self._lock:
+                memory = self._memory
+                reference, now_s = memory.reference, memory.steps * self.dt
+                if reference is None or memory.stopped or not (wish.from_motion and reference.foreign):
+                    start = memory.motion(now_s) if wish.from_motion else Kinematics(memory.measured_deg)
+                    self._memory = wished(memory, wish, self.dt, start)
+                    return
+            start = memory.motion(now_s)
+            with self._lock:
+                now = self._memory
+                if now.reference is reference and now.control is not None:
+                    if now.steps != memory.steps:  # it has gone on meanwhile: the angle that is wanted now is known
+                        start = replace(start, theta_deg=now.control.due)
+                    self._memory = wished(now, wish, self.dt, start)
+                    return

@@ -14,7 +14,7 @@ from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.files import write_atomically
 
 from .chain import Chain
-from .contract.metadata import InitialRule, ModelMetadata, Positive, Range
+from .contract.metadata import ModelMetadata, Range, Rate, SampleTime
 from .operators.catalogue import operator_from, operator_spec
 
 FORMAT = "hystmpc-simulator/1"
@@ -52,16 +52,16 @@ class Identification(Settings):
 
 
 class SimulatorFile(Settings):
-    """Layout of the YAML file; the blocks of `chain` are read by the operator catalogue."""
+    """Layout of the YAML file, bounds as in `ModelMetadata`; the operator catalogue reads the blocks of `chain`."""
 
     format: str
-    dt_s: Positive
+    dt_s: SampleTime
     command_unit: str = Field(min_length=1)
     command_limits: Range
-    command_rate_per_s: Positive
+    command_rate_per_s: Rate
     trained_command: Range
     trained_angle_deg: Range
-    trained_rate_per_s: Positive
+    trained_rate_per_s: Rate
     angle_unit: str = "deg"
     chain: dict[Literal["before", "core", "after"], Any]
     identification: Identification
@@ -97,12 +97,15 @@ class Simulator:
 
         The device is taken to rest at the lower end of its command; operators do not age, so that a fresh device
         and one that has done its first flexure start by the same rule.
+
+        Raises:
+            ModelError: if a fact is out of its bounds.
         """
         rest = self.command_limits.lower
         at = [np.asarray(self.chain.rest(y, rest, self.chain.values)).ravel() for y in (0.0, 1.0)]
-        rule = InitialRule(offset=tuple(at[0].tolist()), slope=tuple((at[1] - at[0]).tolist()))
+        rule = {"offset": at[0].tolist(), "slope": (at[1] - at[0]).tolist()}
         single = not self.chain.before and not self.chain.after
-        return ModelMetadata(
+        return ModelMetadata.of(
             kind=self.chain.core.name if single else "chain",
             dt_s=self.dt_s,
             command_unit=self.command_unit,

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.config import LimitsSettings
+from hystmpc.ctrl.config import LimitsSettings, ModelledLimitsSettings
 from hystmpc.ctrl.tip.settings import TipSettings
 from hystmpc.models.library import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
@@ -113,8 +113,17 @@ class DrillSettings(Settings):
 
 
 class RunSettings(BenchSettings):
-    """A closed-loop experiment: `hystmpc run`."""
+    """A closed-loop experiment: `hystmpc run`.
 
+    Attributes:
+        limits: as of every bench; wider ones than those of the model are refused unless `limits.beyond_model` is true.
+        controller: a planner's controller; its own limits may narrow those of the bench.
+        reference: what is tracked.
+        review: of the run.
+        drill: an exercise, None for none.
+    """
+
+    limits: ModelledLimitsSettings
     controller: TipSettings
     reference: Motion
     review: ReviewSettings = ReviewSettings()

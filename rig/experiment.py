@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.tip.assemble import assemble
+from hystmpc.ctrl.build import command_limits, modelled_limits
+from hystmpc.ctrl.tip.assemble import Assembly, assemble
 from hystmpc.ctrl.tip.ruckig_ import Kinematics, move_to_rest
 from hystmpc.ctrl.tip_controller import TipController
 from hystmpc.trajectories.piecewise import PiecewiseCubic
@@ -56,9 +56,10 @@ def tracking_phase(settings: RunSettings) -> Tracking:
     """The controller of an experiment, compiled and warm, as a phase.
 
     Raises:
-        ConfigError: if model and bench differ in rate, unit or limits.
+        ConfigError: if model and bench differ in rate or unit, or the controller's limits go beyond the bench's.
         ModelError: if a model file is missing, corrupt or unusable.
-        ControllerError: if the settings of the controller contradict each other or the model.
+        ControllerError: if the settings of the controller contradict each other or the model, or limits go beyond the
+            model's unasked.
         TrajectoryError: if the reference cannot be made.
     """
     limits, tip_settings = settings.limits, settings.controller
@@ -71,7 +72,7 @@ def tracking_phase(settings: RunSettings) -> Tracking:
         update={"limits": tip_settings.limits or limits, "start_command": settings.safe_command}
     )
     assembly = assemble(tip_settings, Path())
-    _fits(settings, assembly.controller.dt, assembly.unit, assembly.limits)
+    _fits(settings, assembly)
     controller, law_of_it = timely(assembly.controller)
     tip = TipController(replace(assembly, controller=controller), tip_settings)
     reference = settings.reference.build()
@@ -89,7 +90,8 @@ def tracking_phase(settings: RunSettings) -> Tracking:
     return Tracking(tip, law_of_it, lead_in, watch, fails)
 
 
-def _fits(settings: RunSettings, dt_s: float, unit: str, limits: CommandLimits) -> None:
+def _fits(settings: RunSettings, assembly: Assembly) -> None:
+    dt_s, unit = assembly.controller.dt, assembly.unit
     if abs(dt_s * settings.rate_hz - 1) > 1e-6:
         raise ConfigError(
             f"controller: got a model at {1 / dt_s:g} Hz, expected rate_hz {settings.rate_hz:g}; identify one at that "
@@ -97,12 +99,10 @@ def _fits(settings: RunSettings, dt_s: float, unit: str, limits: CommandLimits) 
         )
     if unit != settings.command_unit:
         raise ConfigError(f"controller: got a model with commands in {unit}, expected {settings.command_unit}")
-    own = settings.limits
-    if limits.lower < own.lower or limits.upper > own.upper or limits.rate > own.rate_per_s:
-        raise ConfigError(
-            f"controller: got limits {limits.lower} to {limits.upper} at {limits.rate} per s, expected them within the "
-            f"bench's {own.lower} to {own.upper} at {own.rate_per_s}"
-        )
+    modelled_limits(settings.limits, assembly.model_limits)
+    bench = command_limits(settings.limits)
+    if not bench.contains(assembly.limits):
+        raise ConfigError(f"controller: got limits {assembly.limits}, expected them within the bench's {bench}")
 
 
 def run_experiment(

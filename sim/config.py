@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from hystmpc.ctrl.config import CONTROLLERS, ControllerSettings, LimitsSettings
+from hystmpc.ctrl.config import CONTROLLERS, ControllerSettings, ModelledLimitsSettings
 from hystmpc.models.effects.place import EffectError, effect_from
 from hystmpc.models.library import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
@@ -132,7 +132,8 @@ class SimulationConfig(Settings):
             an operator), which is asked for the command and runs beside the model.
         motions: references by name.
         controllers: controllers by name.
-        limits: hard limits of command and rate; those of the model where left out.
+        limits: hard limits of command and rate; those of the model where left out. Wider ones are refused unless
+            `limits.beyond_model` is true.
         tune_pid: search the gains of every `pid` and `inverse_pid` on this plant and these motions first; where left
             out the gains stand as given.
         tuned: controllers whose gains such a search has found; a run writes them here beside the gains, so that its
@@ -146,7 +147,7 @@ class SimulationConfig(Settings):
     actuator_lag_s: NotNegative = 0.0
     motions: dict[Name, Motion] = Field(min_length=1)
     controllers: dict[Name, Annotated[ControllerSettings, BeforeValidator(_known_controller)]] = Field(min_length=1)
-    limits: LimitsSettings | None = None
+    limits: ModelledLimitsSettings | None = None
     tune_pid: TuningSettings | None = None
     tuned: tuple[Name, ...] = ()
     seed: Annotated[int, Field(ge=0)] = 0

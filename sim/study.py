@@ -9,8 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.config import AnyControllerSettings, LimitsSettings, LinearisedMpcSettings, SamplingMpcSettings
+from hystmpc.ctrl.build import build_controller, limits_of_model, modelled_limits
+from hystmpc.ctrl.config import (
+    AnyControllerSettings,
+    LinearisedMpcSettings,
+    ModelledLimitsSettings,
+    SamplingMpcSettings,
+)
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.known import known_model
 from hystmpc.ctrl.limits import CommandLimits
@@ -105,15 +110,13 @@ def prepare(config: SimulationConfig, known: Knowledge | None = None) -> Study:
         ModelError: if a model file is missing or unusable, or `inverse` is a forward model or of another unit.
         ConfigError: if plant and model differ in the command's unit, or a mismatch names an unknown parameter.
         TrajectoryError: if a motion cannot be built.
-        ControllerError: if a controller is misconfigured.
+        ControllerError: if a controller is misconfigured, or the limits go beyond the model's unasked.
         FitError: if a network has no `inverse` and none can be fitted.
     """
     models = [model_path(text) for text in (config.model, config.inverse) if text is not None]
     known = known or knowledge(config.model, config.inverse, config.actuator_lag_s)
     facts = known.facts
-    limits = config.limits or LimitsSettings(
-        lower=facts.command_limits.lower, upper=facts.command_limits.upper, rate_per_s=facts.command_rate
-    )
+    limits = modelled_limits(config.limits, limits_of_model(facts))
     flexure = Range(lower=limits.lower, upper=limits.upper)
     plant = make_plant(config.plant, known.predictor.dt, flexure, config.seed)
     if plant.command_unit != facts.command_unit:
@@ -122,18 +125,22 @@ def prepare(config: SimulationConfig, known: Knowledge | None = None) -> Study:
             f"{facts.command_unit}, expected one unit"
         )
     study = Study(
-        config=config.model_copy(update={"limits": limits}),
+        config=config.model_copy(update={"limits": config.limits or _as_settings(limits)}),
         plant=plant,
         predictor=known.predictor,
         inverse=known.inverse,
         feedforward=known.feedforward,
-        limits=CommandLimits(limits.lower, limits.upper, limits.rate_per_s),
+        limits=limits,
         motions={name: motion.build() for name, motion in config.motions.items()},
         files=(*plant_files(config.plant), *models),
     )
     for name, settings in config.controllers.items():
         _warm_up(study, name, settings)
     return study
+
+
+def _as_settings(limits: CommandLimits) -> ModelledLimitsSettings:
+    return ModelledLimitsSettings(lower=limits.lower, upper=limits.upper, rate_per_s=limits.rate)
 
 
 def _warm_up(study: Study, name: str, settings: AnyControllerSettings) -> None:

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from types import NoneType, UnionType
+from typing import Annotated, Any, Self, TypeVar, Union, get_args, get_origin
 
-import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from .errors import ConfigError, did_you_mean
+from .yaml_ import YamlError, format_yaml, parse_yaml
 from .yaml_lines import Location, MisplacedError, place_in
+
+LARGEST_FILE = 4_000_000  # bytes of a configuration
+_LONGEST_VALUE = 100  # characters of a value in an error
+
+
+class _MisreadError(MisplacedError):
+    """Text or a truth value where a number is expected."""
 
 
 class Settings(BaseModel):
     """Base of every configuration block: frozen, no unknown keys, units in the key names.
+
+    A number has to be given as a number: text and truth values, which pydantic would convert, are refused.
 
     Raises:
         ConfigError: through `parse`; pydantic's ValidationError if built directly.
@@ -29,6 +39,16 @@ class Settings(BaseModel):
             for key in data:
                 if key not in cls.model_fields:
                     raise MisplacedError(f"unknown key {key!r}, {did_you_mean(str(key), cls.model_fields)}", (key,))
+        return data
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_numbers(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            for key, field in cls.model_fields.items():
+                found = _misread_number(data[key], field.annotation) if key in data else None
+                if found is not None:
+                    raise _MisreadError(f"expected a valid number, got {shown(found[1])}", (key, *found[0]))
         return data
 
     @classmethod
@@ -46,33 +66,97 @@ class Settings(BaseModel):
             return cls.model_validate(data)
         except ValidationError as error:
             first = error.errors()[0]
-            path = ".".join(str(p) for p in first["loc"]) or "top level"
+            cause = first.get("ctx", {}).get("error")
+            inner = getattr(cause, "at", ())
+            entry = (*first["loc"], *inner) if isinstance(cause, _MisreadError) else first["loc"]
+            path = ".".join(str(p) for p in entry) or "top level"
             more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
             text = str(first["msg"]).removeprefix("Value error, ")
-            got = "" if isinstance(first["input"], dict) else f", got {first['input']!r}"
-            inner = getattr(first.get("ctx", {}).get("error"), "at", ())
+            got = "" if isinstance(first["input"], dict) else f", got {shown(first['input'])}"
             place = where if isinstance(where, str) else where((*first["loc"], *inner))
-            raise ConfigError(f"{place}: {path}: {text}{got}{more}") from None
+            raise ConfigError(" ".join(f"{place}: {path}: {text}{got}{more}".split())) from None
+
+
+def _misread_number(value: Any, annotation: Any) -> tuple[tuple[Any, ...], Any] | None:
+    """The first text or truth value in `value` that stands where `annotation` allows only numbers.
+
+    pydantic turns `true` into 1.0 and `"010"` into 10.0. Blocks (pydantic models) look after their own fields.
+
+    Args:
+        value: plain data.
+        annotation: of the field.
+
+    Returns:
+        Keys and indices from `value` to the entry, and the entry; None where there is none.
+    """
+    members = tuple(_members(annotation))
+    if isinstance(value, str | bool):
+        kinds = set(members) - {NoneType}
+        return ((), value) if kinds and kinds <= {int, float} else None
+    for member in members:
+        for key, item, inner in _items(value, get_origin(member), get_args(member)):
+            if (found := _misread_number(item, inner)) is not None:
+                return (key, *found[0]), found[1]
+    return None
+
+
+def _members(annotation: Any) -> Iterator[Any]:
+    """What a value may be: the members of unions, without constraints."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        yield from _members(get_args(annotation)[0])
+    elif origin in (Union, UnionType):
+        for member in get_args(annotation):
+            yield from _members(member)
+    else:
+        yield annotation
+
+
+def _items(value: Any, origin: Any, of: tuple[Any, ...]) -> Iterator[tuple[Any, Any, Any]]:
+    """Key or index, entry and annotation of everything in a container."""
+    if not isinstance(origin, type) or not of:
+        return
+    if isinstance(value, Mapping) and issubclass(origin, Mapping) and len(of) == 2:
+        yield from ((key, item, of[1]) for key, item in value.items())
+    elif isinstance(value, list | tuple):
+        if origin is tuple and of[-1] is not Ellipsis:
+            yield from ((k, item, inner) for k, (item, inner) in enumerate(zip(value, of, strict=False)))
+        elif issubclass(origin, Sequence):
+            yield from ((k, item, of[0]) for k, item in enumerate(value))
 
 
 S = TypeVar("S", bound=Settings)
 
 
+def shown(value: Any) -> str:
+    """A value as an error shows it: on one line, its middle left out where it is long."""
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:  # an integer of more digits than Python writes
+        return f"a number of type {type(value).__name__} with thousands of digits"
+    half = _LONGEST_VALUE // 2
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:half]} ... {text[-half:]}"
+
+
 def read_yaml(path: Path | str) -> Any:
-    """Read plain data from a YAML file.
+    """Read plain data from a YAML file; see `yaml_` for what is refused that YAML 1.1 would read otherwise.
 
     Raises:
-        ConfigError: if the file cannot be read or is not YAML; names file, line and column.
+        ConfigError: if the file cannot be read, is larger than `LARGEST_FILE` or is not strict YAML; names file, line
+            and column.
     """
     try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        with Path(path).open("rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+        if len(content) > LARGEST_FILE:
+            raise ConfigError(f"{path}: larger than {LARGEST_FILE} bytes, expected a configuration")
+        return parse_yaml(content.decode("utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ConfigError(f"{path}: cannot be read ({reason}), expected a YAML file") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f", line {mark.line + 1} column {mark.column + 1}" if mark else ""
-        raise ConfigError(f"{path}{place}: not YAML ({getattr(error, 'problem', error)})") from None
+    except YamlError as error:
+        place = "" if error.line is None else f", line {error.line} column {error.column}"
+        raise ConfigError(f"{path}{place}: not usable YAML ({error})") from None
 
 
 def load_settings(kind: type[S], path: Path | str, overrides: Iterable[str] = ()) -> S:
@@ -102,11 +186,11 @@ def _override(data: dict[str, Any], text: str) -> None:
         if not isinstance(node, dict):
             raise ConfigError(f"--set {text}: {name!r} is a value, expected a mapping")
     try:
-        node[leaf] = yaml.safe_load(value)
-    except yaml.YAMLError:
-        raise ConfigError(f"--set {text}: {value!r} is not a YAML value") from None
+        node[leaf] = parse_yaml(value)
+    except YamlError as error:
+        raise ConfigError(f"--set {shown(text)[1:-1]}: not a YAML value ({error})") from None
 
 
 def dump_yaml(data: Any) -> str:
     """Return plain data as YAML in the order given."""
-    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    return format_yaml(data)

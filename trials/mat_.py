@@ -17,6 +17,7 @@ from .signals import Series, missing, split_path, walk
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _DEEPEST = 8  # structs within structs; deeper is no log
+_MOST_OBJECTS = 20_000  # of an HDF5 file, counted once for every link
 _MOST_COLUMNS = 64  # of a matrix that are listed as signals
 
 
@@ -78,7 +79,8 @@ def open_mat(path: Path | str) -> MatLog:
     Tables, timetables and other objects of MATLAB are left out: only MATLAB can read them; save them as structs.
 
     Raises:
-        LogError: if the file is missing, cut off or no MATLAB file, or `h5py` (version 7.3) is not installed.
+        LogError: if the file is missing, cut off or no MATLAB file, its links form a loop, or `h5py` (version 7.3) is
+            not installed.
     """
     try:
         with Path(path).open("rb") as file:
@@ -93,6 +95,8 @@ def open_mat(path: Path | str) -> MatLog:
     reader: Callable[[str], dict[str, Any]] = _read_hdf5 if is_hdf5 else _read_scipy
     try:
         variables = reader(str(path))
+    except LogError:
+        raise
     except Exception as error:  # noqa: BLE001 - on damaged files both libraries raise whatever they meet
         reason = " ".join(str(error).split()) or type(error).__name__
         raise LogError(f"{path}: not a readable MATLAB file, or cut off ({reason})") from None
@@ -128,20 +132,56 @@ def _read_hdf5(path: str) -> dict[str, Any]:
     import h5py
 
     with h5py.File(path, "r") as file:
-        return {name: _hdf5(item, file, 0) for name, item in file.items() if not name.startswith("#")}
+        tree = _Hdf5Tree(path, file)
+        return {name: tree.read(item) for name, item in file.items() if not name.startswith("#")}
 
 
-def _hdf5(item: Any, file: Any, depth: int) -> Any:
-    """Groups as mappings; matrices the way MATLAB shows them, which stores them transposed."""
+class _Hdf5Tree:
+    """The objects of an HDF5 file, whose links may form a loop, or lead to one object so often that a walk never ends.
+
+    Raises:
+        LogError: if a group or a cell lies within itself, or there are more objects than in any log.
+    """
+
+    def __init__(self, path: str, file: Any) -> None:
+        self._path, self._file = path, file
+        self._around = [_place(file["/"])]  # the groups and cells that are being read, from the outside in
+        self._left = _MOST_OBJECTS
+
+    def read(self, item: Any) -> Any:
+        """Groups as mappings; matrices the way MATLAB shows them, which stores them transposed."""
+        import h5py
+
+        self._left -= 1
+        if self._left < 0:
+            raise LogError(f"{self._path}: more than {_MOST_OBJECTS} objects, each link counted, expected a log")
+        if not isinstance(item, h5py.Group) and h5py.check_ref_dtype(item.dtype) is None:
+            return _matrix(item)
+        place = _place(item)
+        if place in self._around:
+            raise LogError(f"{self._path}: {item.name!r} is linked to from within itself, expected no loop")
+        if len(self._around) > _DEEPEST + 1:
+            return None
+        self._around.append(place)
+        try:
+            if isinstance(item, h5py.Group):
+                return {name: self.read(inner) for name, inner in item.items()}
+            references = np.asarray(item[()]).reshape(-1)  # a cell, or one field of a struct array
+            cells = [self.read(self._file[reference]) for reference in references if reference]
+            return cells[0] if len(cells) == 1 else cells
+        finally:
+            self._around.pop()
+
+
+def _place(item: Any) -> tuple[int, int]:
+    """File and address of an object, the same by whatever link it was come to."""
     import h5py
 
-    if depth > _DEEPEST:
-        return None
-    if isinstance(item, h5py.Group):
-        return {name: _hdf5(inner, file, depth + 1) for name, inner in item.items()}
-    if h5py.check_ref_dtype(item.dtype) is not None:  # a cell, or one field of a struct array
-        cells = [_hdf5(file[reference], file, depth + 1) for reference in np.asarray(item[()]).reshape(-1) if reference]
-        return cells[0] if len(cells) == 1 else cells
+    about = h5py.h5o.get_info(item.id)
+    return about.fileno, about.addr
+
+
+def _matrix(item: Any) -> Any:
     if "MATLAB_empty" in item.attrs:
         return np.empty(0)
     if item.attrs.get("MATLAB_class") == b"char":  # stored as the numbers of its letters

@@ -101,7 +101,7 @@ class RunFolder:
             meta = json.loads(file.read_text(encoding="utf-8"))
         except OSError:
             raise LogError(f"{path}: no readable meta.json, expected the folder of a run") from None
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise LogError(f"{file}: not JSON ({error})") from None
         found = meta.get("format") if isinstance(meta, dict) else None
         if found != FORMAT:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import yaml
 
+from .yaml_ import YamlError, compose_yaml
+
 Location = Sequence[str | int]
 
 
@@ -30,8 +32,8 @@ def line_of(text: str, at: Location) -> int | None:
     or nothing of `at` is there.
     """
     try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.YAMLError:
+        node = compose_yaml(text)
+    except YamlError:
         return None
     line = None
     for part in at:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.library import model_path
 from hystmpc.models.load import load_model
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
 
-from ..build import build_controller, learned_pair
+from ..build import build_controller, command_limits, learned_pair, limits_of_model, modelled_limits
 from ..config import AnyControllerSettings, LinearisedMpcSettings, SamplingMpcSettings
 from ..guarded import GuardedController
 from ..known import known_model
@@ -34,6 +34,8 @@ class Assembly:
         limits: hard limits that the controller keeps.
         workspace: what bounds the angle.
         unit: of the command.
+        model_limits: what the model was made for; `limits` may be narrower, and wider where the settings say so.
+        model_hash: of the files that were opened.
     """
 
     controller: GuardedController[Any]
@@ -41,6 +43,16 @@ class Assembly:
     limits: CommandLimits
     workspace: Workspace
     unit: str
+    model_limits: CommandLimits
+    model_hash: str = ""
+
+    def origin(self, settings: TipSettings) -> str:
+        """Kind and fingerprint of a controller: equal where settings, limits and model are."""
+        own = settings.model_dump_json(
+            exclude={"model", "inverse", "limits", "motion", "start_command", "tolerance_deg"}
+        )
+        facts = (own, self.limits, self.controller.dt, type(self.predictor).__qualname__, self.model_hash)
+        return f"{settings.controller.kind} {hashlib.sha256(repr(facts).encode()).hexdigest()[:12]}"
 
 
 def assemble(settings: TipSettings, folder: Path) -> Assembly:
@@ -48,7 +60,7 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
 
     Raises:
         ModelError: if a model file is missing or unusable.
-        ControllerError: if the settings contradict each other or the model.
+        ControllerError: if the settings contradict each other or the model, or limits go beyond the model's unasked.
         FitError: if a network has no `inverse` and none can be fitted.
     """
     model = load_model(model_path(settings.model, folder), start="conditioned")
@@ -58,23 +70,24 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
     predictive = isinstance(settings.controller, LinearisedMpcSettings | SamplingMpcSettings)
     predictor, inverse = known.predictive if predictive else known.feedforward
     predictor, inverse = learned_pair(settings.controller, predictor, inverse)
-    device = _device_limits(settings, facts)
+    made_for = limits_of_model(facts)
+    device = modelled_limits(settings.limits, made_for)
     controller = build_controller(settings.controller, predictor, inverse, device)
     own = settings.controller.limits
-    limits = device if own is None else CommandLimits(own.lower, own.upper, own.rate_per_s)
+    limits = device if own is None else command_limits(own)
     trained = facts.trained_angle.lower, facts.trained_angle.upper
     ends = angles_at_rest(predictor, limits, trained[0])
     _warm_up(controller, ends[0], limits)
+    files = [model_path(settings.model, folder)] + ([] if file is None else [file])
     return Assembly(
-        controller, predictor, limits, Workspace(ends, _soft(settings.controller), trained), facts.command_unit
+        controller,
+        predictor,
+        limits,
+        Workspace(ends, _soft(settings.controller), trained),
+        facts.command_unit,
+        made_for,
+        " ".join(hashlib.sha256(path.read_bytes()).hexdigest() for path in files),
     )
-
-
-def _device_limits(settings: TipSettings, facts: ModelMetadata) -> CommandLimits:
-    own = settings.limits
-    if own is not None:
-        return CommandLimits(own.lower, own.upper, own.rate_per_s)
-    return CommandLimits(facts.command_limits.lower, facts.command_limits.upper, facts.command_rate)
 
 
 def _soft(settings: AnyControllerSettings) -> tuple[float, float]:

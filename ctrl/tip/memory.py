@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,13 @@ from ..command import Command, Source
 from ..guarded import GuardedController, GuardedState
 from ..inputs import usable_angle
 from ..ladder import attempt
+from ..limits import CommandLimits
 from .reference import Reference, Wish, rest_at
 from .ruckig_ import Kinematics
 
 Vec = NDArray[np.float64]
+
+_ROUNDING = 1e-6  # of the command's range: two records of one command may differ by it
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +30,9 @@ class Snapshot:
     """Everything a `TipController` remembers; restoring it restores the future.
 
     Attributes:
+        origin: kind and fingerprint of the controller that it belongs to.
         command: the last answer; at first the command that the device holds.
+        sent: whether this controller has answered that command, so that the device holds it for certain.
         steps: steps taken since the start.
         control: the controller's own state; None before the first usable measurement.
         reference: what is followed; None before that.
@@ -34,7 +40,9 @@ class Snapshot:
         halted: whether `stop` was called.
     """
 
+    origin: str
     command: Command
+    sent: bool = False
     steps: int = 0
     control: GuardedState[Any] | None = None
     reference: Reference | None = None
@@ -45,6 +53,11 @@ class Snapshot:
     def stopped(self) -> bool:
         """Whether the stop is latched."""
         return self.halted or (self.control is not None and self.control.ladder.stopped)
+
+    @property
+    def stop_cause(self) -> str:
+        """Why the stop is latched, where it is."""
+        return self.control.ladder.cause if self.control is not None and self.control.ladder.stopped else "by stop()"
 
     @property
     def disturbance_deg(self) -> float:
@@ -63,9 +76,9 @@ class Snapshot:
         return found if found is not None and math.isfinite(found.theta_deg) else Kinematics(math.nan)
 
 
-def fresh(command: float) -> Snapshot:
+def fresh(origin: str, command: float, sent: bool = False) -> Snapshot:
     """Before the start, the device holding `command`."""
-    return Snapshot(Command(command, Source.HOLD, "not started"))
+    return Snapshot(origin, Command(command, Source.HOLD, "not started"), sent)
 
 
 def started(memory: Snapshot, controller: GuardedController[Any], y: float) -> Snapshot:
@@ -82,7 +95,7 @@ def started(memory: Snapshot, controller: GuardedController[Any], y: float) -> S
     return replace(memory, steps=0, control=control, reference=reference, wish=None)
 
 
-def replayed(controller: GuardedController[Any], commands: Vec, angles: Vec) -> Snapshot:
+def replayed(origin: str, controller: GuardedController[Any], commands: Vec, angles: Vec) -> Snapshot:
     """At time 0 after a recording of commands and angles, with a reference that stays at the last measured angle.
 
     Raises:
@@ -90,7 +103,7 @@ def replayed(controller: GuardedController[Any], commands: Vec, angles: Vec) -> 
     """
     control = controller.replay(commands, angles)
     held = Command(control.estimate.command, Source.HOLD, "replayed")
-    return Snapshot(held, control=control, reference=rest_at(control.due, 0.0))
+    return Snapshot(origin, held, control=control, reference=rest_at(control.due, 0.0))
 
 
 def tried_to_start(memory: Snapshot, controller: GuardedController[Any], y: object) -> Snapshot:
@@ -102,8 +115,8 @@ def tried_to_start(memory: Snapshot, controller: GuardedController[Any], y: obje
     return after or replace(memory, command=Command(memory.command.u, Source.HOLD, f"not started: {reason}"))
 
 
-def wished(memory: Snapshot, wish: Wish, dt: float) -> Snapshot:
-    """With the reference that the wish makes of the present state of motion; kept for later before the start.
+def wished(memory: Snapshot, wish: Wish, dt: float, start: Kinematics) -> Snapshot:
+    """With the reference that the wish makes of the state of motion `start`; kept for later before the start.
 
     Raises:
         ControllerError: if the stop is latched.
@@ -113,14 +126,82 @@ def wished(memory: Snapshot, wish: Wish, dt: float) -> Snapshot:
         raise ControllerError("the stop is latched: got a new reference, expected reset() first")
     if memory.control is None:
         return replace(memory, wish=wish)
-    now = memory.steps * dt
-    start = memory.motion(now)
     if math.isnan(start.theta_deg):  # the reference so far fails: start from where the tip is
         start = Kinematics(memory.measured_deg)
-    return replace(memory, reference=wish(start, now))
+    return replace(memory, reference=wish(start, memory.steps * dt))
 
 
-def halted(memory: Snapshot, controller: GuardedController[Any]) -> Snapshot:
+def halted(memory: Snapshot, controller: GuardedController[Any], cause: str = "by stop()") -> Snapshot:
     """With the stop latched."""
-    control = None if memory.control is None else controller.stop(memory.control, "by stop()")
+    control = None if memory.control is None else controller.stop(memory.control, cause)
     return replace(memory, control=control, halted=True)
+
+
+def taken_up(memory: Snapshot, present: Snapshot, controller: GuardedController[Any], held: float) -> Snapshot:
+    """What a memory of the past becomes: the command that the device holds is `held`, and a latched stop stays.
+
+    Args:
+        memory: restored or replayed.
+        present: the memory that it replaces.
+        controller: of both.
+        held: the command from which the next one is limited.
+    """
+    command, control = memory.command, memory.control
+    if command.u != held:
+        command = replace(command, u=held, status=f"taken up, the device holds {held:.6g}")
+    if control is not None and control.estimate.command != held:
+        control = replace(control, estimate=replace(control.estimate, command=held))
+    memory = replace(memory, command=command, control=control, sent=present.sent)
+    return halted(memory, controller, present.stop_cause) if present.stopped else memory
+
+
+def recorded_end(memory: Snapshot, present: Snapshot, limits: CommandLimits) -> float:
+    """The command that the device holds after a recording: its newest, which has to be the one that was sent last.
+
+    Raises:
+        ControllerError: if this controller has sent another one.
+    """
+    newest, sent = memory.command.u, present.command.u
+    if not present.sent:
+        return newest
+    if abs(newest - sent) > _ROUNDING * (limits.upper - limits.lower):
+        raise ControllerError(
+            f"replay: got a recording that ends at command {newest:.6g}, expected {sent:.6g}, which this controller "
+            "sent last; say with held= which of them the device holds"
+        )
+    return sent
+
+
+def within(command: object, limits: CommandLimits, what: str) -> float:
+    """A command that the device is said to hold.
+
+    Raises:
+        ControllerError: if it is no number within the limits.
+    """
+    number = attempt(partial(float, command))[0]  # type: ignore[arg-type]  # anything may come from outside
+    if number is None or not limits.lower <= number <= limits.upper:
+        raise ControllerError(f"{what} {command!r}, expected {limits.lower} to {limits.upper}")
+    return number
+
+
+def require_usable(snapshot: object, origin: str, limits: CommandLimits) -> Snapshot:
+    """A snapshot that this controller can go on from.
+
+    Raises:
+        ControllerError: if it is none, belongs to another controller, or holds a command beyond the limits.
+    """
+    if not isinstance(snapshot, Snapshot):
+        raise ControllerError(f"restore: got {type(snapshot).__name__}, expected what snapshot() returns")
+    if snapshot.origin != origin:
+        raise ControllerError(
+            f"restore: got a snapshot of {snapshot.origin!r}, expected one of {origin!r}: the same kind of controller, "
+            "settings, limits and model"
+        )
+    commands = (
+        [snapshot.command.u] if snapshot.control is None else [snapshot.command.u, snapshot.control.estimate.command]
+    )
+    if not all(limits.lower <= u <= limits.upper for u in commands):
+        raise ControllerError(
+            f"restore: got a snapshot with command {snapshot.command.u}, expected {limits.lower} to {limits.upper}"
+        )
+    return snapshot

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
@@ -20,9 +21,13 @@ Vec = NDArray[np.float64]
 
 
 class Reference(ABC):
-    """A wanted angle over the controller's time; `end_s` is when it comes to rest for good, infinite for never."""
+    """A wanted angle over the controller's time; `end_s` is when it comes to rest for good, infinite for never.
+
+    `foreign` is whether it runs a user's code, which may take any time: it is then evaluated outside the lock.
+    """
 
     end_s: float
+    foreign: bool
 
     @abstractmethod
     def at(self, t: Vec) -> Vec:
@@ -42,6 +47,8 @@ class Motion(Reference):
         target_deg: the angle at the end [deg].
         start_s: when it starts on the controller's clock [s].
     """
+
+    foreign = False
 
     def __init__(self, segments: Segments, target_deg: float, start_s: float) -> None:
         self._knots = start_s + np.concatenate(([0.0], np.cumsum(segments[:, 0])))
@@ -76,11 +83,19 @@ class Given(Reference):
         duration_s: when it comes to rest, counted from there [s].
         dt: sample time [s].
         limits: bounds of the differences.
+        foreign: whether the function is a user's.
     """
 
     def __init__(
-        self, function: Callable[[Vec], Vec], start_s: float, duration_s: float, dt: float, limits: MotionSettings
+        self,
+        function: Callable[[Vec], Vec],
+        start_s: float,
+        duration_s: float,
+        dt: float,
+        limits: MotionSettings,
+        foreign: bool,
     ) -> None:
+        self.foreign = foreign
         self._function, self._start, self._dt, self._limits = function, start_s, dt, limits
         self.end_s = start_s + duration_s
 
@@ -96,8 +111,21 @@ class Given(Reference):
         return Kinematics(float(recent[-1]), speed, bend)
 
 
-# What is wished for, before it is known from which state of motion and when it starts.
-Wish = Callable[[Kinematics, float], Reference]
+@dataclass(frozen=True, eq=False)
+class Wish:
+    """What is wished for, before it is known when it starts and from which state of motion.
+
+    Attributes:
+        plan: state of motion and time [s] of the start, to the reference.
+        from_motion: whether the state of motion counts; False where the reference is followed as given.
+    """
+
+    plan: Callable[[Kinematics, float], Reference]
+    from_motion: bool
+
+    def __call__(self, start: Kinematics, start_s: float) -> Reference:
+        """The reference from the state of motion `start` at `start_s` [s] on."""
+        return self.plan(start, start_s)
 
 
 def rest_at(theta_deg: float, start_s: float) -> Motion:
@@ -127,7 +155,7 @@ def waypoints(angles_deg: Sequence[float], holds_s: Sequence[float], limits: Mot
         segments = np.vstack(pieces)
         return Motion(segments[segments[:, 0] > 0], angles[-1], t)
 
-    return plan
+    return Wish(plan, from_motion=True)
 
 
 def given(source: Any, dt: float, limits: MotionSettings) -> Wish:
@@ -139,12 +167,13 @@ def given(source: Any, dt: float, limits: MotionSettings) -> Wish:
     Raises:
         ControllerError: if it is neither, or does not answer with finite angles.
     """
-    if callable(source):
+    foreign = callable(source)
+    if foreign:
         duration = float(getattr(source, "duration_s", math.inf))
         function = _vectorised(source, dt)
     else:
         function, duration = _sampled(source, dt)
-    return lambda start, t: Given(function, t, duration, dt, limits)
+    return Wish(lambda start, t: Given(function, t, duration, dt, limits, foreign), from_motion=False)
 
 
 def _sampled(source: Any, dt: float) -> tuple[Callable[[Vec], Vec], float]:

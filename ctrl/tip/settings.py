@@ -11,7 +11,14 @@ from pydantic import BeforeValidator, Field
 from hystmpc.trials.config import Settings, read_yaml
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
-from ..config import CONTROLLERS, ControllerSettings, LimitsSettings, LinearisedMpcSettings, NotNegative, Positive
+from ..config import (
+    CONTROLLERS,
+    ControllerSettings,
+    LinearisedMpcSettings,
+    ModelledLimitsSettings,
+    NotNegative,
+    Positive,
+)
 
 
 class MotionSettings(Settings):
@@ -41,7 +48,8 @@ class TipSettings(Settings):
             own; where left out, a backlash fitted to the network's free run. Or an inverse map (.onnx).
         actuator_lag_s: first-order lag of the command that the model does not contain.
         controller: a controller block, as in a simulation file.
-        limits: hard limits of command and rate; those of the model where left out.
+        limits: hard limits of command and rate; those of the model where left out. Wider ones are refused unless
+            `limits.beyond_model` is true.
         motion: limits of the reference's own motion.
         start_command: the command that the device holds before the first step; the lowest where left out.
         tolerance_deg: how close the measured angle has to be to count as settled.
@@ -53,7 +61,7 @@ class TipSettings(Settings):
     controller: Annotated[ControllerSettings, BeforeValidator(_known_controller), Field(validate_default=True)] = (
         LinearisedMpcSettings()
     )
-    limits: LimitsSettings | None = None
+    limits: ModelledLimitsSettings | None = None
     motion: MotionSettings = MotionSettings()
     start_command: float | None = None
     tolerance_deg: Positive = 0.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,14 +18,20 @@ from ..model import Array
 FORMAT = "hystmpc-model/1"
 PREFIX = "hystmpc."
 
-Positive = Annotated[float, Field(gt=0)]
+# Bounds that no device of this field comes near; what lies beyond is a damaged or hostile file, or another unit.
+SampleTime = Annotated[float, Field(ge=1e-5, le=100.0)]  # s: 100 kHz to one sample in 100 s
+Amount = Annotated[float, Field(ge=-1e9, le=1e9)]  # mm, bar or deg; counts of an encoder in a raw log
+Rate = Annotated[float, Field(ge=1e-9, le=1e12)]  # of these per second
+StateEntry = Annotated[float, Field(ge=-1e12, le=1e12)]
+LARGEST_STATE = 100_000  # entries
+LONGEST_WARMUP = 1_000_000  # samples
 
 
 class Range(Settings):
-    """A closed interval, lower < upper, in the unit of what it bounds."""
+    """A closed interval, lower < upper, in the unit of what it bounds; both ends within 1e9 of zero."""
 
-    lower: float
-    upper: float
+    lower: Amount
+    upper: Amount
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -40,10 +46,13 @@ class Range(Settings):
 
 
 class InitialRule(Settings):
-    """State of a device that rests at the measured angle y [deg]: x0 = offset + slope * y, entry by entry."""
+    """State of a device that rests at the measured angle y [deg]: x0 = offset + slope * y, entry by entry.
 
-    offset: tuple[float, ...]
-    slope: tuple[float, ...]
+    At most 100,000 entries, each number within 1e12 of zero.
+    """
+
+    offset: tuple[StateEntry, ...] = Field(max_length=LARGEST_STATE)
+    slope: tuple[StateEntry, ...] = Field(max_length=LARGEST_STATE)
 
     @model_validator(mode="after")
     def _same_size(self) -> Self:
@@ -57,7 +66,7 @@ class InitialRule(Settings):
 
 
 class ModelMetadata(Settings):
-    """The facts without which a model file is refused.
+    """The facts without which a model file is refused, and the bounds beyond which it is refused too.
 
     In the file every field is one entry of `metadata_props`, key `hystmpc.<field>`, value JSON, so that any ONNX viewer
     shows it.
@@ -65,33 +74,33 @@ class ModelMetadata(Settings):
     Attributes:
         format: layout of graph and metadata; another version is refused.
         kind: what the model is, for messages and reports ("backlash", "prandtl_ishlinskii", "chain", "lstm", ...).
-        dt_s: sample time of one step [s].
+        dt_s: sample time of one step [s], 1e-5 to 100.
         command_unit, angle_unit: units of `u` and `theta`: mm or bar and deg. An inverse map has them exchanged: its
             input `u` is an angle [deg], its output `theta` a command, and "command" and "angle" below mean these.
-        command_limits: what the device may be sent [command unit].
-        command_rate: greatest change of the command [command unit/s].
-        trained_command, trained_angle: ranges seen in identification [command unit], [deg].
-        trained_rate: fastest command change seen in identification [command unit/s].
+        command_limits: what the device may be sent [command unit], within 1e9 of zero.
+        command_rate: greatest change of the command [command unit/s], 1e-9 to 1e12.
+        trained_command, trained_angle: ranges seen in identification [command unit], [deg], within 1e9 of zero.
+        trained_rate: fastest command change seen in identification [command unit/s], 1e-9 to 1e12.
         initial: start of a recorded trial of a device that was not flexed since it was set up.
         conditioned: start of a device that has done its initialisation flexure; what controllers start from.
-        warmup_samples: samples of the first command, held and unscored, before the first output counts.
+        warmup_samples: samples of the first command, held and unscored, before the first output counts; at most 1e6.
         training_data_hash: fingerprint of the trials that the model was identified on.
         training: free facts (preset, seed, validation error, logs).
     """
 
     format: str = FORMAT
     kind: str = Field(min_length=1)
-    dt_s: Positive
+    dt_s: SampleTime
     command_unit: str = Field(min_length=1)
     angle_unit: str = "deg"
     command_limits: Range
-    command_rate: Positive
+    command_rate: Rate
     trained_command: Range
     trained_angle: Range
-    trained_rate: Positive
+    trained_rate: Rate
     initial: InitialRule
     conditioned: InitialRule
-    warmup_samples: int = Field(ge=0)
+    warmup_samples: int = Field(ge=0, le=LONGEST_WARMUP)
     training_data_hash: str
     training: dict[str, str | float | int | bool] = Field(default_factory=dict)
 
@@ -120,6 +129,18 @@ class ModelMetadata(Settings):
     def state_size(self) -> int:
         """Number S of state entries."""
         return len(self.initial.offset)
+
+    @classmethod
+    def of(cls, **facts: Any) -> Self:
+        """The metadata of a model that has just been made.
+
+        Raises:
+            ModelError: one line, if a fact is missing or out of its bounds.
+        """
+        try:
+            return cls.parse(facts, "model")
+        except ConfigError as error:
+            raise ModelError(str(error)) from None
 
     def to_properties(self) -> dict[str, str]:
         """Keys and JSON values for `metadata_props`."""

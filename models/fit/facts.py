@@ -35,9 +35,10 @@ def facts_of(
 
     Raises:
         FitError: on unusable trials.
+        ModelError: if they are beyond what a model file may say.
     """
     dt, trained = check_trial_set(trials), command_range(trials)
-    return ModelMetadata(
+    return ModelMetadata.of(
         kind=kind,
         dt_s=dt,
         command_unit=trials[0].units.command,

@@ -33,6 +33,7 @@ def network_bundle(fit: NetworkFit, trials: Sequence[Trial], limits: DeviceLimit
 
     Raises:
         FitError: on unusable trials.
+        ModelError: if they are beyond what a model file may say.
     """
     from ..networks.reference_ import TorchStep  # torch is there: the network was trained with it
 
@@ -40,7 +41,7 @@ def network_bundle(fit: NetworkFit, trials: Sequence[Trial], limits: DeviceLimit
     step = TorchStep(fit.net, fit.scaling)
     dt, trained, warmup = check_trial_set(trials), command_range(trials), fit.settings.warmup_samples
     rest = float(np.median([trial.angle[0] for trial in trials]))
-    metadata = ModelMetadata(
+    metadata = ModelMetadata.of(
         kind=fit.settings.kind,
         dt_s=dt,
         command_unit=trials[0].units.command,

@@ -31,7 +31,7 @@ def controller_for(case: Case = PLAY, kind: str = "linearised_mpc", **options: A
     control = build_controller(tip.controller, case.predictor, case.inverse, LIMITS)
     ends = angles_at_rest(case.predictor, LIMITS, case.y_rest)
     workspace = Workspace(ends, (-math.inf, math.inf), (30.0, 80.0))
-    return TipController(Assembly(control, case.predictor, LIMITS, workspace, "mm"), tip)
+    return TipController(Assembly(control, case.predictor, LIMITS, workspace, "mm", LIMITS), tip)
 
 
 def plant_for(case: Case = PLAY, **effects: Any) -> ModelPlant:
@@ -165,8 +165,7 @@ def test_restoring_a_snapshot_restores_the_future(kind: str) -> None:
     first = [tip.step(angle).u for angle in future]
     tip.set_target(31.0)
     tip.step(y)
-    tip.stop()
-    tip.restore(stored)
+    tip.restore(stored, held=stored.command.u)  # the device is rewound too
     assert [tip.step(angle).u for angle in future] == first
 
 

@@ -138,7 +138,11 @@ BESIDE: list[tuple[str, Callable[[onnx.ModelProto], None], str]] = [
         lambda m: set_property(m, "dt_s", "0.04s"),
         r"hystmpc\.dt_s: got '0\.04s', expected JSON",
     ),
-    ("bad value", lambda m: set_property(m, "dt_s", "-1.0"), r"metadata: dt_s: .* greater than 0, got -1\.0"),
+    (
+        "bad value",
+        lambda m: set_property(m, "dt_s", "-1.0"),
+        r"metadata: dt_s: .* or equal to 0\.00001, got -1\.0",
+    ),
     ("not finite", lambda m: set_property(m, "dt_s", "NaN"), r"metadata: dt_s: .*"),
     ("unknown key", lambda m: set_property(m, "dts", "1"), r"unknown key 'dts'.*did you mean 'dt_s'"),
     ("empty range", lambda m: set_property(m, "trained_angle", '{"lower": 2, "upper": 1}'), "not below upper"),

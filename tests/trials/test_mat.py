@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ pytest.importorskip("rosbags", reason="rosbags (extra `logs`) is not installed")
 
 import h5py
 
+from hystmpc.cli.main import main
 from hystmpc.trials.check import check_trial
 from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import LogError
@@ -170,3 +173,75 @@ def test_a_file_cut_anywhere_is_read_whole_or_refused(
     whole, content = read_log(folder / name, STRUCTS), (folder / name).read_bytes()
     (folder / "cut.mat").write_bytes(content[: data.draw(st.integers(0, len(content)))])
     assert_prefix(read_or_refused(folder / "cut.mat", STRUCTS), whole)
+
+
+def _self_link(file: Any) -> None:
+    group = file.create_group("g")
+    group["again"] = group
+
+
+def _link_to_the_root(file: Any) -> None:
+    file.create_group("g")["up"] = file["/"]
+
+
+def _ring(file: Any) -> None:
+    """Four groups, each with a link to every one: a walk of eight levels meets 4^9 objects."""
+    groups = [file.create_group(f"g{k}") for k in range(4)]
+    for group in groups:
+        for k, other in enumerate(groups):
+            group[f"l{k}"] = other
+
+
+def _cell_of_itself(file: Any) -> None:
+    cell = file.create_dataset("cell", (1,), dtype=h5py.special_dtype(ref=h5py.Reference))
+    cell[0] = cell.ref
+
+
+def _soft_link_to_itself(file: Any) -> None:
+    file.create_group("g")["s"] = h5py.SoftLink("/g/s")
+
+
+@pytest.mark.parametrize(
+    ("build", "text"),
+    [
+        (_self_link, "'/g/again' is linked to from within itself, expected no loop"),
+        (_link_to_the_root, "'/g/up' is linked to from within itself, expected no loop"),
+        (_ring, "'/g0/l0' is linked to from within itself, expected no loop"),
+        (_cell_of_itself, "'/cell' is linked to from within itself, expected no loop"),
+        (_soft_link_to_itself, "too many links"),
+    ],
+)
+def test_links_that_form_a_loop_are_refused_in_one_line(
+    build: Callable[[Any], None], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with h5py.File(tmp_path / "loop.mat", "w", userblock_size=512) as file:
+        build(file)
+    with pytest.raises(LogError) as caught:
+        open_mat(tmp_path / "loop.mat")
+    assert text in str(caught.value)
+    assert "\n" not in str(caught.value)
+    before, sys.argv = sys.argv, ["hystmpc", "check", str(tmp_path / "loop.mat")]
+    try:
+        with pytest.raises(SystemExit) as end:
+            main()
+    finally:
+        sys.argv = before
+    assert (end.value.code, capsys.readouterr().err) == (2, f"error: {caught.value}\n")
+
+
+def test_one_object_under_two_names_is_no_loop(tmp_path: Path) -> None:
+    write_v73(tmp_path / "a.mat", {"run": {"t": T}})
+    with h5py.File(tmp_path / "a.mat", "r+") as file:
+        file["again"] = file["run"]
+    assert open_mat(tmp_path / "a.mat").names() == ("again.t", "run.t")
+
+
+@pytest.mark.slow
+def test_links_that_fan_out_end_at_a_bound(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "fan.mat", "w", userblock_size=512) as file:
+        groups = [file.create_group(f"g{k}") for k in range(9)]
+        for group, following in pairwise(groups):
+            for k in range(10):
+                group[f"l{k}"] = following
+    with pytest.raises(LogError, match="more than 20000 objects, each link counted"):
+        open_mat(tmp_path / "fan.mat")

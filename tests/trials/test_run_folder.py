@@ -101,6 +101,7 @@ def test_a_missing_model_leaves_nothing_behind(tmp_path: Path) -> None:
     [
         (None, "no readable meta.json"),
         ("{", "not JSON"),
+        ("[" * 100_000, "not JSON"),
         ("[]", "format None"),
         ('{"format": "hystmpc-run/9"}', "hystmpc-run/9"),
     ],
