@@ -270,15 +270,21 @@ MUTANTS: tuple[Mutant, ...] = (
         "old messages are new", "if self._order.judge(session, sequence) not in (NEW, RESTARTED):", "if now_ns < 0:"
     ),
     _udp("any kind is a reading", "elif message.kind is not Kind.READING:", "elif message.kind is None:"),
-    _udp("goodbye is said anyway", "for _ in range(_GOODBYES if goodbye else 0):", "for _ in range(_GOODBYES):"),
     _udp(
-        "not a number passes",
+        "goodbye is said anyway over UDP", "for _ in range(_GOODBYES if goodbye else 0):", "for _ in range(_GOODBYES):"
+    ),
+    _udp(
+        "not a number passes over UDP",
         'return Incoming(message.value) if math.isfinite(message.value) else "not-a-number"',
         "return Incoming(message.value)",
     ),
-    _dds("goodbye is said anyway", "if goodbye and self._device_has_sessions:", "if self._device_has_sessions:"),
     _dds(
-        "not a number passes", 'return Incoming(raw) if math.isfinite(raw) else "not-a-number"', "return Incoming(raw)"
+        "goodbye is said anyway over DDS", "if goodbye and self._device_has_sessions:", "if self._device_has_sessions:"
+    ),
+    _dds(
+        "not a number passes over DDS",
+        'return Incoming(raw) if math.isfinite(raw) else "not-a-number"',
+        "return Incoming(raw)",
     ),
     _dds("every writer is the same", "come = writer, message.session,", "come = 0, 0,"),
     _server("the watchdog never bites", "if self._silent <= self._settings.watchdog_s:", "if self._silent <= 1e9:"),
