@@ -136,6 +136,7 @@ def test_force_replaces_a_file_of_the_same_kind(
     assert sorted(after) == sorted(before)
 
 
+@pytest.mark.slow
 def test_a_fit_with_force_replaces_a_simulator(desk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (desk / "sim.yaml").read_bytes()
     assert run(capsys, *FIT, "sim.yaml", "--force")[0] == 0

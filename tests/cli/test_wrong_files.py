@@ -101,6 +101,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return lines[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "wrong"), EVERY_VERB, ids=[" ".join(words) for words, _ in EVERY_VERB])
 def test_a_wrong_file_is_one_line(
     arguments: list[str],
@@ -128,6 +129,7 @@ def test_a_check_goes_on_or_ends_with_one_line(
 
 @POSIX
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may become another user")
+@pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "wrong"), EVERY_VERB, ids=[" ".join(words) for words, _ in EVERY_VERB])
 def test_a_file_that_may_not_be_read_is_one_line(
     arguments: list[str], wrong: list[str], desk: Path, capsys: pytest.CaptureFixture[str]
