@@ -13,12 +13,17 @@ from numpy.typing import NDArray
 
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.simulator import Simulator
+from hystmpc.trials.check_time import require_seconds
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.resample import gap_limit_s, resample
 from hystmpc.trials.trial import Trial
 
 from .confusable import Confusable, confusability
+from .dependence import dependence
 from .excitation import Excitation, excitation_of
+from .motion_type import command_segments, motion_type
+from .recording import Before
+from .workload import Workload, affordable
 
 __all__ = ["Checked", "Confusable", "Excitation", "check_trials", "confusability"]
 
@@ -41,6 +46,10 @@ _COMMAND_UNITS = {
 }
 _ANGLE_UNITS = {1 / 57.3: "radians", 60.0: "minutes of arc", 1e3: "thousandths of a degree"}
 _JITTER = 0.1
+_UNRELATED = (
+    "the angle of no trial follows its command: a model of the command's past explains no more of its changes than if "
+    "they came in another order, so that these logs say nothing on a simulator"
+)
 _AT_EXTREME, _TRAVEL = 0.02, 0.05  # of the samples; of the command's range
 
 
@@ -54,6 +63,11 @@ class Checked:
         rate_hz: rate of `trials` [Hz].
         excitation: what their commands do.
         notes: what is wrong with them or missing in them, a sentence each.
+        given: the same trials as recorded.
+        before: what the device had seen before each of them, trials that are left out among it.
+        workload: what a diagnosis of them costs.
+        left_out: what is not diagnosed and why, a line each; it is among the notes, too.
+        unrelated: why the angles of all trials say nothing on a simulator; empty where they follow their commands.
     """
 
     trials: tuple[Trial, ...]
@@ -61,6 +75,11 @@ class Checked:
     rate_hz: float
     excitation: Excitation
     notes: tuple[str, ...]
+    given: tuple[Trial, ...]
+    before: tuple[Before, ...]
+    workload: Workload
+    left_out: tuple[str, ...] = ()
+    unrelated: str = ""
 
     @property
     def dt(self) -> float:
@@ -68,36 +87,113 @@ class Checked:
         return 1.0 / self.rate_hz
 
 
-def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata) -> Checked:
+def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata, seed: int = 0) -> Checked:
     """Compare units, sign and scale with the simulator's, and bring the trials to one rate.
 
     The rate is the lowest of 50 Hz and the trials' own median rates; where the simulator's own rate lies within a
     factor of 1.5 of that and below 50 Hz, it is the simulator's. Operators hold at any rate; a network does not, so
     that for model metadata it is always the model's own. Where a log has a gap, its longest part without one is used.
+    Of more trials than can be afforded some are chosen (`affordable`), and those whose angle does not follow the
+    command are left out (`dependence`).
 
     Args:
         trials: of one device, in recording order.
         simulator: chain of operators, or the facts of another model.
+        seed: of the choice of trials and of the test.
 
     Raises:
         GapError: if there is no trial, units differ, commands or angles never change, the angle falls as the command
             rises, or command or angle are off by so much that the unit or the device is another.
-        LogError: if a network's rate is above a log's.
+        LogError: if a network's rate is above a log's, or time seems to be in milliseconds.
     """
     facts = simulator.metadata() if isinstance(simulator, Simulator) else simulator
     if not trials:
         raise GapError("no trial given, expected one or more logs of the simulator's device")
     for trial in trials:
+        require_seconds(trial)
         _require_units(trial, facts)
     _require_motion(trials)
     _require_commands(trials, facts)
-    _require_angles(trials, facts)
-    recorded = tuple(_longest_part(trial) for trial in trials)
-    rate = _common_rate(recorded, facts, fixed=not isinstance(simulator, Simulator))
-    uniform = tuple(resample(trial, rate) for trial in recorded)
-    excitation = excitation_of(uniform)
-    notes = [*(n for pair in zip(trials, recorded, strict=True) for n in _log_notes(*pair)), *_set_notes(excitation)]
-    return Checked(uniform, recorded, rate, excitation, tuple(notes))
+    chosen = _chosen(trials, facts, not isinstance(simulator, Simulator), seed)
+    follows = dependence(chosen.trials, seed).follows
+    if not any(follows):
+        left_out, unrelated = chosen.left_out, _UNRELATED
+    else:
+        left_out = (
+            *chosen.left_out,
+            *(_left_out(t) for t, kept in zip(chosen.given, follows, strict=True) if not kept),
+        )
+        chosen, unrelated = chosen.only(follows), ""
+        _require_sign(chosen.given)
+        _require_angles(chosen.given, facts)
+    excitation = excitation_of(chosen.trials)
+    logs = zip(chosen.given, chosen.recorded, strict=True)
+    notes = (*left_out, *(note for pair in logs for note in _log_notes(*pair)), *_set_notes(excitation))
+    return Checked(
+        chosen.trials,
+        chosen.recorded,
+        1.0 / chosen.dt,
+        excitation,
+        notes,
+        chosen.given,
+        chosen.before,
+        chosen.workload,
+        left_out,
+        unrelated,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """Trials at one rate, as recorded without gaps, and as given; what came before each."""
+
+    trials: tuple[Trial, ...]
+    recorded: tuple[Trial, ...]
+    given: tuple[Trial, ...]
+    before: tuple[Before, ...]
+    dt: float
+    workload: Workload
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        return (self.workload.note,) if self.workload.note else ()
+
+    def only(self, kept: Sequence[bool]) -> _Chosen:
+        """Some of the trials."""
+        parts = self.trials, self.recorded, self.given, self.before
+        return _Chosen(*(tuple(itertools.compress(part, kept)) for part in parts), self.dt, self.workload)
+
+
+def _chosen(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool, seed: int) -> _Chosen:
+    """Trials that can be afforded, at one rate; of those that are cut, their first part."""
+    recorded = [_longest_part(trial) for trial in trials]
+    rate = _common_rate(recorded, facts, fixed)
+    uniform = [resample(trial, rate) for trial in recorded]
+    before = Before.each(uniform)
+    motions = [motion_type(trial, command_segments(trial)) for trial in uniform]
+    workload = affordable(uniform, motions, seed)
+    kept = list(zip(workload.kept, workload.samples, strict=True))
+    return _Chosen(
+        tuple(_first(uniform[k], uniform[k].t[count - 1]) for k, count in kept),
+        tuple(_first(recorded[k], uniform[k].t[count - 1]) for k, count in kept),
+        tuple(_first(trials[k], uniform[k].t[count - 1]) for k, count in kept),
+        tuple(before[k] for k, _ in kept),
+        1.0 / rate,
+        workload,
+    )
+
+
+def _first(trial: Trial, end_s: float) -> Trial:
+    """The trial up to a time [s], itself where no more than a sample of it comes later."""
+    stop = int(np.searchsorted(trial.t, end_s, side="right"))
+    return trial if trial.t[-1] - end_s <= 1.5 * trial.dt else trial.select(0, stop)
+
+
+def _left_out(trial: Trial) -> str:
+    return (
+        f"{Path(trial.source).name}: left out, the angle does not follow the command (no more than if its changes "
+        "came in another order), expected one that does; is it another trial's, or the sensor's noise?"
+    )
 
 
 def _require_units(trial: Trial, facts: ModelMetadata) -> None:
@@ -115,21 +211,25 @@ def _require_motion(trials: Sequence[Trial]) -> None:
     names = ", ".join(Path(trial.source).name for trial in trials)
     if all(np.ptp(trial.command) == 0 for trial in trials):
         raise GapError(f"{names}: the command is constant in every trial, expected one that moves")
-    pooled = _pooled_correlation(trials)
     for trial in trials:
         if np.ptp(trial.command) > 0 and np.ptp(trial.angle) == 0:
             raise GapError(
                 f"{trial.source}: the angle is {trial.angle[0]:g} deg throughout while the command moves, expected an "
                 "angle that follows it"
             )
+        if trial.duration_s < _LEAST_S:
+            raise GapError(f"{trial.source}: {trial.duration_s:.3g} s long, expected {_LEAST_S:g} s or more")
+
+
+def _require_sign(trials: Sequence[Trial]) -> None:
+    pooled = _pooled_correlation(trials)
+    for trial in trials:
         limit = _SURELY_WRONG if pooled >= _WRONG_SIGN else _WRONG_SIGN
         if np.ptp(trial.command) > 0 and (together := _correlation(trial)) < limit:
             raise GapError(
                 f"{trial.source}: the angle falls as the command rises (correlation {together:.2f}), expected it to "
                 "rise; flip the sign of one of them"
             )
-        if trial.duration_s < _LEAST_S:
-            raise GapError(f"{trial.source}: {trial.duration_s:.3g} s long, expected {_LEAST_S:g} s or more")
 
 
 def _pooled_correlation(trials: Sequence[Trial]) -> float:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 
 from ..contract.metadata import Range
+from ..play_kernel.follow import follow_plays
 from ..play_kernel.step import ramps
 from ..play_kernel.weights import PlayKernelWeights
 from .play_kernel_settings import PlayKernelSettings
@@ -26,6 +27,7 @@ from .trial_set import angle_range, check_trial_set, command_range
 Vec = NDArray[np.float64]
 Progress = Callable[[int, float], None]
 _JITTER = 1e-10
+_BLOCK = 16_384  # samples whose features are held at once, 25 MB
 
 
 @dataclass(frozen=True)
@@ -72,26 +74,63 @@ class _Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
-    """Features (T, F) and scaled angle (T,) of one trial, from the first sample that counts on, and their moments."""
+class _Moments:
+    """Mean products of one trial's features (F,) with each other and with its scaled angle, from the first sample that
+    counts on: all that a fit takes from it."""
 
-    features: Vec
-    angle: Vec
+    gram: Vec
+    mean: Vec
+    right: Vec
+    angle: float
+
+
+@final
+class _Course:
+    """One trial on its way through the plays, a block of samples at a time.
+
+    The features of a sample are some 200 numbers: of five million samples they would be 8 GB.
+    """
+
+    def __init__(self, trial: Trial, start: int, frame: _Frame, lag_s: float) -> None:
+        self._trial, self._start, self._frame, self._gain = trial, start, frame, frame.gain(lag_s)
+
+    def blocks(self) -> Iterator[tuple[Vec, Vec]]:
+        """Features (T, F) and scaled angle (T,) of the samples that count; the plays run from rest over all."""
+        trial, frame = self._trial, self._frame
+        state = np.full(frame.radii.size + 1, _scaled(trial.command[0], frame.command))
+        for first in range(0, len(trial), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            states = follow_plays(_scaled(trial.command[block], frame.command), self._gain, frame.radii, state)
+            state, cut = states[-1].copy(), max(self._start - first, 0)
+            if cut < len(states):
+                yield self._features(states[cut:]), _scaled(trial.angle[block], frame.angle)[cut:]
 
     @cached_property
-    def gram(self) -> Vec:
-        """Mean products (F, F) of the features."""
-        return self.features.T @ self.features / self.angle.size
+    def moments(self) -> _Moments:
+        """Of all blocks together."""
+        count, gram, mean, right, angle = 0, 0.0, 0.0, 0.0, 0.0
+        for x, y in self.blocks():
+            count += y.size
+            gram, mean, right, angle = gram + x.T @ x, mean + x.sum(axis=0), right + x.T @ y, angle + y.sum()
+        return _Moments(*(np.asarray(total) / count for total in (gram, mean, right)), float(angle / count))
 
-    @cached_property
-    def mean(self) -> Vec:
-        """Means (F,) of the features."""
-        return self.features.mean(axis=0)
+    def scatter(self, slopes: Vec) -> Vec:
+        """Standard deviation (S,) of the errors of models with slopes (F, S): each may have an offset of its own."""
+        count, mean, square = 0, np.zeros(slopes.shape[1]), np.zeros(slopes.shape[1])
+        for x, y in self.blocks():
+            errors = x @ slopes - y[:, None]
+            own = errors.mean(axis=0)
+            share = y.size / (count + y.size)  # joined as in Chan, Golub, LeVeque, Amer. Statist. 37 (1983)
+            square += np.sum((errors - own) ** 2, axis=0) + count * share * (own - mean) ** 2
+            mean, count = mean + share * (own - mean), count + y.size
+        return np.asarray(np.sqrt(square / count), dtype=np.float64)
 
-    @cached_property
-    def right(self) -> Vec:
-        """Mean products (F,) of features and angle."""
-        return self.features.T @ self.angle / self.angle.size
+    def _features(self, states: Vec) -> Vec:
+        features = ramps(states, self._frame.knots).reshape(len(states), -1)
+        if not self._frame.stops:
+            return features
+        stop = states[:, :1] - states[:, 1:]
+        return np.hstack([features, np.minimum(stop, 0.0), np.maximum(stop, 0.0)])
 
 
 def fit_play_kernel(
@@ -125,18 +164,18 @@ def fit_play_kernel(
     interrupted, chosen = False, choices[len(choices) // 2]
     if len(trials) > 1 and len(choices) > 1:
         try:
-            for choice in choices:
-                rows = _all_rows(trials, starts, frame, choice.lag_s)
-                judged[choice] = _left_out(rows, choice, frame, settings) * _span(frame.angle)
-                if progress:
-                    progress(len(judged), min(judged.values()))
+            for lag_s in settings.lags_s:
+                courses = [_Course(*pair, frame, lag_s) for pair in zip(trials, starts, strict=True)]
+                for choice, error in _left_out(courses, lag_s, frame, settings):
+                    judged[choice] = error * _span(frame.angle)
+                    if progress:
+                        progress(len(judged), min(judged.values()))
         except KeyboardInterrupt:
             interrupted = True
         chosen = min(judged, key=lambda c: judged[c], default=chosen)
-    rows = _all_rows(trials, starts, frame, chosen.lag_s)
-    slopes, bias = _solve(rows, chosen, frame, settings)
-    errors = [float(np.std(r.features @ slopes - r.angle)) for r in rows]
-    rmse = float(np.mean(errors)) * _span(frame.angle)
+    courses = [_Course(*pair, frame, chosen.lag_s) for pair in zip(trials, starts, strict=True)]
+    slopes, bias = _solve([course.moments for course in courses], chosen, frame, settings)
+    rmse = float(np.mean([course.scatter(slopes[:, None])[0] for course in courses])) * _span(frame.angle)
     if progress:
         progress(len(judged) + 1, min(judged.values(), default=rmse))
     return PlayKernelFit(_weights(slopes, bias, trials, chosen, frame), chosen, judged, rmse, interrupted)
@@ -153,42 +192,28 @@ def _frame(trials: Sequence[Trial], settings: PlayKernelSettings) -> _Frame:
     return _Frame(command_range(trials), angle_range(trials), radii, knots, inverse, dt)
 
 
-def _all_rows(trials: Sequence[Trial], starts: Sequence[int], frame: _Frame, lag_s: float) -> list[_Rows]:
-    """Features of all trials: run from rest over the whole trial, then cut."""
-    return [_rows(trial, start, frame, frame.gain(lag_s)) for trial, start in zip(trials, starts, strict=True)]
-
-
-def _rows(trial: Trial, start: int, frame: _Frame, gain: float) -> _Rows:
-    commands = (trial.command - frame.command.lower) / _span(frame.command)
-    state = np.full(frame.radii.size + 1, commands[0])
-    states = np.empty((commands.size, state.size))
-    for k, u in enumerate(commands):
-        v = u if gain == 1 else state[0] + gain * (u - state[0])
-        states[k, 0], states[k, 1:] = v, np.maximum(v - frame.radii, np.minimum(v + frame.radii, state[1:]))
-        state = states[k]
-    features = ramps(states, frame.knots).reshape(commands.size, -1)
-    if frame.stops:
-        stop = states[:, :1] - states[:, 1:]
-        features = np.hstack([features, np.minimum(stop, 0.0), np.maximum(stop, 0.0)])
-    return _Rows(features[start:], (trial.angle[start:] - frame.angle.lower) / _span(frame.angle))
-
-
-def _left_out(rows: Sequence[_Rows], choice: Choice, frame: _Frame, settings: PlayKernelSettings) -> float:
-    """Mean over trials of the offset-free error of the model identified without the trial's group, scaled."""
-    errors = []
-    count = min(settings.folds, len(rows))
+def _left_out(
+    courses: Sequence[_Course], lag_s: float, frame: _Frame, settings: PlayKernelSettings
+) -> Iterator[tuple[Choice, float]]:
+    """Mean over trials of the offset-free error of models identified without the trial's group, scaled, by choice."""
+    choices = [Choice(lag_s, smoothness) for smoothness in settings.smoothness]
+    moments = [course.moments for course in courses]
+    count = min(settings.folds, len(courses))
+    errors = np.empty((len(courses), len(choices)))
     for fold in range(count):
-        slopes, _ = _solve([r for k, r in enumerate(rows) if k % count != fold], choice, frame, settings)
-        errors += [float(np.std(r.features @ slopes - r.angle)) for r in rows[fold::count]]
-    return float(np.mean(errors))
+        rest = [m for k, m in enumerate(moments) if k % count != fold]
+        slopes = np.stack([_solve(rest, choice, frame, settings)[0] for choice in choices], axis=1)
+        for k in range(fold, len(courses), count):
+            errors[k] = courses[k].scatter(slopes)
+    yield from zip(choices, errors.mean(axis=0).tolist(), strict=True)
 
 
-def _solve(rows: Sequence[_Rows], choice: Choice, frame: _Frame, settings: PlayKernelSettings) -> tuple[Vec, float]:
+def _solve(rows: Sequence[_Moments], choice: Choice, frame: _Frame, settings: PlayKernelSettings) -> tuple[Vec, float]:
     """Slopes (F,) and bias, scaled: the normal equations as non-negative least squares on their Cholesky factor.
 
     Bias and trial offsets are free: each is the difference of two non-negative numbers.
     """
-    count, trials = rows[0].features.shape[1], len(rows)
+    count, trials = rows[0].mean.size, len(rows)
     free = 1 + trials
     gram, right = np.zeros((count + free, count + free)), np.zeros(count + free)
     for k, row in enumerate(rows):
@@ -197,7 +222,7 @@ def _solve(rows: Sequence[_Rows], choice: Choice, frame: _Frame, settings: PlayK
         gram[:count, shown] += row.mean[:, None]
         gram[np.ix_(shown, shown)] += 1.0
         right[:count] += row.right - settings.least_slope * row.gram.sum(axis=1)
-        right[shown] += row.angle.mean() - settings.least_slope * row.mean.sum()
+        right[shown] += row.angle - settings.least_slope * row.mean.sum()
     gram[count:, :count] = gram[:count, count:].T
     gram[:count, :count] += trials * choice.smoothness * _roughness(frame)
     gram[count + 1 :, count + 1 :] += settings.offset_penalty * np.eye(trials)
@@ -253,14 +278,20 @@ def _line(trials: Sequence[Trial]) -> float:
     Raises:
         FitError: if it does not rise.
     """
-    u, y = (np.concatenate([getattr(trial, name) for trial in trials]) for name in ("command", "angle"))
-    slope = float(np.polyfit(u, y, 1)[0])
+    samples = sum(len(trial) for trial in trials)
+    middle = sum(float(t.command.sum()) for t in trials) / samples, sum(float(t.angle.sum()) for t in trials) / samples
+    products = sum(float((t.command - middle[0]) @ (t.angle - middle[1])) for t in trials)
+    slope = products / sum(float(np.sum((t.command - middle[0]) ** 2)) for t in trials)
     if slope <= 0:
         raise FitError(
             f"the angle falls with the command ({slope:.4g} {trials[0].units.angle} per {trials[0].units.command}), "
             "expected it to rise; turn the sign of one channel"
         )
     return slope
+
+
+def _scaled(values: Any, bounds: Range) -> Any:
+    return (values - bounds.lower) / _span(bounds)
 
 
 def _span(bounds: Range) -> float:
