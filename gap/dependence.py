@@ -69,10 +69,11 @@ def dependence(trials: Sequence[Trial], seed: int = 0) -> Dependence:
     drifts go along with any slow command. The null is the same with the changes of each trial in another order, block
     by block: it keeps noise, drift and jumps, and takes away what the angle has to do with the command.
 
-    Angles depend on the command where the share is above a quarter, or above all but 1 % of the null; where neither
-    holds for all trials it may for the half or more of them that do follow. A trial follows where r is above 0.5,
-    above all but 1 % of its null, or no less than in the median trial; and where little motion is expected of it: a
-    command at rest or within the play of the device says nothing.
+    Angles depend on the command where the share is above a quarter, or above all but 1 % of the null, and where r is
+    above 0.5, or above all but 1 % of its own null, in half of the trials. Then a trial follows where that holds, where
+    r is no less than in the median trial but by chance, and where little motion is expected of it: a command at rest
+    or within the play of the device says nothing. Else those of which that holds may follow, where they are half of
+    all or more and depend on their commands without the others.
 
     Sources: Granger, Newbold, Spurious regressions in econometrics, J. Econometrics 2 (1974); Theiler et al., Testing
     for nonlinearity in time series: the method of surrogate data, Physica D 58 (1992).
@@ -89,14 +90,18 @@ def dependence(trials: Sequence[Trial], seed: int = 0) -> Dependence:
     correlations = [_correlation(part, weights) for part, weights in zip(parts, expected, strict=True)]
     unseen = _unseen(parts, expected)
     shown = [float(r[0]) for r in correlations]
-    if _depends(share, chance):
+    sure = [_beyond(r) and not small for r, small in zip(correlations, unseen, strict=True)]
+    majority = sum(sure) >= 0.5 * (len(trials) - sum(unseen))
+    if majority and _depends(share, chance):
         usual = float(np.median([r for r, small in zip(shown, unseen, strict=True) if not small]))
-        follows = [small or _follows(r, usual) for r, small in zip(correlations, unseen, strict=True)]
+        follows = [
+            small or own or float(r[0]) > usual - _SCATTER * float(r[1:].std())
+            for r, own, small in zip(correlations, sure, unseen, strict=True)
+        ]
     else:
-        follows = [r > math.sqrt(_SURELY) and not small for r, small in zip(shown, unseen, strict=True)]
-        own = [part for part, kept in zip(parts, follows, strict=True) if kept]
-        if len(own) < max(len(trials) / 2, 2) or not _depends(*_tested(own)[:2]):
-            follows = [False] * len(trials)
+        own_parts = [part for part, kept in zip(parts, sure, strict=True) if kept]
+        enough = len(own_parts) >= max(len(trials) / 2, 2) and _depends(*_tested(own_parts)[:2])
+        follows = sure if enough else [False] * len(trials)
     return Dependence(share, chance, tuple(shown), tuple(follows))
 
 
@@ -104,11 +109,10 @@ def _depends(share: float, chance: float) -> bool:
     return share > _SURELY or share > max(chance, 0.0)
 
 
-def _follows(found: Vec, usual: float) -> bool:
-    """Whether the correlation of a trial (1 + D,) is large, beyond its null, or below the usual one by chance only."""
-    own, null = float(found[0]), found[1:]
-    beyond = own > math.sqrt(_SURELY) or own > float(np.quantile(null, 1 - _LEVEL, method="higher"))
-    return beyond or own > usual - _SCATTER * float(null.std())
+def _beyond(found: Vec) -> bool:
+    """Whether the correlation of a trial (1 + D,) is large, or beyond its null."""
+    own = float(found[0])
+    return own > math.sqrt(_SURELY) or own > float(np.quantile(found[1:], 1 - _LEVEL, method="higher"))
 
 
 def _unseen(parts: Sequence[_Part], expected: Sequence[Mat]) -> list[bool]:
@@ -126,15 +130,15 @@ def _parts(trials: Sequence[Trial], seed: int) -> list[_Part]:
         steps = max(round(lag / width), 1)
         x, y = (_changes(signal, width, steps) for signal in (features, trial.angle[:, None]))
         length = max(min(2 * steps, len(y) // _LEAST_BLOCKS), 1)
-        orders = [_reordered(len(y), length, random) for _ in range(_DRAWS)]
-        shown = y[:, 0][np.stack([np.arange(len(y)), *orders], axis=1)]
+        shown = [y[:, 0], *(y[_reordered(len(y), length, random), 0] for _ in range(_DRAWS))]
         edges = np.linspace(0, len(y), _PARTS + 1 if len(trials) == 1 else 2).astype(np.intp).tolist()
-        for start, stop in itertools.pairwise(edges):
-            own, at = shown[start:stop], x[start:stop]
-            found.append(
-                _Part(width * at.T @ at, width * at.T @ own, width * np.sum(own**2, axis=0), width * (stop - start))
-            )
+        found += [_part(x[a:b], [own[a:b] for own in shown], width) for a, b in itertools.pairwise(edges)]
     return found
+
+
+def _part(x: Mat, shown: Sequence[Vec], width: int) -> _Part:
+    products = np.stack([own @ x for own in shown], axis=1)
+    return _Part(width * x.T @ x, width * products, width * np.array([own @ own for own in shown]), width * len(x))
 
 
 def _lag(command: Vec) -> int:
@@ -158,10 +162,10 @@ def _changes(signal: Mat, width: int, steps: int) -> Mat:
 
 
 def _reordered(size: int, length: int, random: np.random.Generator) -> NDArray[np.intp]:
-    """Numbers of `size` samples, blocks of one length in another order, begun anywhere."""
-    turned = np.roll(np.arange(size), int(random.integers(size)))
-    blocks = np.array_split(turned, max(size // length, 1))
-    return np.concatenate([blocks[k] for k in random.permutation(len(blocks))])
+    """Numbers of `size` samples, blocks of one length, begun anywhere, in another order."""
+    blocks = max(size // length, 1)
+    block = np.roll(np.arange(size) * blocks // size, int(random.integers(size)))
+    return np.argsort(random.permutation(blocks)[block], kind="stable")
 
 
 def _tested(parts: Sequence[_Part]) -> tuple[float, float, list[Mat]]:
