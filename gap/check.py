@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,25 +14,19 @@ from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.check_time import require_seconds
 from hystmpc.trials.errors import GapError
-from hystmpc.trials.resample import gap_limit_s, resample
 from hystmpc.trials.trial import Trial
 
 from .confusable import Confusable, confusability
 from .dependence import dependence
 from .excitation import Excitation, excitation_of
-from .motion_type import command_segments, motion_type
 from .recording import Before
-from .workload import Workload, affordable
+from .trial_choice import LEAST_S, MOST_HZ, choose_trials
+from .workload import Workload
 
-__all__ = ["Checked", "Confusable", "Excitation", "check_trials", "confusability"]
+__all__ = ["MOST_HZ", "Checked", "Confusable", "Excitation", "check_trials", "confusability"]
 
 Vec = NDArray[np.float64]
 
-MOST_HZ = 50.0
-"""Greatest rate of a diagnosis: tip motions end at a few Hz, and time grows with the rate."""
-
-_NEAR_RATE = 1.5
-_LEAST_S = 2.0
 _WRONG_SIGN = -0.3  # correlation: a lag of a third of a period is no wrong sign
 _SURELY_WRONG = -0.7  # of a single trial: a short one may run against its loop for once
 _WRONG_SCALE = 5.0
@@ -114,7 +107,7 @@ def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata, 
         _require_units(trial, facts)
     _require_motion(trials)
     _require_commands(trials, facts)
-    chosen = _chosen(trials, facts, not isinstance(simulator, Simulator), seed)
+    chosen = choose_trials(trials, facts, not isinstance(simulator, Simulator), seed)
     follows = dependence(chosen.trials, seed).follows
     if not any(follows):
         left_out, unrelated = chosen.left_out, _UNRELATED
@@ -141,52 +134,6 @@ def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata, 
         left_out,
         unrelated,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Chosen:
-    """Trials at one rate, as recorded without gaps, and as given; what came before each."""
-
-    trials: tuple[Trial, ...]
-    recorded: tuple[Trial, ...]
-    given: tuple[Trial, ...]
-    before: tuple[Before, ...]
-    dt: float
-    workload: Workload
-
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        return (self.workload.note,) if self.workload.note else ()
-
-    def only(self, kept: Sequence[bool]) -> _Chosen:
-        """Some of the trials."""
-        parts = self.trials, self.recorded, self.given, self.before
-        return _Chosen(*(tuple(itertools.compress(part, kept)) for part in parts), self.dt, self.workload)
-
-
-def _chosen(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool, seed: int) -> _Chosen:
-    """Trials that can be afforded, at one rate; of those that are cut, their first part."""
-    recorded = [_longest_part(trial) for trial in trials]
-    rate = _common_rate(recorded, facts, fixed)
-    uniform = [resample(trial, rate) for trial in recorded]
-    before = Before.each(uniform)
-    motions = [motion_type(trial, command_segments(trial)) for trial in uniform]
-    workload = affordable(uniform, motions, seed)
-    kept = list(zip(workload.kept, workload.samples, strict=True))
-    return _Chosen(
-        tuple(_first(uniform[k], uniform[k].t[count - 1]) for k, count in kept),
-        tuple(_first(recorded[k], uniform[k].t[count - 1]) for k, count in kept),
-        tuple(_first(trials[k], uniform[k].t[count - 1]) for k, count in kept),
-        tuple(before[k] for k, _ in kept),
-        1.0 / rate,
-        workload,
-    )
-
-
-def _first(trial: Trial, end_s: float) -> Trial:
-    """The trial up to a time [s], itself where no more than a sample of it comes later."""
-    stop = int(np.searchsorted(trial.t, end_s, side="right"))
-    return trial if trial.t[-1] - end_s <= 1.5 * trial.dt else trial.select(0, stop)
 
 
 def _left_out(trial: Trial) -> str:
@@ -217,8 +164,8 @@ def _require_motion(trials: Sequence[Trial]) -> None:
                 f"{trial.source}: the angle is {trial.angle[0]:g} deg throughout while the command moves, expected an "
                 "angle that follows it"
             )
-        if trial.duration_s < _LEAST_S:
-            raise GapError(f"{trial.source}: {trial.duration_s:.3g} s long, expected {_LEAST_S:g} s or more")
+        if trial.duration_s < LEAST_S:
+            raise GapError(f"{trial.source}: {trial.duration_s:.3g} s long, expected {LEAST_S:g} s or more")
 
 
 def _require_sign(trials: Sequence[Trial]) -> None:
@@ -277,24 +224,6 @@ def _require_angles(trials: Sequence[Trial], facts: ModelMetadata) -> None:
 def _named(factor: float, units: dict[float, str]) -> str:
     near = sorted((abs(math.log(factor / known)), name) for known, name in units.items())
     return f": looks like {near[0][1]}" if near and near[0][0] < math.log(_NAMED) else ""
-
-
-def _longest_part(trial: Trial) -> Trial:
-    cuts = np.flatnonzero(np.diff(trial.t) > gap_limit_s(trial.dt)) + 1
-    edges = [0, *cuts.tolist(), len(trial)]
-    start, stop = max(itertools.pairwise(edges), key=lambda e: trial.t[e[1] - 1] - trial.t[e[0]])
-    if trial.t[stop - 1] - trial.t[start] < _LEAST_S:
-        raise GapError(f"{trial.source}: {cuts.size} gaps leave no part of {_LEAST_S:g} s or more")
-    return trial.select(start, stop) if cuts.size else trial
-
-
-def _common_rate(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool) -> float:
-    own = 1.0 / facts.dt_s
-    if fixed:
-        return own
-    slowest = min(MOST_HZ, *(1.0 / trial.dt for trial in trials))
-    near = slowest / _NEAR_RATE <= own <= min(_NEAR_RATE * slowest, MOST_HZ)
-    return own if near else slowest
 
 
 def _log_notes(trial: Trial, part: Trial) -> Iterator[str]:

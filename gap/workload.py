@@ -20,10 +20,10 @@ Index = NDArray[np.int_]
 MOST_SAMPLES = 300_000
 """Samples of all trials together that are diagnosed; 20 trials of 600 s at 25 Hz."""
 
-# Measured on trials of 60 to 600 s: `benchmarks/diagnosis_time.py --trials 20 --seconds 600`.
-_SECONDS, _START_S = 0.8e-3, 5.0
-_BYTES, _START_BYTES = 2.5e3, 0.35e9
-_SOON_S = 60.0  # what takes no longer is not announced
+# Measured with `benchmarks/diagnosis_time.py --trials 20 --seconds 600`: two effects, 102 s of one core, 0.53 GB.
+_SECONDS, _START_S = 0.33e-3, 5.0
+_BYTES, _START_BYTES = 0.6e3, 0.35e9
+_SOON_S = 30.0  # what takes no longer is not announced
 _MOST_TRIALS = 200  # repeats are looked for in all pairs of trials
 _LEAST_TRIALS = 12  # trials are cut before fewer than these are used
 _REPEAT = 0.005  # distance of `characters`: the same motion again
@@ -78,7 +78,7 @@ def affordable(
     taken = int(used_samples.sum())
     note = _left_out(what, used_samples, sizes[kept], trials[0].dt, most, seed) if taken < sizes.sum() else ""
     seconds, size = _START_S + _SECONDS * taken, (_START_BYTES + _BYTES * taken) / 1e9
-    cost = f"{what}: about {_time(seconds)} and {size:.1f} GB on a machine like that of the measurements"
+    cost = f"{what}: about {_time(seconds)} and {size:.1f} GB, longer where more effects are found"
     return Workload(tuple(kept), tuple(used_samples.tolist()), seconds, size, note, cost if seconds > _SOON_S else "")
 
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import itertools
-import math
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +16,15 @@ from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 
-from ..contract.metadata import Range
-from ..play_kernel.follow import follow_plays
-from ..play_kernel.step import ramps
 from ..play_kernel.weights import PlayKernelWeights
+from .play_kernel_features import BLOCK, Course, Frame, Moments, span
 from .play_kernel_settings import PlayKernelSettings
 from .trial_set import angle_range, check_trial_set, command_range
 
 Vec = NDArray[np.float64]
 Progress = Callable[[int, float], None]
 _JITTER = 1e-10
-_BLOCK = 16_384  # samples whose features are held at once, 25 MB
+_SOON = 500_000  # samples: a fit of fewer takes seconds and is not announced
 
 
 @dataclass(frozen=True)
@@ -56,81 +53,6 @@ class PlayKernelFit:
     judged: dict[Choice, float]
     rmse: float
     interrupted: bool
-
-
-@dataclass(frozen=True)
-class _Frame:
-    """What makes commands and angles dimensionless, and what the features are made of."""
-
-    command: Range
-    angle: Range
-    radii: Vec
-    knots: Vec
-    stops: bool
-    dt: float
-
-    def gain(self, lag_s: float) -> float:
-        return 1.0 if lag_s == 0 else 1 - math.exp(-self.dt / lag_s)
-
-
-@dataclass(frozen=True, eq=False)
-class _Moments:
-    """Mean products of one trial's features (F,) with each other and with its scaled angle, from the first sample that
-    counts on: all that a fit takes from it."""
-
-    gram: Vec
-    mean: Vec
-    right: Vec
-    angle: float
-
-
-@final
-class _Course:
-    """One trial on its way through the plays, a block of samples at a time.
-
-    The features of a sample are some 200 numbers: of five million samples they would be 8 GB.
-    """
-
-    def __init__(self, trial: Trial, start: int, frame: _Frame, lag_s: float) -> None:
-        self._trial, self._start, self._frame, self._gain = trial, start, frame, frame.gain(lag_s)
-
-    def blocks(self) -> Iterator[tuple[Vec, Vec]]:
-        """Features (T, F) and scaled angle (T,) of the samples that count; the plays run from rest over all."""
-        trial, frame = self._trial, self._frame
-        state = np.full(frame.radii.size + 1, _scaled(trial.command[0], frame.command))
-        for first in range(0, len(trial), _BLOCK):
-            block = slice(first, first + _BLOCK)
-            states = follow_plays(_scaled(trial.command[block], frame.command), self._gain, frame.radii, state)
-            state, cut = states[-1].copy(), max(self._start - first, 0)
-            if cut < len(states):
-                yield self._features(states[cut:]), _scaled(trial.angle[block], frame.angle)[cut:]
-
-    @cached_property
-    def moments(self) -> _Moments:
-        """Of all blocks together."""
-        count, gram, mean, right, angle = 0, 0.0, 0.0, 0.0, 0.0
-        for x, y in self.blocks():
-            count += y.size
-            gram, mean, right, angle = gram + x.T @ x, mean + x.sum(axis=0), right + x.T @ y, angle + y.sum()
-        return _Moments(*(np.asarray(total) / count for total in (gram, mean, right)), float(angle / count))
-
-    def scatter(self, slopes: Vec) -> Vec:
-        """Standard deviation (S,) of the errors of models with slopes (F, S): each may have an offset of its own."""
-        count, mean, square = 0, np.zeros(slopes.shape[1]), np.zeros(slopes.shape[1])
-        for x, y in self.blocks():
-            errors = x @ slopes - y[:, None]
-            own = errors.mean(axis=0)
-            share = y.size / (count + y.size)  # joined as in Chan, Golub, LeVeque, Amer. Statist. 37 (1983)
-            square += np.sum((errors - own) ** 2, axis=0) + count * share * (own - mean) ** 2
-            mean, count = mean + share * (own - mean), count + y.size
-        return np.asarray(np.sqrt(square / count), dtype=np.float64)
-
-    def _features(self, states: Vec) -> Vec:
-        features = ramps(states, self._frame.knots).reshape(len(states), -1)
-        if not self._frame.stops:
-            return features
-        stop = states[:, :1] - states[:, 1:]
-        return np.hstack([features, np.minimum(stop, 0.0), np.maximum(stop, 0.0)])
 
 
 def fit_play_kernel(
@@ -165,23 +87,40 @@ def fit_play_kernel(
     if len(trials) > 1 and len(choices) > 1:
         try:
             for lag_s in settings.lags_s:
-                courses = [_Course(*pair, frame, lag_s) for pair in zip(trials, starts, strict=True)]
+                courses = [Course(*pair, frame, lag_s) for pair in zip(trials, starts, strict=True)]
                 for choice, error in _left_out(courses, lag_s, frame, settings):
-                    judged[choice] = error * _span(frame.angle)
+                    judged[choice] = error * span(frame.angle)
                     if progress:
                         progress(len(judged), min(judged.values()))
         except KeyboardInterrupt:
             interrupted = True
         chosen = min(judged, key=lambda c: judged[c], default=chosen)
-    courses = [_Course(*pair, frame, chosen.lag_s) for pair in zip(trials, starts, strict=True)]
+    courses = [Course(*pair, frame, chosen.lag_s) for pair in zip(trials, starts, strict=True)]
     slopes, bias = _solve([course.moments for course in courses], chosen, frame, settings)
-    rmse = float(np.mean([course.scatter(slopes[:, None])[0] for course in courses])) * _span(frame.angle)
+    rmse = float(np.mean([course.scatter(slopes[:, None])[0] for course in courses])) * span(frame.angle)
     if progress:
         progress(len(judged) + 1, min(judged.values(), default=rmse))
     return PlayKernelFit(_weights(slopes, bias, trials, chosen, frame), chosen, judged, rmse, interrupted)
 
 
-def _frame(trials: Sequence[Trial], settings: PlayKernelSettings) -> _Frame:
+def play_kernel_seconds(trials: Sequence[Trial], settings: PlayKernelSettings) -> float | None:
+    """Time of a fit [s], measured on one block; None where it is soon done.
+
+    Raises:
+        FitError: on unusable trials.
+    """
+    frame, samples = _frame(trials, settings), sum(len(trial) for trial in trials)
+    if samples < _SOON:
+        return None
+    head = trials[0].select(0, BLOCK)
+    _ = Course(head, 0, frame, 0.0).moments  # what has to be compiled is compiled now
+    start = time.perf_counter()
+    course = Course(head, 0, frame, max(settings.lags_s))
+    course.scatter(np.zeros((course.moments.mean.size, len(settings.smoothness))))
+    return (time.perf_counter() - start) / len(head) * samples * (len(settings.lags_s) + 1)
+
+
+def _frame(trials: Sequence[Trial], settings: PlayKernelSettings) -> Frame:
     dt, inverse = check_trial_set(trials), trials[0].inverted
     n = settings.plays
     if inverse:
@@ -189,11 +128,11 @@ def _frame(trials: Sequence[Trial], settings: PlayKernelSettings) -> _Frame:
     else:
         radii = np.linspace(0.0, settings.reach, n + 1)[1:]
     knots = np.linspace(0.0, 1.0, settings.segments + 1)
-    return _Frame(command_range(trials), angle_range(trials), radii, knots, inverse, dt)
+    return Frame(command_range(trials), angle_range(trials), radii, knots, inverse, dt)
 
 
 def _left_out(
-    courses: Sequence[_Course], lag_s: float, frame: _Frame, settings: PlayKernelSettings
+    courses: Sequence[Course], lag_s: float, frame: Frame, settings: PlayKernelSettings
 ) -> Iterator[tuple[Choice, float]]:
     """Mean over trials of the offset-free error of models identified without the trial's group, scaled, by choice."""
     choices = [Choice(lag_s, smoothness) for smoothness in settings.smoothness]
@@ -208,7 +147,7 @@ def _left_out(
     yield from zip(choices, errors.mean(axis=0).tolist(), strict=True)
 
 
-def _solve(rows: Sequence[_Moments], choice: Choice, frame: _Frame, settings: PlayKernelSettings) -> tuple[Vec, float]:
+def _solve(rows: Sequence[Moments], choice: Choice, frame: Frame, settings: PlayKernelSettings) -> tuple[Vec, float]:
     """Slopes (F,) and bias, scaled: the normal equations as non-negative least squares on their Cholesky factor.
 
     Bias and trial offsets are free: each is the difference of two non-negative numbers.
@@ -236,7 +175,7 @@ def _solve(rows: Sequence[_Moments], choice: Choice, frame: _Frame, settings: Pl
     return found[:count] + settings.least_slope, float(found[count] - found[count + free])
 
 
-def _roughness(frame: _Frame) -> NDArray[Any]:
+def _roughness(frame: Frame) -> NDArray[Any]:
     """Quadratic form sum (s - s_neighbour)^2 over segments and plays; stops are left free."""
     plays, segments = frame.radii.size + 1, frame.knots.size - 1
 
@@ -253,10 +192,10 @@ def _roughness(frame: _Frame) -> NDArray[Any]:
     return whole
 
 
-def _weights(slopes: Vec, bias: float, trials: Sequence[Trial], choice: Choice, frame: _Frame) -> PlayKernelWeights:
+def _weights(slopes: Vec, bias: float, trials: Sequence[Trial], choice: Choice, frame: Frame) -> PlayKernelWeights:
     """Back to the units of command and angle."""
     plays, segments = frame.radii.size + 1, frame.knots.size - 1
-    command, angle = _span(frame.command), _span(frame.angle)
+    command, angle = span(frame.command), span(frame.angle)
     physical = slopes * angle / command
     inner = physical[: plays * segments].reshape(plays, segments)
     return PlayKernelWeights(
@@ -288,11 +227,3 @@ def _line(trials: Sequence[Trial]) -> float:
             "expected it to rise; turn the sign of one channel"
         )
     return slope
-
-
-def _scaled(values: Any, bounds: Range) -> Any:
-    return (values - bounds.lower) / _span(bounds)
-
-
-def _span(bounds: Range) -> float:
-    return bounds.upper - bounds.lower

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hystmpc.gap import check
+from hystmpc.gap import trial_choice
 from hystmpc.gap.check import Checked, check_trials
 from hystmpc.gap.memory import ceiling
 from hystmpc.gap.motion_type import command_segments, motion_type
@@ -99,7 +99,7 @@ def test_what_today_is_usual_is_not_thinned() -> None:
 
 def thinned(trials: list[Trial], most: int, patch: pytest.MonkeyPatch) -> Checked:
     """Trials checked where fewer samples can be afforded."""
-    patch.setattr(check, "affordable", lambda trials, motions, seed: affordable(trials, motions, seed, most))
+    patch.setattr(trial_choice, "affordable", lambda trials, motions, seed: affordable(trials, motions, seed, most))
     return check_trials(trials, simulator_of(BACKLASH))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.evaluate import evaluate, mean_errors
-from hystmpc.models.fit import play_kernel
 from hystmpc.models.fit.identify import DeviceLimits, identify
 from hystmpc.models.fit.operators import OperatorFitSettings
 from hystmpc.models.fit.play_kernel import fit_play_kernel
@@ -26,7 +24,6 @@ from hystmpc.models.fit.play_kernel_settings import PlayKernelSettings
 from hystmpc.models.inverse.one_step import CompiledInverse
 from hystmpc.models.kinds.kind import FitRequest, Identified
 from hystmpc.models.kinds.play_kernel import PlayKernelKind
-from hystmpc.models.play_kernel.follow import follow_plays
 from hystmpc.models.play_kernel.graph import weights_from_arrays
 from hystmpc.models.play_kernel.step import PlayKernelStep
 from hystmpc.models.play_kernel.weights import PlayKernelWeights
@@ -283,50 +280,3 @@ def test_predictor_of_a_forward_model_only(tmp_path: Path) -> None:
     export_onnx(PlayKernelKind().fit(swapped, FitRequest(preset="rate_independent")).bundle, tmp_path / "m.onnx")
     with pytest.raises(ModelError, match="expected a forward model"):
         predictor_for(load_onnx(tmp_path / "m.onnx"))
-
-
-def long_trial(seed: int, size: int) -> Trial:
-    """A loop of one play along three sines, with noise."""
-    random, t = np.random.default_rng(seed), np.arange(size) / 25
-    command = 3 + 1.2 * np.sin(0.7 * t + seed) + 1.1 * np.sin(0.23 * t) + 0.5 * np.sin(1.9 * t)
-    angle = 10 * follow_plays(command, 1.0, np.array([0.3]), np.full(2, command[0]))[:, 1]
-    return Trial(t, command, angle + random.normal(0, 0.1, size), source=f"{seed}.csv")
-
-
-FEW = PlayKernelSettings(plays=4, segments=5, lags_s=(0.0, 0.04), smoothness=(3e-6, 3e-5))
-
-
-@pytest.mark.slow
-def test_a_fit_holds_the_features_of_one_block_only() -> None:
-    """Of these 100,000 samples the features alone are 146 MB; what is held must not grow with them."""
-    trials = [long_trial(k, 50_000) for k in range(2)]
-    settings = PlayKernelSettings(lags_s=(0.0, 0.02), smoothness=(3e-6,))
-    fit_play_kernel([t.select(0, 500) for t in trials], settings)  # what is compiled and imported once
-    tracemalloc.start()
-    try:
-        fit_play_kernel(trials, settings)
-        assert tracemalloc.get_traced_memory()[1] < 120e6
-    finally:
-        tracemalloc.stop()
-
-
-@pytest.mark.parametrize("skip_first_flexure", [False, True])
-def test_blocks_change_no_number(skip_first_flexure: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    trials = [long_trial(k, 1_200) for k in range(3)]
-    whole = fit_play_kernel(trials, FEW, skip_first_flexure)
-    monkeypatch.setattr(play_kernel, "_BLOCK", 37)
-    parts = fit_play_kernel(trials, FEW, skip_first_flexure)
-    assert parts.choice == whole.choice
-    assert parts.rmse == pytest.approx(whole.rmse, rel=1e-9)
-    for choice, error in whole.judged.items():
-        assert parts.judged[choice] == pytest.approx(error, rel=1e-9)
-    np.testing.assert_allclose(parts.weights.slopes, whole.weights.slopes, rtol=1e-6, atol=1e-9)
-
-
-def test_the_error_is_that_of_the_model_that_is_returned() -> None:
-    """Each trial about its own offset, run freely by the reference step."""
-    trials = [long_trial(k, 600) for k in range(3)]
-    found = fit_play_kernel(trials, FEW)
-    step = PlayKernelStep(found.weights)
-    left = [np.std(run(step, own.command)[0] - own.angle) for own in trials]
-    assert found.rmse == pytest.approx(float(np.mean(left)), rel=1e-6)
