@@ -1,16 +1,19 @@
 """How long a diagnosis takes: ten trials of 60 s at 25 Hz, two effects, the whole library; the goal is 30 s.
 
     python benchmarks/diagnosis_time.py [--device rod] [--model pi] [--trials 10] [--seconds 60] [--seed 1] [--repeat 2]
+    python benchmarks/diagnosis_time.py --trials 100 --seconds 600      # minutes, below 2 GB
 
 The device is one of the blind check (capstan, dahl or rod), with creep in its tendon and a slow servo; its simulator is
 identified before they are there. Recording and identification do not count. The first diagnosis of an installation
-compiles its kernels, which takes minutes and is kept on disk: `--repeat 2` shows one with and one without.
+compiles its kernels, which takes minutes and is kept on disk: `--repeat 2` shows one with and one without. The peak of
+memory is that of the process, recording and identification among it.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import resource
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -109,10 +112,12 @@ def main(argv: Sequence[str] | None = None) -> None:
     trials, simulator = recorded(args)
     for k in range(args.repeat):
         laps = Laps()
-        diagnosis, _ = conclude(investigate(trials, simulator, seed=args.seed, progress=laps), laps)
+        diagnosis, _ = conclude(investigate(trials, simulator, seed=args.seed, progress=laps, say=console.print), laps)
         laps(100, 100)
         names = ", ".join(effect.name for effect in diagnosis.effects) or "-"
         show(console, laps, f"diagnosis {k + 1}: {diagnosis.verdict}, {names}")
+    peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20  # the system counts in KiB
+    console.print(f"peak of memory {peak_gb:.2f} GiB")
     load = os.getloadavg()[0]
     seconds = sum(trial.duration_s for trial in trials)
     console.print(

@@ -81,7 +81,8 @@ def _diagnosed(
 
     with bar("diagnose") as show:
         told = _progress(show)
-        diagnosis, evidence = conclude(investigate(trials, simulator, seed=seed, without=without, progress=told), told)
+        findings = investigate(trials, simulator, seed=seed, without=without, progress=told, say=_say)
+        diagnosis, evidence = conclude(findings, told)
         show(100, "writing the report", total=100)
         settings = {
             "logs": [str(file) for file in files],
@@ -155,6 +156,10 @@ def _recorded(files: Sequence[Path], layout: str) -> list[Trial]:
 
 def _progress(show: Bar) -> Callable[..., None]:
     return lambda done, total, note="": show(done, note, total=total)
+
+
+def _say(line: str) -> None:
+    errors.print(line, style="yellow", soft_wrap=True, markup=False, highlight=False)
 
 
 def _self_test(seed: int) -> None:

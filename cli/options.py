@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from hystmpc.trials.check import check_trial
+from hystmpc.trials.check_time import require_seconds
 from hystmpc.trials.csv_ import expand_logs, read_trials
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.findings import Severity
@@ -53,8 +54,15 @@ def files_read(logs: Sequence[Path], layout: str) -> list[Path]:
 
 
 def trials_at(logs: Sequence[Path], layout: str, rate_hz: float) -> list[Trial]:
-    """Read logs and resample them; say what seems to be in another unit."""
-    trials = [resample(trial, rate_hz) for trial in read_trials(logs, layout)]
+    """Read logs and resample them; say what seems to be in another unit.
+
+    Raises:
+        LogError: if a log cannot be read or resampled, or its time seems to be in milliseconds.
+    """
+    recorded = read_trials(logs, layout)
+    for trial in recorded:
+        require_seconds(trial)
+    trials = [resample(trial, rate_hz) for trial in recorded]
     warn_of_units(trials)
     return trials
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,22 +12,21 @@ from numpy.typing import NDArray
 
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.simulator import Simulator
+from hystmpc.trials.check_time import require_seconds
 from hystmpc.trials.errors import GapError
-from hystmpc.trials.resample import gap_limit_s, resample
 from hystmpc.trials.trial import Trial
 
 from .confusable import Confusable, confusability
+from .dependence import dependence
 from .excitation import Excitation, excitation_of
+from .recording import Before
+from .trial_choice import LEAST_S, MOST_HZ, choose_trials
+from .workload import Workload
 
-__all__ = ["Checked", "Confusable", "Excitation", "check_trials", "confusability"]
+__all__ = ["MOST_HZ", "Checked", "Confusable", "Excitation", "check_trials", "confusability"]
 
 Vec = NDArray[np.float64]
 
-MOST_HZ = 50.0
-"""Greatest rate of a diagnosis: tip motions end at a few Hz, and time grows with the rate."""
-
-_NEAR_RATE = 1.5
-_LEAST_S = 2.0
 _WRONG_SIGN = -0.3  # correlation: a lag of a third of a period is no wrong sign
 _SURELY_WRONG = -0.7  # of a single trial: a short one may run against its loop for once
 _WRONG_SCALE = 5.0
@@ -41,6 +39,10 @@ _COMMAND_UNITS = {
 }
 _ANGLE_UNITS = {1 / 57.3: "radians", 60.0: "minutes of arc", 1e3: "thousandths of a degree"}
 _JITTER = 0.1
+_UNRELATED = (
+    "the angle of no trial follows its command: a model of the command's past explains no more of its changes than if "
+    "they came in another order, so that these logs say nothing on a simulator"
+)
 _AT_EXTREME, _TRAVEL = 0.02, 0.05  # of the samples; of the command's range
 
 
@@ -54,6 +56,11 @@ class Checked:
         rate_hz: rate of `trials` [Hz].
         excitation: what their commands do.
         notes: what is wrong with them or missing in them, a sentence each.
+        given: the same trials as recorded.
+        before: what the device had seen before each of them, trials that are left out among it.
+        workload: what a diagnosis of them costs.
+        left_out: what is not diagnosed and why, a line each; it is among the notes, too.
+        unrelated: why the angles of all trials say nothing on a simulator; empty where they follow their commands.
     """
 
     trials: tuple[Trial, ...]
@@ -61,6 +68,11 @@ class Checked:
     rate_hz: float
     excitation: Excitation
     notes: tuple[str, ...]
+    given: tuple[Trial, ...]
+    before: tuple[Before, ...]
+    workload: Workload
+    left_out: tuple[str, ...] = ()
+    unrelated: str = ""
 
     @property
     def dt(self) -> float:
@@ -68,36 +80,67 @@ class Checked:
         return 1.0 / self.rate_hz
 
 
-def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata) -> Checked:
+def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata, seed: int = 0) -> Checked:
     """Compare units, sign and scale with the simulator's, and bring the trials to one rate.
 
     The rate is the lowest of 50 Hz and the trials' own median rates; where the simulator's own rate lies within a
     factor of 1.5 of that and below 50 Hz, it is the simulator's. Operators hold at any rate; a network does not, so
     that for model metadata it is always the model's own. Where a log has a gap, its longest part without one is used.
+    Of more trials than can be afforded some are chosen (`affordable`), and those whose angle does not follow the
+    command are left out (`dependence`).
 
     Args:
         trials: of one device, in recording order.
         simulator: chain of operators, or the facts of another model.
+        seed: of the choice of trials and of the test.
 
     Raises:
         GapError: if there is no trial, units differ, commands or angles never change, the angle falls as the command
             rises, or command or angle are off by so much that the unit or the device is another.
-        LogError: if a network's rate is above a log's.
+        LogError: if a network's rate is above a log's, or time seems to be in milliseconds.
     """
     facts = simulator.metadata() if isinstance(simulator, Simulator) else simulator
     if not trials:
         raise GapError("no trial given, expected one or more logs of the simulator's device")
     for trial in trials:
+        require_seconds(trial)
         _require_units(trial, facts)
     _require_motion(trials)
     _require_commands(trials, facts)
-    _require_angles(trials, facts)
-    recorded = tuple(_longest_part(trial) for trial in trials)
-    rate = _common_rate(recorded, facts, fixed=not isinstance(simulator, Simulator))
-    uniform = tuple(resample(trial, rate) for trial in recorded)
-    excitation = excitation_of(uniform)
-    notes = [*(n for pair in zip(trials, recorded, strict=True) for n in _log_notes(*pair)), *_set_notes(excitation)]
-    return Checked(uniform, recorded, rate, excitation, tuple(notes))
+    chosen = choose_trials(trials, facts, not isinstance(simulator, Simulator), seed)
+    follows = dependence(chosen.trials, seed).follows
+    if not any(follows):
+        left_out, unrelated = chosen.left_out, _UNRELATED
+    else:
+        left_out = (
+            *chosen.left_out,
+            *(_left_out(t) for t, kept in zip(chosen.given, follows, strict=True) if not kept),
+        )
+        chosen, unrelated = chosen.only(follows), ""
+        _require_sign(chosen.given)
+        _require_angles(chosen.given, facts)
+    excitation = excitation_of(chosen.trials)
+    logs = zip(chosen.given, chosen.recorded, strict=True)
+    notes = (*left_out, *(note for pair in logs for note in _log_notes(*pair)), *_set_notes(excitation))
+    return Checked(
+        chosen.trials,
+        chosen.recorded,
+        1.0 / chosen.dt,
+        excitation,
+        notes,
+        chosen.given,
+        chosen.before,
+        chosen.workload,
+        left_out,
+        unrelated,
+    )
+
+
+def _left_out(trial: Trial) -> str:
+    return (
+        f"{Path(trial.source).name}: left out, the angle does not follow the command (no more than if its changes "
+        "came in another order), expected one that does; is it another trial's, or the sensor's noise?"
+    )
 
 
 def _require_units(trial: Trial, facts: ModelMetadata) -> None:
@@ -115,21 +158,25 @@ def _require_motion(trials: Sequence[Trial]) -> None:
     names = ", ".join(Path(trial.source).name for trial in trials)
     if all(np.ptp(trial.command) == 0 for trial in trials):
         raise GapError(f"{names}: the command is constant in every trial, expected one that moves")
-    pooled = _pooled_correlation(trials)
     for trial in trials:
         if np.ptp(trial.command) > 0 and np.ptp(trial.angle) == 0:
             raise GapError(
                 f"{trial.source}: the angle is {trial.angle[0]:g} deg throughout while the command moves, expected an "
                 "angle that follows it"
             )
+        if trial.duration_s < LEAST_S:
+            raise GapError(f"{trial.source}: {trial.duration_s:.3g} s long, expected {LEAST_S:g} s or more")
+
+
+def _require_sign(trials: Sequence[Trial]) -> None:
+    pooled = _pooled_correlation(trials)
+    for trial in trials:
         limit = _SURELY_WRONG if pooled >= _WRONG_SIGN else _WRONG_SIGN
         if np.ptp(trial.command) > 0 and (together := _correlation(trial)) < limit:
             raise GapError(
                 f"{trial.source}: the angle falls as the command rises (correlation {together:.2f}), expected it to "
                 "rise; flip the sign of one of them"
             )
-        if trial.duration_s < _LEAST_S:
-            raise GapError(f"{trial.source}: {trial.duration_s:.3g} s long, expected {_LEAST_S:g} s or more")
 
 
 def _pooled_correlation(trials: Sequence[Trial]) -> float:
@@ -177,24 +224,6 @@ def _require_angles(trials: Sequence[Trial], facts: ModelMetadata) -> None:
 def _named(factor: float, units: dict[float, str]) -> str:
     near = sorted((abs(math.log(factor / known)), name) for known, name in units.items())
     return f": looks like {near[0][1]}" if near and near[0][0] < math.log(_NAMED) else ""
-
-
-def _longest_part(trial: Trial) -> Trial:
-    cuts = np.flatnonzero(np.diff(trial.t) > gap_limit_s(trial.dt)) + 1
-    edges = [0, *cuts.tolist(), len(trial)]
-    start, stop = max(itertools.pairwise(edges), key=lambda e: trial.t[e[1] - 1] - trial.t[e[0]])
-    if trial.t[stop - 1] - trial.t[start] < _LEAST_S:
-        raise GapError(f"{trial.source}: {cuts.size} gaps leave no part of {_LEAST_S:g} s or more")
-    return trial.select(start, stop) if cuts.size else trial
-
-
-def _common_rate(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool) -> float:
-    own = 1.0 / facts.dt_s
-    if fixed:
-        return own
-    slowest = min(MOST_HZ, *(1.0 / trial.dt for trial in trials))
-    near = slowest / _NEAR_RATE <= own <= min(_NEAR_RATE * slowest, MOST_HZ)
-    return own if near else slowest
 
 
 def _log_notes(trial: Trial, part: Trial) -> Iterator[str]:

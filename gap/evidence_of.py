@@ -44,11 +44,19 @@ def evidence_of(findings: Findings, diagnosis: Diagnosis, proposal: Proposal | N
         ceiling_share=_ceiling(findings),
         proposal=proposal,
         cannot_show=tuple(_sentence(row) for row in rows if not row.separable and not row.one_class),
-        fixed=fixed_simulator(simulator, findings.chosen, prepared) if isinstance(simulator, Simulator) else None,
+        fixed=_fixed(findings),
         files={} if chain_based else network_effects(findings.chosen, prepared, "the network"),
         seed=findings.seed,
         seconds=findings.seconds,
     )
+
+
+def _fixed(findings: Findings) -> Simulator | None:
+    """The corrected simulator; none of a network, and none from angles that do not follow their commands."""
+    simulator, prepared = findings.simulator, findings.prepared
+    if prepared.unrelated or not isinstance(simulator, Simulator):
+        return None
+    return fixed_simulator(simulator, findings.chosen, prepared)
 
 
 def _sentence(row: Confusable) -> str:

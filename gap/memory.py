@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -51,13 +50,12 @@ def memory_gains(trials: Sequence[Trial], residuals: Sequence[Vec], loop_width: 
     require_residuals(trials, residuals)
     views = [_View(trial, loop_width) for trial in trials]
     clocks = np.concatenate([[0.0], np.cumsum([trial.duration_s for trial in trials])])
-    target = np.concatenate(list(residuals))
-    folds = _folds([len(trial) for trial in trials])
-    total = float(_held_out(np.zeros((target.size, 0)), target, folds, (_RIDGE,)).sum())
+    targets = _folded(residuals)
+    total = float(_held_out([np.zeros((y.size, 0)) for y in targets], targets, (_RIDGE,)).sum())
     gains = {}
     for name in MEMORIES:
         rows = [view.features(name, clock) for view, clock in zip(views, clocks[:-1], strict=True)]
-        missed = _held_out(np.concatenate(rows), target, folds, (_RIDGE,))[0]
+        missed = _held_out(_folded(rows), targets, (_RIDGE,))[0]
         gains[name] = float(np.clip(1 - missed.sum() / total, -1.0, 1.0)) if total > 0 else 0.0
     return gains
 
@@ -80,65 +78,89 @@ def ceiling(trials: Sequence[Trial], residuals: Sequence[Vec], seed: int = 0) ->
         LogError: if a trial is not uniform.
     """
     require_residuals(trials, residuals)
-    target = np.concatenate(list(residuals))
-    energy = float(target @ target)
+    targets = _folded(residuals)
+    own = np.array([float(y @ y) for y in targets])
+    energy = float(own.sum())
     if energy <= 0:
         return 0.0
-    plain = past_features(trials)
+    plain = _folded(past_features(trials))
+    size = plain[0].shape[1]
     random = np.random.default_rng(seed)
-    mixing = random.standard_normal((plain.shape[1], _RANDOM)) / np.sqrt(plain.shape[1])
-    mixed = np.tanh(1.5 * plain @ mixing + random.uniform(-1.5, 1.5, _RANDOM))
-    folds = _folds([len(trial) for trial in trials])
-    missed = np.concatenate(
-        [_held_out(x, target, folds, _RIDGES) for x in (plain, np.concatenate([plain, mixed], axis=1))]
-    )
+    mixing = random.standard_normal((size, _RANDOM)) / np.sqrt(size)
+    phase = random.uniform(-1.5, 1.5, _RANDOM)
+
+    def mixed(x: Mat) -> Mat:
+        return np.concatenate([x, np.tanh(1.5 * x @ mixing + phase)], axis=1)
+
+    missed = np.concatenate([_held_out(plain, targets, _RIDGES), _held_out(plain, targets, _RIDGES, mixed)])
     others = missed.sum(axis=1, keepdims=True) - missed
     chosen = np.argmin(others, axis=0)
-    own = np.array([float(target[fold] @ target[fold]) for fold in folds])
-    explained = 1 - float(np.minimum(missed[chosen, np.arange(len(folds))], own).sum()) / energy
+    explained = 1 - float(np.minimum(missed[chosen, np.arange(len(targets))], own).sum()) / energy
     return float(np.clip(explained, 0.0, 1.0))
 
 
 def locked_part(trials: Sequence[Trial], residuals: Sequence[Vec]) -> list[Vec]:
     """What the plain features of the command's past explain of residuals (T,), one ridge fit over all trials."""
-    x = past_features(trials)
-    x = np.concatenate([np.ones((len(x), 1)), x], axis=1)
-    gram = x.T @ x
+    rows = [_with_one(x) for x in past_features(trials)]
+    gram = np.sum([x.T @ x for x in rows], axis=0)
+    product = np.sum([x.T @ e for x, e in zip(rows, residuals, strict=True)], axis=0)
     ridge = _RIDGE * float(np.trace(gram)) / len(gram) * np.eye(len(gram))
-    fitted = x @ np.linalg.solve(gram + ridge, x.T @ np.concatenate(list(residuals)))
-    return np.split(fitted, np.cumsum([len(trial) for trial in trials])[:-1])
+    weights = np.linalg.solve(gram + ridge, product)
+    return [x @ weights for x in rows]
 
 
-def past_features(trials: Sequence[Trial]) -> Mat:
-    """Command, speeds, lagged and low-passed commands and plays of all samples (N, F), each of unit variance."""
+def past_features(trials: Sequence[Trial]) -> list[Mat]:
+    """Command, speeds, lagged and low-passed commands and plays (T, F) of each trial, of unit variance over all."""
     low = min(float(trial.command.min()) for trial in trials)
     span = max(float(trial.command.max()) for trial in trials) - low or 1.0
-    plain = np.concatenate([_past((trial.command - low) / span, trial.dt) for trial in trials])
-    return (plain - plain.mean(axis=0)) / np.maximum(plain.std(axis=0), 1e-9)
+    rows = [_past((trial.command - low) / span, trial.dt) for trial in trials]
+    samples = sum(len(x) for x in rows)
+    mean = np.sum([x.sum(axis=0) for x in rows], axis=0) / samples
+    variance = np.sum([((x - mean) ** 2).sum(axis=0) for x in rows], axis=0) / samples
+    scale = np.maximum(np.sqrt(variance), 1e-9)
+    return [(x - mean) / scale for x in rows]
 
 
-def _folds(sizes: Sequence[int]) -> list[Index]:
-    """Samples of every trial; of the parts of a single one."""
-    edges = np.concatenate([[0], np.cumsum(sizes)]) if len(sizes) > 1 else np.linspace(0, sizes[0], _PARTS + 1)
-    return [np.arange(int(a), int(b)) for a, b in itertools.pairwise(edges.tolist())]
+def _folded(signals: Sequence[Mat]) -> list[Mat]:
+    """Signals (T, ...) of every trial; of a single trial its parts."""
+    if len(signals) > 1:
+        return list(signals)
+    edges = np.linspace(0, len(signals[0]), _PARTS + 1).astype(np.intp)
+    return np.split(signals[0], edges[1:-1])
 
 
-def _held_out(x: Mat, y: Vec, folds: Sequence[Index], ridges: Sequence[float]) -> Mat:
-    """Squared errors (ridges, folds) on each fold of a ridge fit with intercept to the others."""
-    x = np.concatenate([np.ones((y.size, 1)), x], axis=1)
-    grams = [x[f].T @ x[f] for f in folds]
-    products = [x[f].T @ y[f] for f in folds]
-    gram, product = np.sum(grams, axis=0), np.sum(products, axis=0)
-    missed = np.empty((len(ridges), len(folds)))
-    for k, fold in enumerate(folds):
-        rest = gram - grams[k]
+def _held_out(
+    rows: Sequence[Mat], targets: Sequence[Vec], ridges: Sequence[float], more: Callable[[Mat], Mat] | None = None
+) -> Mat:
+    """Squared errors (ridges, folds) on each fold of a ridge fit with intercept to the others.
+
+    `more` adds features that are made of these, for one fold at a time: of all folds they would be gigabytes.
+    """
+    folds = range(len(rows))
+
+    def features(k: int) -> Mat:
+        return _with_one(rows[k] if more is None else more(rows[k]))
+
+    moments = [_moments(features(k), targets[k]) for k in folds]
+    gram, product = (np.sum([m[j] for m in moments], axis=0) for j in (0, 1))
+    missed = np.empty((len(ridges), len(rows)))
+    for k in folds:
+        rest = gram - moments[k][0]
         scale, turn = np.linalg.eigh(rest)
-        seen = turn.T @ (product - products[k])
-        shown = x[fold] @ turn
+        seen = turn.T @ (product - moments[k][1])
+        shown = features(k) @ turn
         for j, ridge in enumerate(ridges):
             damped = np.maximum(scale, 0.0) + ridge * float(np.mean(np.maximum(scale, 0.0)))
-            missed[j, k] = float(np.sum((y[fold] - shown @ (seen / damped)) ** 2))
+            missed[j, k] = float(np.sum((targets[k] - shown @ (seen / damped)) ** 2))
     return missed
+
+
+def _moments(x: Mat, y: Vec) -> tuple[Mat, Vec]:
+    return x.T @ x, x.T @ y
+
+
+def _with_one(x: Mat) -> Mat:
+    return np.concatenate([np.ones((len(x), 1)), x], axis=1)
 
 
 def _past(u: Vec, dt: float) -> Mat:

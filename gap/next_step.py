@@ -32,12 +32,13 @@ def next_step(findings: Findings) -> tuple[Proposal | None, NextMotion | None]:
 
     First comes a set of effects that stand for one another on these trials. Without one, an effect that was named
     although these motions cannot tell it from another (`confusability`) is put beside that other. Where a gap has no
-    explanation, the motion is proposed on which effects of different families differ most.
+    explanation, the motion is proposed on which effects of different families differ most; where the angles do not
+    follow the commands at all, none is.
 
     Args:
         findings: of all earlier steps.
     """
-    fitted = _open(findings)
+    fitted = {} if findings.prepared.unrelated else _open(findings)
     if len(fitted) < 2:
         return None, None
     prepared = findings.prepared

@@ -36,7 +36,7 @@ class Prepared:
     """What the selection works on.
 
     Attributes:
-        given: trials as recorded.
+        given: trials as recorded, those that are diagnosed.
         checked: trials at one rate, and what their commands excite.
         signs: of the sensor.
         baseline: the nominal simulator and what retuning may change.
@@ -45,6 +45,7 @@ class Prepared:
         raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
         form_mse: what model form alone explains [deg^2].
         lacks: what these trials lack for any conclusion, in words; empty where they suffice.
+        unrelated: why their angles say nothing on a simulator, see `Checked`.
         excess_mse: energy of the sensor's noise beyond what it had when the simulator was identified [deg^2]; zero
             where that is unknown.
     """
@@ -59,18 +60,24 @@ class Prepared:
     raw: tuple[Vec, ...]
     form_mse: float
     lacks: str = ""
+    unrelated: str = ""
     excess_mse: float = 0.0
 
 
-def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel) -> Prepared:
+def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel, seed: int = 0) -> Prepared:
     """Check, resample, repair, split.
+
+    Args:
+        trials: of one device, in recording order.
+        simulator: a chain of operators or an exported model.
+        seed: of the choice among more trials than can be diagnosed.
 
     Raises:
         GapError: on unusable trials, see `check_trials`.
         ModelError: if the simulator is an inverse map.
     """
     chain_based = isinstance(simulator, Simulator)
-    checked = check_trials(trials, simulator if isinstance(simulator, Simulator) else simulator.metadata)
+    checked = check_trials(trials, simulator if isinstance(simulator, Simulator) else simulator.metadata, seed)
     identification = simulator.identification if isinstance(simulator, Simulator) else Identification(method="network")
     nominal = nominal_noise_deg(identification)
     signs = sensor_signs(checked.recorded, nominal)
@@ -84,11 +91,11 @@ def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel) -> Prepar
     else:
         assert isinstance(simulator, OnnxModel)
         baseline, corrections = _stand_in(simulator, mended, command)
-    runs = runs_of(mended, corrections)
+    runs = runs_of(mended, corrections, checked.before)
     motions = checked.excitation.motions
     development, final = split_runs(runs, motions)
     return Prepared(
-        tuple(trials),
+        checked.given,
         checked,
         signs,
         baseline,
@@ -98,6 +105,7 @@ def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel) -> Prepar
         tuple(trial.angle for trial in checked.trials),
         form_error_mse(identification, trials, motions, _sample_time(simulator)),
         lacking(checked.trials),
+        checked.unrelated,
         max(signs.energy - nominal**2, 0.0) if nominal is not None and (signs.noisy or signs.coarse) else 0.0,
     )
 

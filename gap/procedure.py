@@ -78,13 +78,20 @@ def investigate(
     only: Sequence[str] | None = None,
     progress: Progress | None = None,
     settings: DiagnosisSettings = DEFAULT_SETTINGS,
+    say: Callable[[str], None] | None = None,
 ) -> Findings:
-    """Check, split, retune, which, how far, where; see `diagnose`."""
+    """Check, split, retune, which, how far, where; see `diagnose`.
+
+    `say` is told before the long part which trials are left out and what the others will cost, a line each.
+    """
     left_out = _left_out(without, only)
     told = progress or _silent
     clock = _Clock()
     told(0, _STEPS, "checking the trials")
-    prepared = prepare(trials, simulator)
+    prepared = prepare(trials, simulator, seed)
+    if say:
+        for line in filter(None, (*prepared.checked.left_out, prepared.checked.workload.estimate)):
+            say(line)
     court = Court(prepared.baseline, prepared.development)
     retuned = court.retuned()
     clock.lap("check and retune")
@@ -178,7 +185,7 @@ def _diagnosis(findings: Findings, motion: NextMotion | None) -> Diagnosis:
     library = [name for name in LIBRARY if name not in findings.left_out]
     return Diagnosis(
         verdict=verdict,
-        reason=reason_for(verdict, effects, ruling, far.gap, prepared.lacks),
+        reason=reason_for(verdict, effects, ruling, far.gap, prepared.lacks, prepared.unrelated),
         effects=effects,
         ambiguity=ruling.ambiguity,
         ranking=ranking(sure, ruling.inclusion, ruling.ambiguity, library),

@@ -8,8 +8,10 @@ from .diagnosis import FoundEffect, Gap, Verdict
 from .verdict import Ruling
 
 
-def reason_for(verdict: Verdict, effects: Sequence[FoundEffect], ruling: Ruling, gap: Gap, lacks: str) -> str:
-    """What was concluded, and from which numbers."""
+def reason_for(
+    verdict: Verdict, effects: Sequence[FoundEffect], ruling: Ruling, gap: Gap, lacks: str, unrelated: str = ""
+) -> str:
+    """What was concluded, and from which numbers; `lacks` and `unrelated` as `Prepared` has them."""
     sizes = f"retuned {gap.retuned_rmse_deg:.2f} deg, floor {gap.floor_rmse_deg:.2f} deg"
     names = ", ".join(effect.name.replace("_", " ") for effect in effects)
     closed = f"{100 * gap.closed_share:.0f} % of the structural gap closed on trials kept for the end"
@@ -18,6 +20,8 @@ def reason_for(verdict: Verdict, effects: Sequence[FoundEffect], ruling: Ruling,
     if verdict == "one_of":
         sets = "; ".join(" or ".join(name.replace("_", " ") for name in names) for names in ruling.ambiguity)
         return f"one of {sets}: these trials cannot tell them apart; {closed} ({sizes})"
+    if verdict == "unknown" and unrelated:
+        return f"{unrelated} ({sizes})"
     if verdict == "unknown":
         return f"a structural gap that no effect of the library explains ({sizes})"
     if verdict == "none":

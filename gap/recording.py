@@ -46,10 +46,41 @@ class Run:
         return np.flatnonzero(self.counts) // length
 
 
-def runs_of(trials: Sequence[Trial], corrections: Sequence[Vec] | None = None) -> tuple[Run, ...]:
-    """Trials in recording order, uniformly sampled, as runs; every sample counts."""
+@dataclass(frozen=True)
+class Before:
+    """What a device has seen when a trial begins.
+
+    Attributes:
+        bent: greatest command of all trials recorded before [cmd]; minus infinity for the first.
+        clock_s: time recorded before [s].
+    """
+
+    bent: float = -np.inf
+    clock_s: float = 0.0
+
+    @classmethod
+    def each(cls, trials: Sequence[Trial]) -> tuple[Before, ...]:
+        """Of every trial, in recording order."""
+        found = [cls()]
+        for trial in trials:
+            last = found[-1]
+            bent = max(last.bent, float(trial.command.max()))
+            found.append(cls(bent, last.clock_s + trial.duration_s + trial.dt))
+        return tuple(found[:-1])
+
+
+def runs_of(
+    trials: Sequence[Trial], corrections: Sequence[Vec] | None = None, before: Sequence[Before] | None = None
+) -> tuple[Run, ...]:
+    """Trials in recording order, uniformly sampled, as runs; every sample counts.
+
+    Args:
+        trials: all that were recorded, or some of them.
+        corrections: see `Run.correction`.
+        before: of each trial, where trials in between were left out.
+    """
     runs: list[Run] = []
-    bent, clock = -np.inf, 0.0
+    before = Before.each(trials) if before is None else before
     span = max(float(np.ptp(trial.command)) for trial in trials)
     for k, trial in enumerate(trials):
         command = np.ascontiguousarray(trial.command)
@@ -62,12 +93,11 @@ def runs_of(trials: Sequence[Trial], corrections: Sequence[Vec] | None = None) -
                 rest_command=float(command[0]),
                 rest_angle=_rest_angle(trial, _SETTLED_SHARE * span),
                 counts=np.ones(len(trial), dtype=np.bool_),
-                bent_before=max(bent, float(command[0])),
-                clock_s=clock,
+                bent_before=max(before[k].bent, float(command[0])),
+                clock_s=before[k].clock_s,
                 correction=np.zeros(len(trial)) if corrections is None else corrections[k],
             )
         )
-        bent, clock = max(bent, float(command.max())), clock + trial.duration_s + trial.dt
     return tuple(runs)
 
 

@@ -97,7 +97,9 @@ def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: 
     if same:
         shifts = shifts[shifts * first.dt >= _LEAST_SHIFT_S]
     values, votes = np.unique(shifts, return_counts=True)
-    support = np.array([int(votes[np.abs(values - value) <= 2].sum()) for value in values], dtype=np.intp)
+    counted = np.concatenate([[0], np.cumsum(votes)])
+    near = np.searchsorted(values, values + 2, side="right"), np.searchsorted(values, values - 2)
+    support = counted[near[0]] - counted[near[1]]
     order = np.argsort(-support, kind="stable")
     return [int(values[k]) for k in order if support[k] >= 2][:_MOST_SHIFTS]
 

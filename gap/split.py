@@ -39,7 +39,8 @@ def split_runs(runs: Sequence[Run], motions: Sequence[str]) -> tuple[tuple[Run, 
     count = max(round(FINAL_SHARE * len(runs)), 1)
     chosen: list[int] = []
     left = list(range(len(runs)))
-    apart = _distances(runs)
+    found = characters([run.command for run in runs], runs[0].dt_s)
+    apart = np.linalg.norm(found[:, None] - found[None], axis=-1)
     while len(chosen) < count:
         # Of the most frequent motion among those that remain, what is most like another; the first is never taken.
         often = max(
@@ -55,18 +56,22 @@ def split_runs(runs: Sequence[Run], motions: Sequence[str]) -> tuple[tuple[Run, 
     return tuple(runs[k] for k in left), tuple(runs[k] for k in sorted(chosen))
 
 
-def _distances(runs: Sequence[Run]) -> Vec:
-    """How unlike the commands of any two runs are (K, K): levels, speeds, rests and length."""
-    span = max(float(np.ptp(np.concatenate([run.command for run in runs]))), 1e-12)
-    found = np.array([_character(run, span) for run in runs])
-    return np.asarray(np.linalg.norm(found[:, None] - found[None], axis=-1))
+def characters(commands: Sequence[Vec], dt_s: float) -> Vec:
+    """Levels, speeds, rests and length of K commands (K, 10); near to each other where one repeats another.
+
+    Args:
+        commands: (T,) each [cmd].
+        dt_s: sample time [s].
+    """
+    low, high = min(float(u.min()) for u in commands), max(float(u.max()) for u in commands)
+    return np.array([_character(u, dt_s, max(high - low, 1e-12)) for u in commands])
 
 
-def _character(run: Run, span: float) -> Vec:
-    speed = np.abs(np.diff(run.command)) / (run.dt_s * span)
-    levels = np.array([run.command.min(), run.command.mean(), run.command.max()]) / span
+def _character(command: Vec, dt_s: float, span: float) -> Vec:
+    speed = np.abs(np.diff(command)) / (dt_s * span)
+    levels = np.array([command.min(), command.mean(), command.max()]) / span
     quantiles = np.log1p(np.quantile(speed, _SPEEDS))
-    still, length = float(np.mean(speed < _STILL)), _LENGTH * float(np.log(run.command.size * run.dt_s))
+    still, length = float(np.mean(speed < _STILL)), _LENGTH * float(np.log(command.size * dt_s))
     return np.concatenate([levels, quantiles, [still, length]]).astype(np.float64)
 
 

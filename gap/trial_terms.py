@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import zoom_fft
 
 from .recording import Run
 
@@ -105,15 +106,18 @@ NO_TERMS = TrialTerms()
 def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest_hz: float) -> float:
     """Frequency at which waves with a phase of each trial explain most of the errors [Hz].
 
-    The grid is as fine as the longest trial resolves, then refined by a parabola.
+    The grid is as fine as the longest trial resolves, then refined by a parabola. Its powers come from a chirp
+    z-transform: a table of all waves at all samples grows with the square of the duration, to gigabytes at ten minutes.
     """
     longest = max(error.size * run.dt_s for run, error in zip(runs, errors, strict=True))
     grid = np.arange(lowest_hz, highest_hz, 0.25 / longest)
     power = np.zeros(grid.size)
+    stop_hz = lowest_hz + grid.size * 0.25 / longest
     for run, error in zip(runs, errors, strict=True):
-        t = run.dt_s * np.flatnonzero(run.counts)
-        waves = np.exp(-2j * np.pi * np.outer(grid, t))
-        power += np.abs(waves @ (error - error.mean())) ** 2 / error.size
+        signal = np.zeros(run.counts.size)
+        signal[run.counts] = error - error.mean()
+        waves = zoom_fft(signal, [lowest_hz, stop_hz], grid.size, fs=1.0 / run.dt_s)
+        power += np.abs(waves) ** 2 / error.size
     k = int(np.argmax(power))
     if 0 < k < grid.size - 1:
         left, middle, right = power[k - 1 : k + 2]

@@ -13,7 +13,7 @@ from .floor import Floor, find_floor
 from .hypothesis import Court, Hypothesis
 from .jumps import Jumps, find_jumps
 from .preparation import Prepared
-from .select import Selection, SelectionSettings, select
+from .select import OWN_TO_TRIALS, Selection, SelectionSettings, select
 from .verdict import Ruling, rule, sensor_matters
 from .verdict_settings import VerdictSettings
 
@@ -105,20 +105,23 @@ def decide(
         advance: told the share of the present round and what is tried.
     """
     floor_mse, jumps = selection_floor(prepared, retuned), find_jumps(prepared.everything, retuned, prepared.signs)
-    jumping = jumps.seen and "stick_slip" not in left_out and not prepared.lacks
+    silent = bool(prepared.lacks or prepared.unrelated)
+    jumping = jumps.seen and "stick_slip" not in left_out and not silent
     if jumping:
         floor_mse = max(floor_mse, min(jumps.mse, _PREDICTABLE * retuned.mse))
     unfit = (*left_out, "stick_slip") if jumps.absent else left_out
     library = candidates(Scale.of(prepared.development), prepared.baseline.effects, unfit)
+    if prepared.unrelated:  # nothing to explain: only the baseline is judged
+        library, left_out = (), (*left_out, *OWN_TO_TRIALS)
     selection = select(court, library, settings.selection, floor_mse, left_out, advance)
     sensor = "sensor" not in left_out and sensor_matters(prepared, selection, settings.verdict)
     ruling = rule(selection, court, floor_mse, prepared.form_mse, sensor, settings.verdict, seed)
-    explained = ruling.verdict in ("named", "one_of") and not prepared.lacks
-    if prepared.lacks:
-        ruling = replace(ruling, verdict="too_little", ambiguity=())
+    explained = ruling.verdict in ("named", "one_of") and not silent
+    if silent:
+        ruling = replace(ruling, verdict="too_little" if prepared.lacks else "unknown", ambiguity=())
     elif jumping and not explained:
         ruling = replace(ruling, verdict="named")
-    sensor = sensor and ruling.verdict not in ("none", "too_little")
+    sensor = sensor and ruling.verdict != "none" and not silent
     return Which(selection, ruling, explained, sensor, jumps if jumping else None, floor_mse)
 
 

@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import LogError
 from .findings import Finding, Severity
 from .resample import gap_limit_s
+from .trial import Trial
 
 Vec = NDArray[np.float64]
 
@@ -31,18 +33,34 @@ def time_findings(t: Vec, command: Vec, angle: Vec, where: Callable[[int], str])
         yield Finding(Severity.ERROR, "time base", "time never increases")
         return
     median = float(np.median(forward))
-    yield _base(median, float(t[kept[-1]] - t[kept[0]]), t.size)
+    yield _base(median, float(t[kept[0]]), float(t[kept[-1]]), t.size)
     yield _jitter(forward, median)
     yield _gaps(t, kept, intervals, median, where)
     yield _order(kept, intervals, where)
     yield _stuck(t, command, angle)
 
 
-def _base(median: float, duration: float, count: int) -> Finding:
-    text = f"{1 / median:.4g} Hz (median), {duration:.4g} s, {count} samples"
+def require_seconds(trial: Trial) -> None:
+    """Refuse a trial whose time is most likely in milliseconds.
+
+    Raises:
+        LogError: if its samples are a second or more apart.
+    """
+    if trial.dt >= _SLOW_INTERVAL_S:
+        raise LogError(f"{trial.source}: {_slow(trial.dt, float(trial.t[0]), float(trial.t[-1]))}")
+
+
+def _slow(median: float, start: float, stop: float) -> str:
+    return (
+        f"time_s runs from {start:g} to {stop:g}, sampling rate {1 / median:.3g} Hz, expected more than "
+        f"{1 / _SLOW_INTERVAL_S:g} Hz: is it in milliseconds?"
+    )
+
+
+def _base(median: float, start: float, stop: float, count: int) -> Finding:
     if median >= _SLOW_INTERVAL_S:
-        return Finding(Severity.WARNING, "time base", f"{text}: one sample every {median:g} s; is time in ms?")
-    return Finding(Severity.OK, "time base", text)
+        return Finding(Severity.ERROR, "time base", _slow(median, start, stop))
+    return Finding(Severity.OK, "time base", f"{1 / median:.4g} Hz (median), {stop - start:.4g} s, {count} samples")
 
 
 def _jitter(forward: Vec, median: float) -> Finding:

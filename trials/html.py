@@ -14,6 +14,8 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import LogFormatter
 
 from .files import write_atomically
 from .plot_style import style
@@ -97,12 +99,24 @@ def figure_svg(figure: Figure, prefix: str = "") -> str:
         figure: any matplotlib figure.
         prefix: put before every id, so that the figures of one page do not refer to each other's parts.
     """
+    _print_as_it_is(figure)
     out = io.StringIO()
     with style():
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     svg = out.getvalue()
     svg = _NAMESPACE.sub("", svg[svg.index("<svg") :]).replace("xlink:href=", "href=")
     return _ID.sub(lambda match: match.group(1) + prefix, svg).strip()
+
+
+def _print_as_it_is(figure: Figure) -> None:
+    """Take every text literally: names of files and trials come from outside, and two `$` in one would be read as
+    mathematics, which fails. Tick labels of a logarithmic axis are mathematics of the library's own."""
+    axes = [axis for each in figure.axes for axis in (each.xaxis, each.yaxis)]
+    powers = [axis for axis in axes if isinstance(axis.get_major_formatter(), LogFormatter)]
+    own = {id(label) for axis in powers for which in ("major", "minor") for label in axis.get_ticklabels(which=which)}
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and id(text) not in own:
+            text.set_parse_math(False)
 
 
 def _block(piece: Piece, number: int) -> dict[str, Any]:

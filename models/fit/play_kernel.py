@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,15 +16,15 @@ from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 
-from ..contract.metadata import Range
-from ..play_kernel.step import ramps
 from ..play_kernel.weights import PlayKernelWeights
+from .play_kernel_features import BLOCK, Course, Frame, Moments, span
 from .play_kernel_settings import PlayKernelSettings
 from .trial_set import angle_range, check_trial_set, command_range
 
 Vec = NDArray[np.float64]
 Progress = Callable[[int, float], None]
 _JITTER = 1e-10
+_SOON = 500_000  # samples: a fit of fewer takes seconds and is not announced
 
 
 @dataclass(frozen=True)
@@ -54,44 +53,6 @@ class PlayKernelFit:
     judged: dict[Choice, float]
     rmse: float
     interrupted: bool
-
-
-@dataclass(frozen=True)
-class _Frame:
-    """What makes commands and angles dimensionless, and what the features are made of."""
-
-    command: Range
-    angle: Range
-    radii: Vec
-    knots: Vec
-    stops: bool
-    dt: float
-
-    def gain(self, lag_s: float) -> float:
-        return 1.0 if lag_s == 0 else 1 - math.exp(-self.dt / lag_s)
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Features (T, F) and scaled angle (T,) of one trial, from the first sample that counts on, and their moments."""
-
-    features: Vec
-    angle: Vec
-
-    @cached_property
-    def gram(self) -> Vec:
-        """Mean products (F, F) of the features."""
-        return self.features.T @ self.features / self.angle.size
-
-    @cached_property
-    def mean(self) -> Vec:
-        """Means (F,) of the features."""
-        return self.features.mean(axis=0)
-
-    @cached_property
-    def right(self) -> Vec:
-        """Mean products (F,) of features and angle."""
-        return self.features.T @ self.angle / self.angle.size
 
 
 def fit_play_kernel(
@@ -125,24 +86,41 @@ def fit_play_kernel(
     interrupted, chosen = False, choices[len(choices) // 2]
     if len(trials) > 1 and len(choices) > 1:
         try:
-            for choice in choices:
-                rows = _all_rows(trials, starts, frame, choice.lag_s)
-                judged[choice] = _left_out(rows, choice, frame, settings) * _span(frame.angle)
-                if progress:
-                    progress(len(judged), min(judged.values()))
+            for lag_s in settings.lags_s:
+                courses = [Course(*pair, frame, lag_s) for pair in zip(trials, starts, strict=True)]
+                for choice, error in _left_out(courses, lag_s, frame, settings):
+                    judged[choice] = error * span(frame.angle)
+                    if progress:
+                        progress(len(judged), min(judged.values()))
         except KeyboardInterrupt:
             interrupted = True
         chosen = min(judged, key=lambda c: judged[c], default=chosen)
-    rows = _all_rows(trials, starts, frame, chosen.lag_s)
-    slopes, bias = _solve(rows, chosen, frame, settings)
-    errors = [float(np.std(r.features @ slopes - r.angle)) for r in rows]
-    rmse = float(np.mean(errors)) * _span(frame.angle)
+    courses = [Course(*pair, frame, chosen.lag_s) for pair in zip(trials, starts, strict=True)]
+    slopes, bias = _solve([course.moments for course in courses], chosen, frame, settings)
+    rmse = float(np.mean([course.scatter(slopes[:, None])[0] for course in courses])) * span(frame.angle)
     if progress:
         progress(len(judged) + 1, min(judged.values(), default=rmse))
     return PlayKernelFit(_weights(slopes, bias, trials, chosen, frame), chosen, judged, rmse, interrupted)
 
 
-def _frame(trials: Sequence[Trial], settings: PlayKernelSettings) -> _Frame:
+def play_kernel_seconds(trials: Sequence[Trial], settings: PlayKernelSettings) -> float | None:
+    """Time of a fit [s], measured on one block; None where it is soon done.
+
+    Raises:
+        FitError: on unusable trials.
+    """
+    frame, samples = _frame(trials, settings), sum(len(trial) for trial in trials)
+    if samples < _SOON:
+        return None
+    head = trials[0].select(0, BLOCK)
+    _ = Course(head, 0, frame, 0.0).moments  # what has to be compiled is compiled now
+    start = time.perf_counter()
+    course = Course(head, 0, frame, max(settings.lags_s))
+    course.scatter(np.zeros((course.moments.mean.size, len(settings.smoothness))))
+    return (time.perf_counter() - start) / len(head) * samples * (len(settings.lags_s) + 1)
+
+
+def _frame(trials: Sequence[Trial], settings: PlayKernelSettings) -> Frame:
     dt, inverse = check_trial_set(trials), trials[0].inverted
     n = settings.plays
     if inverse:
@@ -150,45 +128,31 @@ def _frame(trials: Sequence[Trial], settings: PlayKernelSettings) -> _Frame:
     else:
         radii = np.linspace(0.0, settings.reach, n + 1)[1:]
     knots = np.linspace(0.0, 1.0, settings.segments + 1)
-    return _Frame(command_range(trials), angle_range(trials), radii, knots, inverse, dt)
+    return Frame(command_range(trials), angle_range(trials), radii, knots, inverse, dt)
 
 
-def _all_rows(trials: Sequence[Trial], starts: Sequence[int], frame: _Frame, lag_s: float) -> list[_Rows]:
-    """Features of all trials: run from rest over the whole trial, then cut."""
-    return [_rows(trial, start, frame, frame.gain(lag_s)) for trial, start in zip(trials, starts, strict=True)]
-
-
-def _rows(trial: Trial, start: int, frame: _Frame, gain: float) -> _Rows:
-    commands = (trial.command - frame.command.lower) / _span(frame.command)
-    state = np.full(frame.radii.size + 1, commands[0])
-    states = np.empty((commands.size, state.size))
-    for k, u in enumerate(commands):
-        v = u if gain == 1 else state[0] + gain * (u - state[0])
-        states[k, 0], states[k, 1:] = v, np.maximum(v - frame.radii, np.minimum(v + frame.radii, state[1:]))
-        state = states[k]
-    features = ramps(states, frame.knots).reshape(commands.size, -1)
-    if frame.stops:
-        stop = states[:, :1] - states[:, 1:]
-        features = np.hstack([features, np.minimum(stop, 0.0), np.maximum(stop, 0.0)])
-    return _Rows(features[start:], (trial.angle[start:] - frame.angle.lower) / _span(frame.angle))
-
-
-def _left_out(rows: Sequence[_Rows], choice: Choice, frame: _Frame, settings: PlayKernelSettings) -> float:
-    """Mean over trials of the offset-free error of the model identified without the trial's group, scaled."""
-    errors = []
-    count = min(settings.folds, len(rows))
+def _left_out(
+    courses: Sequence[Course], lag_s: float, frame: Frame, settings: PlayKernelSettings
+) -> Iterator[tuple[Choice, float]]:
+    """Mean over trials of the offset-free error of models identified without the trial's group, scaled, by choice."""
+    choices = [Choice(lag_s, smoothness) for smoothness in settings.smoothness]
+    moments = [course.moments for course in courses]
+    count = min(settings.folds, len(courses))
+    errors = np.empty((len(courses), len(choices)))
     for fold in range(count):
-        slopes, _ = _solve([r for k, r in enumerate(rows) if k % count != fold], choice, frame, settings)
-        errors += [float(np.std(r.features @ slopes - r.angle)) for r in rows[fold::count]]
-    return float(np.mean(errors))
+        rest = [m for k, m in enumerate(moments) if k % count != fold]
+        slopes = np.stack([_solve(rest, choice, frame, settings)[0] for choice in choices], axis=1)
+        for k in range(fold, len(courses), count):
+            errors[k] = courses[k].scatter(slopes)
+    yield from zip(choices, errors.mean(axis=0).tolist(), strict=True)
 
 
-def _solve(rows: Sequence[_Rows], choice: Choice, frame: _Frame, settings: PlayKernelSettings) -> tuple[Vec, float]:
+def _solve(rows: Sequence[Moments], choice: Choice, frame: Frame, settings: PlayKernelSettings) -> tuple[Vec, float]:
     """Slopes (F,) and bias, scaled: the normal equations as non-negative least squares on their Cholesky factor.
 
     Bias and trial offsets are free: each is the difference of two non-negative numbers.
     """
-    count, trials = rows[0].features.shape[1], len(rows)
+    count, trials = rows[0].mean.size, len(rows)
     free = 1 + trials
     gram, right = np.zeros((count + free, count + free)), np.zeros(count + free)
     for k, row in enumerate(rows):
@@ -197,7 +161,7 @@ def _solve(rows: Sequence[_Rows], choice: Choice, frame: _Frame, settings: PlayK
         gram[:count, shown] += row.mean[:, None]
         gram[np.ix_(shown, shown)] += 1.0
         right[:count] += row.right - settings.least_slope * row.gram.sum(axis=1)
-        right[shown] += row.angle.mean() - settings.least_slope * row.mean.sum()
+        right[shown] += row.angle - settings.least_slope * row.mean.sum()
     gram[count:, :count] = gram[:count, count:].T
     gram[:count, :count] += trials * choice.smoothness * _roughness(frame)
     gram[count + 1 :, count + 1 :] += settings.offset_penalty * np.eye(trials)
@@ -211,7 +175,7 @@ def _solve(rows: Sequence[_Rows], choice: Choice, frame: _Frame, settings: PlayK
     return found[:count] + settings.least_slope, float(found[count] - found[count + free])
 
 
-def _roughness(frame: _Frame) -> NDArray[Any]:
+def _roughness(frame: Frame) -> NDArray[Any]:
     """Quadratic form sum (s - s_neighbour)^2 over segments and plays; stops are left free."""
     plays, segments = frame.radii.size + 1, frame.knots.size - 1
 
@@ -228,10 +192,10 @@ def _roughness(frame: _Frame) -> NDArray[Any]:
     return whole
 
 
-def _weights(slopes: Vec, bias: float, trials: Sequence[Trial], choice: Choice, frame: _Frame) -> PlayKernelWeights:
+def _weights(slopes: Vec, bias: float, trials: Sequence[Trial], choice: Choice, frame: Frame) -> PlayKernelWeights:
     """Back to the units of command and angle."""
     plays, segments = frame.radii.size + 1, frame.knots.size - 1
-    command, angle = _span(frame.command), _span(frame.angle)
+    command, angle = span(frame.command), span(frame.angle)
     physical = slopes * angle / command
     inner = physical[: plays * segments].reshape(plays, segments)
     return PlayKernelWeights(
@@ -253,15 +217,13 @@ def _line(trials: Sequence[Trial]) -> float:
     Raises:
         FitError: if it does not rise.
     """
-    u, y = (np.concatenate([getattr(trial, name) for trial in trials]) for name in ("command", "angle"))
-    slope = float(np.polyfit(u, y, 1)[0])
+    samples = sum(len(trial) for trial in trials)
+    middle = sum(float(t.command.sum()) for t in trials) / samples, sum(float(t.angle.sum()) for t in trials) / samples
+    products = sum(float((t.command - middle[0]) @ (t.angle - middle[1])) for t in trials)
+    slope = products / sum(float(np.sum((t.command - middle[0]) ** 2)) for t in trials)
     if slope <= 0:
         raise FitError(
             f"the angle falls with the command ({slope:.4g} {trials[0].units.angle} per {trials[0].units.command}), "
             "expected it to rise; turn the sign of one channel"
         )
     return slope
-
-
-def _span(bounds: Range) -> float:
-    return bounds.upper - bounds.lower

@@ -14,6 +14,8 @@ k...):
 
 import numpy as np
 
+from hystmpc.models.kernels.numba_ import njit
+
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def simulate(state, commands, p, dt, k, theta):

@@ -13,6 +13,8 @@ import math
 
 import numpy as np
 
+from hystmpc.models.kernels.numba_ import njit
+
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def within(u, low, high, last):

@@ -10,6 +10,8 @@ layers behind it: what a layer reads, the new output of the layer below and its 
 
 import numpy as np
 
+from hystmpc.models.kernels.numba_ import njit
+
 PLANS = 36  # at a time: with a panel of the weights their rows are in the first cache
 
 

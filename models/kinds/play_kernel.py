@@ -7,7 +7,7 @@ from typing import ClassVar, final
 
 from hystmpc.trials.trial import Trial
 
-from ..fit.play_kernel import fit_play_kernel
+from ..fit.play_kernel import fit_play_kernel, play_kernel_seconds
 from ..fit.play_kernel_bundle import play_kernel_bundle
 from ..fit.play_kernel_settings import PLAY_KERNEL_PRESETS
 from .kind import FitRequest, Identified, ModelKind, Progress
@@ -41,6 +41,9 @@ class PlayKernelKind(ModelKind):
             report += f", {found.judged[found.choice]:.4f} {unit} offset-free on trials left out"
         bundle = play_kernel_bundle(found, trials, settings, request.limits)
         return Identified(bundle, None, tuple(history), report, found.interrupted)
+
+    def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
+        return play_kernel_seconds(trials, PLAY_KERNEL_PRESETS[request.preset])
 
     def steps(self, request: FitRequest) -> int | None:
         settings = PLAY_KERNEL_PRESETS.get(request.preset)

@@ -12,6 +12,8 @@ The generated functions, on flat float64 arrays (state x, input u (1,), paramete
 
 import numpy as np
 
+from hystmpc.models.kernels.numba_ import njit
+
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def run(states, u, p, y, k):

@@ -39,6 +39,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         "log": str(write_csv(trial, folder / "sine.csv")),
         "sim": str(save_simulator(simulator(CHAINS["backlash"]), folder / "sim.yaml")),
         "taken": str(folder / "taken"),
+        "milliseconds": str(write_csv(Trial(1000 * t, command, 20 + 10 * command), folder / "ms.csv")),
         "planned": str(write_motion(folder / "next_motion.csv", proposal)),
     }
 
@@ -57,6 +58,10 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         (["{log}", "--sim", "{sim}", "--out", "{log}"], "is a file"),
         (["{log}", "{planned}", "--sim", "{sim}", "--out", "out"], "is a motion proposed by a diagnosis"),
         (["{log}", "--sim", "{sim}", "--out", "out", "--preset", "tendon"], "tendon-catheter"),
+        (
+            ["{log}", "{milliseconds}", "--sim", "{sim}", "--out", "out"],
+            "time_s runs from 0 to 9960, sampling rate 0.025 Hz, expected more than 1 Hz: is it in milliseconds?",
+        ),
     ],
 )
 def test_unusable_input_is_one_line_and_exit_code_2(

@@ -260,3 +260,14 @@ def test_numbers_of_trials_and_residuals() -> None:
     later = replace(trial, start=100)
     assert later.residual("nominal").size == trial.residual("nominal").size - 100
     assert trial.rmse("with_effects") < trial.rmse("retuned")
+
+
+def test_a_report_of_trials_with_dollar_signs_in_their_names_is_written(tmp_path: Path) -> None:
+    evidence = evidence_of("named", 4)
+    names = [f"/logs/run$a_{{{k}$.csv" for k in range(len(evidence.trials))]
+    trials = tuple(
+        replace(own, trial=replace(own.trial, source=name)) for own, name in zip(evidence.trials, names, strict=True)
+    )
+    page = write_report(replace(evidence, trials=trials, simulator="sim$v{2$.yaml"), tmp_path).read_text()
+    assert "run$a_{0$.csv" in page
+    assert "sim$v{2$.yaml" in page

@@ -1,4 +1,4 @@
-"""Files and functions stay short enough to be read at one go."""
+"""A file ends where its idea ends, and a function does one thing: bounds beyond which that is hardly so."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import ast
 
 from .source import ROOMS, ROOT, Function, functions, modules
 
-FILE_LINES = 300
-FUNCTION_LINES = 45  # without the docstring
+FILE_LINES = 600
+FUNCTION_LINES = 60  # without the docstring
 
 
 def length(node: Function) -> int:

@@ -103,7 +103,7 @@ def signals() -> dict[str, tuple[Trial, str, Severity, str]]:
         "unrelated": (clean(angle=40 + noise), "sign", WARNING, "hardly follows"),
         "constant": (clean(command=0 * u + 2), "excitation", ERROR, "the command is 2 mm throughout"),
         "one way": (clean(command=t, angle=10 * t), "excitation", WARNING, "0 reversals"),
-        "milliseconds": (clean(t=1000 * t), "time base", WARNING, "is time in ms?"),
+        "milliseconds": (clean(t=1000 * t), "time base", ERROR, "is it in milliseconds?"),
         "jitter": (clean(t=t + 0.006 * np.sin(7 * np.arange(t.size))), "jitter", NOTE, "standard deviation"),
         "stuck": (clean(angle=np.where((t > 1) & (t < 2), 50, y)), "stuck samples", NOTE, "from 1.02 to 1.98 s"),
         "set": (clean(angle=y + 12 * late), "first flexure", WARNING, "is 42.0 deg after it: a set of +12.0"),

@@ -131,3 +131,31 @@ def test_the_style_leaves_no_trace() -> None:
     assert dict(mpl.rcParams) == before
     assert figure.axes[0].lines[0].get_color() == PALETTE[0]
     assert not figure.axes[0].spines["top"].get_visible()
+
+
+@pytest.mark.parametrize("name", ["$x$.csv", "a$b$c$", r"$\frac{$", "$", "$$", r"cost \$5$"])
+def test_names_from_outside_are_printed_as_they_are(name: str) -> None:
+    """Two dollar signs mean mathematics to the plotting library, which cannot read most names of files as such."""
+    with new_figure(4, 3) as figure:
+        axes = figure.subplots()
+        axes.plot([1, 2], [1, 2], label=name)
+        axes.set(title=name, xlabel=name, ylabel=name)
+        axes.set_yticks([1, 2], [name, name])
+        axes.annotate(name, (1, 1))
+        axes.legend(title=name)
+        figure.suptitle(name)
+    svg = figure_svg(figure)
+    assert svg.count(f"<!-- {name} -->") == 9
+
+
+def test_powers_of_ten_on_a_logarithmic_axis_stay_mathematics() -> None:
+    with new_figure(4, 3) as figure:
+        axes = figure.subplots()
+        axes.plot([0.01, 100], [0.01, 100])
+        axes.set(xscale="log", yscale="log", title="$a$b$c")
+    svg = figure_svg(figure)
+    for axis in (axes.xaxis, axes.yaxis):
+        shown = [label for label in axis.get_ticklabels() if label.get_text()]
+        assert shown
+        assert all(label.get_parse_math() for label in shown)
+    assert r"<!-- $\mathdefault{10^{0}}$ -->" in svg
