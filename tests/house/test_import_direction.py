@@ -63,10 +63,11 @@ def test_the_check_itself(tmp_path: Path, file: str, text: str, expected: int) -
 
 
 def test_a_room_imports_itself_relatively() -> None:
-    """One spelling; by the other a type checker takes a class for two."""
+    """One spelling; by the other a type checker takes a class for two. Templates are compiled outside any package."""
     offenders = [
         f"{module.where}:{node.lineno}"
         for module in modules()
+        if not module.where.endswith("_loops.py")
         for node in module.nodes
         if isinstance(node, ast.ImportFrom) and node.level == 0
         if f"{node.module}.".startswith(f"hystmpc.{module.room}.")
