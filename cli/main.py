@@ -1,66 +1,94 @@
-"""The program `hystmpc`: its verbs, and how errors and Ctrl-C end it."""
+"""The program `hystmpc`: its verbs, each imported when it is called, and how errors and Ctrl-C end it."""
 
 from __future__ import annotations
 
 import sys
-from typing import NoReturn
+from collections.abc import Mapping
+from difflib import get_close_matches
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
 from hystmpc.trials.errors import HystmpcError
 
-from .bench import bench
-from .check import check
-from .console import errors
-from .data import data
-from .demo import demo
-from .device import device
-from .diagnose import diagnose
-from .effects import effects
-from .evaluate import evaluate
-from .export import export
-from .faults import faults
-from .fit import fit
-from .gap import gap
-from .record import record
-from .report import report
-from .run import run
-from .simulate import simulate
-from .study import study
-from .tune import tune
-
 UNUSABLE = 2
 
-app = typer.Typer(
-    name="hystmpc",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    help="Inverse-model predictive control for actuators with hysteresis: check and fit recorded trials, export "
-    "models to ONNX, track tip angles in simulation, compare controllers.",
+VERBS: Mapping[str, str] = MappingProxyType(
+    {
+        "check": "Check logs: can they be used, and what is in them.",
+        "fit": "Identify a model from recorded trials.",
+        "evaluate": "Compare a model's free run with recorded trials.",
+        "export": "Export a simulator as a stateful ONNX step.",
+        "diagnose": "Diagnose the gap between a simulator and its device.",
+        "simulate": "Simulate the closed loop; write a run folder and its report.",
+        "tune": "Search the settings of a controller on simulated plants.",
+        "run": "Track a reference on a device.",
+        "record": "Record identification trials on a device.",
+        "device": "Serve a simulated device over UDP or DDS.",
+        "report": "Write report.html of a run folder again.",
+        "effects": "List the effects that can be put into any simulator.",
+        "demo": "Track two motions with every controller on a simulated device.",
+        "study": "Do all jobs of a study and write its report.",
+        "data": "Make the papers' data sets on simulated devices.",
+        "gap": "Put the diagnosis to the test.",
+        "faults": "Break sensor, wire, processes and disk; judge what the device did.",
+        "bench": "Time the controllers and their peers on this machine.",
+    }
 )
-for verb in (
-    check,
-    fit,
-    evaluate,
-    export,
-    diagnose,
-    simulate,
-    report,
-    demo,
-    bench,
-    study,
-    tune,
-    effects,
-    run,
-    record,
-    device,
-    faults,
-):
-    app.command()(verb)
-app.add_typer(data, name="data")
-app.add_typer(gap, name="gap")
+"""Every verb and its line in `hystmpc --help`. The verb's module and function, or group, have its name."""
+
+_PLAIN: Any = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False}
+
+
+def _nothing() -> None:
+    pass
+
+
+class Verbs(TyperGroup):
+    """Finds a verb by name and imports its module, and no other, when it is called."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names in the order of `VERBS`."""
+        del ctx
+        return list(VERBS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The verb's command, None for an unknown one."""
+        if cmd_name not in VERBS:
+            return None
+        verb = getattr(import_module(f".{cmd_name}", __package__), cmd_name)
+        group = typer.Typer(**_PLAIN)
+        group.callback()(_nothing)  # a group, however many verbs it has
+        if isinstance(verb, typer.Typer):
+            group.add_typer(verb, name=cmd_name)
+        else:
+            group.command(cmd_name)(verb)
+        return typer.main.get_command(group).get_command(ctx, cmd_name)  # type: ignore[attr-defined]  # it is a group
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """A line for each verb, without importing any of them."""
+        del ctx
+        with formatter.section("Commands"):
+            formatter.write_dl(list(VERBS.items()))
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The verb that was called; an unknown one is answered with the nearest."""
+        if args and args[0] not in VERBS and not args[0].startswith("-"):
+            near = get_close_matches(args[0], VERBS, n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else ""
+            ctx.fail(f"No such command {args[0]!r}.{hint}")
+        return super().resolve_command(ctx, args)
+
+
+app = typer.Typer(cls=Verbs, name="hystmpc", no_args_is_help=True, **_PLAIN)
+
+
+@app.callback()
+def hystmpc() -> None:
+    """Identify actuators with hysteresis, control them, and diagnose where a simulator and its device differ."""
 
 
 def main() -> None:
@@ -74,6 +102,8 @@ def main() -> None:
 
 
 def _end(text: str) -> NoReturn:
+    from .console import errors
+
     line = " ".join(text.split())
     errors.print(f"error: {line}", style="red", soft_wrap=True, highlight=False)
     sys.exit(UNUSABLE)

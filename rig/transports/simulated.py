@@ -45,9 +45,9 @@ class SimulatedTransport:
         return {}
 
     def read(self) -> Reading | None:
-        """The angle at the end of the last sample: once after every command, and once a sample time without one."""
+        """The angle at the end of the last sample: once after every command, and once a sample without one."""
         now = self._now()
-        if self._read_ns is not None and now - self._read_ns < self._dt_ns:
+        if self._read_ns is not None and now - self._read_ns < self._dt_ns // 2:
             return None
         self._read_ns, self._sequence = now, self._sequence + 1
         return Reading(self._angle, self._sequence, 0, now, now, self._held)

@@ -9,6 +9,10 @@ import time
 
 import pytest
 
+from hystmpc.cli.main import VERBS
+
+from ..conftest import ROOT
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("after_s", [0.2, 0.5])
@@ -22,3 +26,36 @@ def test_ctrl_c_during_the_start_is_quiet(after_s: float) -> None:
     _, said = program.communicate(timeout=60)
     assert program.returncode in (0, 130)  # 0 where it was done by then
     assert "Traceback" not in said
+
+
+HEAVY = ("numba", "casadi", "matplotlib", "scipy", "pydantic", "onnx", "onnxruntime", "torch")
+
+
+def test_help_lists_every_verb_and_imports_none() -> None:
+    code = (
+        "import sys\nfrom hystmpc.cli.main import main\nsys.argv = ['hystmpc', '--help']\n"
+        "try:\n    main()\nfinally:\n    print('loaded:', *sorted(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    text, _, loaded = done.stdout.partition("loaded:")
+    assert [verb for verb in VERBS if f"  {verb} " not in text] == []
+    assert [name for name in loaded.split() if name in HEAVY or name.startswith("hystmpc.models")] == []
+
+
+def test_a_verb_that_is_not_known_is_answered_with_the_nearest() -> None:
+    code = "import sys; from hystmpc.cli.main import main; sys.argv = ['hystmpc', 'simulat']; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "No such command 'simulat'. Did you mean 'simulate'?" in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_explains_itself(verb: str) -> None:
+    code = f"import sys; from hystmpc.cli.main import main; sys.argv = ['hystmpc', {verb!r}, '--help']; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert f"Usage: hystmpc {verb} " in done.stdout
+
+
+def test_every_verb_has_a_file_of_its_name() -> None:
+    assert [verb for verb in VERBS if not (ROOT / "cli" / f"{verb}.py").is_file()] == []
