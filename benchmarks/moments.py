@@ -12,7 +12,7 @@ import numpy as np
 from rich.table import Table
 
 from hystmpc.rig.campaign.judge import rise
-from hystmpc.rig.campaign.setup import IN_FLIGHT, OVERSHOOT, SAFE
+from hystmpc.rig.campaign.setup import IN_FLIGHT_S, OVERSHOOT, SAFE
 from hystmpc.rig.recording.recording import FLUSH_S
 from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.run_folder import RunFolder
@@ -30,7 +30,7 @@ class Moment:
         kind: of the fault.
         at_s: when, after the first command [s].
         from_mm: command that the device held then [mm].
-        rise_mm: how far it moved away from the safe command afterwards [mm].
+        rise_mm: how far it moved away from the safe command after the commands that were under way then [mm].
         safe_s: until it held the safe command for good; infinite if it never did [s].
         samples: in the log.
         fault: what is not as it has to be; empty if nothing.
@@ -48,13 +48,14 @@ class Moment:
 def judged(kind: str, at_s: float, rows: Sequence[tuple[float, ...]], fault_ns: int, run: Path) -> Moment:
     """What came of a fault, by the device's log; the run's own is judged against it."""
     first = max(k for k, row in enumerate(rows) if row[0] <= fault_ns)
-    rose = rise([abs(row[3] - SAFE) for row in rows[first:]])
+    later = max(k for k, row in enumerate(rows) if row[0] <= fault_ns + 1e9 * IN_FLIGHT_S)
+    rose = rise([abs(row[3] - SAFE) for row in rows[later:]])
     moving = [row[0] for row in rows if row[3] != SAFE and row[0] > fault_ns]
     safe_s = math.inf if rows[-1][3] != SAFE else 1e-9 * (max(moving, default=fault_ns) - fault_ns)
     got = [row[2] for row in rows if math.isfinite(row[2]) and row[0] < fault_ns - 1e9 * (FLUSH_S + _SPARE_S)]
     samples, fault = _logged(run, got, kind != "kill")
     faults = [fault] if fault else []
-    if rose > OVERSHOOT + IN_FLIGHT + _ROUNDING:
+    if rose > OVERSHOOT + _ROUNDING:
         faults.insert(0, f"the device rose by {rose:.2f} mm")
     if math.isinf(safe_s):
         faults.insert(0, f"the device stays at {rows[-1][3]:.2f} mm")
@@ -87,7 +88,7 @@ def _missing(logged: Sequence[float], sequence: Sequence[float], got: Sequence[f
 
 def table(moments: Sequence[Moment]) -> Table:
     """One row a kind of fault."""
-    title = f"faults at random moments; the device may move by {OVERSHOOT:g} mm and {IN_FLIGHT:g} mm under way"
+    title = f"faults at random moments; the device may move on by {OVERSHOOT:g} mm"
     grid = Table(title=title, title_justify="left")
     for name in (
         "fault",

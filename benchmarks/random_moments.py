@@ -9,9 +9,9 @@ relays are processes with real sockets, forked from one that has imported everyt
     pause    the controller stands still for 3 s (SIGSTOP, SIGCONT),
     stall    the relay drops all datagrams, either way, for 1 s.
 
-From then on the device must not move away from the safe command by more than the overshoot and one sample that is under
-way, and has to come back to it. The log has to hold every command that the device had got until a flush's time before,
-in order, and, where the controller lives, the stop. Exit code 1 where something of this is not so.
+Once the commands that were under way have come, the device must not move away from the safe command by more than the
+overshoot, and has to come back to it. The log has to hold every command that the device had got until a flush's time
+before, in order, and, where the controller lives, the stop. Exit code 1 where something of this is not so.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from hystmpc.trials.run_folder import RunFolder
 
 from .cases import Case, Ending
 from .play import Played, device_log
-from .setup import IN_FLIGHT, LOWER, OVERSHOOT, RATE_HZ, RATE_PER_S, SAFE, UPPER
+from .setup import IN_FLIGHT_S, LOWER, OVERSHOOT, RATE_HZ, RATE_PER_S, SAFE, UPPER
 
 _CLOSE = 1e-6
 _REFUSED, _STOPPED = 2, 3
@@ -39,8 +39,8 @@ class Verdict:
         beyond: of those and of the log's, beyond the limits on value or rate. Anything but 0 is a failure.
         safe_s: from the fault to the safe command held for good [s]; infinite where the device never came there, NaN
             where the run went on, nothing moved, or the device was gone.
-        rise_mm: how far the device moved away from the safe command after the fault, measured from the nearest that it
-            had come to it since [mm]; NaN where the run went on or the device was gone.
+        rise_mm: how far the device moved away from the safe command after the fault and the commands that were under
+            way then, from the nearest that it had come since [mm]; NaN where the run went on or the device was gone.
         log: `whole`, or what is wrong with it.
         second: what became of a second run: `refused`, something else, or nothing where there was none.
         claim: whether the user was told that the safe command is `held` or `sent`; `held, is not` is a failure.
@@ -67,7 +67,7 @@ class Verdict:
             f"{self.got} instead of {self.expected}": self.got != self.expected,
             f"{self.beyond} commands beyond the limits": self.beyond != 0,
             "never came to the safe command": math.isinf(self.safe_s),
-            f"rose by {self.rise_mm:.2f} mm": self.rise_mm > OVERSHOOT + IN_FLIGHT + _CLOSE,
+            f"rose by {self.rise_mm:.2f} mm": self.rise_mm > OVERSHOOT + _CLOSE,
             f"log: {self.log}": self.log != "whole",
             f"second run: {self.second}": self.second not in ("", "refused"),
             f"told: {self.claim}": self.claim not in ("", "held", "sent"),
@@ -151,7 +151,7 @@ def _rise_mm(case: Case, played: Played, rows: Rows, received: Sequence[tuple[fl
     """The greatest way away from the safe command since the controller had to notice the fault."""
     if case.expected in ("goes on", "refuses") or case.device_gone or not received:
         return math.nan
-    since = _fault_ns(case, played, received) + 1e9 * case.notice_s
+    since = _fault_ns(case, played, received) + 1e9 * (case.notice_s + IN_FLIGHT_S)
     if case.restart:  # a device that comes back holds its rest: what the one before it held is over
         since = max((b[0] for a, b in pairwise(rows) if b[1] < a[1]), default=since)
     first = max((k for k, row in enumerate(rows) if row[0] <= since), default=0)

@@ -15,9 +15,9 @@ from .cases import Case
 RATE_HZ = 25.0
 LOWER, UPPER, RATE_PER_S, SAFE = 0.0, 6.0, 10.0, 0.0
 OVERSHOOT = min(0.2, 0.02 * (UPPER - LOWER))
-"""How far a device may move away from the safe command after a fault [mm], beside a command that is under way."""
-IN_FLIGHT = RATE_PER_S / RATE_HZ
-"""The greatest step of one sample [mm]: what a command that has left already may still move the device by."""
+"""How far a device may move away from the safe command after a fault [mm]."""
+IN_FLIGHT_S = 1.5 / RATE_HZ
+"""How long after a fault a command that had left before may still come to the device and move it [s]."""
 
 Kind = Literal["udp", "dds"]
 KINDS: tuple[Kind, ...] = ("udp", "dds")

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.rig.campaign.judge import rise
-from hystmpc.rig.campaign.setup import IN_FLIGHT, OVERSHOOT
+from hystmpc.rig.campaign.setup import OVERSHOOT
 
 from ..conftest import ROOT
 from ..scripts import script
@@ -55,8 +55,8 @@ def test_a_rise_is_the_greatest_way_up_from_the_least_distance_so_far(held: list
     ("after", "expected"),
     [
         ([3.0, 2.0, 1.0, 0.0], ""),
-        ([3.0 + OVERSHOOT + IN_FLIGHT, 2.0, 0.0], ""),
-        ([3.6, 2.0, 0.0], "the device rose by 0.60 mm"),
+        ([3.4, 3.4 + OVERSHOOT, 2.0, 0.0], ""),
+        ([3.4, 4.0, 0.0], "the device rose by 0.60 mm"),
         ([2.0, 0.0, 0.0, 3.0, 0.0], "the device rose by 3.00 mm"),
         ([2.0, 1.0], "the device stays at 1.00 mm"),
     ],
