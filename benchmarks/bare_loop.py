@@ -18,14 +18,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.rig.clock import MonotonicClock
 from hystmpc.rig.realtime_ import SchedulingSettings, scheduled
 from hystmpc.rig.signals_ import stopping_on_signals
 from hystmpc.rig.stop_flag import StopFlag
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -35,8 +34,7 @@ from hystmpc.models.fit.identify import identify
 from hystmpc.models.fit.operators import OperatorFitSettings
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 GOAL_S = 30.0
 CORES = {"capstan": CapstanCore, "dahl": DahlCore, "rod": RodCore}

@@ -20,7 +20,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
@@ -37,8 +36,7 @@ from hystmpc.models.prediction.build import predictor_and_inverse
 from hystmpc.models.simulator import load_simulator
 from hystmpc.sim.plant import Effects, SimulatedPlant
 from hystmpc.trials.errors import HystmpcError
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 LADDER = {"stop_after_failures": 10, "max_missing_samples": 5, "safe_command": 0.0}
 CONTROLLERS: dict[str, dict[str, Any]] = {

@@ -17,7 +17,6 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -29,8 +28,7 @@ from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.plot_style import MEASURED, MODEL, new_figure, style
 from hystmpc.trials.resample import resample
 from hystmpc.trials.trial import Trial
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 FREE: dict[str, tuple[float, float]] = {  # searched between; in logarithms where the lower bound is positive
     "rest_deg": (-30.0, 40.0),

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.inverse.follow import Bounds, Follower, follower_for
 from hystmpc.models.model import Inverse, Predictor
+from hystmpc.trials.types import Vec
 
 from .adaptive.follow import LearnedFollower
 from .adaptive.predictor import LearnedInverse
 from .limits import CommandLimits
 from .plan_kernels import clip_plans, fill_candidates
-
-Vec = NDArray[np.float64]
 
 HOLD, INVERSE = 0, 1  # rows of the candidates that callers refer to
 FOLLOWING = 5  # rows before those that only search

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
+
 EMPTY: Vec = np.empty(0)
 EMPTY.setflags(write=False)
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from .limits import CommandLimits
 from .pid import PidGains
 
-Vec = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _PERIODS = 2  # driven; the last one counts, the hysteresis has closed its loop by then

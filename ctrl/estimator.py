@@ -6,16 +6,12 @@ import math
 from dataclasses import dataclass, replace
 from typing import final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from .inputs import usable_angle
 from .observer import Estimate, Observer
-
-Vec = NDArray[np.float64]
 
 _RESOLUTION = 1e-9  # command changes below this share of the command range count as none
 

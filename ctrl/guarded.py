@@ -8,9 +8,9 @@ from functools import partial
 from typing import Generic, TypeVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ControllerError, HystmpcError
+from hystmpc.trials.types import Vec
 
 from .command import EMPTY, Command, Timing
 from .inputs import ANGLE_BOUND_DEG, UnusableReferenceError, usable_angle, usable_reference
@@ -20,7 +20,6 @@ from .limits import CommandLimits
 from .observer import Estimate, Observer
 from .stopwatch import Stopwatch
 
-Vec = NDArray[np.float64]
 M = TypeVar("M")
 N = TypeVar("N")
 

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ControllerError
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 _LEAVE_SIGMAS = 5.0  # two independent estimates of one disturbance differ by more than this once in 10^4 samples
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hystmpc.models.model import Predictor
+from hystmpc.trials.types import Vec
 
 from .command import Source
 from .inverse_feedforward import FeedforwardMemory, InverseFeedforward
@@ -16,8 +14,6 @@ from .law import Law, Proposal, Situation
 from .limits import CommandLimits
 from .pid import Pid, PidMemory
 from .stopwatch import Stopwatch
-
-Vec = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,16 +8,15 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.model import Inverse
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from .command import EMPTY, Source
 from .law import Situation
 from .limits import CommandLimits
 
-Vec = NDArray[np.float64]
 T = TypeVar("T")
 
 

@@ -6,13 +6,11 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+from hystmpc.trials.types import Vec
 
 from .command import EMPTY, Source
 from .stopwatch import Stopwatch
 
-Vec = NDArray[np.float64]
 M = TypeVar("M")
 
 

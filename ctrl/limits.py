@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ControllerError
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 _ROUNDING = 1e-9  # relative; a limit that was written with fewer digits
 

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from .command import Command
 from .protocols import Controller, Plant
 
-Vec = NDArray[np.float64]
 S = TypeVar("S")
 
 

@@ -6,10 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Generic, TypeVar, final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hystmpc.models.model import Predictor
+from hystmpc.trials.types import Vec
 
 from .candidates import FOLLOWING, HOLD, INVERSE, Candidates
 from .command import Source
@@ -20,7 +18,6 @@ from .planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, W
 from .slope import mean_slope
 from .stopwatch import Stopwatch
 
-Vec = NDArray[np.float64]
 P = TypeVar("P")
 
 

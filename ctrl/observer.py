@@ -7,13 +7,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from typing import final
 
-import numpy as np
-from numpy.typing import NDArray
+from hystmpc.trials.types import Vec
 
 from .command import EMPTY
 from .inputs import usable_angle
-
-Vec = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

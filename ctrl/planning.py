@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from .plan_kernels import costs
 from .stopwatch import Stopwatch
 
-Vec = NDArray[np.float64]
 P = TypeVar("P")
 
 

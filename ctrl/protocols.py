@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import Protocol, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+from hystmpc.trials.types import Vec
 
 from .command import Command
 
-Vec = NDArray[np.float64]
 S = TypeVar("S")
 
 

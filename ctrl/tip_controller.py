@@ -10,9 +10,10 @@ from threading import RLock
 from typing import TYPE_CHECKING, Any, Self, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from .command import Command
 from .ladder import attempt
@@ -38,7 +39,6 @@ from .tip.views import TipPlan, TipState, plan_of, predicted_angles, state_of
 if TYPE_CHECKING:
     from .tip.assemble import Assembly
 
-Vec = NDArray[np.float64]
 
 _ROUNDS = 3  # evaluations of a reference within one step, where another thread sets a new one each time
 

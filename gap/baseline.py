@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.operators.backlash import Backlash
 from hystmpc.models.staged.chain_run import StagedChain
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 # Parameters of cores that are effects by another name: retuning leaves them at their nominal values.
 _EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence"}

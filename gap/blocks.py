@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hystmpc.trials.types import Vec
+
 from .recording import Run
 
-Vec = NDArray[np.float64]
 _BLOCK_S = 3.0
 
 

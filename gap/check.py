@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.simulator import Simulator
@@ -25,7 +24,6 @@ from .workload import Workload
 
 __all__ = ["MOST_HZ", "Checked", "Confusable", "Excitation", "check_trials", "confusability"]
 
-Vec = NDArray[np.float64]
 
 _WRONG_SIGN = -0.3  # correlation: a lag of a third of a period is no wrong sign
 _SURELY_WRONG = -0.7  # of a single trial: a short one may run against its loop for once

@@ -11,12 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Mat, Vec
 
 from .memory import past_features
-
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _DRAWS = 199  # of the null: the least level of significance is 1 in 200
 _LEVEL = 0.01

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.simulator import Simulator
 
@@ -16,8 +15,6 @@ from .memory import ceiling
 from .next_motion import Proposal
 from .parameter_rows import parameter_rows
 from .report.evidence import CandidateRow, Evidence, Role, Side, TrialEvidence
-
-Vec = NDArray[np.float64]
 
 
 def evidence_of(findings: Findings, diagnosis: Diagnosis, proposal: Proposal | None) -> Evidence:

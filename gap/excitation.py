@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.segments import Segments
 from hystmpc.trials.trial import Trial
 
 from .motion_type import STEP_S, MotionType, Move, command_segments, motion_type, moves_of
 from .repeats import Repeat, find_repeats
-
-Vec = NDArray[np.float64]
 
 LONG_HOLD_S = 30.0
 _SPEED_RATIO = 1.6  # speeds nearer than that are one speed

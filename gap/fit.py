@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
+
+from hystmpc.trials.types import Vec
 
 from .problem import Problem
 from .recording import Run
 
-Vec = NDArray[np.float64]
 _EDGE = 1e-9
 _JITTER = 1e-13
 _DIVERGED = 1e9

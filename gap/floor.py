@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from .diagnosis import FloorKind
 from .repeats import Repeat, find_repeats
@@ -19,7 +19,6 @@ from .white import Structure, structure_left, white_noise
 
 __all__ = ["Floor", "SensorSigns", "Structure", "find_floor", "repaired", "sensor_signs", "structure_left"]
 
-Vec = NDArray[np.float64]
 
 _LEAST_S = 5.0  # of repeats in all; less is not worth the name of a floor
 

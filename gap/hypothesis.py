@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from .baseline import Baseline
 from .blocks import Blocks, blocks_of
@@ -18,7 +19,6 @@ from .problem import Problem
 from .recording import Run
 from .trial_terms import TrialTerms
 
-Vec = NDArray[np.float64]
 LARGEST_FOLDS = 3
 
 

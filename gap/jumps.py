@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from .hypothesis import Hypothesis
 from .recording import Run
 from .sensor import SensorSigns
-
-Vec = NDArray[np.float64]
 
 _AROUND_S = 0.4  # of steady motion before and after a sample
 _UNEVEN = 0.4  # range of the speed in it, by its mean

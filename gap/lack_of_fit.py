@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from .hypothesis import Hypothesis
 from .recording import Run
 
-Vec = NDArray[np.float64]
 _KNOTS = 10  # of a curve, in each direction
 
 

@@ -11,13 +11,10 @@ from scipy.signal import lfilter
 
 from hystmpc.trials.segments import Motion, Segments
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Index, Mat, Vec
 
 from .floor import require_residuals
 from .motion_type import command_segments
-
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 MEMORIES = ("speed", "since_reversal", "hold_age", "travel", "clock")
 

@@ -6,13 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import root_scalar
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.trajectories.checks import require_positive
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 LONGEST_S = 90.0  # but where a plan needs more
 REST_S = 1.0

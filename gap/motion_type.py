@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.segments import Motion, SegmentRule, Segments, segment
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from .white import white_noise
 
-Vec = NDArray[np.float64]
 MotionType = Literal["sine", "sines", "holds", "steps", "ramps", "point_to_point", "scan", "mixed"]
 
 STEP_S = 0.2  # a move that takes no longer is a step: no hand or joystick is as fast

@@ -7,17 +7,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.table import format_table
+from hystmpc.trials.types import Vec
 
 from .diagnosis import NextMotion
 from .motion_menu import Motion
 
-Vec = NDArray[np.float64]
 Simulate = Callable[[Vec, float], Vec]
 
 MOTION_FILE = "next_motion.csv"

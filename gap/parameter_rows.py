@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.effects.effect import base_name
+from hystmpc.trials.types import Vec
 
 from .diagnosis import FoundEffect, Interval
 from .hypothesis import Hypothesis
@@ -17,7 +17,6 @@ from .recording import Run
 from .report.evidence import ParameterRow
 from .uncertainty import Uncertainty, uncertainty
 
-Vec = NDArray[np.float64]
 UNKNOWN: Interval = (float("nan"), float("nan"))
 
 _NUDGE = 1e-3

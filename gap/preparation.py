@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.contract.metadata import Range
@@ -16,6 +13,7 @@ from hystmpc.models.prediction.build import predictor_for
 from hystmpc.models.simulator import Identification, Simulator
 from hystmpc.trials.segments import segment
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from .baseline import Baseline, FreeCoreBaseline, ScaledBaseline, baseline_of
 from .check import Checked, check_trials
@@ -26,7 +24,6 @@ from .recording import Run, runs_of
 from .sensor import SensorSigns, repaired, sensor_signs
 from .split import split_runs
 
-Vec = NDArray[np.float64]
 _LEAST_S, _LEAST_TURNS = 15.0, 3
 _STAND_IN_PLAYS, _EVALUATIONS, _TOLERANCE = 8, 40, 1e-5
 

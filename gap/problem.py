@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.staged.chain_run import StagedChain
+from hystmpc.trials.types import Vec
 
 from .baseline import Baseline
 from .candidate import CORE, Candidate
 from .recording import Run
 from .trial_terms import NO_TERMS, TrialTerms
-
-Vec = NDArray[np.float64]
 
 
 @final

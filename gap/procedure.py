@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.simulator import Simulator
@@ -29,7 +28,6 @@ from .report.evidence import Evidence
 from .where import Localisation, localise
 from .which import DiagnosisSettings, decide, left_of, stands
 
-Vec = NDArray[np.float64]
 Progress = Callable[..., None]
 
 LIBRARY = (

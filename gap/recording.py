@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
-Vec = NDArray[np.float64]
 _SETTLED_SHARE = 0.002  # of the command's range: a start that moves less is at rest
 
 

@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Index, Vec
 
 from .motion_type import command_segments
 from .white import white_noise
-
-Vec = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 TOLERANCE = 0.01
 """Commands are equal where they differ by less than this share of their range."""

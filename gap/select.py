@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .candidate import Candidate
 from .hypothesis import Court, Hypothesis, Judged, gain
 from .trial_terms import TrialTerms, strongest_line
 
-Vec = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _OWN = 100

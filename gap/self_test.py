@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.fit.identify import identify
@@ -30,12 +29,12 @@ from hystmpc.models.operators.trial_shift import TrialShift
 from hystmpc.models.simulator import Simulator
 from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from .diagnosis import Diagnosis
 from .planned import settled
 from .procedure import conclude, investigate
 
-Vec = NDArray[np.float64]
 Progress = Callable[..., None]
 
 _DT_S, _TRIAL_S, _SPAN, _SPEED = 0.04, 20.0, 6.0, 12.0

@@ -7,15 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Mask, Vec
 
 from .white import white_noise
-
-Vec = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _ON_GRID, _GRID_TOLERANCE = 0.95, 0.1  # share of samples; of the step: chance puts a fifth of the samples that near
 _LEAST_LEVELS, _MOST_VALUES = 8, 20_000

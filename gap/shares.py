@@ -7,13 +7,11 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .blocks import Blocks, blocks_of
 from .hypothesis import Hypothesis
 from .recording import Run
 
-Vec = NDArray[np.float64]
 _DRAWS = 400
 
 

@@ -7,17 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import csd, get_window, welch
 from scipy.stats import norm
 
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Mask, Vec
 
 from .memory import locked_part
-
-Vec = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 BANDS_HZ = (0.0, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 25.0)
 """Edges of the bands [Hz]."""

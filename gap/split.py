@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from .recording import Run
 
-Vec = NDArray[np.float64]
 FINAL_SHARE = 0.25
 _LEAST_TRIALS = 3
 _PART_FINAL = 0.35

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import zoom_fft
+
+from hystmpc.trials.types import Vec
 
 from .recording import Run
 
-Vec = NDArray[np.float64]
 _BLOCK_S = 4.0
 _RIDGE = 1e-9
 

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.segments import Motion
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Index, Vec
 
 from .diagnosis import Place
 from .floor import require_residuals
@@ -21,9 +21,6 @@ from .spectrum import Line, Spectrum, spectrum_of
 
 __all__ = ["PLACES", "Bins", "Line", "Localisation", "Spectrum", "ceiling", "localise", "place_labels"]
 
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 PLACES = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
 """Exclusive; where several hold: hold, then first_flexure, then after_reversal, then the direction."""

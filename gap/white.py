@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 _ORDERS = (2, 3, 4)
 _LESS = 0.93  # a higher order, whose estimate scatters more, has to find that much less

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from .motion_type import MotionType
 from .split import characters
 
-Vec = NDArray[np.float64]
 Index = NDArray[np.int_]
 
 MOST_SAMPLES = 300_000

@@ -9,16 +9,15 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.segments import first_flexure_end, segment
 from hystmpc.trials.trial import Trial, Units
+from hystmpc.trials.types import Vec
 
 from .contract.metadata import ModelMetadata
 from .model import Model
 
-Vec = NDArray[np.float64]
 FORMAT = "hystmpc-evaluation/1"
 INVERSE_FORMAT = "hystmpc-inverse-evaluation/1"
 HOLD_S, SETTLING_S = 10.0, 1.0

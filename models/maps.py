@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import FitError, ModelError
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 _FEWEST = 3  # points that fix a parabola
 

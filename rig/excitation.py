@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from hystmpc.trajectories.excitation import (
@@ -22,11 +21,10 @@ from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.presets import CANONICAL
 from hystmpc.trials.table import Table, read_lines, read_table
+from hystmpc.trials.types import Vec
 
 from .ramp import RampSettings, way_commands
 from .settings_types import NotNegative, Positive
-
-Vec = NDArray[np.float64]
 
 
 class S1SinusoidSettings(Settings):

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hystmpc.ctrl.build import command_limits, modelled_limits
 from hystmpc.ctrl.tip.assemble import Assembly, assemble
@@ -17,6 +17,7 @@ from hystmpc.ctrl.tip_controller import TipController
 from hystmpc.trajectories.piecewise import PiecewiseCubic
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
 
 from .bench import BenchResult, Note, run_bench
 from .config import RunSettings
@@ -26,8 +27,6 @@ from .phases.tracking import Tracking
 from .plausibility import ModelWatch
 from .sample import Sink
 from .transports.build import PlantFactory
-
-Vec = NDArray[np.float64]
 
 
 class LedIn:

@@ -6,17 +6,15 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.ctrl.tip.ruckig_ import Kinematics, move_to_rest
 from hystmpc.ctrl.tip.settings import MotionSettings as AngleMotion
 from hystmpc.trajectories.piecewise import PiecewiseCubic, hold
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.types import Vec
 
 from .settings_types import Positive
-
-Vec = NDArray[np.float64]
 
 
 class RampSettings(Settings):

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.csv_ import write_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.trial import Trial, Units
+from hystmpc.trials.types import Vec
 
 from .bench import BenchResult, Note, run_bench
 from .config import RecordSettings
@@ -24,7 +24,6 @@ from .ramp import way_commands
 from .sample import Sink
 from .transports.build import PlantFactory
 
-Vec = NDArray[np.float64]
 _ROUNDING = 1e-9
 _LEAST = 2  # samples that make a trial
 

@@ -18,10 +18,10 @@ from hystmpc.trials.errors import LogError, TrajectoryError
 from hystmpc.trials.presets import CANONICAL
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.trial import Trial, Units
+from hystmpc.trials.types import Vec
 
 from .config import RunSettings
 
-Vec = NDArray[np.float64]
 TRIAL_FILE = "trial.csv"
 _LEAST = 10  # samples that can be judged
 _PREPARATION = ("move", "flexure")  # the first flexure differs from all later ones (S2)

@@ -9,17 +9,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 from hystmpc.trials.plot_style import style
 from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.types import Vec
 
 from .config import RunSettings
 from .recording.report import Log, causes, numbers, timing_table, tracking_figure
 from .review import Judged, Review
 
-Vec = NDArray[np.float64]
 _MOST_POINTS = 4000  # of a curve; more are not seen and make the page heavy
 
 

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.ctrl.loop import LoopLog, Sample, run_loop
 from hystmpc.ctrl.protocols import Controller
 from hystmpc.trajectories import PreviewTable, Trajectory
+from hystmpc.trials.types import Vec
 
 from .computed_plant import ComputedPlant
-
-Vec = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

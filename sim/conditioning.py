@@ -15,8 +15,7 @@ from hystmpc.models.operators.delay import Delay
 from hystmpc.models.operators.lag import Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.simulator import Simulator
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 _SETTLED = 20.0  # time constants after which nothing is left of a step: e^-20 of 100 deg is 2e-7 deg
 _LONGEST_REST_S = 600.0  # slower creep has not settled when an experiment begins

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.operators.operator import Operator
+from hystmpc.trials.types import Vec
 
 from .conditioning import clocks, settling_s, still
-
-Vec = NDArray[np.float64]
 
 
 @final

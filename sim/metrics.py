@@ -8,13 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.trials.types import Vec
 
 from .closed_loop import ClosedLoopRun
-
-Vec = NDArray[np.float64]
 
 HOLD_S = 0.5
 _STILL_DEG = 1e-9

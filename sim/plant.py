@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
@@ -19,11 +18,10 @@ from hystmpc.models.operators.sensor import Sensor
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import ConfigError, ModelError, did_you_mean
+from hystmpc.trials.types import Vec
 
 from .computed_plant import ComputedPlant, Sensing
 from .conditioning import conditioned, fresh
-
-Vec = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.presets import CANONICAL
+from hystmpc.trials.types import Vec
 
 from .closed_loop import ClosedLoopRun
 
-Vec = NDArray[np.float64]
 Column = Vec | tuple[str, ...]
 
 _STAGE = "stage_"

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.operators.sensor import Sensor
+from hystmpc.trials.types import Vec
 
-Vec = NDArray[np.float64]
 _STEP = np.array([1.0])  # sensors have no time in them
 
 

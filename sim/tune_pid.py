@@ -6,16 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, differential_evolution
 
 from hystmpc.ctrl.config import AnyControllerSettings, InversePidControllerSettings, PidControllerSettings
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
 
 from .closed_loop import run_closed_loop
 from .study import Study
 
-Vec = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 PidLike = PidControllerSettings | InversePidControllerSettings
 

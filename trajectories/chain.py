@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.types import Vec
 
-from .trajectory import Trajectory, Vec, inside
+from .trajectory import Trajectory, inside
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hystmpc.trials.types import Vec
+
 from .checks import require_finite, require_positive
-from .trajectory import Vec, inside
+from .trajectory import inside
 
 
 @dataclass(frozen=True)

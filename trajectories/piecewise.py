@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.types import Vec
 
-from .trajectory import Vec, inside
+from .trajectory import inside
 
 # One row per piece: duration [s], then theta, velocity, acceleration at its start, and its jerk.
 Segments = NDArray[np.float64]

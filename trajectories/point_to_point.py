@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.types import Vec
 
 from .checks import require_finite, require_range
 from .limits import MotionLimits
 from .piecewise import PiecewiseCubic, Segments, hold
 from .ruckig_ import RestingState, move
-from .trajectory import Vec
 
 
 def rest_to_rest(start_deg: float, target_deg: float, limits: MotionLimits) -> PiecewiseCubic:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.types import Vec
 
 from .checks import require_positive
-from .trajectory import Trajectory, Vec, steps
+from .trajectory import Trajectory, steps
 
 
 def preview(trajectory: Trajectory, t: float, dt: float, horizon: int) -> Vec:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.types import Vec
 
 from .checks import require_finite, require_positive, require_range
 from .piecewise import PiecewiseCubic, hold, ramp
-from .trajectory import Vec
 
 # Draws of one target before a step window counts as impossible; a window of 1 % of the range still passes.
 _MOST_DRAWS = 10_000

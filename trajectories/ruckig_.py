@@ -8,10 +8,10 @@ import numpy as np
 import ruckig
 
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.types import Vec
 
 from .limits import MotionLimits
 from .piecewise import Segments, end_state, hold, peak_rates
-from .trajectory import Vec
 
 # Targets closer than this, relative to the angle, are the same target (ruckig#160: a move of some ulp fails).
 _SNAP = 1e-12

@@ -9,10 +9,11 @@ from typing import Literal
 from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.types import Vec
 
 from .limits import MotionLimits
 from .sweeps import SweepPlan, sinusoid_sweeps, triangle_sweeps
-from .trajectory import Trajectory, Vec
+from .trajectory import Trajectory
 
 Shape = Literal["sinusoid", "triangle"]
 _BUILDERS = {"sinusoid": sinusoid_sweeps, "triangle": triangle_sweeps}

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.types import Vec
 
 from .chain import Chain
 from .checks import require_finite, require_positive
 from .limits import MotionLimits
 from .piecewise import PiecewiseCubic, ramp
 from .ruckig_ import RestingState, move
-from .trajectory import Trajectory, Vec, inside
+from .trajectory import Trajectory, inside
 
 
 @dataclass(frozen=True)

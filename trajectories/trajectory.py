@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.types import Vec
 
 from .checks import require_positive
-
-Vec = NDArray[np.float64]
 
 # A duration that is a whole number of samples but for rounding must not cost one sample more.
 _ROUNDING = 1e-9

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .check_motion import motion_findings
 from .check_time import time_findings
@@ -17,8 +16,7 @@ from .log_mapping import LogMapping
 from .presets import CANONICAL, Preset
 from .read import is_text, read_raw, resolve
 from .trial import Trial, Units
-
-Vec = NDArray[np.float64]
+from .types import Vec
 
 
 @dataclass(frozen=True, eq=False)

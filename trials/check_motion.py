@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .errors import LogError
 from .findings import Finding, Severity
@@ -13,8 +12,7 @@ from .presets import Preset
 from .resample import resample
 from .segments import Motion, Segments, segment
 from .trial import Trial
-
-Vec = NDArray[np.float64]
+from .types import Vec
 
 _SEGMENT_RATE_HZ = 50.0  # enough for tip motions up to a few Hz
 _RETURN_SHARE = 0.05  # of the command's range: nearer to its start counts as back at its start

@@ -11,8 +11,7 @@ from .errors import LogError
 from .findings import Finding, Severity
 from .resample import gap_limit_s
 from .trial import Trial
-
-Vec = NDArray[np.float64]
+from .types import Vec
 
 _SLOW_INTERVAL_S = 1.0  # no closed loop of this field samples slower: time is then likely in ms
 _JITTER_SHARE = 0.1  # of the median interval; more is worth knowing

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .errors import LogError
 from .files import write_atomically
 from .presets import CANONICAL, COMMAND_UNITS, Preset, detect_preset, get_preset
 from .table import Table, first_row, format_table, read_lines, read_table
 from .trial import Trial, Units
-
-Vec = NDArray[np.float64]
+from .types import Vec
 
 
 @dataclass(frozen=True, eq=False)

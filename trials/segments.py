@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from .errors import ConfigError, LogError
 from .resample import require_uniform
 from .trial import Trial
-
-Vec = NDArray[np.float64]
-Index = NDArray[np.intp]
+from .types import Index, Vec
 
 
 class Motion(IntEnum):

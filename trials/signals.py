@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .errors import LogError, did_you_mean
 from .log_mapping import COMMAND_UNIT_OF, DEGREES, HEADER_TIME, LOG_TIME, SECONDS, LogMapping, SignalSettings
 from .trial import Trial, Units
+from .types import Vec
 
-Vec = NDArray[np.float64]
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
 
 

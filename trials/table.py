@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import LogError
+from .types import Vec
 
-Vec = NDArray[np.float64]
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 
 

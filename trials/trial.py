@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .errors import LogError
-
-Vec = NDArray[np.float64]
+from .types import Vec
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from ..estimator import EstimatorOptions, OutputEstimator
 from ..inputs import usable_angle
 from ..observer import Estimate, Observer
 from .predictor import LearnedPredictor
-
-Vec = NDArray[np.float64]
 
 _BOUND_SIGMAS = 4.0
 

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from typing import final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hystmpc.models.inverse.follow import Bounds, Follower, follower_for
+from hystmpc.trials.types import Vec
 
 from .predictor import LearnedInverse
-
-Vec = NDArray[np.float64]
 
 _ROUNDS = 2
 

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from ..slope import mean_slope
 from .kernels import add_learned, add_slopes
-
-Vec = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
+
+from hystmpc.trials.types import Mat, Vec
 
 from ..limits import CommandLimits
 from ..plan_kernels import block_columns, block_room, condense_blocked, rate_multipliers
 from ..planning import Plan, PlanningProblem, Weights
 from .blocking import MoveBlocking
 from .problem import PlanProgram, QpData, QpPattern, moves_of
-
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
 
 
 @final

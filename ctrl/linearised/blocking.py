@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ControllerError
-
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
+from hystmpc.trials.types import Mat
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
+from hystmpc.trials.types import Vec
+
 from .problem import QpData, QpPattern
 from .solver import QpSolution, QpSolver
-
-Vec = NDArray[np.float64]
 
 _STATUS = {
     1: "solved",

@@ -7,12 +7,9 @@ from typing import Any, final
 
 import numpy as np
 import osqp
-from numpy.typing import NDArray
 
 from .problem import QpData, QpPattern
 from .solver import QpSolution, QpSolver
-
-Vec = NDArray[np.float64]
 
 _UNFINISHED = "maximum iterations reached"
 _USABLE = ("solved", "solved inaccurate", _UNFINISHED)  # inaccurate: within ten times the tolerance

@@ -6,10 +6,10 @@ import math
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from ..limits import CommandLimits
 from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
@@ -20,8 +20,6 @@ from .daqp_ import DaqpOptions, DaqpSolver
 from .osqp_ import OsqpOptions, OsqpSolver
 from .problem import PlanProgram, QpPattern, TrackingQp
 from .solver import QpSolver
-
-Vec = NDArray[np.float64]
 
 _PARTS = np.array([0.5, 0.25, 0.125])
 _KEPT = 0.9  # share of the promised decrease from which on no part of the step is worth a roll-out

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from hystmpc.trials.types import Mat, Vec
+
 from ..limits import CommandLimits
 from ..plan_kernels import condense, rate_multipliers
 from ..planning import Plan, PlanningProblem, Weights
-
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

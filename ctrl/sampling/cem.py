@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.model import Predictor
+from hystmpc.trials.types import Mat, Vec
 
 from ..limits import CommandLimits
 from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
@@ -18,9 +18,6 @@ from ..stopwatch import Stopwatch
 from .noise import random_numbers
 from .options import SampleOptions
 from .planner import SampleCounter
-
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
 
 _KEPT = 0.3  # share of the elites that take part in the next iteration again (Pinneri et al. 2020)
 

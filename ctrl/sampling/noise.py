@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ControllerError
-
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
+from hystmpc.trials.types import Mat
 
 # A noise is a matrix F (H, K): samples are F w with w standard normal (K,). Rows have unit norm, so that every
 # sample of the plan is perturbed with the same variance.

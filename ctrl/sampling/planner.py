@@ -6,18 +6,15 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.model import Predictor
+from hystmpc.trials.types import Mat, Vec
 
 from ..limits import CommandLimits
 from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
 from ..stopwatch import Stopwatch
 from .noise import random_numbers
 from .options import SampleOptions
-
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
 
 
 @final

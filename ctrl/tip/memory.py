@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from ..command import Command, Source
 from ..guarded import GuardedController, GuardedState
@@ -19,8 +17,6 @@ from ..ladder import attempt
 from ..limits import CommandLimits
 from .reference import Reference, Wish, rest_at
 from .ruckig_ import Kinematics
-
-Vec = NDArray[np.float64]
 
 _ROUNDING = 1e-6  # of the command's range: two records of one command may differ by it
 

@@ -9,15 +9,13 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from ..inputs import ANGLE_BOUND_DEG
 from .ruckig_ import Kinematics, Segments, move_to_rest
 from .settings import MotionSettings
-
-Vec = NDArray[np.float64]
 
 
 class Reference(ABC):

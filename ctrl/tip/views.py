@@ -6,18 +6,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from ..command import Source
 from ..ladder import attempt
 from ..limits import CommandLimits
 from ..observer import Estimate
 from .memory import Snapshot
-
-Vec = NDArray[np.float64]
 
 _ROUNDING = 1e-9  # of a limit or a time, that passes
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.fit.identify import DeviceLimits, simulator_of
@@ -15,6 +14,7 @@ from hystmpc.models.fit.starts import backlash_starts, prandtl_ishlinskii_starts
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from .core import TRAVEL_MM, Core, Mounting
 from .device import BlindDevice
@@ -22,8 +22,6 @@ from .devices import DEVICES
 from .generator import Withheld
 from .plan import Plan, draw_plan
 from .retuning import GapRuler
-
-Vec = NDArray[np.float64]
 
 _RATE_MM_S = 40.0
 _TRIES = 5

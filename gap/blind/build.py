@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .answer import Answer, EffectAnswer, Suite
 from .bench import Bench
@@ -17,8 +16,6 @@ from .generator import Withheld
 from .regions import densities
 from .retuning import retune, rms
 from .sizing import sized
-
-Vec = NDArray[np.float64]
 
 _AIM = 1.06  # a search that ends within its tolerance then ends above the wanted ratio
 

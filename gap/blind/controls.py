@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from .answer import Answer
 from .bench import Bench
 from .case import Case
 from .retuning import retune
-
-Vec = NDArray[np.float64]
 
 CONTROLS = ("shuffled_residual", "simulator_and_noise", "mis_set")
 

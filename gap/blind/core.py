@@ -7,9 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 TRAVEL_MM = 6.0
 STROKE = 0.6

@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from . import kernels
 from .core import Mounting, QuasiStatic
-
-Vec = NDArray[np.float64]
 
 _NODES = 16
 

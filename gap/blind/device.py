@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from .core import TRAVEL_MM, Core
 from .generator import Site, Withheld
 from .scene import PARTS, RATE_HZ, Scene, fine_times
-
-Vec = NDArray[np.float64]
 
 PAUSE_S = 4.0
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import fftconvolve
+
+from hystmpc.trials.types import Vec
 
 from . import kernels
 from .generator import Generator, Shape, between
 from .scene import FINE_S, PARTS, Scene, rise
-
-Vec = NDArray[np.float64]
 
 _SPEED_S = 0.03
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from ..hypothesis import Hypothesis, Judged
 from ..recording import Run
 from ..select import Selection
-
-Vec = NDArray[np.float64]
 
 NOTHING = "none"
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from . import kernels
 from .generator import Generator, Shape, between
 from .scene import FINE_S, Scene
-
-Vec = NDArray[np.float64]
 
 
 def orientation_friction(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from .scene import Scene
 
-Vec = NDArray[np.float64]
 Shape = Mapping[str, float]
 Site = Literal["drive", "friction", "tip", "sensor"]
 Apply = Callable[[Vec, Scene, float, Shape], Vec]

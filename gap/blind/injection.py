@@ -7,20 +7,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.fit.identify import identify
 from hystmpc.models.fit.operators import OperatorFitSettings
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from . import kernels
 from .answer import Answer, EffectAnswer
 from .case import Case
 from .retuning import retune
-
-Vec = NDArray[np.float64]
 
 _FINE = 20
 _RATIOS = (3.0, 2.2, 1.5)

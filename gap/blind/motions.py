@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from .core import TRAVEL_MM
 from .scene import RATE_HZ
 
-Vec = NDArray[np.float64]
 Draw = Callable[[np.random.Generator], Vec]
 
 _REST_S = 1.0

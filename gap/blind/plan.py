@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from ..confusable import CONFUSABLE
 from .motions import (
@@ -21,8 +22,6 @@ from .motions import (
     TRIANGLES,
     MotionType,
 )
-
-Vec = NDArray[np.float64]
 
 RICH = (SINE, TRIANGLES, RAMP_HOLD, POINT_TO_POINT, STEPS, FAST_SMALL, LONG_HOLD)
 _PLANS: Mapping[str, tuple[MotionType, ...]] = MappingProxyType(

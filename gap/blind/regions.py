@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 REGIONS = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
 DENSE = 1.25

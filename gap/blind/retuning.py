@@ -6,18 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.fit.operators import FreeRunResiduals, OperatorFitSettings
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..baseline import Baseline, baseline_of
 from .scene import RATE_HZ
-
-Vec = NDArray[np.float64]
 
 _STEPS = 25
 _DONE = 1e-4  # relative change of the loss at which a refit ends

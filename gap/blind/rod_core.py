@@ -8,18 +8,16 @@ from functools import lru_cache
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.sim.devices import rod_kernel
 from hystmpc.sim.devices.rod import RodCatheter
 from hystmpc.sim.devices.rod_parameters import RodParameters
 from hystmpc.sim.devices.rod_shooting import new_knots
 from hystmpc.sim.devices.rod_solver import new_work
+from hystmpc.trials.types import Vec
 
 from .core import STROKE, TRAVEL_MM, Core, Mounting
 from .scene import FINE_S
-
-Vec = NDArray[np.float64]
 
 _COARSE = 10  # fine steps in one of the rod, whose equations take a hundred times as long as those of the others
 _SETTLED_S = 1e6  # a step slow against every relaxation

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from .retuning import retune, rms
-
-Vec = NDArray[np.float64]
 
 _NEWS = 1.5  # retuned error over the simulator's own, below which the rule says that there is nothing
 

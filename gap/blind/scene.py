@@ -6,9 +6,8 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 FINE_S = 0.002
 RATE_HZ = 25.0

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from .generator import Generator, Shape, between
 from .scene import Scene
-
-Vec = NDArray[np.float64]
 
 
 def dithered_quantiser(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from . import kernels
 from .drive_effects import log_relaxation
 from .generator import Generator, Shape, between
 from .scene import FINE_S, Scene
-
-Vec = NDArray[np.float64]
 
 _WALK_S = 1.0
 _SESSION_S = 1800.0

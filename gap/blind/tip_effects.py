@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from . import kernels
 from .generator import Generator, Shape, between
 from .scene import FINE_S, Scene
-
-Vec = NDArray[np.float64]
 
 _LUGRE = np.array([150.0, 0.02, 0.01])  # presliding stiffness, its damping [s], viscous friction [s]
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import welch
+
+from hystmpc.trials.types import Vec
 
 from .evidence import Stage, TrialEvidence
 
-Vec = NDArray[np.float64]
 _BINS, _SEGMENT_S = 12, 16.0
 _ROUNDING = 1e-9
 

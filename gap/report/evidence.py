@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..confusable import Confusable
 from ..diagnosis import Diagnosis, Interval
@@ -20,7 +20,6 @@ from ..excitation import Excitation
 from ..next_motion import Proposal
 from ..where import Localisation
 
-Vec = NDArray[np.float64]
 Role = Literal["fit", "select", "final"]
 Side = Literal["command", "output", "sensor", "trial"]
 Stage = Literal["nominal", "retuned", "with_effects"]

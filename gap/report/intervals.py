@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from ..diagnosis import Interval
 from .evidence import Stage, TrialEvidence
-
-Vec = NDArray[np.float64]
 
 _BLOCK_S, _LEAST_BLOCKS = 2.0, 4
 _DRAWS = 400

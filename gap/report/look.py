@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hystmpc.trials.plot_style import ACCENTS, COMMAND, MEASURED, MODEL, REFERENCE
+from hystmpc.trials.types import Vec
 
 from .evidence import Stage, TrialEvidence
-
-Vec = NDArray[np.float64]
 
 LABEL: dict[Stage, str] = {"nominal": "as given", "retuned": "retuned", "with_effects": "with effects"}
 COLOUR: dict[Stage, str] = {"nominal": "#a6a6a6", "retuned": ACCENTS[2], "with_effects": MODEL}

@@ -12,10 +12,10 @@ import casadi as ca
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 from hystmpc.trials.plot_style import MEASURED, MODEL, REFERENCE, new_figure, style
+from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
@@ -24,7 +24,6 @@ from .describe import parameters_of, sides_text
 from .effect import Effect, unit_on
 from .place import PlacedEffect, effect_from, with_effect
 
-Vec = NDArray[np.float64]
 DT_S = 0.02
 REST = 22.0
 DEVICE = Chain(PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.0, REST))

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..kernels.chain_kernels import compile_step
@@ -19,8 +19,6 @@ from .chain_fit import ChainFit, ChainTask, Progress, Tracker
 from .free_run import FreeRunLoss
 from .operators import rest_with_slope
 from .trial_set import check_trial_set
-
-Vec = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

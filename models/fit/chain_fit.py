@@ -6,16 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from .convergence import ConvergenceReport
 from .free_parameters import FreeParameters
 
-Vec = NDArray[np.float64]
 Progress = Callable[[int, float], None]
 
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import FitError, did_you_mean
 from hystmpc.trials.segments import Motion
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..operators.backlash import Backlash
@@ -23,7 +23,6 @@ from .chain_fit import ChainTask
 from .starts import backlash_starts, branch, prandtl_ishlinskii_starts
 from .trial_set import check_trial_set, fastest_command
 
-Vec = NDArray[np.float64]
 Ends = Mapping[str, tuple[float, float]]
 
 

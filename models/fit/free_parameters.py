@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.trials.errors import FitError, did_you_mean
+from hystmpc.trials.types import Vec
 
 from ..chain import Chain
-
-Vec = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

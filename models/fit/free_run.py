@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..kernels.chain_kernels import compile_step
 from .trial_set import check_trial_set
-
-Vec = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,16 +7,15 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from hystmpc.trials.errors import FitError
+from hystmpc.trials.types import Vec
 
 from .chain_fit import ChainFit, ChainTask, Progress, Tracker
 from .free_run import FreeRunLoss
 from .operators import OperatorFitSettings, fit_chain
 
-Vec = NDArray[np.float64]
 Search = Callable[[Tracker, "Region", "GlobalSettings"], None]
 
 

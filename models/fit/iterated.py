@@ -7,17 +7,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..operators.backlash import Backlash
 from .chain_fit import ChainFit, ChainTask, Progress, Tracker
 from .free_run import FreeRunLoss, ScoredRun
 from .trial_set import check_trial_set
-
-Vec = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

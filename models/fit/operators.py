@@ -8,11 +8,11 @@ from typing import Any, cast
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..kernels.chain_kernels import compile_step
@@ -22,7 +22,6 @@ from .free_parameters import FreeParameters
 from .free_run import scored_runs
 from .trial_set import check_trial_set
 
-Vec = NDArray[np.float64]
 Progress = Callable[[int, float], None]
 RESTART_SPREAD = 0.2
 

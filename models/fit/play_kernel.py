@@ -15,13 +15,13 @@ from scipy.optimize import nnls
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..play_kernel.weights import PlayKernelWeights
 from .play_kernel_features import BLOCK, Course, Frame, Moments, span
 from .play_kernel_settings import PlayKernelSettings
 from .trial_set import angle_range, check_trial_set, command_range
 
-Vec = NDArray[np.float64]
 Progress = Callable[[int, float], None]
 _JITTER = 1e-10
 _SOON = 500_000  # samples: a fit of fewer takes seconds and is not announced

@@ -9,15 +9,14 @@ from functools import cached_property
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..contract.metadata import Range
 from ..play_kernel.follow import follow_plays
 from ..play_kernel.step import ramps
 
-Vec = NDArray[np.float64]
 BLOCK = 16_384
 """Samples whose features are held at once, 25 MB."""
 

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import Motion, first_flexure_end, segment
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..operators.backlash import Backlash
 from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
-
-Vec = NDArray[np.float64]
 
 
 def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:

@@ -9,7 +9,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
+
 Float32 = NDArray[np.float32]
 Rng = np.random.Generator
 

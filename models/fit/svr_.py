@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Index, Vec
 
 from ..contract.metadata import Range
 from ..svr.weights import SvrWeights
 from .svr_settings import SvrSettings
 from .trial_set import angle_range, check_trial_set, command_range
 
-Vec = NDArray[np.float64]
-Index = NDArray[np.intp]
 Progress = Callable[[int, float], None]
 
 

@@ -9,6 +9,7 @@ from typing import Literal, final
 import numpy as np
 
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..chain_model import ChainModel
 from ..contract.metadata import Range
@@ -17,7 +18,7 @@ from .identify import DeviceLimits, identify
 from .play_kernel import fit_play_kernel
 from .play_kernel_bundle import play_kernel_bundle
 from .play_kernel_settings import PlayKernelSettings
-from .streams import Rng, Run, Vec
+from .streams import Rng, Run
 from .trial_set import check_trial_set, command_range, fastest_command
 
 Answer = Callable[[Vec, float], Vec]

@@ -10,9 +10,11 @@ from typing import final
 import numpy as np
 import torch
 
+from hystmpc.trials.types import Vec
+
 from ..networks.network_ import Network, numbers
 from .network_settings import NetworkSettings, WindowTraining
-from .streams import Run, Vec
+from .streams import Run
 from .training_torch_ import Check, Judged, constancy, rounding_error, update, weighted_error
 from .windows import draw_windows
 

@@ -10,13 +10,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from ..symbolic.instructions import dense
 from ..symbolic.source import scalar_program
 from .cache import generated_module
 
-Vec = NDArray[np.float64]
 _DECORATOR = '@njit(cache=True, error_model="numpy", inline="never")\n'
 
 

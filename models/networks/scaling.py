@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 
 @dataclass(frozen=True)

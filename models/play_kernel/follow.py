@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from ..kernels.numba_ import njit
-
-Vec = NDArray[np.float64]
 
 
 def follow_plays(command: Vec, gain: float, radii: Vec, state: Vec) -> Vec:

@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from .kernels import StageKernels, stage_kernels
-
-Vec = NDArray[np.float64]
-
 
 _ROUNDS, _CLOSE, _FLAT, _WITHIN = 8, 1e-9, 1e-3, 1e-6
 

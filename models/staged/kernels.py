@@ -8,13 +8,12 @@ from functools import lru_cache
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from ..kernels.cache import generated_module
 from ..operators.operator import Operator
 from .source import stage_source
-
-Vec = NDArray[np.float64]
 
 
 @final

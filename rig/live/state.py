@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
 
 from ..histogram import Histogram
 from ..sample import Sample
-
-Vec = NDArray[np.float64]
 
 WINDOW_S = 20.0
 """How much of the run is plotted [s]."""

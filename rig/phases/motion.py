@@ -6,12 +6,9 @@ import math
 from collections.abc import Callable
 from typing import final
 
-import numpy as np
-from numpy.typing import NDArray
+from hystmpc.trials.types import Vec
 
 from .phase import Decision, Now, Past
-
-Vec = NDArray[np.float64]
 
 
 @final

@@ -7,18 +7,14 @@ from collections.abc import Callable
 from threading import Thread
 from typing import final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hystmpc.ctrl.command import Command, Source
 from hystmpc.ctrl.tip_controller import TipController
 from hystmpc.trajectories.trajectory import Trajectory
+from hystmpc.trials.types import Vec
 
 from ..plausibility import ModelWatch
 from .phase import Decision, Now, Past
 from .timely import TimelyLaw
-
-Vec = NDArray[np.float64]
 
 # Where the reference starts: measured angle [deg] to a trajectory that leads in to it.
 LeadIn = Callable[[float], Trajectory]

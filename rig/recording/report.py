@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 from hystmpc.trials.plot_style import style
 from hystmpc.trials.presets import CANONICAL
 from hystmpc.trials.run_folder import Column, RunFolder
+from hystmpc.trials.types import Vec
 
-Vec = NDArray[np.float64]
 Log = Mapping[str, Column]
 _MOST_POINTS = 4000  # of a curve; more are not seen and make the page heavy
 

@@ -7,15 +7,13 @@ from collections.abc import Callable, Mapping
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.ctrl.protocols import Plant
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.types import Vec
 
 from .reading import Reading
-
-Vec = NDArray[np.float64]
 
 
 @final

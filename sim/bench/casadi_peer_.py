@@ -8,12 +8,10 @@ from typing import Any, final
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planning import PlanningProblem, Weights
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 # Primal and dual tolerance; a dual residual of 1e-3 deg^2/mm is below 1e-5 mm of command at 10 deg/mm.
 _PRIMAL, _DUAL = 1e-6, 1e-3

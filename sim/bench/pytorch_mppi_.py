@@ -6,13 +6,11 @@ from importlib.util import find_spec
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planning import PlanningProblem, Weights
 from hystmpc.models.lstm.weights import LstmWeights
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 
 def installed() -> bool:

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.ctrl.command import Command
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.planning import PlanningProblem
+from hystmpc.trials.types import Vec
 
 from .subjects import Subject
 
-Vec = NDArray[np.float64]
 T = TypeVar("T")
 _SETTLING = 25  # samples from rest to the scan, left out
 

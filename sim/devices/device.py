@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import zlib
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trajectories.trajectory import Trajectory
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 _ROUNDING = 1e-9  # of a sample, so that a duration of whole samples is not cut short
 

@@ -8,8 +8,10 @@ from typing import final
 
 import numpy as np
 
+from hystmpc.trials.types import Vec
+
 from . import muscle_kernel
-from .device import Motion, Vec
+from .device import Motion
 from .muscle_kernel import STATES, MuscleNumbers
 from .quantities import check_quantities, quantity
 

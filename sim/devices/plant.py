@@ -10,11 +10,12 @@ import numpy as np
 from hystmpc.models.contract.metadata import Range
 from hystmpc.trajectories.excitation import s2_initialisation
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
 
 from ..computed_plant import ComputedPlant
 from ..line import Line
 from ..plant import Effects, stored
-from .device import Device, Vec
+from .device import Device
 
 _REST_S = 5.0
 

@@ -7,8 +7,10 @@ from typing import final
 
 import numpy as np
 
+from hystmpc.trials.types import Vec
+
 from . import rod_kernel
-from .device import Motion, Vec
+from .device import Motion
 from .rod_parameters import RodParameters
 from .rod_shooting import new_knots
 from .rod_solver import new_work

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
 
-from .device import Motion, Vec
+from .device import Motion
 from .rod import RodCatheter
 from .rod_parameters import RodParameters
 from .sensors import EmTracker

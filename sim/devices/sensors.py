@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.maps import S2_TIP_MAP, LaserConversion, TipMap
+from hystmpc.trials.types import Vec
 
 from .quantities import check_quantities, quantity
-
-Vec = NDArray[np.float64]
 
 _TURN_DEG = 40.0  # tip angle over which the field's distortion turns once
 

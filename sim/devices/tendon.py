@@ -9,9 +9,10 @@ from typing import final
 import numpy as np
 
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
 
 from . import tendon_kernel
-from .device import Motion, Vec
+from .device import Motion
 from .quantities import check_quantities, quantity
 from .tendon_kernel import EXTRA_STATES, TendonNumbers
 

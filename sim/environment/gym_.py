@@ -21,7 +21,6 @@ from ..computed_plant import ComputedPlant
 from ..config import SimulationConfig, load_simulation
 from ..study import prepare
 
-Vec = NDArray[np.float64]
 Signal = Callable[[float], float]
 _ANGLE_DEG = 720.0  # observations are clipped here, so that the space is bounded
 

@@ -11,16 +11,14 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
-from numpy.typing import NDArray
 
 from hystmpc.trials.plot_style import PALETTE, REFERENCE, new_figure
+from hystmpc.trials.types import Vec
 
 from .ray import profile, surface_distance
 from .result import Reconstruction
 from .segment import Segment
 from .settings import ReconstructionSettings
-
-Vec = NDArray[np.float64]
 
 _BACKBONE_POINTS = 50
 _RING_MM = 0.5

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
 
 from .settings import Oct
-
-Vec = NDArray[np.float64]
 
 
 def measured_distance(distance_mm: Vec, oct_settings: Oct, random: np.random.Generator) -> Vec:

@@ -12,11 +12,10 @@ from pydantic import Field, model_validator
 
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, ModelError
+from hystmpc.trials.types import Vec
 
 from .scan import Scan
 from .settings import NotNegative, Positive
-
-Vec = NDArray[np.float64]
 
 # Command (N,) [bar] at the session's rate to true and sensed angles (N,) [deg]; starts at rest at command 0.
 Device = Callable[[Vec], tuple[Vec, Vec]]

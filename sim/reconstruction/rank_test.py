@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import mannwhitneyu
 
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
+
 Unit = Literal["points", "scans"]
 
 

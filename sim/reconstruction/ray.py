@@ -6,12 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hystmpc.trials.errors import ConfigError, HystmpcError
+from hystmpc.trials.types import Mat, Vec
 
 from .segment import Segment
 from .settings import Groove, Pattern, ReconstructionSettings
-
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
 
 _ARC_POINTS = 200
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError
+from hystmpc.trials.types import Mat, Vec
 
 from .oct_distance import measured_distance
 from .ray import checked_angles, surface_distance
@@ -16,9 +16,6 @@ from .result import Reconstruction
 from .scan import Scan
 from .segment import Segment, rotated
 from .settings import ReconstructionSettings
-
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

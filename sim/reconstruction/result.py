@@ -9,13 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ConfigError, ModelError, did_you_mean
+from hystmpc.trials.types import Mask, Mat, Vec
 
 from .rank_test import RankTest, Unit, rank_test
 from .settings import ReconstructionSettings
-
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _SAME_DEG = 1e-6
 

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ConfigError, ModelError
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 
 @dataclass(frozen=True, eq=False)

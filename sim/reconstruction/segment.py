@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import ConfigError
-
-Vec = NDArray[np.float64]
-Mat = NDArray[np.float64]
+from hystmpc.trials.types import Mat, Vec
 
 _SERIES_RAD = 1e-2  # below it the closed form of dz/dtheta loses digits; the next term of the series is 1e-15
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.ctrl.command import Source
 from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.trials.types import Vec
 
 from ..closed_loop import ClosedLoopRun
 from ..metrics import holds, tracking_metrics
-
-Vec = NDArray[np.float64]
 
 HOLD_RANGE_BAR = 0.1
 """Greatest range of a held command, in half-widths of the backlash."""

@@ -6,16 +6,15 @@ from dataclasses import replace
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.ctrl.command import Command
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.protocols import Controller
 from hystmpc.models.lstm.initial import initialisation_flexure
+from hystmpc.trials.types import Vec
 
 from ..computed_plant import ComputedPlant
 
-Vec = NDArray[np.float64]
 State = GuardedState[Any]
 
 

@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.types import Vec
 
 from .control_job import ControlJob
 
-Vec = NDArray[np.float64]
 FORMAT = "hystmpc-control-job/1"
 SIGNALS = ("time_s", "reference_deg", "true_deg", "command")
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.evaluate import Errors
+from hystmpc.trials.types import Vec
 
 from .outcome import Outcome, title_of
 from .real_plan import BASELINE
@@ -17,7 +17,6 @@ from .result import JobResult, Score
 from .statistics import compared, least_p
 from .tables import NOTHING, Cell, StudyTable
 
-Vec = NDArray[np.float64]
 COUNTS = {"later": "without the first flexure", "errors": "with the first flexure"}
 
 

@@ -9,15 +9,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.models.evaluate import Errors
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.types import Vec
 
 from .job import Job
 
-Vec = NDArray[np.float64]
 FORMAT = "hystmpc-study-job/1"
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hystmpc.models.evaluate import free_run
+from hystmpc.trials.types import Vec
 
 from ..reconstruction.protocol import Device, Estimator, Protocol, record_scans
 from ..reconstruction.reconstruct import reconstruct
@@ -14,7 +12,6 @@ from ..reconstruction.settings import ReconstructionSettings
 from .job import Job
 from .outcome import Outcome, title_of
 
-Vec = NDArray[np.float64]
 COMPARED = ("lstm", "drdpi")
 _QUICK_SCANS = 2
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.fit.operators import OperatorFitSettings, fit_chain
@@ -16,10 +15,10 @@ from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.maps import QuadraticMap
 from hystmpc.trials.plot_style import MEASURED, MODEL, PALETTE, REFERENCE, new_figure
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from .job import Splits
 
-Vec = NDArray[np.float64]
 FREQUENCY, REPEATS = "frequency", "repeatability"
 TENSION, TIP_Y = "tension_n", "y_mm"
 

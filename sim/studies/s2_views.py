@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from .outcome import Outcome
 from .result import JobResult
 from .s2_plan import MOTIONS, split_tested_on
 from .statistics import SignedRank, pairwise
 
-Vec = NDArray[np.float64]
 MOTION_NAMES = {"sin": "sinusoids", "p2p": "point-to-point"}
 UNITS = {"forward": "deg", "inverse": "mm"}
 BASELINE = "fnn"

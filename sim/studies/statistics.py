@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import wilcoxon
 
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
 
-Vec = NDArray[np.float64]
 LEVEL = 0.05
 
 

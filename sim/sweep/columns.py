@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
+
 Column = Vec | list[str | None]
 
 

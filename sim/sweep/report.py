@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 from hystmpc.trials.plot_style import REFERENCE, new_figure
+from hystmpc.trials.types import Vec
 
 from ..figures import colours
 from .axes import plain_log
-from .columns import Column, Vec, chosen, numbers, texts
+from .columns import Column, chosen, numbers, texts
 from .store import table_of
 
 _FIGURES = ("rmse_deg", "max_abs_deg", "hold_error_deg", "command_travel", "limit_violations", "step_mean_s", "cpu_s")

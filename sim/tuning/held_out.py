@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from ..parallel.backend import Backend
 from .objective import PlantScore, plant_config, plant_cost, plant_score, robust
 from .settings import ObjectiveSettings, TuneSettings
 
-Vec = NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 _RESAMPLES = 4000
 _NAMES = ("given", "tuned")

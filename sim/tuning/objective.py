@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.trajectories import PreviewTable
+from hystmpc.trials.types import Vec
 
 from ..closed_loop import run_closed_loop
 from ..config import SimulationConfig
@@ -20,8 +20,6 @@ from ..sweep.draws import drawn
 from ..sweep.paths import changed
 from ..sweep.worker import shared_knowledge
 from .settings import ObjectiveSettings, PlantsSettings, TuneSettings
-
-Vec = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from hystmpc.gap.next_motion import Contender, Simulate, Vec
+from hystmpc.gap.next_motion import Contender, Simulate
+from hystmpc.trials.types import Vec
 
 
 def low_pass(signal: Vec, tau_s: float, dt: float) -> Vec:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.gap.baseline import Baseline, ScaledBaseline, baseline_of
 from hystmpc.gap.candidate import Candidate, Scale
@@ -15,10 +14,10 @@ from hystmpc.models.operators.operator import Operator
 from hystmpc.models.simulator import Identification, Residual, Simulator
 from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..models.zoo import BACKLASH, RATE_PI, STATIC_PI
 
-Vec = NDArray[np.float64]
 DT = 0.04
 REST_DEG = 23.5  # what all devices can show at rest at zero
 COMMAND = Range(lower=0.0, upper=6.0)

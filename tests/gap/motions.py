@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from .contenders import angle, play
 
-Vec = NDArray[np.float64]
 DT = 0.04
 WIDTH = 0.6  # of the loop of `contenders.angle` along the command [mm]
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 import hystmpc.gap.blind
 from hystmpc.gap.blind import kernels
@@ -26,8 +25,7 @@ from hystmpc.gap.blind.rod_core import RodCore
 from hystmpc.gap.blind.scene import FINE_S, Scene
 from hystmpc.gap.blind.tip_effects import lugre_tip
 from hystmpc.trials.errors import ConfigError
-
-Vec = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 ELASTIC_ROD = RodCore(fast_share=0.0, slow_share=0.0)
 CORES = (CapstanCore(), DahlCore(), RodCore())

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from hystmpc.gap.blind.catalogue import GENERATORS
 from hystmpc.gap.blind.cores import CapstanCore, DahlCore
@@ -29,12 +28,12 @@ from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.resample import resample
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..models.zoo import BACKLASH
 from .engine_examples import simulator_of
 from .motions import KINDS, sine, trial
 
-Vec = NDArray[np.float64]
 Angles = Callable[[np.random.Generator, Trial], Vec]
 SECONDS = 30.0
 CORES = {"capstan": CapstanCore, "dahl": DahlCore}

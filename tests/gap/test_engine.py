@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from hystmpc.gap.candidate import CORE, Candidate
 from hystmpc.gap.fit import fit
-from hystmpc.gap.problem import Problem, Vec
+from hystmpc.gap.problem import Problem
+from hystmpc.trials.types import Vec
 
 from .engine_examples import BASELINES, CANDIDATES, DT, EVERY, LABELS, NEUTRAL, device_runs
 

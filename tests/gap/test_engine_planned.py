@@ -13,7 +13,7 @@ from hystmpc.gap.hypothesis import Court, Hypothesis
 from hystmpc.gap.parameter_rows import parameter_rows
 from hystmpc.gap.planned import contender_of, settled
 from hystmpc.gap.preparation import Prepared, prepare
-from hystmpc.gap.problem import Problem, Vec
+from hystmpc.gap.problem import Problem
 from hystmpc.gap.trial_terms import TrialTerms
 from hystmpc.gap.uncertainty import uncertainty
 from hystmpc.models.chain import Chain
@@ -26,6 +26,7 @@ from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.periodic_disturbance import PeriodicDisturbance
 from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.config import read_yaml
+from hystmpc.trials.types import Vec
 
 from ..models.zoo import BACKLASH, STATIC_PI
 from .engine_examples import BASELINES, DT, moves, simulator_of, trials_of

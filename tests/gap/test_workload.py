@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from hystmpc.gap import trial_choice
 from hystmpc.gap.check import Checked, check_trials
@@ -22,12 +21,12 @@ from hystmpc.gap.repeats import find_repeats
 from hystmpc.gap.trial_terms import strongest_line
 from hystmpc.gap.workload import MOST_SAMPLES, Workload, affordable
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..models.zoo import BACKLASH
 from .engine_examples import simulator_of
 from .motions import DT, KINDS, sine, trial
 
-Vec = NDArray[np.float64]
 MB = 1e6
 
 

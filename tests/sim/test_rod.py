@@ -11,12 +11,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.sim.devices.device import Motion, Vec
+from hystmpc.sim.devices.device import Motion
 from hystmpc.sim.devices.rod import RodCatheter
 from hystmpc.sim.devices.rod_equations import gravity
 from hystmpc.sim.devices.rod_parameters import RodParameters
 from hystmpc.sim.devices.rod_solver import TOLERANCE_MM
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
 
 pytestmark = pytest.mark.slow
 
