@@ -91,6 +91,33 @@ def test_no_command_leaves_the_limits_whatever_comes(
         assert math.isnan(outcome.safe_s)
 
 
+@pytest.mark.parametrize("at", ["begin", "step"])
+def test_a_phase_that_raises_stops_the_run(at: str) -> None:
+    """It is not held and tried again: what it would have done is not known."""
+
+    class Raising:
+        name = "raising"
+        steps = 0
+
+        def begin(self, now: Now, past: Past) -> None:
+            del now, past
+            if at == "begin":
+                raise RuntimeError("it broke")
+
+        def step(self, now: Now) -> Decision:
+            self.steps += 1
+            if at == "step" and self.steps == 5:
+                raise RuntimeError("it broke")
+            return Decision(now.held + 0.1, "raising", finished=self.steps >= 50)
+
+    rig, phase = Rig(following), Raising()
+    outcome = rig.run([phase, travel()])
+    assert outcome.cause == "RuntimeError: it broke"
+    assert phase.steps == (0 if at == "begin" else 5)
+    assert outcome.confirmed
+    assert rig.transport.sent[-1] == 0.0
+
+
 @pytest.mark.parametrize("bad", [None, math.nan, 1e4, -5.0, math.inf])
 def test_a_dead_or_implausible_sensor_stops_safely(bad: float | None) -> None:
     rig = Rig(lambda k, u: following(k, u) if k < 30 else bad)
