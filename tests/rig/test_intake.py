@@ -89,3 +89,27 @@ def test_silence_is_death_after_its_time_and_not_before() -> None:
     verdicts = [bool(judge.judge([], (last + ms) * MS, 0.0).dead) for ms in range(20, 800, 20)]
     assert verdicts.index(True) == next(k for k, ms in enumerate(range(20, 800, 20)) if ms > 500)
     assert all(b or not a for a, b in pairwise(verdicts))
+
+
+@pytest.mark.parametrize(("listens", "held"), [(True, 1.5), (False, math.nan)])
+def test_what_a_device_holds_counts_only_where_it_listens_to_this_session(listens: bool, held: float) -> None:
+    """What it holds for another controller is no place to start from."""
+    intake = Intake(SensorSettings(lower_deg=0.0, upper_deg=120.0), 0)
+    seen = intake.judge([Reading(40.0, 1, 1, 0, 0, 1.5, listens)], 0, 1.5)
+    assert seen.angle_deg == 40.0
+    assert seen.held == pytest.approx(held, nan_ok=True)
+
+
+def test_what_a_device_holds_counts_also_where_its_sensor_does_not() -> None:
+    """A sensor that fails must not hide what the drive does: the stop has to know."""
+    intake = Intake(SensorSettings(lower_deg=0.0, upper_deg=120.0), 0)
+    seen = intake.judge([Reading(math.nan, 1, 1, 0, 0, 1.5)], 0, 1.5)
+    assert math.isnan(seen.angle_deg)
+    assert seen.held == 1.5
+
+
+def test_what_a_stale_reading_tells_does_not_count() -> None:
+    intake = Intake(SensorSettings(lower_deg=0.0, upper_deg=120.0), 0)
+    old = 200_000_000
+    intake.judge([Reading(40.0, 1, 1, 0, 0, 1.5)], 0, 1.5)
+    assert math.isnan(intake.judge([Reading(41.0, 2, 1, 40_000_000, old, 1.5)], old + 40_000_000, 1.5).held)

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -147,6 +148,14 @@ def test_the_watchdog_bites_half_a_second_after_the_last_command_and_leads_to_re
     back = drive.samples(60)
     assert back[:3] == pytest.approx([3.92, 3.84, 3.76])
     assert back[-1] == 0.0
+
+
+@pytest.mark.parametrize("command", [6.0, 60.0, -60.0])
+def test_the_drive_keeps_its_own_limits_whatever_is_commanded(command: float) -> None:
+    drive = Drive().at(2.0)
+    held = drive.samples(40, Incoming(command))
+    assert max(abs(b - a) for a, b in pairwise([2.0, *held])) <= RATE * DT + 1e-9
+    assert held[-1] == min(max(command, 0.0), 6.0)
 
 
 def test_after_the_watchdog_commands_want_a_new_greeting() -> None:
