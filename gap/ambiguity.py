@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from .hypothesis import Court, Judged, apart, gain
+from .hypothesis import CrossValidation, HeldOutErrors, apart, gain
 from .select import Selection
 from .verdict_settings import VerdictSettings
-from .within_trials import goes_on
+from .within_trials import drift_is_significant
 
 
-def ambiguity_of(selection: Selection, court: Court, settings: VerdictSettings) -> tuple[tuple[str, ...], ...]:
+def ambiguity_of(
+    selection: Selection, validation: CrossValidation, settings: VerdictSettings
+) -> tuple[tuple[str, ...], ...]:
     """For each chosen effect the others that could stand in its place; sets of fewer than two are left out.
 
     A drift and shifts from trial to trial are told apart by what happens within the trials: the drift goes on.
@@ -23,14 +25,16 @@ def ambiguity_of(selection: Selection, court: Court, settings: VerdictSettings) 
             if not exchanged or _told_apart(chosen, judged, settings):
                 continue
             (other,) = tried - rest
-            if (effect, other) != ("drift", "trial_shift") or not goes_on(court, chosen.hypothesis, settings.goes_on):
+            if (effect, other) != ("drift", "trial_shift") or not drift_is_significant(
+                validation, chosen.hypothesis, settings.significant_drift
+            ):
                 others.append(other)
         if others:
             found.append((effect, *others))
     return tuple(found)
 
 
-def _told_apart(chosen: Judged, other: Judged, settings: VerdictSettings) -> bool:
+def _told_apart(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSettings) -> bool:
     """Whether held-out trials lie nearer to the chosen explanation than to another, by more than chance.
 
     With a and b what the two say of these trials and y what was seen,

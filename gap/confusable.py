@@ -127,6 +127,6 @@ _RULES: tuple[Callable[[Excitation], Confusable], ...] = (
 )
 
 
-def twins(name: str) -> frozenset[str]:
+def confounders(name: str) -> frozenset[str]:
     """Effects that an effect is easily taken for: what a library has to hold for its name to mean much."""
     return frozenset(other for names in (*CONFUSABLE, *_ALSO) if name in names for other in names if other != name)

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.simulator import Simulator
 
+from .attribution import DiagnosisSettings
 from .floor import Floor
-from .how_far import HowFar
-from .hypothesis import Court, Hypothesis
+from .gap_closed import GapClosed
+from .hypothesis import CrossValidation, Hypothesis
 from .jumps import Jumps
+from .localise import Localisation
 from .preparation import Prepared
 from .select import Selection
 from .verdict import Ruling
-from .where import Localisation
-from .which import DiagnosisSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +43,14 @@ class Findings:
 
     simulator: Simulator | OnnxModel
     prepared: Prepared
-    court: Court
+    validation: CrossValidation
     selection: Selection
     ruling: Ruling
     retuned: Hypothesis
     chosen: Hypothesis
     floor: Floor
     floor_mse: float
-    far: HowFar
+    far: GapClosed
     places: Localisation | None
     jumps: Jumps | None
     left_out: tuple[str, ...]

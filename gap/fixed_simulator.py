@@ -25,7 +25,7 @@ from hystmpc.trials.segments import Motion, first_flexure_end, segment
 from hystmpc.trials.trial import Trial
 
 from .hypothesis import Hypothesis
-from .planned import settled
+from .predicted_response import settled
 from .preparation import Prepared
 
 EFFECTS_FILE = "effects.yaml"

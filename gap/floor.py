@@ -15,7 +15,7 @@ from hystmpc.trials.types import Vec
 from .diagnosis import FloorKind
 from .repeats import Repeat, find_repeats
 from .sensor import SensorSigns, repaired, sensor_signs
-from .white import Structure, structure_left, white_noise
+from .white_noise import Structure, structure_left, white_noise
 
 __all__ = ["Floor", "SensorSigns", "Structure", "find_floor", "repaired", "sensor_signs", "structure_left"]
 

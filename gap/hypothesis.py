@@ -48,7 +48,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged(Blocks):
+class HeldOutErrors(Blocks):
     """A hypothesis with its errors on held-out trials, in blocks.
 
     Attributes:
@@ -61,7 +61,7 @@ class Judged(Blocks):
 
 
 @dataclass(frozen=True, eq=False)
-class Court:
+class CrossValidation:
     """Development runs and how they are split: what every hypothesis is fitted to and judged on.
 
     Attributes:
@@ -113,7 +113,7 @@ class Court:
         found = fit(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
         return Hypothesis(hypothesis.problem, found.q, found.mse)
 
-    def judge(self, hypothesis: Hypothesis) -> Judged:
+    def judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
         """Errors on each fold of a fit to the others; with one run, of the fit to it."""
         parts: dict[int, Vec] = {}
         for fold in self.folds:
@@ -122,10 +122,10 @@ class Court:
             parts |= {k: hypothesis.problem.held_out_error(q, self.runs[k]) for k in fold}
         errors = tuple(parts[k] for k in range(len(self.runs)))
         held_out = blocks_of(errors, self.runs)
-        return Judged(held_out.energy, held_out.samples, held_out.run, hypothesis, errors)
+        return HeldOutErrors(held_out.energy, held_out.samples, held_out.run, hypothesis, errors)
 
 
-def gain(before: Judged, after: Judged) -> tuple[float, float]:
+def gain(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:
     """Fall of the held-out mean square error and its standard error [deg^2], blocks paired within their runs."""
     difference = before.energy - after.energy
     total = before.samples.sum()
@@ -136,7 +136,7 @@ def gain(before: Judged, after: Judged) -> tuple[float, float]:
     return float(difference.sum() / total), float(np.sqrt(variance) / total)
 
 
-def apart(one: Judged, other: Judged) -> float:
+def apart(one: HeldOutErrors, other: HeldOutErrors) -> float:
     """Mean square by which what two hypotheses say of held-out trials differs [deg^2]."""
     differences = [a - b for a, b in zip(one.errors, other.errors, strict=True)]
     return float(sum(np.sum(d**2) for d in differences) / sum(d.size for d in differences))

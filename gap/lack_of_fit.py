@@ -14,7 +14,7 @@ from .recording import Run
 _KNOTS = 10  # of a curve, in each direction
 
 
-def curves_left(hypothesis: Hypothesis, runs: Sequence[Run], floor_mse: float) -> float:
+def remaining_curvature(hypothesis: Hypothesis, runs: Sequence[Run], floor_mse: float) -> float:
     """Share of the structural error left that two free curves of the simulated angle explain, 0 to 1.
 
     One curve while the simulated angle rises and another while it falls, each piecewise linear between ten knots at

@@ -57,7 +57,7 @@ def memory_gains(trials: Sequence[Trial], residuals: Sequence[Vec], loop_width: 
     return gains
 
 
-def ceiling(trials: Sequence[Trial], residuals: Sequence[Vec], seed: int = 0) -> float:
+def explainable_share(trials: Sequence[Trial], residuals: Sequence[Vec], seed: int = 0) -> float:
     """Share of the residual's energy that a flexible model of the command's past explains held out, 0 to 1.
 
     Ridge regression on lagged commands, speeds, play states of six widths, commands low-passed at five time constants,

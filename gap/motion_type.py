@@ -12,7 +12,7 @@ from hystmpc.trials.segments import Motion, SegmentRule, Segments, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .white import white_noise
+from .white_noise import white_noise
 
 MotionType = Literal["sine", "sines", "holds", "steps", "ramps", "point_to_point", "scan", "mixed"]
 

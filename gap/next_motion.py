@@ -28,7 +28,7 @@ _SHIFT, _SCALE = 0.01, 0.01  # of the command's range, and of the command
 
 
 @dataclass(frozen=True)
-class Contender:
+class OpenHypothesis:
     """One explanation that the logs leave open, as a fitted simulator.
 
     Attributes:
@@ -116,7 +116,7 @@ class Proposal:
         return NextMotion(file, self.names, self.chosen.probability, motion.duration_s)
 
 
-def propose(candidates: Sequence[Contender], motions: Sequence[Motion], noise: Noise) -> Proposal:
+def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[Motion], noise: Noise) -> Proposal:
     """Choose the motion that most probably names the right candidate; at about equal odds the shortest.
 
     With candidate i true and j retuned to it, the part r_ij that is left favours i with probability
@@ -159,7 +159,7 @@ def expected_probability(distances: ArrayLike) -> float:
     return float(np.mean(1 / (inverse.sum(axis=1) - (d.shape[0] - 2))))
 
 
-def separations(candidates: Sequence[Contender], command: Vec, dt: float) -> tuple[Vec, list[Vec]]:
+def separations(candidates: Sequence[OpenHypothesis], command: Vec, dt: float) -> tuple[Vec, list[Vec]]:
     """Angles (K, T) of the candidates, and for each the directions (P, T) that its retuning can take [deg]."""
     angles = np.array([candidate.simulate(command, dt) for candidate in candidates])
     directions = [_directions(c, angle, command, dt) for c, angle in zip(candidates, angles, strict=True)]
@@ -182,7 +182,7 @@ def write_motion(path: Path | str, proposal: Proposal, command_unit: str = "mm")
     return write_atomically(path, format_table(columns))
 
 
-def _option(candidates: Sequence[Contender], motion: Motion, noise: Noise) -> Option | None:
+def _option(candidates: Sequence[OpenHypothesis], motion: Motion, noise: Noise) -> Option | None:
     """What one motion promises; None where a simulator does not give finite angles on it."""
     angles, directions = separations(candidates, motion.command, motion.dt)
     if not all(np.isfinite(part).all() for part in (angles, *directions)):
@@ -205,7 +205,7 @@ def _distance(left: Vec, noise: Noise) -> Vec:
     return np.asarray(seen / np.sqrt(1 + (seen * form) ** 2))
 
 
-def _directions(candidate: Contender, angle: Vec, command: Vec, dt: float) -> Vec:
+def _directions(candidate: OpenHypothesis, angle: Vec, command: Vec, dt: float) -> Vec:
     """Changes of the angle [deg] that the candidate's retuning can make, one a row."""
     low, span = float(command.min()), float(np.ptp(command))
     shifted = np.maximum(command - _SHIFT * span, low)

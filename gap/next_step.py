@@ -15,10 +15,10 @@ from .candidates import candidates
 from .confusable import confusability
 from .diagnosis import NextMotion
 from .findings import Findings
-from .hypothesis import Court, Hypothesis
+from .hypothesis import CrossValidation, Hypothesis
 from .motion_menu import menu
 from .next_motion import Noise, Proposal, propose
-from .planned import contender_of
+from .predicted_response import contender_of
 from .problem import Problem
 from .select import Selection
 
@@ -85,16 +85,16 @@ def _with(findings: Findings, rest: frozenset[str], name: str) -> Hypothesis | N
         return findings.selection.tried[names].hypothesis
     kept = findings.selection.tried.get(rest)
     base = kept.hypothesis if kept else findings.retuned
-    return _fitted(findings.court, base, name)
+    return _fitted(findings.validation, base, name)
 
 
-def _fitted(court: Court, base: Hypothesis, name: str) -> Hypothesis | None:
+def _fitted(validation: CrossValidation, base: Hypothesis, name: str) -> Hypothesis | None:
     """The best variant of an effect added to a hypothesis; None where it is no operator."""
     problem = base.problem
     z, there = problem.retuned(base.q), [list(values.values()) for values in problem.effect_values(base.q)]
-    library = candidates(Scale.of(court.runs), court.baseline.effects)
+    library = candidates(Scale.of(validation.runs), validation.baseline.effects)
     made = [
-        court.with_causes((*problem.effects, c), problem.terms, z, [[*there, start] for start in c.starts])
+        validation.with_causes((*problem.effects, c), problem.terms, z, [[*there, start] for start in c.starts])
         for c in library
         if c.effect == name
     ]
@@ -108,7 +108,7 @@ def _families(findings: Findings) -> dict[str, Hypothesis]:
         return dict(list(tried.items())[:_MOST])
     baseline, z = findings.prepared.baseline, findings.retuned.problem.retuned(findings.retuned.q)
     made: dict[str, Hypothesis] = {}
-    for c in candidates(Scale.of(findings.court.runs), (), findings.left_out):
+    for c in candidates(Scale.of(findings.validation.runs), (), findings.left_out):
         if c.effect in _TYPICAL and c.effect not in made:
             problem = Problem(baseline, (c,))
             made[c.effect] = Hypothesis(problem, problem.start(z, [c.starts[-1]]), np.nan)

@@ -13,20 +13,20 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
 
-from .confusable import twins
+from .attribution import DiagnosisSettings, confirmed, decide, residual_ratio
+from .confusable import confounders
 from .diagnosis import Diagnosis, FoundEffect, NextMotion, Verdict
-from .evidence_of import evidence_of
 from .findings import Findings
 from .floor import Floor, find_floor
-from .how_far import measure
-from .hypothesis import Court, Hypothesis
+from .gap_closed import measure
+from .hypothesis import CrossValidation, Hypothesis
+from .localise import Localisation, localise
 from .next_step import next_step
 from .preparation import Prepared, prepare
 from .probability import probability, ranking
 from .reason import reason_for
 from .report.evidence import Evidence
-from .where import Localisation, localise
-from .which import DiagnosisSettings, decide, left_of, stands
+from .report_data import report_data
 
 Progress = Callable[..., None]
 
@@ -90,18 +90,20 @@ def investigate(
     if say:
         for line in filter(None, (*prepared.checked.left_out, prepared.checked.workload.estimate)):
             say(line)
-    court = Court(prepared.baseline, prepared.development)
-    retuned = court.retuned()
+    validation = CrossValidation(prepared.baseline, prepared.development)
+    retuned = validation.retuned()
     clock.lap("check and retune")
-    which = decide(prepared, court, retuned, left_out, settings, seed, _advance(told))
+    which = decide(prepared, validation, retuned, left_out, settings, seed, _advance(told))
     clock.lap("which")
     told(88, _STEPS, "measuring the gap on the final trials")
-    chosen = court.polished(which.selection.chosen.hypothesis) if which.explained else retuned
+    chosen = validation.polished(which.selection.chosen.hypothesis) if which.explained else retuned
     floor = _floor(prepared, chosen)
-    far = measure(prepared, court, retuned, chosen, floor, which.sensor, seed)
-    if which.explained and not stands(which, far.gap, left_of(far.gap, prepared.form_mse, floor), settings.verdict):
+    far = measure(prepared, validation, retuned, chosen, floor, which.sensor, seed)
+    if which.explained and not confirmed(
+        which, far.gap, residual_ratio(far.gap, prepared.form_mse, floor), settings.verdict
+    ):
         which, chosen, floor = which.unexplained(), retuned, _floor(prepared, retuned)
-        far = measure(prepared, court, retuned, retuned, floor, which.sensor, seed)
+        far = measure(prepared, validation, retuned, retuned, floor, which.sensor, seed)
     if which.jumps:
         far = far.joined_by("stick_slip", which.jumps.parameters)
     clock.lap("how far")
@@ -109,7 +111,7 @@ def investigate(
     places = _places(prepared, retuned, seed)
     clock.lap("where")
     judged = which.selection, which.ruling, retuned, chosen, floor, which.floor_mse, far, places, which.jumps
-    return Findings(simulator, prepared, court, *judged, left_out, seed, settings, clock.seconds)
+    return Findings(simulator, prepared, validation, *judged, left_out, seed, settings, clock.seconds)
 
 
 def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diagnosis, Evidence]:
@@ -119,7 +121,7 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
     clock.lap("what next")
     findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
     diagnosis = _diagnosis(findings, motion)
-    evidence = evidence_of(findings, diagnosis, proposal)
+    evidence = report_data(findings, diagnosis, proposal)
     told(_STEPS, _STEPS, diagnosis.verdict)
     return diagnosis, evidence
 
@@ -208,7 +210,7 @@ def _sure(findings: Findings) -> dict[str, float]:
     shares, open_names = findings.far.shares, {name for names in findings.ruling.ambiguity for name in names}
     several, missing = len(shares) > 1, set(findings.left_out)
     return {
-        name: probability(name, share, several, name in open_names, bool(twins(name) & missing))
+        name: probability(name, share, several, name in open_names, bool(confounders(name) & missing))
         for name, share in shares.items()
     }
 

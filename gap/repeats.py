@@ -12,7 +12,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Vec
 
 from .motion_type import command_segments
-from .white import white_noise
+from .white_noise import white_noise
 
 TOLERANCE = 0.01
 """Commands are equal where they differ by less than this share of their range."""

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from .candidate import Candidate
-from .hypothesis import Court, Hypothesis, Judged, gain
+from .hypothesis import CrossValidation, HeldOutErrors, Hypothesis, gain
 from .trial_terms import TrialTerms, strongest_line
 
 Progress = Callable[[float, str], None]
@@ -62,9 +62,9 @@ class Selection:
         tried: everything that was judged, by the names of its causes; the best variant of each.
     """
 
-    baseline: Judged
-    chosen: Judged
-    tried: dict[frozenset[str], Judged]
+    baseline: HeldOutErrors
+    chosen: HeldOutErrors
+    tried: dict[frozenset[str], HeldOutErrors]
 
 
 @final
@@ -73,17 +73,17 @@ class Selector:
 
     def __init__(
         self,
-        court: Court,
+        validation: CrossValidation,
         candidates: Sequence[Candidate],
         settings: SelectionSettings,
         floor_mse: float,
         without: Sequence[str],
         progress: Progress,
     ) -> None:
-        self._court, self._candidates, self._settings = court, tuple(candidates), settings
+        self._court, self._candidates, self._settings = validation, tuple(candidates), settings
         self._floor, self._without, self._progress = floor_mse, without, progress
         self._baseline_mse, self._blocks = 0.0, 0.0
-        self.tried: dict[frozenset[str], Judged] = {}
+        self.tried: dict[frozenset[str], HeldOutErrors] = {}
 
     def run(self) -> Selection:
         """Add, drop, swap."""
@@ -100,14 +100,14 @@ class Selector:
             current = self._swapped(current, baseline)
         return Selection(baseline, current, self.tried)
 
-    def _judge(self, hypothesis: Hypothesis) -> Judged:
+    def _judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
         judged = self._court.judge(hypothesis)
         known = self.tried.get(hypothesis.effects)
         if known is None or judged.mse < known.mse:
             self.tried[hypothesis.effects] = judged
         return judged
 
-    def _best_addition(self, current: Judged) -> Judged | None:
+    def _best_addition(self, current: HeldOutErrors) -> HeldOutErrors | None:
         judged = [self._judge(hypothesis) for hypothesis in self._additions(current.hypothesis)]
         worthy = [j for j in judged if self._worth_adding(current, j)]
         if not worthy:
@@ -116,7 +116,7 @@ class Selector:
         tied = [j for j in worthy if not _exceeds(gain(j, best))]
         return min(tied, key=lambda j: (_freedoms(j.hypothesis), j.mse))
 
-    def _worth_adding(self, before: Judged, after: Judged) -> bool:
+    def _worth_adding(self, before: HeldOutErrors, after: HeldOutErrors) -> bool:
         fall, error = gain(before, after)
         new = after.hypothesis.effects - before.hypothesis.effects
         share = self._settings.shift_share if "trial_shift" in new else self._settings.least_share
@@ -177,7 +177,7 @@ class Selector:
             made.append(replace(terms, frequency_hz=line))
         return made
 
-    def _dropped(self, current: Judged) -> Judged:
+    def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
         """Without each cause that is not needed any more."""
         for effect in sorted(current.hypothesis.effects):
             if len(current.hypothesis.effects) < 2:
@@ -187,7 +187,7 @@ class Selector:
                 current = simpler
         return current
 
-    def _swapped(self, current: Judged, baseline: Judged) -> Judged:
+    def _swapped(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
         """With each cause exchanged for each other one; the better stands, all are kept for the ambiguity."""
         for effect in sorted(current.hypothesis.effects):
             if effect not in current.hypothesis.effects:
@@ -204,7 +204,7 @@ class Selector:
                     current = judged
         return current
 
-    def _better(self, present: Judged, other: Judged, baseline: Judged) -> bool:
+    def _better(self, present: HeldOutErrors, other: HeldOutErrors, baseline: HeldOutErrors) -> bool:
         """Whether an exchange is an improvement; what bends to anything gives way to what does nearly as well."""
         if len(other.hypothesis.effects) != len(present.hypothesis.effects) or other is present:
             return False
@@ -240,14 +240,14 @@ def _freedoms(hypothesis: Hypothesis) -> int:
     return sum(len(c.free) for c in hypothesis.problem.effects) + _OWN * len(hypothesis.problem.terms.names)
 
 
-def _recurs(before: Judged, after: Judged, share: float) -> bool:
+def _recurs(before: HeldOutErrors, after: HeldOutErrors, share: float) -> bool:
     """Whether a cause does in most trials what it does on average, and not in a single odd one alone."""
     falls = [float((before.energy - after.energy)[before.run == k].sum()) for k in np.unique(before.run)]
     return float(np.median(falls)) > share * float(np.mean(falls))
 
 
 def select(
-    court: Court,
+    validation: CrossValidation,
     candidates: Sequence[Candidate],
     settings: SelectionSettings,
     floor_mse: float,
@@ -264,4 +264,4 @@ def select(
         without: effects that are left out of the library.
         progress: told the share of the present round and what is tried.
     """
-    return Selector(court, candidates, settings, floor_mse, without, progress).run()
+    return Selector(validation, candidates, settings, floor_mse, without, progress).run()

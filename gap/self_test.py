@@ -32,7 +32,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from .diagnosis import Diagnosis
-from .planned import settled
+from .predicted_response import settled
 from .procedure import conclude, investigate
 
 Progress = Callable[..., None]

@@ -12,7 +12,7 @@ from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mask, Vec
 
-from .white import white_noise
+from .white_noise import white_noise
 
 _ON_GRID, _GRID_TOLERANCE = 0.95, 0.1  # share of samples; of the step: chance puts a fifth of the samples that near
 _LEAST_LEVELS, _MOST_VALUES = 8, 20_000

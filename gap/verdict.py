@@ -9,8 +9,8 @@ import numpy as np
 
 from .ambiguity import ambiguity_of
 from .diagnosis import Verdict
-from .hypothesis import Court
-from .lack_of_fit import curves_left
+from .hypothesis import CrossValidation
+from .lack_of_fit import remaining_curvature
 from .preparation import Prepared
 from .recording import Run
 from .select import Selection
@@ -45,7 +45,7 @@ def sensor_matters(prepared: Prepared, selection: Selection, settings: VerdictSe
 
 def rule(
     selection: Selection,
-    court: Court,
+    validation: CrossValidation,
     floor_mse: float,
     form_mse: float,
     sensor: bool,
@@ -75,14 +75,14 @@ def rule(
         return Ruling("none" if least < settings.no_cause * news else "unknown", (), inclusion)
     closed = (start - end) / max(start - floor_mse, 1e-12)
     open_still = closed < settings.least_closed and end > settings.still_open * floor_mse
-    elsewhere = _bent_otherwise(selection, court.runs, floor_mse, settings) or _wanders(
-        selection, court.runs, floor_mse, settings
+    elsewhere = _bent_otherwise(selection, validation.runs, floor_mse, settings) or _wanders(
+        selection, validation.runs, floor_mse, settings
     )
     if open_still and least < settings.no_cause * news:
         return Ruling("none", (), inclusion)
     if open_still or elsewhere:
         return Ruling("unknown", (), inclusion)
-    ambiguity = ambiguity_of(selection, court, settings)
+    ambiguity = ambiguity_of(selection, validation, settings)
     return Ruling("one_of" if ambiguity else "named", ambiguity, inclusion)
 
 
@@ -91,7 +91,7 @@ def _bent_otherwise(selection: Selection, runs: Sequence[Run], floor_mse: float,
     chosen, before = selection.chosen.hypothesis, selection.baseline.hypothesis.mse - floor_mse
     if chosen.effects != {"nonlinear_gain"} or before <= 0 or chosen.mse < settings.still_open * floor_mse:
         return False
-    left = curves_left(chosen, runs, floor_mse)
+    left = remaining_curvature(chosen, runs, floor_mse)
     return left > settings.curve_left and left * (chosen.mse - floor_mse) > settings.curve_size * before
 
 

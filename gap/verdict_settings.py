@@ -22,8 +22,8 @@ class VerdictSettings:
         nearer: how much nearer than to another explanation the truth has to lie to the chosen one, -1 to 1, for the
             two to be told apart ...
         nearer_errors: ... and by how many standard errors.
-        goes_on: standard errors by which a drift has to show within trials to be told apart from shifts between them.
-        stands_alone, stands_several, stands_left: one cause, or several, have to close this share of the gap on the
+        significant_drift: standard errors by which a drift has to show within trials to be told apart from shifts between them.
+        confirmed_alone, confirmed_several, confirmed_left: one cause, or several, have to close this share of the gap on the
             final trials, or to leave no more than so many times what noise and form leave.
         noise_share: share of the error that is left, from which noise and resolution of the sensor are named.
         mended_share: the same for outliers and dropouts.
@@ -39,10 +39,10 @@ class VerdictSettings:
     wander: float = 0.7
     nearer: float = 0.2
     nearer_errors: float = 1.5
-    goes_on: float = 3.0
-    stands_alone: float = 0.55
-    stands_several: float = 0.8
-    stands_left: float = 2.4
+    significant_drift: float = 3.0
+    confirmed_alone: float = 0.55
+    confirmed_several: float = 0.8
+    confirmed_left: float = 2.4
     noise_share: float = 0.3
     mended_share: float = 0.1
     simplicity: float = 0.04

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .hypothesis import Court, Hypothesis
+from .hypothesis import CrossValidation, Hypothesis
 from .recording import Run
 from .uncertainty import uncertainty
 
@@ -29,7 +29,7 @@ def slow_within(hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
     return total / count
 
 
-def goes_on(court: Court, hypothesis: Hypothesis, errors: float) -> bool:
+def drift_is_significant(validation: CrossValidation, hypothesis: Hypothesis, errors: float) -> bool:
     """Whether a drift shows within trials, once each trial may have a shift of its own beside it.
 
     Args:
@@ -40,8 +40,8 @@ def goes_on(court: Court, hypothesis: Hypothesis, errors: float) -> bool:
     problem = hypothesis.problem
     values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
     terms = replace(problem.terms, shift=True)
-    shifted = court.with_causes(problem.effects, terms, problem.retuned(hypothesis.q), [values])
-    known = uncertainty(shifted.problem, shifted.q, court.runs)
+    shifted = validation.with_causes(problem.effects, terms, problem.retuned(hypothesis.q), [values])
+    known = uncertainty(shifted.problem, shifted.q, validation.runs)
     k = problem.size - sum(len(c.free) for c in problem.effects)
     for c in problem.effects:
         for _ in c.free:

@@ -18,7 +18,7 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 
 from ..floor import find_floor
-from ..hypothesis import Court, Judged, gain
+from ..hypothesis import CrossValidation, HeldOutErrors, gain
 from ..preparation import prepare
 from ..procedure import conclude, investigate
 from .reading import Reading, reading_of
@@ -139,18 +139,18 @@ def answered(row: Ablated, said: Reading) -> Ablated:
     return replace(row, verdict=said.verdict, said=said.claims, left_open=tuple(groups) if said.claims else ())
 
 
-def _judged(trials: Sequence[Trial], simulator: Simulator) -> tuple[Judged, float]:
+def _judged(trials: Sequence[Trial], simulator: Simulator) -> tuple[HeldOutErrors, float]:
     """The refitted simulator, judged on trials left out, and the floor [deg]."""
     prepared = prepare(trials, simulator)
-    court = Court(prepared.baseline, prepared.everything)
-    retuned = court.retuned()
+    validation = CrossValidation(prepared.baseline, prepared.everything)
+    retuned = validation.retuned()
     errors = [run.angle - retuned.problem.angles(retuned.q, run) for run in prepared.everything]
     checked = prepared.checked
     floor = find_floor(checked.trials, errors, checked.dt, checked.excitation.repeats)
-    return court.judge(retuned), floor.rmse_deg
+    return validation.judge(retuned), floor.rmse_deg
 
 
-def _row(component: str, whole: Judged, less: Judged, floor_deg: float) -> Ablated:
+def _row(component: str, whole: HeldOutErrors, less: HeldOutErrors, floor_deg: float) -> Ablated:
     rise, error = gain(less, whole)
     return Ablated(component, float(np.sqrt(whole.mse)), float(np.sqrt(less.mse)), floor_deg, rise / max(error, 1e-12))
 

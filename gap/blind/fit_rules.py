@@ -8,7 +8,7 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from ..hypothesis import Hypothesis, Judged
+from ..hypothesis import HeldOutErrors, Hypothesis
 from ..recording import Run
 from ..select import Selection
 
@@ -32,7 +32,7 @@ def fit_rules(selection: Selection, runs: Sequence[Run]) -> dict[str, str]:
     }
 
 
-def bic_choice(tried: Mapping[frozenset[str], Judged], runs: Sequence[Run]) -> frozenset[str]:
+def bic_choice(tried: Mapping[frozenset[str], HeldOutErrors], runs: Sequence[Run]) -> frozenset[str]:
     """The set of effects with the least information criterion among those tried.
 
         BIC = n ln(mse) + k ln(n),    n = N (1 - r) / (1 + r)

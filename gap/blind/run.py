@@ -130,7 +130,7 @@ def _diagnose(trials: Sequence[Trial], simulator: Simulator, job: Job) -> tuple[
 
 def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: Job) -> dict[str, Any]:
     """What rules of thumb would say, and what the causes close in another session of the device, if it can have one."""
-    from ..again import closed_again
+    from ..fresh_session import closed_again
 
     rules = fit_rules(findings.selection, findings.prepared.development)
     found: dict[str, Any] = {"others": {"correlation": correlation_rule(trials, simulator), **rules}}

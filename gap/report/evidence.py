@@ -17,8 +17,8 @@ from hystmpc.trials.types import Vec
 from ..confusable import Confusable
 from ..diagnosis import Diagnosis, Interval
 from ..excitation import Excitation
+from ..localise import Localisation
 from ..next_motion import Proposal
-from ..where import Localisation
 
 Role = Literal["fit", "select", "final"]
 Side = Literal["command", "output", "sensor", "trial"]

@@ -20,7 +20,7 @@ from hystmpc.trials.csv_ import write_csv
 from hystmpc.trials.trial import Trial
 
 from ..gap.contenders import DELAY, LAG
-from ..gap.report_examples import REASON, VERDICTS, evidence_of
+from ..gap.report_examples import REASON, VERDICTS, report_data
 from ..models.zoo import CHAINS, simulator
 from .test_verbs import run
 
@@ -86,7 +86,7 @@ def test_unusable_input_is_one_line_and_exit_code_2(
 def test_the_console_says_verdict_size_and_next_motion(
     verdict: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    diagnosis = next(e for e in (evidence_of(v, 3) for v in VERDICTS if v == verdict)).diagnosis
+    diagnosis = next(e for e in (report_data(v, 3) for v in VERDICTS if v == verdict)).diagnosis
     monkeypatch.setattr(diagnose, "out", Console(width=200))
     diagnose.print_diagnosis(diagnosis)
     shown = " ".join(capsys.readouterr().out.split())

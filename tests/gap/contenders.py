@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from hystmpc.gap.next_motion import Contender, Simulate
+from hystmpc.gap.next_motion import OpenHypothesis, Simulate
 from hystmpc.trials.types import Vec
 
 
@@ -57,6 +57,6 @@ def baseline(command: Vec, dt: float) -> Vec:
     return angle(command)
 
 
-LAG = Contender("lag", lag(0.12), (lag(0.13),))
-DELAY = Contender("delay", delay(0.1), (delay(0.11),))
-CREEP = Contender("creep", creep(0.15, 5.0), (creep(0.16, 5.0), creep(0.15, 5.5)))
+LAG = OpenHypothesis("lag", lag(0.12), (lag(0.13),))
+DELAY = OpenHypothesis("delay", delay(0.1), (delay(0.11),))
+CREEP = OpenHypothesis("creep", creep(0.15, 5.0), (creep(0.16, 5.0), creep(0.15, 5.5)))

@@ -10,6 +10,7 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.gap.confusable import confusability
 from hystmpc.gap.diagnosis import Diagnosis, FoundEffect, Gap, NextMotion, Place, Verdict
 from hystmpc.gap.excitation import excitation_of
+from hystmpc.gap.localise import localise
 from hystmpc.gap.motion_menu import menu
 from hystmpc.gap.next_motion import Noise, Proposal, propose
 from hystmpc.gap.report.evidence import (
@@ -19,7 +20,6 @@ from hystmpc.gap.report.evidence import (
     Role,
     TrialEvidence,
 )
-from hystmpc.gap.where import localise
 from hystmpc.trials.trial import Trial
 
 from ..models.zoo import CHAINS, simulator
@@ -118,7 +118,7 @@ def diagnosis_of(verdict: Verdict, trials: tuple[TrialEvidence, ...], proposal: 
     )
 
 
-def evidence_of(verdict: Verdict, count: int = 6) -> Evidence:
+def report_data(verdict: Verdict, count: int = 6) -> Evidence:
     """A whole body of evidence."""
     trials = tuple(trial_evidence(k, role) for k, role in enumerate(roles(count)))
     proposal = proposal_of(verdict)

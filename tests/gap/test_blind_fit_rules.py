@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.gap.blind.fit_rules import bic_choice, effective_samples, fit_rules
-from hystmpc.gap.hypothesis import Court
+from hystmpc.gap.hypothesis import CrossValidation
 from hystmpc.gap.recording import Run, runs_of
 from hystmpc.gap.select import Selection, SelectionSettings, select
 from hystmpc.models.chain import Chain
@@ -30,7 +30,7 @@ def selection_on(runs: tuple[Run, ...]) -> Selection:
     """What a small library finds on them."""
     without = ("trial_shift", "periodic_disturbance")
     candidates = [c for c in CANDIDATES["backlash"] if c.effect in ("lag", "creep", "contact")]
-    return select(Court(BASELINES["backlash"], runs), candidates, SelectionSettings(), NOISE_DEG**2, without)
+    return select(CrossValidation(BASELINES["backlash"], runs), candidates, SelectionSettings(), NOISE_DEG**2, without)
 
 
 @pytest.mark.slow

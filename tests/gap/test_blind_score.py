@@ -50,8 +50,8 @@ def test_always_one_name_alarms_everywhere() -> None:
     found = by_name(always(all_answers(), named("lag", probability=0.95)))
     assert found["false alarms"] == 1.0
     assert found["class top-1"] == pytest.approx(1 / len(LABELS))
-    twins = sum(label != "lag" and confusable("lag", label) for label in LABELS)
-    assert found["family top-1"] == pytest.approx((1 + twins) / len(LABELS))
+    confounders = sum(label != "lag" and confusable("lag", label) for label in LABELS)
+    assert found["family top-1"] == pytest.approx((1 + confounders) / len(LABELS))
     assert found["out of library: confidently wrong"] == 1.0
 
 

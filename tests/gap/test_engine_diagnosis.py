@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.gap.again import closed_again
 from hystmpc.gap.diagnosis import Diagnosis
+from hystmpc.gap.fresh_session import closed_again
 from hystmpc.gap.procedure import LIBRARY, conclude, investigate
 from hystmpc.gap.report.evidence import Evidence
 from hystmpc.gap.report.folder import diagnosis_json

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hystmpc.gap.fixed_simulator import EFFECTS_FILE, fixed_simulator, network_effects
-from hystmpc.gap.hypothesis import Court, Hypothesis
+from hystmpc.gap.hypothesis import CrossValidation, Hypothesis
 from hystmpc.gap.parameter_rows import parameter_rows
-from hystmpc.gap.planned import contender_of, settled
+from hystmpc.gap.predicted_response import contender_of, settled
 from hystmpc.gap.preparation import Prepared, prepare
 from hystmpc.gap.problem import Problem
 from hystmpc.gap.trial_terms import TrialTerms
@@ -43,9 +43,9 @@ def prepared_of(*before: Operator, after: tuple[Operator, ...] = (), noise: floa
 
 def fitted(prepared: Prepared, label: str, start: tuple[float, ...], terms: TrialTerms = TrialTerms()) -> Hypothesis:
     """Baseline and one candidate."""
-    court = Court(prepared.baseline, prepared.development)
-    made = court.with_causes((named("backlash", label),), terms, prepared.baseline.nominal, [[start]])
-    return court.polished(made)
+    validation = CrossValidation(prepared.baseline, prepared.development)
+    made = validation.with_causes((named("backlash", label),), terms, prepared.baseline.nominal, [[start]])
+    return validation.polished(made)
 
 
 @pytest.mark.parametrize("core", [BACKLASH, STATIC_PI])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.gap.floor import find_floor, repaired, sensor_signs, structure_left
-from hystmpc.gap.white import white_noise
+from hystmpc.gap.white_noise import white_noise
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 

@@ -10,7 +10,7 @@ import pytest
 
 from hystmpc.gap.blind.scene import FINE_S, Scene
 from hystmpc.gap.blind.tip_effects import lugre_tip
-from hystmpc.gap.hypothesis import Court
+from hystmpc.gap.hypothesis import CrossValidation
 from hystmpc.gap.jumps import Jumps, find_jumps
 from hystmpc.gap.preparation import prepare
 from hystmpc.gap.procedure import conclude, investigate
@@ -63,7 +63,9 @@ def clean() -> list[Trial]:
 def jumps_of(trials: list[Trial]) -> Jumps:
     """What is seen in trials."""
     prepared = prepare(trials, simulator_of(BACKLASH))
-    return find_jumps(prepared.everything, Court(prepared.baseline, prepared.development).retuned(), prepared.signs)
+    return find_jumps(
+        prepared.everything, CrossValidation(prepared.baseline, prepared.development).retuned(), prepared.signs
+    )
 
 
 @pytest.mark.parametrize("break_away", [4.0, 8.0])

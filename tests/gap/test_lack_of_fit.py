@@ -6,8 +6,8 @@ import pytest
 
 from hystmpc.gap.candidate import Scale
 from hystmpc.gap.candidates import candidates
-from hystmpc.gap.hypothesis import Court, Hypothesis
-from hystmpc.gap.lack_of_fit import curves_left
+from hystmpc.gap.hypothesis import CrossValidation, Hypothesis
+from hystmpc.gap.lack_of_fit import remaining_curvature
 from hystmpc.gap.preparation import Prepared, prepare
 from hystmpc.gap.trial_terms import NO_TERMS
 from hystmpc.models.chain import Chain
@@ -26,29 +26,29 @@ def fitted(behind: Operator, effect: str) -> tuple[Hypothesis, Prepared]:
     chain = Chain(BACKLASH, after=(behind,))
     trials = trials_of(chain, [moves(1, 20.0), sine(0.1), moves(2, 20.0), sine(0.2), moves(3, 20.0)], NOISE_DEG)
     prepared = prepare(trials, simulator_of(BACKLASH))
-    court = Court(prepared.baseline, prepared.development)
-    retuned = court.retuned()
+    validation = CrossValidation(prepared.baseline, prepared.development)
+    retuned = validation.retuned()
     library = candidates(Scale.of(prepared.development), prepared.baseline.effects)
     candidate = next(c for c in library if c.effect == effect and c.side == "output")
     z = retuned.problem.retuned(retuned.q)
-    found = court.with_causes((candidate,), NO_TERMS, z, [[start] for start in candidate.starts])
-    return court.polished(found), prepared
+    found = validation.with_causes((candidate,), NO_TERMS, z, [[start] for start in candidate.starts])
+    return validation.polished(found), prepared
 
 
 @pytest.mark.parametrize("angle", [45.0, 55.0])
 def test_a_corner_leaves_curves_behind_a_polynomial(angle: float) -> None:
     hypothesis, prepared = fitted(Contact(angle, 0.3), "nonlinear_gain")
     assert hypothesis.mse > 4 * NOISE_DEG**2
-    assert curves_left(hypothesis, prepared.development, NOISE_DEG**2) > 0.7
+    assert remaining_curvature(hypothesis, prepared.development, NOISE_DEG**2) > 0.7
 
 
 def test_a_polynomial_leaves_none_behind_a_polynomial() -> None:
     hypothesis, prepared = fitted(NonlinearGain(0.005, 0.0, 50.0), "nonlinear_gain")
-    left = curves_left(hypothesis, prepared.development, NOISE_DEG**2)
+    left = remaining_curvature(hypothesis, prepared.development, NOISE_DEG**2)
     structural = max(hypothesis.mse - NOISE_DEG**2, 0.0)
     assert left * structural < 0.1 * NOISE_DEG**2
 
 
 def test_what_is_no_more_than_the_floor_leaves_nothing() -> None:
     hypothesis, prepared = fitted(Contact(50.0, 0.3), "contact")
-    assert curves_left(hypothesis, prepared.development, 2 * hypothesis.mse) == 0.0
+    assert remaining_curvature(hypothesis, prepared.development, 2 * hypothesis.mse) == 0.0

@@ -13,8 +13,8 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.gap.motion_menu import PLANS, Motion, menu
 from hystmpc.gap.next_motion import (
     PLANNED,
-    Contender,
     Noise,
+    OpenHypothesis,
     Option,
     Proposal,
     expected_probability,
@@ -78,7 +78,7 @@ def fast_share(motion: Motion) -> float:
     return float(power[np.fft.rfftfreq(motion.t.size - 1, motion.dt) > 1.0].sum() / power.sum())
 
 
-def odds_of(*pair: Contender) -> dict[str, float]:
+def odds_of(*pair: OpenHypothesis) -> dict[str, float]:
     """Odds of every motion of the menu."""
     return {option.motion.name: option.probability for option in propose(pair, MOTIONS, NOISE).options}
 
@@ -109,7 +109,7 @@ def test_three_candidates_are_told_by_what_separates_the_closest_pair() -> None:
 
 @pytest.mark.parametrize("count", [2, 3, 5])
 def test_identical_simulators_leave_it_to_chance(count: int) -> None:
-    same = [Contender(f"copy {k}", lag(0.1)) for k in range(count)]
+    same = [OpenHypothesis(f"copy {k}", lag(0.1)) for k in range(count)]
     proposal = propose(same, MOTIONS, NOISE)
     assert proposal.chosen.probability == pytest.approx(1 / count, abs=1e-6)
     shortest = min(MOTIONS, key=lambda motion: motion.duration_s)
@@ -120,7 +120,7 @@ def test_what_retuning_absorbs_is_no_separation() -> None:
     def moved(command: np.ndarray, dt: float) -> np.ndarray:
         return 3 + 1.2 * lag(0.1)(command, dt)
 
-    proposal = propose((Contender("lag", lag(0.1)), Contender("same, mounted anew", moved)), MOTIONS, NOISE)
+    proposal = propose((OpenHypothesis("lag", lag(0.1)), OpenHypothesis("same, mounted anew", moved)), MOTIONS, NOISE)
     assert proposal.chosen.probability == pytest.approx(0.5, abs=1e-6)
 
 
@@ -143,8 +143,8 @@ def test_odds_grow_with_every_distance(distances: list[float], more: float, whic
 def test_odds_grow_with_the_size_of_the_effect_and_fall_with_the_floor() -> None:
     def odds(share: float, floor: float) -> float:
         pair = (
-            Contender("nothing", baseline, (baseline,)),
-            Contender("creep", creep(share, 5.0), (creep(share + 0.01, 5.0), creep(share, 5.5))),
+            OpenHypothesis("nothing", baseline, (baseline,)),
+            OpenHypothesis("creep", creep(share, 5.0), (creep(share + 0.01, 5.0), creep(share, 5.5))),
         )
         small = menu(CommandLimits(0.0, 0.6, 1.0), 0.04)
         return propose(pair, small, Noise(floor)).chosen.probability
@@ -168,11 +168,11 @@ def test_a_motion_on_which_a_simulator_diverges_is_left_out() -> None:
     def breaks(command: np.ndarray, dt: float) -> np.ndarray:
         return lag(0.2)(command, dt) * (np.nan if np.ptp(command) > 5 else 1.0)
 
-    proposal = propose((LAG, Contender("breaks", breaks)), MOTIONS, NOISE)
+    proposal = propose((LAG, OpenHypothesis("breaks", breaks)), MOTIONS, NOISE)
     assert 0 < len(proposal.options) < len(MOTIONS)
     wide = [motion for motion in MOTIONS if np.ptp(motion.command) > 5]
     with pytest.raises(FitError, match="none of"):
-        propose((LAG, Contender("breaks", breaks)), wide, NOISE)
+        propose((LAG, OpenHypothesis("breaks", breaks)), wide, NOISE)
 
 
 def test_the_file_reads_back_as_log_and_as_reference(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.html import Heading, Paragraph, Plot, Table
 from hystmpc.trials.run_folder import RunFolder
 
-from .report_examples import REASON, VERDICTS, evidence_of, trial_evidence
+from .report_examples import REASON, VERDICTS, report_data, trial_evidence
 
 SECTIONS = (
     "Which effect",
@@ -65,7 +65,7 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def named() -> Evidence:
     """A diagnosis that names creep, of six trials."""
-    return evidence_of("named")
+    return report_data("named")
 
 
 def headings(evidence: Evidence) -> list[str]:
@@ -92,7 +92,7 @@ def test_the_page_opens_offline_and_shows_everything(named: Evidence, tmp_path: 
 @pytest.mark.slow
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_every_verdict_has_all_sections_and_says_so(verdict: Verdict) -> None:
-    evidence = evidence_of(verdict, 3)
+    evidence = report_data(verdict, 3)
     pieces = diagnosis_report(evidence).pieces
     assert headings(evidence) == [headline(evidence.diagnosis), *SECTIONS]
     texts = [piece.text for piece in pieces if isinstance(piece, Paragraph)]
@@ -103,7 +103,7 @@ def test_every_verdict_has_all_sections_and_says_so(verdict: Verdict) -> None:
 
 
 def test_headlines_tell_verdicts_apart() -> None:
-    lines = {verdict: headline(evidence_of(verdict, 1).diagnosis) for verdict in VERDICTS}
+    lines = {verdict: headline(report_data(verdict, 1).diagnosis) for verdict in VERDICTS}
     assert lines["named"] == "Named: creep"
     assert lines["one_of"] == "Not told apart: lag or delay"
     assert lines["unknown"].startswith("Unknown")
@@ -114,7 +114,7 @@ def test_headlines_tell_verdicts_apart() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 30])
 def test_few_and_many_trials(count: int) -> None:
-    evidence = evidence_of("one_of", count)
+    evidence = report_data("one_of", count)
     pieces = diagnosis_report(evidence).pieces
     table = next(piece for piece in pieces if isinstance(piece, Table) and piece.columns[0] == "trial")
     assert {row[0] for row in table.rows} == {trial.name for trial in evidence.trials}
@@ -127,7 +127,7 @@ def test_few_and_many_trials(count: int) -> None:
 
 
 def test_ambiguity_is_spelled_out_and_no_effect_is_drawn_where_none_was_chosen() -> None:
-    one_of, unknown = evidence_of("one_of", 3), evidence_of("unknown", 3)
+    one_of, unknown = report_data("one_of", 3), report_data("unknown", 3)
     texts = [piece.text for piece in diagnosis_report(one_of).pieces if isinstance(piece, Paragraph)]
     assert any(text.startswith("Set A: lag or delay.") for text in texts)
     assert one_of.stages == ("nominal", "retuned", "with_effects")
@@ -138,7 +138,7 @@ def test_ambiguity_is_spelled_out_and_no_effect_is_drawn_where_none_was_chosen()
 
 
 def test_how_far_says_what_it_was_measured_on() -> None:
-    named, unknown = evidence_of("named", 6).diagnosis, evidence_of("unknown", 6).diagnosis
+    named, unknown = report_data("named", 6).diagnosis, report_data("unknown", 6).diagnosis
 
     def words(**changed: object) -> str:
         return how_far(replace(named, gap=replace(named.gap, **changed)))
@@ -184,7 +184,7 @@ def test_a_constant_command_is_not_drawn_over_itself() -> None:
 
 
 def test_trials_drawn_are_final_ones_then_the_worst() -> None:
-    trials = evidence_of("named", 9).trials
+    trials = report_data("named", 9).trials
     drawn = shown(trials, 5)
     assert {trial.name for trial in trials if trial.role == "final"} <= {trial.name for trial in drawn}
     others = [trial for trial in drawn if trial.role != "final"]
@@ -203,18 +203,18 @@ def test_long_names_keep_both_ends() -> None:
 
 
 def test_json_is_the_fixed_form_and_strict() -> None:
-    evidence = evidence_of("too_little", 1)
+    evidence = report_data("too_little", 1)
     text = diagnosis_json(evidence.diagnosis)
     read = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     assert read["format"] == "hystmpc-diagnosis/1"
     assert read["verdict"] == "too_little"
     assert read["gap"]["closed_share"] is None
-    assert json.loads(diagnosis_json(evidence_of("one_of", 3).diagnosis))["ambiguity"] == [["lag", "delay"]]
+    assert json.loads(diagnosis_json(report_data("one_of", 3).diagnosis))["ambiguity"] == [["lag", "delay"]]
 
 
 @pytest.mark.slow
 def test_the_folder_is_a_run_and_only_a_diagnosis_is_replaced(tmp_path: Path) -> None:
-    folder, first = tmp_path / "out" / "diagnosis", evidence_of("one_of", 1)
+    folder, first = tmp_path / "out" / "diagnosis", report_data("one_of", 1)
     save_diagnosis(first, folder, {"logs": ["a.csv"]})
     files = {path.name for path in folder.iterdir()} - {"log.mcap"}
     assert files == {
@@ -263,7 +263,7 @@ def test_numbers_of_trials_and_residuals() -> None:
 
 
 def test_a_report_of_trials_with_dollar_signs_in_their_names_is_written(tmp_path: Path) -> None:
-    evidence = evidence_of("named", 4)
+    evidence = report_data("named", 4)
     names = [f"/logs/run$a_{{{k}$.csv" for k in range(len(evidence.trials))]
     trials = tuple(
         replace(own, trial=replace(own.trial, source=name)) for own, name in zip(evidence.trials, names, strict=True)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.where import PLACES, Localisation, ceiling, localise, place_labels
+from hystmpc.gap.localise import PLACES, Localisation, explainable_share, localise, place_labels
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 
@@ -139,16 +139,16 @@ def test_the_ceiling_is_what_the_command_explains() -> None:
     shaped = [0.5 * (low_pass(own.command, 4.0, DT) - own.command) for own in TRIALS]
     power = np.concatenate(shaped) @ np.concatenate(shaped) / sum(map(len, shaped))
     noisy = [e + power**0.5 * noise(own, k) for k, (e, own) in enumerate(zip(shaped, TRIALS, strict=True))]
-    assert ceiling(TRIALS, shaped) > 0.95
-    assert ceiling(TRIALS, noisy) == pytest.approx(0.5, abs=0.06)
-    assert ceiling(TRIALS, [noise(own, k) for k, own in enumerate(TRIALS)]) < 0.02
-    assert ceiling(TRIALS, noisy, seed=3) == ceiling(TRIALS, noisy, seed=3)
+    assert explainable_share(TRIALS, shaped) > 0.95
+    assert explainable_share(TRIALS, noisy) == pytest.approx(0.5, abs=0.06)
+    assert explainable_share(TRIALS, [noise(own, k) for k, own in enumerate(TRIALS)]) < 0.02
+    assert explainable_share(TRIALS, noisy, seed=3) == explainable_share(TRIALS, noisy, seed=3)
 
 
 def test_one_trial_is_enough_and_a_seed_settles_everything() -> None:
     errors = [noise(TRIALS[1]) + 0.1 * TRIALS[1].command]
     assert localise(TRIALS[1:2], errors, WIDTH, 4) == localise(TRIALS[1:2], errors, WIDTH, 4)
-    assert 0 <= ceiling(TRIALS[1:2], errors) <= 1
+    assert 0 <= explainable_share(TRIALS[1:2], errors) <= 1
 
 
 def test_what_cannot_be_localised_is_refused() -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hystmpc.gap import trial_choice
 from hystmpc.gap.check import Checked, check_trials
-from hystmpc.gap.memory import ceiling
+from hystmpc.gap.memory import explainable_share
 from hystmpc.gap.motion_type import command_segments, motion_type
 from hystmpc.gap.recording import Before, Run, runs_of
 from hystmpc.gap.repeats import find_repeats
@@ -166,7 +166,7 @@ def test_a_line_is_where_the_table_of_all_waves_has_it() -> None:
 def test_the_ceiling_holds_the_features_of_one_trial_at_a_time() -> None:
     """Of six trials of 100 s 184 features are 22 MB, in several copies before."""
     _, trials, errors = long_runs(100.0, 6)
-    assert peak_mb(lambda: ceiling(trials, errors)) < 25
+    assert peak_mb(lambda: explainable_share(trials, errors)) < 25
 
 
 def test_repeats_of_long_trials_are_what_they_were() -> None:

@@ -10,7 +10,7 @@ from .candidate import Scale
 from .candidates import candidates
 from .diagnosis import Gap
 from .floor import Floor, find_floor
-from .hypothesis import Court, Hypothesis
+from .hypothesis import CrossValidation, Hypothesis
 from .jumps import Jumps, find_jumps
 from .preparation import Prepared
 from .select import OWN_TO_TRIALS, Selection, SelectionSettings, select
@@ -35,7 +35,7 @@ class DiagnosisSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Which:
+class Attribution:
     """Causes and what they amount to.
 
     Attributes:
@@ -53,12 +53,12 @@ class Which:
     jumps: Jumps | None
     floor_mse: float
 
-    def unexplained(self) -> Which:
+    def unexplained(self) -> Attribution:
         """The same where the causes do not stand: a gap without a name."""
         return replace(self, ruling=replace(self.ruling, verdict="unknown", ambiguity=()), explained=False)
 
 
-def stands(which: Which, gap: Gap, left: float, settings: VerdictSettings) -> bool:
+def confirmed(which: Attribution, gap: Gap, left: float, settings: VerdictSettings) -> bool:
     """Whether causes that were chosen stand on the final trials: they close most of the gap, or leave little.
 
     A class that is not in the library is mimicked by others, mostly by several, that close a part of it. What a sensor
@@ -67,17 +67,17 @@ def stands(which: Which, gap: Gap, left: float, settings: VerdictSettings) -> bo
     Args:
         which: causes chosen on the development trials.
         gap: on the final trials.
-        left: see `left_of`.
+        left: see `residual_ratio`.
         settings: thresholds.
     """
     if which.sensor or which.jumps:
         return True
     several = len(which.selection.chosen.hypothesis.effects) > 1
-    enough = settings.stands_several if several else settings.stands_alone
-    return gap.closed_share >= enough or left <= settings.stands_left
+    enough = settings.confirmed_several if several else settings.confirmed_alone
+    return gap.closed_share >= enough or left <= settings.confirmed_left
 
 
-def left_of(gap: Gap, form_mse: float, floor: Floor) -> float:
+def residual_ratio(gap: Gap, form_mse: float, floor: Floor) -> float:
     """RMSE with all causes by what noise and form leave; 1 where the form error is not known."""
     if form_mse <= 0:
         return 1.0
@@ -86,13 +86,13 @@ def left_of(gap: Gap, form_mse: float, floor: Floor) -> float:
 
 def decide(
     prepared: Prepared,
-    court: Court,
+    validation: CrossValidation,
     retuned: Hypothesis,
     left_out: Sequence[str],
     settings: DiagnosisSettings,
     seed: int,
     advance: Callable[[float, str], None],
-) -> Which:
+) -> Attribution:
     """Select the causes, and rule on them.
 
     Args:
@@ -113,16 +113,16 @@ def decide(
     library = candidates(Scale.of(prepared.development), prepared.baseline.effects, unfit)
     if prepared.unrelated:  # nothing to explain: only the baseline is judged
         library, left_out = (), (*left_out, *OWN_TO_TRIALS)
-    selection = select(court, library, settings.selection, floor_mse, left_out, advance)
+    selection = select(validation, library, settings.selection, floor_mse, left_out, advance)
     sensor = "sensor" not in left_out and sensor_matters(prepared, selection, settings.verdict)
-    ruling = rule(selection, court, floor_mse, prepared.form_mse, sensor, settings.verdict, seed)
+    ruling = rule(selection, validation, floor_mse, prepared.form_mse, sensor, settings.verdict, seed)
     explained = ruling.verdict in ("named", "one_of") and not silent
     if silent:
         ruling = replace(ruling, verdict="too_little" if prepared.lacks else "unknown", ambiguity=())
     elif jumping and not explained:
         ruling = replace(ruling, verdict="named")
     sensor = sensor and ruling.verdict != "none" and not silent
-    return Which(selection, ruling, explained, sensor, jumps if jumping else None, floor_mse)
+    return Attribution(selection, ruling, explained, sensor, jumps if jumping else None, floor_mse)
 
 
 def selection_floor(prepared: Prepared, retuned: Hypothesis) -> float:

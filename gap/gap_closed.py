@@ -11,7 +11,7 @@ import numpy as np
 from .blocks import Blocks, blocks_of
 from .diagnosis import Gap, Interval
 from .floor import Floor
-from .hypothesis import Court, Hypothesis
+from .hypothesis import CrossValidation, Hypothesis
 from .preparation import Prepared
 from .shares import closed_interval, closed_share, final_blocks, shapley
 
@@ -24,7 +24,7 @@ _UNKNOWN_SPREAD, _LEAST_SHARE = 0.1, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class HowFar:
+class GapClosed:
     """Sizes on the final trials.
 
     Attributes:
@@ -42,7 +42,7 @@ class HowFar:
     before_deg: Mapping[str, float]
     parameters: Mapping[str, Mapping[str, float]]
 
-    def joined_by(self, name: str, parameters: Mapping[str, float]) -> HowFar:
+    def joined_by(self, name: str, parameters: Mapping[str, float]) -> GapClosed:
         """The same with a cause known by its signs, which closes nothing, unless it is among the causes."""
         if name in self.shares:
             return self
@@ -57,13 +57,13 @@ class HowFar:
 
 def measure(
     prepared: Prepared,
-    court: Court,
+    validation: CrossValidation,
     retuned: Hypothesis,
     chosen: Hypothesis,
     floor: Floor,
     sensor: bool,
     seed: int,
-) -> HowFar:
+) -> GapClosed:
     """Open the final trials.
 
     Args:
@@ -74,7 +74,7 @@ def measure(
         sensor: whether the sensor is a cause.
         seed: of the resampling.
     """
-    opened = Opened(prepared, court, retuned, chosen, floor, sensor)
+    opened = FinalErrors(prepared, validation, retuned, chosen, floor, sensor)
     names, everything = sorted(chosen.effects), frozenset(chosen.effects)
     worth = shapley(names, lambda kept: opened.closed(opened.blocks(kept).mse)) if names else {}
     intervals: dict[str, Interval] = {}
@@ -93,17 +93,23 @@ def measure(
         intervals["sensor"] = opened.interval(opened.before, mended, seed)
         left["sensor"] = float(np.sqrt(_raw_blocks(prepared, chosen).mse))
         parameters["sensor"] = _sensor_parameters(prepared)
-    return HowFar(retuned, opened.gap(seed), worth, intervals, left, parameters)
+    return GapClosed(retuned, opened.gap(seed), worth, intervals, left, parameters)
 
 
 @final
-class Opened:
+class FinalErrors:
     """Errors on the final trials of the simulator with any of its causes."""
 
     def __init__(
-        self, prepared: Prepared, court: Court, retuned: Hypothesis, chosen: Hypothesis, floor: Floor, sensor: bool
+        self,
+        prepared: Prepared,
+        validation: CrossValidation,
+        retuned: Hypothesis,
+        chosen: Hypothesis,
+        floor: Floor,
+        sensor: bool,
     ) -> None:
-        self._prepared, self._court, self._retuned, self._chosen = prepared, court, retuned, chosen
+        self._prepared, self._court, self._retuned, self._chosen = prepared, validation, retuned, chosen
         self._floor, self.sensor = floor, sensor
         self._parts = {frozenset(chosen.effects): final_blocks(chosen, prepared.final)}
         self.before = _raw_blocks(prepared, retuned)

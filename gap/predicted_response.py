@@ -11,7 +11,7 @@ from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.types import Vec
 
 from .hypothesis import Hypothesis
-from .next_motion import Contender, Simulate
+from .next_motion import OpenHypothesis, Simulate
 from .preparation import Prepared
 from .problem import Problem
 
@@ -19,7 +19,7 @@ _STEP = 0.3  # of the unknowns' typical changes
 _SETTLE_S, _SETTLE_DT = 1800.0, 2.0
 
 
-def contender_of(name: str, hypothesis: Hypothesis, prepared: Prepared) -> Contender:
+def contender_of(name: str, hypothesis: Hypothesis, prepared: Prepared) -> OpenHypothesis:
     """A fitted explanation as `propose` takes it; its retunings move one unknown each.
 
     What each trial has of its own (`trial_shift`, the phase of a disturbance) is not part of the run: in a single
@@ -33,7 +33,7 @@ def contender_of(name: str, hypothesis: Hypothesis, prepared: Prepared) -> Conte
     problem, q = hypothesis.problem, hypothesis.q
     nudges = [np.clip(q + _STEP * row, problem.lower, problem.upper) for row in np.eye(problem.size)]
     moved = [nudge for nudge in nudges if not np.array_equal(nudge, q)]
-    return Contender(name, _simulator(problem, q, prepared), [_simulator(problem, n, prepared) for n in moved])
+    return OpenHypothesis(name, _simulator(problem, q, prepared), [_simulator(problem, n, prepared) for n in moved])
 
 
 def settled(chain: Chain, command: float, angle: float, bent: float, clock_s: float) -> Vec:

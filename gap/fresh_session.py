@@ -8,7 +8,7 @@ from dataclasses import replace
 from hystmpc.trials.trial import Trial
 
 from .findings import Findings
-from .how_far import Opened
+from .gap_closed import FinalErrors
 from .preparation import prepare
 
 
@@ -28,5 +28,5 @@ def closed_again(findings: Findings, trials: Sequence[Trial]) -> float:
     fresh = prepare(trials, findings.simulator)
     fresh = replace(fresh, final=fresh.everything)
     sensor = "sensor" in findings.far.shares
-    opened = Opened(fresh, findings.court, findings.retuned, findings.chosen, findings.floor, sensor)
+    opened = FinalErrors(fresh, findings.validation, findings.retuned, findings.chosen, findings.floor, sensor)
     return opened.closed(opened.after.mse)

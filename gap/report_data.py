@@ -10,14 +10,14 @@ from .confusable import Confusable, confusability
 from .diagnosis import Diagnosis
 from .findings import Findings
 from .fixed_simulator import fixed_simulator, network_effects
-from .hypothesis import Judged, gain
-from .memory import ceiling
+from .hypothesis import HeldOutErrors, gain
+from .memory import explainable_share
 from .next_motion import Proposal
 from .parameter_rows import parameter_rows
 from .report.evidence import CandidateRow, Evidence, Role, Side, TrialEvidence
 
 
-def evidence_of(findings: Findings, diagnosis: Diagnosis, proposal: Proposal | None) -> Evidence:
+def report_data(findings: Findings, diagnosis: Diagnosis, proposal: Proposal | None) -> Evidence:
     """Put together what the report shows; see `Evidence`.
 
     Args:
@@ -104,7 +104,7 @@ def _candidates(findings: Findings, diagnosis: Diagnosis) -> tuple[CandidateRow,
     return tuple(sorted(rows, key=lambda row: (-row.probability, row.rmse_deg)))
 
 
-def _row(name: str, before: Judged, after: Judged, probability: float, chosen: bool) -> CandidateRow:
+def _row(name: str, before: HeldOutErrors, after: HeldOutErrors, probability: float, chosen: bool) -> CandidateRow:
     _, error = gain(before, after)
     rmse, retuned = float(np.sqrt(after.mse)), float(np.sqrt(before.mse))
     effects = after.hypothesis.problem.effects
@@ -120,5 +120,5 @@ def _ceiling(findings: Findings) -> float | None:
     structural = mse - findings.far.gap.floor_rmse_deg**2
     if structural <= 0 or findings.ruling.verdict == "none":
         return None
-    explained = ceiling(prepared.checked.trials, errors, findings.seed) * mse
+    explained = explainable_share(prepared.checked.trials, errors, findings.seed) * mse
     return float(np.clip(explained / structural, 0.0, 1.0))

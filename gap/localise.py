@@ -15,11 +15,11 @@ from hystmpc.trials.types import Index, Vec
 
 from .diagnosis import Place
 from .floor import require_residuals
-from .memory import ceiling, memory_gains
+from .memory import explainable_share, memory_gains
 from .motion_type import command_segments
 from .spectrum import Line, Spectrum, spectrum_of
 
-__all__ = ["PLACES", "Bins", "Line", "Localisation", "Spectrum", "ceiling", "localise", "place_labels"]
+__all__ = ["PLACES", "Bins", "Line", "Localisation", "Spectrum", "explainable_share", "localise", "place_labels"]
 
 
 PLACES = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
