@@ -232,7 +232,10 @@ MUTANTS: tuple[Mutant, ...] = (
         "ramps.acceleration_per_s2",
     ),
     _config("a weak brake is accepted", "> self.overshoot * (1 + 1e-9):", "> 1e9:"),
-    _plausibility("a blocked tip is not noticed", "if now_ns - self._since_ns < self._hold_ns:", "if now_ns >= 0:"),
+    _plausibility(
+        "a blocked tip is not noticed", "if now_ns - self._since_ns < self._hold_ns and not at_once:", "if now_ns >= 0:"
+    ),
+    _plausibility("a blocked tip is given time however far the command goes", "and not at_once:", "and self._travel:"),
     _plausibility(
         "an angle that moves counts as one that does not",
         "if not max(self._high, angle) - min(self._low, angle) < self._moves:",

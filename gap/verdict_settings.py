@@ -22,9 +22,10 @@ class VerdictSettings:
         nearer: how much nearer than to another explanation the truth has to lie to the chosen one, -1 to 1, for the
             two to be told apart ...
         nearer_errors: ... and by how many standard errors.
-        significant_drift: standard errors by which a drift has to show within trials to be told apart from shifts between them.
-        confirmed_alone, confirmed_several, confirmed_left: one cause, or several, have to close this share of the gap on the
-            final trials, or to leave no more than so many times what noise and form leave.
+        significant_drift: standard errors by which a drift has to show within trials to be told apart from shifts
+            between them.
+        confirmed_alone, confirmed_several, confirmed_left: one cause, or several, have to close this share of the gap
+            on the final trials, or to leave no more than so many times what noise and form leave.
         noise_share: share of the error that is left, from which noise and resolution of the sensor are named.
         mended_share: the same for outliers and dropouts.
         simplicity: share of the structural error that a resample has to gain by one more cause.

@@ -13,6 +13,7 @@ _S = 1e-9
 _SMOOTH_S = 0.2  # time constant over which noise of the angle is averaged
 _TRAVEL_SHARE = 0.3  # of the command's range
 _ANGLE_SHARE = 0.025  # of the sensor's plausible range
+_AT_ONCE = 1.5  # times `travel`: no time is given to a command that goes so far
 
 
 class PlausibilitySettings(Settings):
@@ -24,6 +25,7 @@ class PlausibilitySettings(Settings):
         moves_deg: an angle that moves by less than this counts as one that does not move; null takes 2.5 % of the
             sensor's plausible range.
         travel_s: how long that has to last once the command has travelled so far; longer than the lag of the device.
+            One and a half times the travel is implausible at once.
         model_error_deg: the estimated disturbance (measured angle less the model's) that counts as a disagreement; or
             the estimator's own limit, where that is lower.
         model_error_s: how long it has to last.
@@ -45,7 +47,7 @@ class MotionWatch:
     """Finds commanded travel without angular travel.
 
     The angle is smoothed over 0.2 s. Since it has last moved by `moves_deg` the command has a least and a greatest
-    value; a distance between them of `travel` or more for `travel_s` is implausible.
+    value; a distance between them of `travel` or more for `travel_s` is implausible, or of 1.5 `travel` at once.
 
     Args:
         settings: the thresholds.
@@ -82,7 +84,8 @@ class MotionWatch:
         if self._most - self._least < self._travel:
             return ""
         self._since_ns = now_ns if self._since_ns is None else self._since_ns
-        if now_ns - self._since_ns < self._hold_ns:
+        at_once = self._most - self._least >= _AT_ONCE * self._travel
+        if now_ns - self._since_ns < self._hold_ns and not at_once:
             return ""
         return (
             f"implausible: the command went from {self._least:.4g} to {self._most:.4g} and the angle stayed within "

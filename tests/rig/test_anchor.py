@@ -237,11 +237,11 @@ def blocked_at(k0: int, deg: float = 40.0) -> Rig:
 
 @pytest.mark.parametrize("rate", [1.0, 3.0, 10.0])
 def test_a_blocked_tip_stops_the_run(rate: float) -> None:
-    """It is noticed after 30 % of the range and .3 s; today's rate decides how far the command has gone by then."""
+    """It is noticed after 30 % of the range and .3 s, or after 45 % at once."""
     rig = blocked_at(10)
     outcome = rig.run([Rising(rate)])
     assert outcome.cause.startswith("implausible: the command went from")
-    assert max(rig.transport.sent) <= 11 * rate * DT + 1.8 + (0.3 + 3 * DT) * rate + OVERSHOOT
+    assert max(rig.transport.sent) <= 11 * rate * DT + min(1.8 + (0.3 + 3 * DT) * rate, 2.7 + 2 * rate * DT) + OVERSHOOT
     assert outcome.confirmed
 
 
