@@ -205,7 +205,7 @@ def test_no_command_is_ever_beyond_its_limits(
             plant={"simulator": "builtin:tendon-catheter", "lag_s": 0.05, "noise_deg": noise},
             motions={"m": motion},
             controllers={"c": {"kind": kind}},
-            limits={"lower": 0.5, "upper": 5.0, "rate_per_s": rate},
+            limits={"lower": 0.5, "upper": 5.0, "rate_per_s": rate, "beyond_model": True},
             seed=seed,
         )
     )
