@@ -81,7 +81,9 @@ def _chosen(folder: Path, only: list[str], transport: str) -> list[_Play]:
     if "dds" in kinds:
         require_dds()
     chosen = [case for case in CASES if not only or any(text in case.name for text in only)]
-    wanted = [(case, kind) for kind in kinds for case in chosen if kind == "udp" or not case.of_datagrams]
+    wanted: list[tuple[Case, Kind]] = [
+        (case, kind) for kind in kinds for case in chosen if kind == "udp" or not case.of_datagrams
+    ]
     if not wanted:
         known = "; ".join(case.name for case in CASES if "udp" in kinds or not case.of_datagrams)
         raise ConfigError(f"--only: got {', '.join(only)}, available over {transport}: {known}")

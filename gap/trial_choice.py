@@ -13,7 +13,7 @@ from hystmpc.trials.errors import GapError
 from hystmpc.trials.resample import gap_limit_s, resample
 from hystmpc.trials.trial import Trial
 
-from .motion_type import command_segments, motion_type
+from .motion_type import MotionType, command_segments, motion_type
 from .recording import Before
 from .workload import Workload, affordable
 
@@ -79,7 +79,7 @@ def choose_trials(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool, se
     rate = _common_rate(recorded, facts, fixed)
     uniform = [resample(trial, rate) for trial in recorded]
     before = Before.each(uniform)
-    motions = [motion_type(trial, command_segments(trial)) for trial in uniform]
+    motions: list[MotionType] = [motion_type(trial, command_segments(trial)) for trial in uniform]
     workload = affordable(uniform, motions, seed)
     kept = list(zip(workload.kept, workload.samples, strict=True))
     return ChosenTrials(

@@ -116,7 +116,7 @@ def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest
     for run, error in zip(runs, errors, strict=True):
         signal = np.zeros(run.counts.size)
         signal[run.counts] = error - error.mean()
-        waves = zoom_fft(signal, [lowest_hz, stop_hz], grid.size, fs=1.0 / run.dt_s)
+        waves = zoom_fft(signal, [lowest_hz * run.dt_s, stop_hz * run.dt_s], grid.size, fs=1)
         power += np.abs(waves) ** 2 / error.size
     k = int(np.argmax(power))
     if 0 < k < grid.size - 1:

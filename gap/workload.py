@@ -114,7 +114,7 @@ def _most_alike(found: Vec) -> tuple[int, int] | None:
     """Numbers of the two motions that are most alike; None where no motion repeats another."""
     if len(found) < 2:
         return None
-    distance, other = KDTree(found).query(found, k=2)
+    distance, other = (np.asarray(part) for part in KDTree(found).query(found, k=2))
     first = int(np.argmin(distance[:, 1]))
     second = int(other[first, int(other[first, 1] != first)])  # of equal ones a motion may come after its repeat
     return (first, second) if distance[first, 1] < _REPEAT else None

@@ -123,7 +123,7 @@ class RunSettings(BenchSettings):
         drill: an exercise, None for none.
     """
 
-    limits: ModelledLimitsSettings
+    limits: ModelledLimitsSettings  # pyright: ignore[reportIncompatibleVariableOverride]  # settings are frozen
     controller: TipSettings
     reference: Motion
     review: ReviewSettings = ReviewSettings()

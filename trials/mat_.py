@@ -175,9 +175,9 @@ class _Hdf5Tree:
 
 def _place(item: Any) -> tuple[int, int]:
     """File and address of an object, the same by whatever link it was come to."""
-    import h5py
+    from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]  # compiled, without a stub
 
-    about = h5py.h5o.get_info(item.id)
+    about = h5o.get_info(item.id)
     return about.fileno, about.addr
 
 

@@ -27,7 +27,7 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[Callable[..., Any]
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
-        dispatcher = numba.njit(**options)(function)
+        dispatcher: Any = numba.njit(**options)(function)
         if cache:
             try:
                 dispatcher._cache = _Cache(function)  # numba's `enable_caching` sets the same, with its own class
