@@ -262,6 +262,7 @@ def test_numbers_of_trials_and_residuals() -> None:
     assert trial.rmse("with_effects") < trial.rmse("retuned")
 
 
+@pytest.mark.slow
 def test_a_report_of_trials_with_dollar_signs_in_their_names_is_written(tmp_path: Path) -> None:
     evidence = report_data("named", 4)
     names = [f"/logs/run$a_{{{k}$.csv" for k in range(len(evidence.trials))]

@@ -77,6 +77,7 @@ def short(to: float = 0.3) -> CommandMotion:
     return CommandMotion("move", lambda held: way_commands(held, [to], [0.05], RAMPS, DT))
 
 
+@pytest.mark.slow
 def test_the_latch_is_set_before_anything_moves_and_released_at_the_end(tmp_path: Path) -> None:
     """A program that is killed leaves it set."""
     found: list[str] = []
@@ -98,6 +99,7 @@ def test_the_latch_is_set_before_anything_moves_and_released_at_the_end(tmp_path
     assert not (tmp_path / "latched.json").exists()
 
 
+@pytest.mark.slow
 def test_a_stop_stays_latched_until_somebody_resets_it(tmp_path: Path) -> None:
     class Failing:
         name = "failing"
@@ -143,6 +145,7 @@ def test_a_device_that_holds_something_else_is_refused(
     assert not (tmp_path / "latched.json").exists()
 
 
+@pytest.mark.slow
 def test_a_recording_that_takes_long_to_open_does_not_age_what_the_device_holds(tmp_path: Path) -> None:
     """The first command is measured from what the device holds when the loop begins, not from the first contact."""
     sinks: list[ListSink] = []
