@@ -268,3 +268,12 @@ def test_a_model_that_the_device_does_not_obey_stops_the_run() -> None:
     assert [bool(saturated.judge(-10.0)) for _ in range(25)][-1]
     off = ModelWatch(PlausibilitySettings(watch_model=False), 30.0, DT)
     assert not any(off.judge(30.0) for _ in range(100))
+
+
+def test_travel_is_given_time_and_half_as_much_again_is_not() -> None:
+    """An angle that stands still under steps of 0.5: `travel` 1 is given `travel_s`, 1.5 is implausible at once."""
+    settings = PlausibilitySettings(travel=1.0, travel_s=10.0)
+    fast = MotionWatch(settings, 6.0, 120.0)
+    assert [bool(fast.judge(40.0, 0.5 * k, k * 40_000_000)) for k in range(4)] == [False, False, False, True]
+    slow = MotionWatch(settings, 6.0, 120.0)
+    assert [bool(slow.judge(40.0, min(0.5 * k, 1.0), k * 2 * NS)) for k in range(8)] == [False] * 7 + [True]
