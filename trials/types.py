@@ -1,6 +1,8 @@
-"""Types of arrays that all rooms use; time is the first axis everywhere."""
+"""Types that all rooms use: arrays, time first everywhere, and what is told about a long computation."""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,3 +18,9 @@ Mask = NDArray[np.bool_]
 
 Index = NDArray[np.intp]
 """Numbers of samples or rows (N,)."""
+
+
+class Progress(Protocol):
+    """What a long computation calls as it goes on: steps done, steps in all, and what is being done."""
+
+    def __call__(self, done: float, total: float, note: str = "", /) -> None: ...
