@@ -18,8 +18,8 @@ from rich.table import Table
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.kernels.chain_kernels import compile_step
-from hystmpc.models.operators.play import Play
-from hystmpc.models.symbolic.source import NUMPY, array_program
+from hystmpc.models.kernels.program import NUMPY, array_program
+from hystmpc.models.operators.hysteresis import Play
 
 SAMPLES, BATCH = 1000, 256
 

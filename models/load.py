@@ -7,9 +7,13 @@ from typing import Literal
 
 from hystmpc.trials.errors import ModelError
 
-from .chain_model import ChainModel
+from .contract.bundle import ExportBundle
+from .contract.equivalence import GateReport
+from .contract.export import export_onnx
 from .contract.load import OnnxModel, load_onnx
-from .simulator import load_simulator
+from .contract.onnx_nodes import step_graph
+from .motions import probe_commands
+from .simulator import ChainModel, Simulator, load_simulator
 
 AnyModel = ChainModel | OnnxModel
 
@@ -30,3 +34,19 @@ def load_model(path: Path | str, start: Literal["initial", "conditioned"] = "ini
     if suffix == ".onnx":
         return load_onnx(path, start)
     raise ModelError(f"{path}: ending {suffix or 'missing'}, expected a model file (.yaml simulator or .onnx)")
+
+
+def simulator_bundle(simulator: Simulator) -> ExportBundle:
+    """Graph, facts, reference and probe of a simulator, in double."""
+    model = ChainModel(simulator)
+    graph = step_graph(simulator.chain.bound(simulator.dt_s), model.metadata.kind)
+    return ExportBundle(graph, model.metadata, model, probe_commands(model.metadata))
+
+
+def export_simulator(simulator: Simulator, path: Path | str) -> GateReport:
+    """Write a simulator as an ONNX model.
+
+    Raises:
+        ExportError: if the numeric gate refuses; nothing is written then.
+    """
+    return export_onnx(simulator_bundle(simulator), path)

@@ -99,3 +99,11 @@ class Inverse(ABC):
         Where a whole interval of commands does (the dead band of a play), the one nearest to `u_last`; where none
         does, the one that comes closest.
         """
+
+
+class InvertiblePredictor(Predictor):
+    """A predictor of a model whose angle does not fall with the command, with a fast search for the command."""
+
+    @abstractmethod
+    def command_for(self, state: Array, theta: float, low: float, high: float, last: float) -> float:
+        """Command in [low, high] after which the angle is `theta` [deg], exact to 1e-11; see `CompiledInverse`."""

@@ -12,7 +12,7 @@ from hystmpc.trials.files import write_atomically
 
 from .bundle import ExportBundle
 from .checks import IR_VERSION, OPSET
-from .gate import GateReport, run_gate
+from .equivalence import GateReport, run_gate
 from .load import OnnxModel
 
 

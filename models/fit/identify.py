@@ -13,11 +13,10 @@ from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
 
 from ..chain import Chain
-from ..chain_model import ChainModel
 from ..contract.metadata import Range
 from ..evaluate import evaluate
-from ..operators.backlash import Backlash
-from ..simulator import Identification, Residual, Simulator
+from ..operators.hysteresis import Backlash
+from ..simulator import ChainModel, Identification, Residual, Simulator
 from .operators import OperatorFit, OperatorFitSettings, Progress, fit_chain
 from .starts import backlash_starts, prandtl_ishlinskii_starts
 from .trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint

@@ -9,14 +9,14 @@ from typing import ClassVar
 
 from hystmpc.trials.trial import Trial
 
-from ..export_simulator import simulator_bundle
-from ..fit.adam import AdamSettings
 from ..fit.chain_tasks import Structure
 from ..fit.global_search import GlobalSettings
 from ..fit.identify import DeviceLimits, simulator_of
 from ..fit.iterated import IteratedSettings
 from ..fit.methods import MethodSettings, identify_chain
 from ..fit.operators import OperatorFitSettings
+from ..identify.adam import AdamSettings
+from ..load import simulator_bundle
 from .kind import FitRequest, Identified, ModelKind, Progress
 
 Method = tuple[str, Callable[[FitRequest], MethodSettings]]

@@ -6,12 +6,10 @@ import math
 
 import torch
 
-from ..lstm.torch_ import LstmNet
 from ..operators.operator import Operator
-from .feed_forward_ import FeedForwardNet
 from .hybrid_ import STEERED, ParallelNet, SerialNet
-from .network_ import Network
-from .recurrent_ import GruNet
+from .network_ import FeedForwardNet, Network
+from .recurrent_ import GruNet, LstmNet
 from .settings import CellSettings, FeedForwardSettings, HybridSettings, RecurrentSettings
 
 

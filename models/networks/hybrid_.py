@@ -2,21 +2,147 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import final
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any, final
 
+import casadi as ca
+import numpy as np
 import torch
 from onnx import TensorProto
 
 from hystmpc.trials.errors import ModelError
 
-from ..lstm.torch_ import LstmNet
+from ..contract.onnx_nodes import operator_nodes
+from ..kernels.numba_ import generated_module
+from ..kernels.program import dense, scalar_program
+from ..model import Array
 from ..operators.operator import Operator
-from ..symbolic.onnx_nodes import operator_nodes
 from .network_ import Network, numbers
 from .nodes import GraphWriter
-from .operator_ import OperatorLayer
-from .operator_step import OperatorStep, operator_step
+from .recurrent_ import LstmNet
+
+
+@dataclass(frozen=True)
+class OperatorStep:
+    """One sample of an operator of which only the last output is known at the start.
+
+    Attributes:
+        function: CasADi function (x (S,1), u, p (P,1)) -> (y, next x (S,1)).
+        offset, slope: initial state x = offset + slope y (S,), y the output that is seen.
+    """
+
+    function: Any
+    offset: Array
+    slope: Array
+
+    @property
+    def size(self) -> int:
+        """Entries S of the state."""
+        return self.offset.size
+
+
+def operator_step(operator: Operator, dt: float = 1.0) -> OperatorStep:
+    """The step of an operator of this structure; `dt` [s] matters to those that know a rate.
+
+    An operator whose state at rest follows from its output alone (a backlash) has just that state. One that has to
+    see its first input (the inverse backlash, which compares inputs) gets two further entries, the output that was
+    seen and whether a sample has been: its first sample finds it at rest at that input and that output.
+    """
+    size, count = len(operator.states), len(operator.parameters)
+    x, u, y, p = ca.SX.sym("x", size), ca.SX.sym("u"), ca.SX.sym("y"), ca.SX.sym("p", count)
+    rest = ca.densify(ca.SX(operator.at_rest(u, y, p)))
+    if not ca.depends_on(rest, ca.vertcat(u, p)):
+        following, output = operator.equation(x, u, p, dt)
+        at = [np.asarray(ca.Function("rest", [y], [rest])(v)).ravel() for v in (0.0, 1.0)]
+        return OperatorStep(dense("operator", [x, u, p], [output, following]), at[0], at[1] - at[0])
+    seen = ca.SX.sym("seen")
+    own = ca.vertcat(*(ca.if_else(seen > 0.5, x[i], rest[i]) for i in range(size)))
+    following, output = operator.equation(own, u, p, dt)
+    whole = ca.vertcat(x, y, seen)
+    function = dense("operator", [whole, u, p], [output, ca.vertcat(following, y, 1.0)])
+    return OperatorStep(function, np.zeros(size + 2), np.eye(size + 2)[size])
+
+
+_DECORATOR = '@njit(cache=True, error_model="numpy", inline="never")\n'
+
+
+@final
+class OperatorLayer:
+    """The recursion of an `OperatorStep` over a sequence, with parameters that may change from sample to sample.
+
+    A sequence in PyTorch's own operations costs a dozen of them a sample; the compiled one is free beside a network.
+    Derivatives are those of the active branch: step functions have none (S2 section III-C).
+    """
+
+    def __init__(self, step: OperatorStep) -> None:
+        self.step = step
+        self._kernels = _compile(step.function.serialize())
+        self._offset, self._slope = torch.tensor(step.offset), torch.tensor(step.slope)
+
+    def start(self, y: torch.Tensor) -> torch.Tensor:
+        """States (N, S) that show outputs y (N,)."""
+        return self._offset.to(y) + self._slope.to(y) * y[:, None]
+
+    def __call__(self, u: torch.Tensor, p: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Outputs (N, T) and last states (N, S) from inputs (N, T), parameters (N, T, P) and states (N, S)."""
+        y, following = _Recursion.apply(u, p, state, self._kernels)
+        return y, following
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> OperatorLayer:
+        return self  # it never changes, and a CasADi function cannot be copied
+
+
+@dataclass(frozen=True)
+class _Kernels:
+    """Compiled `run` and `pull_back` of `operator_loops`, with the numbers of their expressions."""
+
+    run: Callable[..., None]
+    pull_back: Callable[..., None]
+    forward_constants: Array
+    partial_constants: Array
+
+
+class _Recursion(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, u: Any, p: Any, state: Any, kernels: _Kernels) -> tuple[torch.Tensor, torch.Tensor]:
+        ctx.arrays = tuple(np.ascontiguousarray(part.detach().double().numpy()) for part in (u, p))
+        ctx.kernels = kernels
+        rows, samples = u.shape
+        ctx.states = np.empty((rows, samples + 1, state.shape[1]))
+        ctx.states[:, 0] = state.detach().numpy()
+        y = np.empty((rows, samples))
+        kernels.run(ctx.states, *ctx.arrays, y, kernels.forward_constants)
+        return torch.from_numpy(y).to(u.dtype), torch.from_numpy(ctx.states[:, -1].copy()).to(u.dtype)
+
+    @staticmethod
+    def backward(ctx: Any, *grad_outputs: Any) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, None]:
+        by_y, by_following = grad_outputs
+        by_u, by_p = (np.empty_like(part) for part in ctx.arrays)
+        by_state = np.array(by_following.double().numpy())
+        given = np.ascontiguousarray(by_y.double().numpy())
+        ctx.kernels.pull_back(ctx.states, *ctx.arrays, given, by_state, by_u, by_p, ctx.kernels.partial_constants)
+        first, second, third = (torch.from_numpy(part).to(by_y.dtype) for part in (by_u, by_p, by_state))
+        return first, second, third, None
+
+
+@lru_cache(maxsize=16)
+def _compile(serialized: str) -> _Kernels:
+    function = ca.Function.deserialize(serialized)
+    x, p = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("p", function.numel_in(2))
+    u = ca.SX.sym("u")
+    y, following = function(x, u, p)
+    by = ca.jacobian
+    slopes = [by(following, x), by(following, u), by(y, x), by(y, u), by(following, p), by(y, p)]
+    forward = scalar_program(dense("forward_step", [x, u, p], [y, following]), "forward_step")
+    partials = scalar_program(dense("partials", [x, u, p], slopes), "partials")
+    generated = "".join(_DECORATOR + program.source + "\n\n" for program in (forward, partials))
+    loops = resources.files("hystmpc.models.networks").joinpath("operator_loops.py").read_text(encoding="utf-8")
+    module = generated_module("import math\n\n\n" + generated + loops)
+    return _Kernels(module.run, module.pull_back, np.array(forward.constants), np.array(partials.constants))
+
 
 STEERED = 4  # m_lo, m_up, c_lo, c_up
 

@@ -142,3 +142,27 @@ def minimum(a: Symbol, b: Symbol) -> Symbol:
 def maximum(a: Symbol, b: Symbol) -> Symbol:
     """Return max(a, b) with the derivative of the active branch, the first at a tie."""
     return ca.if_else(a >= b, a, b)
+
+
+class Memoryless(Operator):
+    """A static map y = curve(u).
+
+    Every step of the contract has a state; here it is the last output, without effect.
+    """
+
+    @abstractmethod
+    def curve(self, u: Symbol, p: Symbol) -> Symbol:
+        """Output from input and parameters (P, 1)."""
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return ("y",)
+
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        del x, dt
+        y = self.curve(u, p)
+        return y, y
+
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        del y, p
+        return ca.vertcat(u)

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from hystmpc.trials.errors import ModelError
 
-from ..chain_model import ChainModel
 from ..contract.load import OnnxModel
 from ..contract.metadata import ModelMetadata
-from ..inverse.companion import AccompaniedPredictor, CompanionInverse
-from ..inverse.one_step import CompiledInverse
-from ..inverse.shadow import shadow_simulator
-from ..inverse.trained import MappedPredictor, TrainedInverse, check_inverse_map
+from ..inverse.one_step import (
+    AccompaniedPredictor,
+    CompanionInverse,
+    CompiledInverse,
+    MappedPredictor,
+    TrainedInverse,
+    check_inverse_map,
+)
+from ..inverse.surrogate_backlash import surrogate_backlash
 from ..load import AnyModel
-from ..model import Inverse, Predictor
-from ..simulator import Simulator
+from ..model import Inverse, InvertiblePredictor, Predictor
+from ..simulator import ChainModel, Simulator
 from .compiled import CompiledPredictor
-from .invertible import InvertiblePredictor
 from .onnx_ import OnnxPredictor
 
 # A step unrolled to more scalar operations than this takes numba minutes to compile; a chain of operators has tens.
@@ -39,15 +42,15 @@ def predictor_for(model: AnyModel) -> Predictor:
     if isinstance(model, ChainModel):
         return CompiledPredictor.of_simulator(model.simulator)
     if model.metadata.kind == "lstm":
-        from .lstm import LstmPredictor  # its kernels take a moment to load, which operators need not wait for
+        from .recurrent import LstmPredictor  # its kernels take a moment to load, which operators need not wait for
 
         return LstmPredictor.of_model(model)
     if model.metadata.kind == "gru":
-        from .gru import GruPredictor  # as above
+        from .recurrent import GruPredictor  # as above
 
         return GruPredictor(model)
     if model.metadata.kind == "play_kernel":
-        from .play_kernel import PlayKernelPredictor  # as above
+        from ..play_kernel.predictor import PlayKernelPredictor  # as above
 
         return PlayKernelPredictor.of_model(model)
     function = model.casadi_function()
@@ -75,7 +78,7 @@ def predictor_and_inverse(model: AnyModel, companion: Simulator | AnyModel | Non
         return mapped, TrainedInverse(mapped, low, high)
     if isinstance(predictor, InvertiblePredictor) and companion is None:
         return predictor, CompiledInverse(predictor, low, high)
-    beside = CompiledPredictor.of_simulator(companion or shadow_simulator(model))
+    beside = CompiledPredictor.of_simulator(companion or surrogate_backlash(model))
     both = AccompaniedPredictor(predictor, beside)
     return both, CompanionInverse(both, CompiledInverse(beside, low, high))
 

@@ -9,10 +9,9 @@ import numpy as np
 
 from ..contract.metadata import InitialRule, ModelMetadata
 from ..kernels.chain_kernels import compile_step
-from ..model import Array
+from ..kernels.program import dense
+from ..model import Array, InvertiblePredictor
 from ..simulator import Simulator
-from ..symbolic.instructions import dense
-from .invertible import InvertiblePredictor
 
 
 @final

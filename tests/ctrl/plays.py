@@ -9,12 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.model import Array, Inverse, Predictor
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.prediction.build import predictor_and_inverse
-from hystmpc.models.simulator import Identification, Simulator
+from hystmpc.models.simulator import ChainModel, Identification, Simulator
 
 DT = 0.04
 

@@ -23,13 +23,13 @@ from hystmpc.ctrl.linearised.solver import QpSolver
 from hystmpc.ctrl.mpc import HoldRule, PredictiveLaw
 from hystmpc.ctrl.planning import PlanningError, Weights
 from hystmpc.ctrl.stopwatch import Stopwatch
-from hystmpc.models.chain_model import ChainModel
-from hystmpc.models.inverse.companion import AccompaniedPredictor
+from hystmpc.models.inverse.one_step import AccompaniedPredictor
 from hystmpc.models.library import library_file
 from hystmpc.models.load import AnyModel, load_model
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse
 from hystmpc.models.prediction.casadi_ import CasadiPredictor
+from hystmpc.models.simulator import ChainModel
 
 from .plays import DT, SOUND, Case, Faulty
 from .test_linearised import HARD, LIMITS, SOFT, H, posed

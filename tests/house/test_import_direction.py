@@ -33,7 +33,7 @@ def may_need_torch(module: Module) -> bool:
         or module.name.startswith("hystmpc.models.fit.")
         or module.name
         in (
-            "hystmpc.models.lstm.torch_",
+            "hystmpc.models.networks.recurrent_",
             "hystmpc.sim.bench.pytorch_mppi_",
         )
     )

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from onnx import numpy_helper
 
-from hystmpc.models.kernels.gru_kernels import pack_gru
-from hystmpc.models.kernels.gru_plain import GruRoute
+from hystmpc.models.kernels.gru import GruRoute, pack_gru
 from hystmpc.models.networks.nodes import network_step_graph
-from hystmpc.models.networks.scaling import Scaling
+from hystmpc.models.networks.settings import Scaling
 from hystmpc.trials.errors import ModelError
 
 torch = pytest.importorskip("torch", reason="torch is an extra")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hystmpc.models.kernels.follow_kernels import follow_source
+from hystmpc.models.inverse.follow import follow_source
 from hystmpc.models.kernels.stale import drop_stale_kernels
 
 FILES = {

@@ -1,0 +1,117 @@
+"""What the predictors of networks with compiled routes share."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, final
+
+import numpy as np
+
+from ..contract.load import OnnxModel
+from ..contract.metadata import ModelMetadata
+from ..kernels.gru import GruRoute
+from ..kernels.network_route import NetworkRoute, chosen_route
+from ..model import Array, Predictor
+from ..networks.lstm import LstmWeights
+
+Start = Literal["initial", "conditioned"]
+
+
+class RoutedPredictor(Predictor):
+    """Predictions of a recurrent network in single precision by its fastest route.
+
+    What follows from a command or a state that is not finite is not-a-number: the kernels' gates would hide it.
+
+    Args:
+        metadata: facts of the model file.
+        start: rule that makes the initial state.
+        route: how to compute.
+    """
+
+    def __init__(self, metadata: ModelMetadata, start: Start, route: NetworkRoute) -> None:
+        self.dt = metadata.dt_s
+        self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
+        self.route = route
+        self._rule = metadata.initial if start == "initial" else metadata.conditioned
+        self._warmup = metadata.warmup_samples
+
+    def initial(self, y: float, u: float) -> Array:
+        state = self._rule.state(np.array([[y]]))[0]
+        return self._along(state, np.full(self._warmup, u))[1] if self._warmup else state
+
+    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+        angles, following = self._along(state, np.array([u]))
+        return float(angles[0]), following
+
+    def rollout(self, state: Array, plans: Array) -> Array:
+        if _finite(state, plans):
+            return self.route.rollout(state, plans)
+        usable = np.isfinite(plans).all(axis=1) & np.isfinite(state).all()
+        angles = np.full(plans.shape, np.nan)
+        if usable.any():
+            angles[usable] = self.route.rollout(state, plans[usable])
+        return angles
+
+    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+        if not _finite(state, plan):
+            return np.full(plan.size, np.nan), np.tril(np.full((plan.size, plan.size), np.nan))
+        return self.route.linearise(state, plan)
+
+    def _along(self, state: Array, plan: Array) -> tuple[Array, Array]:
+        if not _finite(state, plan):
+            return np.full(plan.size, np.nan), np.full(state.size, np.nan)
+        return self.route.advance(state, plan)
+
+
+def _finite(state: Array, plans: Array) -> bool:
+    # a sum is finite only where all its terms are; one that overflows is no angle either
+    return math.isfinite(state.sum() + plans.sum())
+
+
+@final
+class GruPredictor(RoutedPredictor):
+    """Compiled prediction of a stacked GRU; state [h_1, h_2, ...] as in `GruNet`.
+
+    Args:
+        model: a loaded model file of kind `gru`; the graph's initializers are all that it needs.
+
+    Raises:
+        ModelError: if the initializers are not those of an exported GRU.
+    """
+
+    def __init__(self, model: OnnxModel) -> None:
+        super().__init__(model.metadata, "conditioned", GruRoute(model.initializers))
+
+
+@final
+class LstmPredictor(RoutedPredictor):
+    """The fastest route to each prediction of a stacked LSTM; state (S,) as in `LstmWeights`.
+
+    Roll-outs run on as many threads as the
+    process gives BLAS; a control process sets one (threadpoolctl), since a second one stalls beside a busy neighbour.
+
+    Args:
+        weights: of the network.
+        metadata: facts of the model file.
+        start: rule that makes the initial state.
+        route: how to compute; None for the fastest on this processor, see `chosen_route`.
+    """
+
+    def __init__(
+        self,
+        weights: LstmWeights,
+        metadata: ModelMetadata,
+        start: Start = "conditioned",
+        route: NetworkRoute | None = None,
+    ) -> None:
+        super().__init__(metadata, start, chosen_route(weights) if route is None else route)
+
+    @classmethod
+    def of_model(cls, model: OnnxModel, start: Start = "conditioned") -> LstmPredictor:
+        """Predictor of a loaded model file of kind `lstm`; the graph's initializers are all that it needs.
+
+        Raises:
+            ModelError: if the initializers are not those of an exported LSTM.
+            ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
+        """
+        return cls(LstmWeights.from_arrays(model.initializers), model.metadata, start)
