@@ -2,56 +2,20 @@
 
 from __future__ import annotations
 
-import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import lru_cache
 from importlib import resources
-from importlib.resources.abc import Traversable
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ..kernels.chain_kernels import ChainKernels
 from ..kernels.numba_ import generated_module
 from ..model import Array, Inverse, Predictor
 from ..prediction.actuated import ActuatedInverse
 from ..prediction.compiled import CompiledPredictor
 from ..prediction.recurrent import RoutedPredictor
 from .one_step import CompanionInverse, CompiledInverse
-
-_ALONE = '''@njit(cache=True)
-def sample(packed, states, rows, v, theta):
-    """No network."""
-'''
-
-
-def compile_follow(kernels: ChainKernels, sample: Callable[..., None] | None) -> Callable[..., None]:
-    """`follow_loops.follow` for a compiled chain and a network's compiled `sample`; None for the chain alone."""
-    chain, network = kernels.command_for.__module__, None if sample is None else sample.__module__
-    follow: Callable[..., None] = _module(chain, network)
-    return follow
-
-
-@lru_cache(maxsize=64)
-def _module(chain: str, network: str | None) -> Callable[..., None]:
-    source = follow_source(chain, network, resources.files("hystmpc.models.kernels"))
-    follow: Callable[..., None] = generated_module(source).follow
-    return follow
-
-
-def follow_source(chain: str, network: str | None, folder: Traversable) -> str:
-    """Text of the module for a chain's and a network's modules, from the files in `folder`.
-
-    Generated modules are named by the hash of their text. A network's may be a file of `folder`, which keeps its name
-    when it changes: a hash of all of them stands in the text, else numba's cache would go on with the old one.
-    """
-    files = sorted((file for file in folder.iterdir() if file.name.endswith(".py")), key=lambda file: file.name)
-    digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:24]
-    header = f"# kernels {digest}\n" if network is not None and network.startswith("hystmpc.") else ""
-    header += f"from {chain} import command_for, step\n"
-    header += _ALONE if network is None else f"from {network} import sample\n"
-    return f"{header}\n\n{folder.joinpath('follow_loops.py').read_text(encoding='utf-8')}"
 
 
 class Bounds(NamedTuple):
@@ -117,8 +81,10 @@ class CompiledFollower(Follower):
     ) -> None:
         route = None if network is None else network.route
         self._packed: Any = 0 if route is None else route.packed
-        self._kernel: Callable[..., Any] = compile_follow(chain.kernels, None if route is None else route.sample)
         kernels = chain.kernels
+        self._kernel = _compiled_follow(
+            kernels.command_for.__module__, None if route is None else route.sample.__module__
+        )
         self._chain = (chain.parameters, chain.sample_s, kernels.step_constants, kernels.tangent_constants)
         self._inverted = np.array([inverse.low, inverse.high])
         self._size, self._gain = size, gain
@@ -141,3 +107,19 @@ def follower_for(predictor: Predictor, inverse: Inverse) -> Follower:
         if isinstance(network, RoutedPredictor) and isinstance(chain, CompiledPredictor):
             return CompiledFollower(inner.inverse, chain, network, inner.predictor.size, gain)
     return StepwiseFollower(predictor, inverse)
+
+
+_NO_NETWORK = '''@njit(cache=True)
+def sample(packed, states, rows, v, theta):
+    """No network."""
+'''
+
+
+@lru_cache(maxsize=64)
+def _compiled_follow(chain: str, network: str | None) -> Callable[..., Any]:
+    """`follow_loops.follow` for the modules of a chain's kernels and of a network's `sample`; None for no network."""
+    header = f"from {chain} import command_for, step\n"
+    header += _NO_NETWORK if network is None else f"from {network} import sample\n"
+    loops = resources.files("hystmpc.models.kernels").joinpath("follow_loops.py").read_text(encoding="utf-8")
+    follow: Callable[..., Any] = generated_module(f"{header}\n\n{loops}").follow
+    return follow
