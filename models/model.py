@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from hystmpc.trials.types import Vec
 
 
 class Model(Protocol):
@@ -32,15 +30,15 @@ class Model(Protocol):
         """Sample time [s]."""
         ...
 
-    def initial(self, y: Array) -> Array:
+    def initial(self, y: Vec) -> Vec:
         """State of a device that rests at the measured angle `y` (N, 1) [deg]."""
         ...
 
-    def step(self, x: Array, u: Array) -> Array:
+    def step(self, x: Vec, u: Vec) -> Vec:
         """State one sample later under command `u` (N, 1) [mm or bar]."""
         ...
 
-    def output(self, x: Array) -> Array:
+    def output(self, x: Vec) -> Vec:
         """Tip angle (N, 1) [deg] of state `x`."""
         ...
 
@@ -51,11 +49,11 @@ class StepFunction(ABC):
     state_size: int
 
     @abstractmethod
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1)."""
 
     @abstractmethod
-    def jacobian(self, state: Array, u: float) -> Array:
+    def jacobian(self, state: Vec, u: float) -> Vec:
         """Exact active-branch derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1)."""
 
 
@@ -70,19 +68,19 @@ class Predictor(ABC):
     command_range: tuple[float, float]  # the range the model was identified on
 
     @abstractmethod
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         """State (S,) of a device that shows angle `y` [deg] and has been held at command `u`."""
 
     @abstractmethod
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         """Angle [deg] and state one sample later; the given state is left as it is."""
 
     @abstractmethod
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         """Angles (N, H) [deg] of the plans (N, H) from `state`."""
 
     @abstractmethod
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         """Angles (H,) along `plan` (H,) and their exact active-branch Jacobian (H, H), lower triangular.
 
         Entry [i, j] is d theta_i / d u_j [deg per command unit].
@@ -93,7 +91,7 @@ class Inverse(ABC):
     """The inverse of a model from its present memory: angle in, command out."""
 
     @abstractmethod
-    def command(self, state: Array, theta: float, u_last: float) -> float:
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
         """Command [mm or bar] that brings the predictor state `state` to angle `theta` [deg].
 
         Where a whole interval of commands does (the dead band of a play), the one nearest to `u_last`; where none
@@ -105,5 +103,9 @@ class InvertiblePredictor(Predictor):
     """A predictor of a model whose angle does not fall with the command, with a fast search for the command."""
 
     @abstractmethod
-    def command_for(self, state: Array, theta: float, low: float, high: float, last: float) -> float:
+    def command_for(self, state: Vec, theta: float, low: float, high: float, last: float) -> float:
         """Command in [low, high] after which the angle is `theta` [deg], exact to 1e-11; see `CompiledInverse`."""
+
+
+FitProgress = Callable[[int, float], None]
+"""What an identification calls as it goes on: steps done, and the least error so far in the unit of the output."""

@@ -6,13 +6,15 @@ import math
 
 import numpy as np
 
+from hystmpc.trials.types import Vec
+
 from .contract.metadata import InitialRule, ModelMetadata, Range
-from .model import Array, StepFunction
+from .model import StepFunction
 
 CYCLES, FREQUENCY_HZ = 7, 0.2
 
 
-def probe_commands(facts: ModelMetadata) -> Array:
+def probe_commands(facts: ModelMetadata) -> Vec:
     """Commands (T,) at the model's sample time: S2 eq. (9)-(10) with zero baseline, 0.2 Hz, seven cycles.
 
     u = low + (high - low) / 2 e^{-tau t} (sin(2 pi f t - pi / 2) + 1),  tau = f ln(7) / 6; slower where the device
@@ -47,7 +49,7 @@ def conditioned_rule(step: StepFunction, commands: Range, dt_s: float, warmup_sa
     return InitialRule(offset=tuple(state[0].tolist()), slope=(0.0,) * step.state_size)
 
 
-def initialisation_flexure(commands: Range, dt_s: float, warmup_samples: int) -> Array:
+def initialisation_flexure(commands: Range, dt_s: float, warmup_samples: int) -> Vec:
     """Commands (T,): the lowest, held for the warm-up; to the highest and back along a sine; the lowest, held."""
     t = np.arange(0.0, 1.0 / FLEXURE_HZ, dt_s)
     sine = 0.5 - 0.5 * np.cos(2 * math.pi * FLEXURE_HZ * t)

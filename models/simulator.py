@@ -13,12 +13,13 @@ from pydantic import Field
 from hystmpc.trials.config import Settings, dump_yaml, read_yaml
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.types import Vec
 
 from .chain import Chain
 from .contract.metadata import ModelMetadata, Range, Rate, SampleTime
 from .kernels.chain_kernels import compile_step
 from .kernels.program import dense
-from .model import Array, StepFunction
+from .model import StepFunction
 from .operators.catalogue import operator_from, operator_spec
 
 FORMAT = "hystmpc-simulator/1"
@@ -198,21 +199,21 @@ class ChainModel(StepFunction):
         self._p, self._dt = simulator.chain.values, np.array([simulator.dt_s])
         self._derivative = _step_jacobian(simulator)
 
-    def initial(self, y: Array) -> Array:
+    def initial(self, y: Vec) -> Vec:
         """States (N, S + 1) of devices that rest at angles y (N, 1) [deg]."""
         y = np.asarray(y, dtype=np.float64).reshape(-1, 1)
         return np.hstack([self._rule.state(y), y])
 
-    def step(self, x: Array, u: Array) -> Array:
+    def step(self, x: Vec, u: Vec) -> Vec:
         """States (N, S + 1) one sample later under commands u (N, 1)."""
         theta, following = self.advance(np.asarray(x)[:, :-1], u)
         return np.hstack([following, theta])
 
-    def output(self, x: Array) -> Array:
+    def output(self, x: Vec) -> Vec:
         """Angles (N, 1) [deg]."""
         return np.asarray(x)[:, -1:]
 
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         """Angles (N, 1) and next states (N, S) from states (N, S) and commands (N, 1)."""
         following = np.array(state, dtype=np.float64, order="C")
         u = np.ascontiguousarray(u, dtype=np.float64)
@@ -220,7 +221,7 @@ class ChainModel(StepFunction):
         self._kernels.simulate(following, u, self._p, self._dt, self._kernels.step_constants, theta)
         return theta, following
 
-    def run(self, commands: Array, y: float) -> Array:
+    def run(self, commands: Vec, y: float) -> Vec:
         """Free run (T,) [deg] over commands (T,) from the start rule and its warm-up."""
         full = np.concatenate([np.full(self.metadata.warmup_samples, commands[0]), commands])[None]
         theta = np.empty_like(full)
@@ -234,7 +235,7 @@ class ChainModel(StepFunction):
         x, u = ca.SX.sym("x", self.state_size), ca.SX.sym("u")
         return ca.Function("model", [x, u], function(x, u), ["state", "u"], ["theta", "next_state"])
 
-    def jacobian(self, state: Array, u: float) -> Array:
+    def jacobian(self, state: Vec, u: float) -> Vec:
         """Derivative of (theta, next state) by (state, u), shape (1 + S, S + 1)."""
         return np.asarray(self._derivative(state, u))
 

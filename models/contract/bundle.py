@@ -8,8 +8,9 @@ import numpy as np
 import onnx
 
 from hystmpc.trials.errors import ExportError
+from hystmpc.trials.types import Vec
 
-from ..model import Array, StepFunction
+from ..model import StepFunction
 from .metadata import ModelMetadata
 
 
@@ -31,7 +32,7 @@ class ExportBundle:
     graph: onnx.GraphProto
     metadata: ModelMetadata
     reference: StepFunction
-    probe: Array
+    probe: Vec
 
     def __post_init__(self) -> None:
         probe = np.array(self.probe, dtype=np.float64)

@@ -9,8 +9,9 @@ import casadi as ca
 import numpy as np
 
 from hystmpc.trials.errors import ExportError
+from hystmpc.trials.types import Vec
 
-from ..model import Array, StepFunction
+from ..model import StepFunction
 from .bundle import ExportBundle
 from .load import OnnxModel
 
@@ -25,7 +26,7 @@ _SPREAD = 0.1  # of random states around those visited, in standard deviations o
 _NUDGE, _NUDGES, _LOOSE = 1e-5, 16, 1e-3
 _JACOBIAN_TOLERANCE = {"float32": (1e-3, 1e-4), "float64": (1e-9, 1e-9)}  # relative, absolute
 
-Step = Callable[[Array, Array], tuple[Array, Array]]
+Step = Callable[[Vec, Vec], tuple[Vec, Vec]]
 
 
 @dataclass(frozen=True)
@@ -91,14 +92,14 @@ def run_gate(bundle: ExportBundle, model: OnnxModel) -> GateReport:
 def _casadi_step(function: ca.Function) -> Step:
     """The CasADi function in batched form."""
 
-    def step(state: Array, u: Array) -> tuple[Array, Array]:
+    def step(state: Vec, u: Vec) -> tuple[Vec, Vec]:
         theta, following = function(state.T, u.T)
         return np.array(theta).T, np.array(following).T
 
     return step
 
 
-def _free_run(step: Step, state: Array, commands: Array) -> Array:
+def _free_run(step: Step, state: Vec, commands: Vec) -> Vec:
     """Angle and next state of every sample, (T, 1 + S)."""
     rows = []
     for u in commands:
@@ -108,8 +109,8 @@ def _free_run(step: Step, state: Array, commands: Array) -> Array:
 
 
 def _single_steps(
-    reference: StepFunction, step: Step, visited: Array, commands: Array, rng: np.random.Generator, name: str
-) -> Array:
+    reference: StepFunction, step: Step, visited: Vec, commands: Vec, rng: np.random.Generator, name: str
+) -> Vec:
     """Compare one step from random states: each batch of 8 whole, and its rows one by one."""
     worst = np.zeros(2)
     spread = _SPREAD * visited.std(axis=0)
@@ -124,7 +125,7 @@ def _single_steps(
     return worst
 
 
-def _compare(expected: Array, got: Array, what: str) -> Array:
+def _compare(expected: Vec, got: Vec, what: str) -> Vec:
     """Largest difference of theta [deg] and of the state (relative).
 
     Raises:
@@ -144,7 +145,7 @@ def _compare(expected: Array, got: Array, what: str) -> Array:
 
 
 def _compare_jacobians(
-    reference: StepFunction, function: ca.Function, visited: Array, commands: Array, dtype: str
+    reference: StepFunction, function: ca.Function, visited: Vec, commands: Vec, dtype: str
 ) -> tuple[float, int]:
     """Largest difference of the Jacobians, and the number of kinks among the points.
 
@@ -178,7 +179,7 @@ def _compare_jacobians(
     return worst, kinks
 
 
-def _at_kink(reference: StepFunction, state: Array, u: float, got: Array) -> bool:
+def _at_kink(reference: StepFunction, state: Vec, u: float, got: Vec) -> bool:
     """Whether the reference's Jacobian jumps beside the point and `got` is within the jump."""
     rng = np.random.default_rng(0)
     point = np.append(state, u)
@@ -192,7 +193,7 @@ def _at_kink(reference: StepFunction, state: Array, u: float, got: Array) -> boo
     return bool(jumps and np.all((lower - slack <= got) & (got <= upper + slack)))
 
 
-def _jacobian_of(function: ca.Function) -> Callable[[Array, float], Array]:
+def _jacobian_of(function: ca.Function) -> Callable[[Vec, float], Vec]:
     """Derivative of (theta, next state) by (state, u), (1 + S, S + 1)."""
     size = function.size1_in("state")
     point = ca.MX.sym("point", size + 1)

@@ -15,8 +15,8 @@ import onnxruntime.capi.onnxruntime_pybind11_state as state_
 from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
-from ..model import Array
 from .checks import check_graph, parse_model
 from .metadata import ModelMetadata
 
@@ -132,20 +132,20 @@ class OnnxModel:
         """Number type of the graph, float32 or float64."""
         return self._dtype
 
-    def initial(self, y: Array) -> Array:
+    def initial(self, y: Vec) -> Vec:
         """State x (N, S + 1) of a device that rests at the measured angles `y` (N, 1) [deg]."""
         return np.concatenate([self._rule.state(y), y], axis=1)
 
-    def step(self, x: Array, u: Array) -> Array:
+    def step(self, x: Vec, u: Vec) -> Vec:
         """State x (N, S + 1) one sample later under commands `u` (N, 1) [command unit]."""
         theta, state = self.advance(x[:, :-1], u)
         return np.concatenate([state, theta], axis=1)
 
-    def output(self, x: Array) -> Array:
+    def output(self, x: Vec) -> Vec:
         """Tip angles (N, 1) [deg]."""
         return x[:, -1:]
 
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1).
 
         Raises:

@@ -12,8 +12,7 @@ from pydantic import Field, model_validator
 
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, ModelError
-
-from ..model import Array
+from hystmpc.trials.types import Vec
 
 FORMAT = "hystmpc-model/1"
 PREFIX = "hystmpc."
@@ -60,7 +59,7 @@ class InitialRule(Settings):
             raise ValueError(f"offset has {len(self.offset)} entries, slope {len(self.slope)}, expected as many")
         return self
 
-    def state(self, y: Array) -> Array:
+    def state(self, y: Vec) -> Vec:
         """States (N, S) from measured angles (N, 1) [deg]."""
         return np.asarray(self.offset, dtype=np.float64) + np.asarray(self.slope, dtype=np.float64) * y
 

@@ -10,8 +10,10 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from hystmpc.trials.types import Vec
+
 from ..kernels.numba_ import generated_module
-from ..model import Array, Inverse, Predictor
+from ..model import Inverse, Predictor
 from ..prediction.actuated import ActuatedInverse
 from ..prediction.compiled import CompiledPredictor
 from ..prediction.recurrent import RoutedPredictor
@@ -30,7 +32,7 @@ class Follower(ABC):
     """The inverse, sample by sample from what the commands before have led to."""
 
     @abstractmethod
-    def follow(self, state: Array, wanted: Array, u_last: float, bounds: Bounds) -> Array:
+    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         """Commands (2, H) along the angles `wanted` (H,) [deg]: within the box alone, and within the rate limit too."""
 
 
@@ -41,14 +43,14 @@ class StepwiseFollower(Follower):
     def __init__(self, predictor: Predictor, inverse: Inverse) -> None:
         self._predictor, self._inverse = predictor, inverse
 
-    def follow(self, state: Array, wanted: Array, u_last: float, bounds: Bounds) -> Array:
+    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         free = self._followed(state, wanted, u_last, bounds._replace(reach=np.inf))
         moves = np.abs(np.diff(free, prepend=u_last))
         return np.stack(
             [free, free if np.max(moves) <= bounds.reach else self._followed(state, wanted, u_last, bounds)]
         )
 
-    def _followed(self, state: Array, wanted: Array, u_last: float, bounds: Bounds) -> Array:
+    def _followed(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         plan = np.empty(wanted.size)
         for k, theta in enumerate(wanted.tolist()):
             u = self._inverse.command(state, theta, u_last)
@@ -89,7 +91,7 @@ class CompiledFollower(Follower):
         self._inverted = np.array([inverse.low, inverse.high])
         self._size, self._gain = size, gain
 
-    def follow(self, state: Array, wanted: Array, u_last: float, bounds: Bounds) -> Array:
+    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         plans = np.full((2, wanted.size), u_last)
         if np.isfinite(state).all():  # a clamp of the gates would turn what is no number into one
             ends = np.array(bounds), self._inverted, self._gain

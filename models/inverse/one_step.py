@@ -7,10 +7,11 @@ from typing import final
 import numpy as np
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata
 from ..load import AnyModel
-from ..model import Array, Inverse, InvertiblePredictor, Predictor
+from ..model import Inverse, InvertiblePredictor, Predictor
 
 
 @final
@@ -25,7 +26,7 @@ class CompiledInverse(Inverse):
     def __init__(self, predictor: InvertiblePredictor, low: float, high: float) -> None:
         self.predictor, self.low, self.high = predictor, low, high
 
-    def command(self, state: Array, theta: float, u_last: float) -> float:
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
         return self.predictor.command_for(state, theta, self.low, self.high, u_last)
 
 
@@ -42,11 +43,11 @@ class AccompaniedPredictor(Predictor):
         self.predictor, self.companion = predictor, companion
         self.size = predictor.initial(angle, predictor.command_range[0]).size
 
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         # What the two show before their first step is the measured angle for both: no difference is known yet.
         return np.concatenate([self.predictor.initial(y, u), [y], self.companion.initial(y, u), [y]])
 
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         own, _, beside, _ = self.parts(state)
         size, after = self.size, np.empty(state.size)
         theta, after[:size] = self.predictor.advance(own, u)
@@ -54,13 +55,13 @@ class AccompaniedPredictor(Predictor):
         after[size] = theta
         return theta, after
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         return self.predictor.rollout(self.parts(state)[0], plans)
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         return self.predictor.linearise(self.parts(state)[0], plan)
 
-    def parts(self, state: Array) -> tuple[Array, float, Array, float]:
+    def parts(self, state: Vec) -> tuple[Vec, float, Vec, float]:
         """Model state, model angle [deg], companion state, companion angle [deg]."""
         return state[: self.size], float(state[self.size]), state[self.size + 1 : -1], float(state[-1])
 
@@ -75,7 +76,7 @@ class CompanionInverse(Inverse):
     def __init__(self, predictor: AccompaniedPredictor, inverse: Inverse) -> None:
         self.predictor, self.inverse = predictor, inverse
 
-    def command(self, state: Array, theta: float, u_last: float) -> float:
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
         _, own, beside, angle = self.predictor.parts(state)
         return self.inverse.command(beside, theta + angle - own, u_last)
 
@@ -94,26 +95,26 @@ class MappedPredictor(Predictor):
         self.inverse_map = inverse_map
         self._predictor, self._size = predictor, inverse_map.metadata.state_size
 
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         facts = self.inverse_map.metadata
         beside = facts.conditioned.state(np.array([[u]]))  # its output is the command that the device holds
         for _ in range(facts.warmup_samples):
             _, beside = self.inverse_map.advance(beside, np.array([[y]]))
         return np.concatenate([self._predictor.initial(y, u), beside[0]])
 
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         own, beside = self.parts(state)
         theta, own = self._predictor.advance(own, u)
         _, beside = self.inverse_map.advance(beside[None], np.array([[theta]]))
         return theta, np.concatenate([own, beside[0]])
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         return self._predictor.rollout(self.parts(state)[0], plans)
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         return self._predictor.linearise(self.parts(state)[0], plan)
 
-    def parts(self, state: Array) -> tuple[Array, Array]:
+    def parts(self, state: Vec) -> tuple[Vec, Vec]:
         """Model state and map state."""
         cut = state.size - self._size
         return state[:cut], state[cut:]
@@ -130,7 +131,7 @@ class TrainedInverse(Inverse):
     def __init__(self, predictor: MappedPredictor, low: float, high: float) -> None:
         self._predictor, self._low, self._high = predictor, low, high
 
-    def command(self, state: Array, theta: float, u_last: float) -> float:
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
         del u_last  # the map's own memory says where the device is
         _, beside = self._predictor.parts(state)
         answer, _ = self._predictor.inverse_map.advance(beside[None], np.array([[theta]]))

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
 from .lstm_kernels import add_row, dot_row, rational_tanh
-from .network_route import Array, NetworkRoute
+from .network_route import Float32, NetworkRoute
 from .numba_ import njit
 
-Float32 = NDArray[np.float32]
 _CHUNK = 64  # rows at a time, which the second cache holds with the weights
 _HALF, _ONE = np.float32(0.5), np.float32(1.0)
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp", "reassoc"}}
@@ -225,26 +225,26 @@ class GruRoute(NetworkRoute):
         self._u_offset, self._u_scale, self._offset, self._scale = self.packed.scaling.tolist()
         self._shape = (len(self.packed.recurrent), 1, self.packed.head.size)
 
-    def advance(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         following = np.array(state, dtype=np.float32).reshape(self._shape)
         y = np.empty((1, plan.size), np.float32)
         rollout(self.packed, following, self._scaled(plan)[None], y)
         return self._angles(y[0]), following.ravel().astype(np.float64)
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         layer_states = np.repeat(np.array(state, dtype=np.float32).reshape(self._shape), len(plans), axis=1)
         y = np.empty(plans.shape, np.float32)
         rollout(self.packed, layer_states, self._scaled(plans), y)
         return self._angles(y)
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         y, by_plan = np.empty(plan.size, np.float32), np.zeros((plan.size, plan.size), np.float32)
         layers = np.array(state, dtype=np.float32).reshape(self._shape[0], self._shape[2])
         linearise(self.packed, layers, self._scaled(plan), y, by_plan)
         return self._angles(y), self._scale / self._u_scale * by_plan.astype(np.float64)
 
-    def _scaled(self, u: Array) -> Float32:
+    def _scaled(self, u: Vec) -> Float32:
         return np.ascontiguousarray((u - self._u_offset) / self._u_scale, dtype=np.float32)
 
-    def _angles(self, y: Float32) -> Array:
+    def _angles(self, y: Float32) -> Vec:
         return self._offset + self._scale * y.astype(np.float64)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..networks.lstm import LstmWeights
+from .network_route import Float32
 from .numba_ import njit
 
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "arcp", "reassoc"}}
@@ -101,7 +102,6 @@ def dot_row(a: Any, b: Any) -> Any:
     return total
 
 
-Float32 = NDArray[np.float32]
 _BLOCK = 4  # rows that a BLAS kernel keeps in registers
 _FEW = 10  # rows up to which one product a row is faster
 

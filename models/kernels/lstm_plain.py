@@ -8,14 +8,14 @@ from typing import final
 import numpy as np
 import onnx
 import onnxruntime as ort
-from numpy.typing import NDArray
+
+from hystmpc.trials.types import Vec
 
 from ..contract.checks import IR_VERSION, OPSET
 from ..networks.lstm import LstmWeights, lstm_rollout_graph
 from . import lstm_kernels
-from .network_route import Array, NetworkRoute
+from .network_route import Float32, NetworkRoute
 
-Float32 = NDArray[np.float32]
 _CHUNK = 32  # plans at a time: their gates stay in the second-level cache
 _ERRORS_ONLY = 3
 
@@ -58,26 +58,26 @@ class PlainRoute(NetworkRoute):
         self._scaling = weights.scaling
         self._shape = (2 * len(weights.layers), weights.hidden)
 
-    def advance(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         following, y = self._layers(state), np.empty(plan.size, np.float32)
         lstm_kernels.advance(self.packed, following, self._scaled(plan), y)
         return self._angles(y), following.ravel().astype(np.float64)
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         return self._roll(state.astype(np.float32), plans.astype(np.float32)).astype(np.float64)
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         y, by_plan = np.empty(plan.size, np.float32), np.zeros((plan.size, plan.size), np.float32)
         lstm_kernels.linearise(self.packed, self._layers(state), self._scaled(plan), y, by_plan)
         gain = self._scaling.theta_scale / self._scaling.u_scale
         return self._angles(y), gain * by_plan.astype(np.float64)
 
-    def _layers(self, state: Array) -> Float32:
+    def _layers(self, state: Vec) -> Float32:
         """A float32 copy (2L, H) of the state for a kernel to work on."""
         return np.array(state, dtype=np.float32).reshape(self._shape)
 
-    def _scaled(self, u: Array) -> Float32:
+    def _scaled(self, u: Vec) -> Float32:
         return np.ascontiguousarray((u - self._scaling.u_offset) / self._scaling.u_scale, dtype=np.float32)
 
-    def _angles(self, y: Float32) -> Array:
+    def _angles(self, y: Float32) -> Vec:
         return self._scaling.theta_offset + self._scaling.theta_scale * y.astype(np.float64)

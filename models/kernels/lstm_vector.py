@@ -15,17 +15,16 @@ from types import ModuleType
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
 from ..networks.lstm import LstmWeights
-from .network_route import Array, NetworkRoute
+from .network_route import Float32, NetworkRoute
 from .numba_ import generated_module
 from .vector_emitter import VectorShape
 
-Float32 = NDArray[np.float32]
 _EMITTERS = ("vector_emitter.py",)
 _HEADER = """# emitters {digest}
 from hystmpc.models.kernels.vector_emitter import Rows, VectorShape, block_intrinsic
@@ -53,7 +52,7 @@ class PackedPanels(NamedTuple):
     weights: Float32
     head: Float32
     head_bias: float
-    scaling: Array
+    scaling: Vec
     hidden: int
 
 
@@ -121,7 +120,7 @@ def pack_panels(weights: LstmWeights, lanes: int) -> PackedPanels:
     )
 
 
-def _aligned(values: Array) -> Float32:
+def _aligned(values: Vec) -> Float32:
     """A float32 copy that starts at a cache line: a vector then never lies across two."""
     memory = np.empty(values.size + _LINE // 4, np.float32)
     skip = (-memory.ctypes.data % _LINE) // 4
@@ -198,12 +197,12 @@ class VectorRoute(NetworkRoute):
         self.sample = self._kernels.sample
         self._rows, self._threads, self._size = shape.rows, threads, weights.state_size
 
-    def advance(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, following = np.empty((1, plan.size)), np.empty((1, state.size))
         self._kernels.rollout(self.packed, self._state(state), _own(plan)[None], 0, 1, angles, following)
         return angles[0], following[0]
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         angles, nothing = np.empty(plans.shape), np.empty((0, state.size))
         count, state, plans = len(plans), self._state(state), _own(plans)
 
@@ -218,12 +217,12 @@ class VectorRoute(NetworkRoute):
             roll(0, count)
         return angles
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, jacobian = np.empty(plan.size), np.zeros((plan.size, plan.size))
         self._kernels.linearise(self.packed, self._state(state), _own(plan), angles, jacobian)
         return angles, jacobian
 
-    def _state(self, state: Array) -> Array:
+    def _state(self, state: Vec) -> Vec:
         """Own copy of a state; the kernels do not look where memory ends."""
         if state.shape != (self._size,):
             raise ModelError(f"LSTM state: got shape {state.shape}, expected ({self._size},)")
@@ -237,6 +236,6 @@ class VectorRoute(NetworkRoute):
         return list(pairwise(edges))
 
 
-def _own(values: Array) -> Array:
+def _own(values: Vec) -> Vec:
     """A copy of the one layout that the kernels are compiled for; the caller's may be strided or read-only."""
     return np.array(values, dtype=np.float64, order="C")

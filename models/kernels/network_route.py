@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
 
 from ..networks.lstm import LstmWeights
 from .vector_emitter import SHAPES, host_shape
 
-Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 
 
 class NetworkRoute(ABC):
@@ -34,15 +35,15 @@ class NetworkRoute(ABC):
     sample: Callable[..., None]
 
     @abstractmethod
-    def advance(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         """Angles (K,) [deg] along the plan (K,) [command unit] and the state behind it."""
 
     @abstractmethod
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         """Angles (N, K) [deg] of the plans (N, K)."""
 
     @abstractmethod
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         """Angles (K,) [deg] along the plan (K,) and their derivatives (K, K) by its commands, lower triangular."""
 
 

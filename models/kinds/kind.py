@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -12,9 +12,8 @@ from hystmpc.trials.trial import Trial
 
 from ..contract.bundle import ExportBundle
 from ..fit.identify import DeviceLimits
+from ..model import FitProgress
 from ..simulator import Simulator
-
-Progress = Callable[[int, float], None]
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ class ModelKind(ABC):
     recurrent: ClassVar[bool] = True
 
     @abstractmethod
-    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         """Identify from uniformly sampled trials of one rate and one pair of units.
 
         `progress` gets the steps so far and the best error; KeyboardInterrupt keeps the best so far.

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, final
 
 from hystmpc.trials.trial import Trial
 
+from ..model import FitProgress
 from ..networks.settings import FeedForwardSettings, HybridSettings, NetworkForm, RecurrentSettings
 from ..train.networks import fit_network, network_bundle, training_seconds
 from ..train.settings import (
@@ -19,7 +20,7 @@ from ..train.settings import (
     TeacherSettings,
     WindowTraining,
 )
-from .kind import FitRequest, Identified, ModelKind, Progress
+from .kind import FitRequest, Identified, ModelKind
 
 _PLAIN = {"memory_samples": 0, "command_gain": 1.0}  # PyTorch's own initial weights, as in the papers
 _PLAIN_HEAD = _PLAIN | {"head_gain": 1.0}
@@ -115,7 +116,7 @@ _WINDOW = 50  # S2's, over which its constancy term is taken
 
 
 def identify_network(
-    kind: str, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None
+    kind: str, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None
 ) -> Identified:
     """Train a network and wrap it for export."""
     settings = network_settings(kind, request)
@@ -166,7 +167,7 @@ def network_settings(kind: str, request: FitRequest) -> NetworkSettings:
 class NetworkKind(ModelKind):
     """A kind that is a network, with presets of `NETWORK_PRESETS`."""
 
-    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)
         return identify_network(self.name, trials, request, progress)
 

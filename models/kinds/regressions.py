@@ -11,11 +11,12 @@ from hystmpc.trials.trial import Trial
 
 from ..contract.bundle import ExportBundle
 from ..fit.facts import facts_of, fixed_rule
+from ..model import FitProgress
 from ..motions import probe_commands
 from ..networks.svr import SvrStep, svr_step_graph
 from ..play_kernel.fit import PLAY_KERNEL_PRESETS, fit_play_kernel, play_kernel_bundle, play_kernel_seconds
 from ..train.svr_ import SVR_PRESETS, SvrFit, SvrSettings, fit_svr
-from .kind import FitRequest, Identified, ModelKind, Progress
+from .kind import FitRequest, Identified, ModelKind
 
 
 @final
@@ -29,7 +30,7 @@ class PlayKernelKind(ModelKind):
     title: ClassVar[str] = "play kernel"
     presets: ClassVar[tuple[str, ...]] = ("best", "rate_independent")
 
-    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)
         settings = PLAY_KERNEL_PRESETS[request.preset]
         history: list[tuple[int, float]] = []
@@ -66,7 +67,7 @@ class SvrKind(ModelKind):
     title: ClassVar[str] = "SVR"
     presets: ClassVar[tuple[str, ...]] = ("best", "paper", "grid")
 
-    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)
         settings = SVR_PRESETS[request.preset].model_copy(update={"seed": request.seed})
         history: list[tuple[int, float]] = []

@@ -14,11 +14,11 @@ import torch
 from onnx import TensorProto
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
 from ..contract.onnx_nodes import operator_nodes
 from ..kernels.numba_ import generated_module
 from ..kernels.program import dense, scalar_program
-from ..model import Array
 from ..operators.operator import Operator
 from .network_ import Network, numbers
 from .nodes import GraphWriter
@@ -35,8 +35,8 @@ class OperatorStep:
     """
 
     function: Any
-    offset: Array
-    slope: Array
+    offset: Vec
+    slope: Vec
 
     @property
     def size(self) -> int:
@@ -101,8 +101,8 @@ class _Kernels:
 
     run: Callable[..., None]
     pull_back: Callable[..., None]
-    forward_constants: Array
-    partial_constants: Array
+    forward_constants: Vec
+    partial_constants: Vec
 
 
 class _Recursion(torch.autograd.Function):

@@ -13,8 +13,9 @@ from onnx import helper, numpy_helper
 from scipy.special import expit
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
-from ..model import Array, StepFunction
+from ..model import StepFunction
 from .nodes import GraphWriter, network_step_graph, tensor
 from .settings import Scaling
 
@@ -32,9 +33,9 @@ class LstmLayer:
         ModelError: if sizes do not fit each other or a number is not finite.
     """
 
-    w_ih: Array
-    w_hh: Array
-    bias: Array
+    w_ih: Vec
+    w_hh: Vec
+    bias: Vec
 
     def __post_init__(self) -> None:
         for name in ("w_ih", "w_hh", "bias"):
@@ -79,7 +80,7 @@ class LstmWeights:
     """
 
     layers: tuple[LstmLayer, ...]
-    head_weight: Array
+    head_weight: Vec
     head_bias: float
     scaling: Scaling = field(default_factory=Scaling)
 
@@ -112,7 +113,7 @@ class LstmWeights:
         per_layer = sum(layer.w_ih.size + layer.w_hh.size + 2 * layer.bias.size for layer in self.layers)
         return per_layer + self.hidden + 1
 
-    def to_arrays(self) -> dict[str, Array]:
+    def to_arrays(self) -> dict[str, Vec]:
         """Flat names and arrays, `lstm.0.w_ih` ... `scaling.theta_scale`; what `from_arrays` takes."""
         named: dict[str, ArrayLike] = {}
         for k, layer in enumerate(self.layers):
@@ -151,7 +152,7 @@ class LstmWeights:
         return cls.from_arrays(arrays)
 
 
-def _frozen(values: ArrayLike, name: str) -> Array:
+def _frozen(values: ArrayLike, name: str) -> Vec:
     """A read-only float64 copy; weights shared by kernels and sessions must not change behind them."""
     array = np.array(values, dtype=np.float64)
     if not np.isfinite(array).all():
@@ -170,7 +171,7 @@ class LstmStep(StepFunction):
         self.weights = weights
         self.state_size = weights.state_size
 
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1)."""
         scaling = self.weights.scaling
         x = (np.asarray(u, dtype=np.float64) - scaling.u_offset) / scaling.u_scale
@@ -183,7 +184,7 @@ class LstmStep(StepFunction):
         y = x @ self.weights.head_weight[:, None] + self.weights.head_bias
         return scaling.theta_offset + scaling.theta_scale * y, np.concatenate(following, axis=1)
 
-    def jacobian(self, state: Array, u: float) -> Array:
+    def jacobian(self, state: Vec, u: float) -> Vec:
         """Derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1)."""
         scaling, size, hidden = self.weights.scaling, self.state_size, self.weights.hidden
         identity = np.eye(size, size + 1)
@@ -204,13 +205,13 @@ class LstmStep(StepFunction):
             rows += [dx, dc]
         return np.concatenate([scaling.theta_scale * self.weights.head_weight[None] @ dx, *rows])
 
-    def _split(self, state: Array) -> list[tuple[Array, Array]]:
+    def _split(self, state: Vec) -> list[tuple[Vec, Vec]]:
         """Pairs (h, c) of each layer, (N, H) each."""
         parts = np.split(np.asarray(state, dtype=np.float64), 2 * len(self.weights.layers), axis=1)
         return list(zip(parts[::2], parts[1::2], strict=True))
 
 
-def _gates(layer: LstmLayer, x: Array, h: Array) -> tuple[Array, Array, Array, Array]:
+def _gates(layer: LstmLayer, x: Vec, h: Vec) -> tuple[Vec, Vec, Vec, Vec]:
     """Input, forget, cell and output gate, (N, H) each, from inputs (N, I) and outputs (N, H) of the last step."""
     i, f, g, o = np.split(x @ layer.w_ih.T + h @ layer.w_hh.T + layer.bias, 4, axis=1)
     return expit(i), expit(f), np.tanh(g), expit(o)
@@ -288,7 +289,7 @@ def lstm_rollout_graph(weights: LstmWeights) -> onnx.GraphProto:
     return helper.make_graph(writer.nodes, "lstm_rollout", inputs, [tensor("theta", "N", "H")], writer.initializers())
 
 
-def _onnx_order(gates: Array) -> Array:
+def _onnx_order(gates: Vec) -> Vec:
     """Rows in the order i, o, f, g of the operator LSTM from i, f, g, o."""
     i, f, g, o = np.split(gates, 4)
     return np.concatenate([i, o, f, g])

@@ -11,8 +11,10 @@ from typing import final
 import numpy as np
 import torch
 
+from hystmpc.trials.types import Vec
+
 from ..contract.metadata import InitialRule
-from ..model import Array, StepFunction
+from ..model import StepFunction
 from .nodes import GraphWriter
 from .settings import Scaling
 
@@ -76,14 +78,14 @@ class TorchStep(StepFunction):
         self.state_size = net.state_size
         self._net = copy.deepcopy(net).double().requires_grad_(False)
 
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         """Outputs (N, 1) and next states (N, S) from states (N, S) and inputs (N, 1)."""
         v = torch.tensor(self.scaling.scale_in(np.asarray(u, dtype=np.float64)))
         with torch.no_grad():
             y, following = self._net(v, torch.tensor(np.asarray(state, dtype=np.float64)))
         return self.scaling.to_units(numbers(y)), numbers(following)
 
-    def jacobian(self, state: Array, u: float) -> Array:
+    def jacobian(self, state: Vec, u: float) -> Vec:
         """Derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1).
 
         Row i of a batch of 1 + S equal points stands for output i, so that one backward pass gives all rows.
@@ -96,7 +98,7 @@ class TorchStep(StepFunction):
         derivative[:, -1] /= self.scaling.u_scale
         return derivative
 
-    def run(self, state: Array, commands: Array) -> tuple[Array, Array]:
+    def run(self, state: Vec, commands: Vec) -> tuple[Vec, Vec]:
         """Outputs (T,) over inputs (T,) from a state (S,), and the state after them."""
         v = torch.tensor(self.scaling.scale_in(commands))[None]
         with torch.no_grad():

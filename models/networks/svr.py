@@ -10,8 +10,9 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
-from ..model import Array, StepFunction
+from ..model import StepFunction
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,8 @@ class SvrWeights:
         ModelError: if sizes do not fit, a number is not finite, or gamma or a scale is not positive.
     """
 
-    supports: Array
-    coefficients: Array
+    supports: Vec
+    coefficients: Vec
     bias: float
     gamma: float
     u_offset: float
@@ -83,14 +84,14 @@ class SvrStep(StepFunction):
         self.weights = weights
         self.state_size = weights.state_size
 
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1)."""
         w = self.weights
         commands = np.hstack([state, u])
         y = np.array([self._kernels(row[:: w.stride]) @ w.coefficients for row in commands])[:, None] + w.bias
         return w.theta_offset + w.theta_scale * y, commands[:, 1:]
 
-    def jacobian(self, state: Array, u: float) -> Array:
+    def jacobian(self, state: Vec, u: float) -> Vec:
         """Derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1)."""
         w = self.weights
         commands = np.append(state, u)[:: w.stride]
@@ -100,7 +101,7 @@ class SvrStep(StepFunction):
         slope[:: w.stride] = -2 * w.gamma * w.theta_scale / w.u_scale * (weighted @ gap)
         return np.vstack([slope, np.eye(self.state_size + 1)[1:]])
 
-    def _kernels(self, commands: Array) -> Array:
+    def _kernels(self, commands: Vec) -> Vec:
         """Kernel values (M,) of one window (L,)."""
         w = self.weights
         gap = (commands - w.u_offset) / w.u_scale - w.supports

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -24,7 +24,7 @@ from ..contract.bundle import ExportBundle
 from ..fit.facts import facts_of, fixed_rule
 from ..fit.identify import DeviceLimits
 from ..fit.trial_set import angle_range, check_trial_set, command_range
-from ..model import Array
+from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from .features import BLOCK, Course, Frame, Moments, span
 from .graph import play_kernel_graph
@@ -75,7 +75,6 @@ PLAY_KERNEL_PRESETS: Mapping[str, PlayKernelSettings] = {
 }
 
 
-Progress = Callable[[int, float], None]
 _JITTER = 1e-10
 _SOON = 500_000  # samples: a fit of fewer takes seconds and is not announced
 
@@ -112,7 +111,7 @@ def fit_play_kernel(
     trials: Sequence[Trial],
     settings: PlayKernelSettings | None = None,
     skip_first_flexure: bool = False,
-    progress: Progress | None = None,
+    progress: FitProgress | None = None,
 ) -> PlayKernelFit:
     """Identify a play-kernel model; every trial has equal weight and an offset of its own.
 
@@ -319,7 +318,7 @@ def play_kernel_bundle(
     return ExportBundle(play_kernel_graph(weights), metadata, step, probe_commands(metadata))
 
 
-def _flexed(step: PlayKernelStep, state: Array, trials: Sequence[Trial], warmup: int) -> Array:
+def _flexed(step: PlayKernelStep, state: Vec, trials: Sequence[Trial], warmup: int) -> Vec:
     """State (S,) after the initialisation flexure of S2."""
     at = state[None]
     for u in initialisation_flexure(command_range(trials), check_trial_set(trials), warmup):

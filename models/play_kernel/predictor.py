@@ -14,7 +14,7 @@ from hystmpc.trials.types import Vec
 from ..contract.load import OnnxModel
 from ..contract.metadata import ModelMetadata
 from ..kernels.numba_ import njit
-from ..model import Array, InvertiblePredictor
+from ..model import InvertiblePredictor
 from .graph import weights_from_arrays
 from .weights import PlayKernelWeights
 
@@ -179,26 +179,26 @@ class PlayKernelPredictor(InvertiblePredictor):
         """
         return cls(weights_from_arrays(model.initializers), model.metadata)
 
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         state = self._rule.state(np.array([[y]]))[0]
         for _ in range(self._warmup):
             _, state = self.advance(state, u)
         return state
 
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         following = np.array(state, dtype=np.float64)
         theta = tangent(self._packed, following, float(u), np.empty(2 * following.size + 1))
         return float(theta), following
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         theta = np.empty(plans.shape)
         rollout(self._packed, state, np.ascontiguousarray(plans, dtype=np.float64), theta)
         return theta
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         theta, jacobian = np.empty(plan.size), np.empty((plan.size, plan.size))
         linearise(self._packed, state, np.ascontiguousarray(plan, dtype=np.float64), theta, jacobian)
         return theta, jacobian
 
-    def command_for(self, state: Array, theta: float, low: float, high: float, last: float) -> float:
+    def command_for(self, state: Vec, theta: float, low: float, high: float, last: float) -> float:
         return float(command_for(self._packed, state, float(theta), float(low), float(high), float(last)))

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
-from ..model import Array, StepFunction
+from ..model import StepFunction
 
 
 @dataclass(frozen=True)
@@ -49,12 +50,12 @@ class PlayKernelWeights:
     gain: float
     lower: float
     upper: float
-    radii: Array
-    knots: Array
-    slopes: Array
+    radii: Vec
+    knots: Vec
+    slopes: Vec
     bias: float
     outer_slope: float
-    stops: Array | None = field(default=None)
+    stops: Vec | None = field(default=None)
 
     def __post_init__(self) -> None:
         for name in ("radii", "knots", "slopes", "stops"):
@@ -84,7 +85,7 @@ class PlayKernelWeights:
         return self.radii.size + 1
 
 
-def _frozen(values: ArrayLike) -> Array:
+def _frozen(values: ArrayLike) -> Vec:
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
@@ -98,7 +99,7 @@ class PlayKernelStep(StepFunction):
         self.weights = weights
         self.state_size = weights.state_size
 
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1)."""
         w = self.weights
         u = np.asarray(u, dtype=np.float64)
@@ -112,7 +113,7 @@ class PlayKernelStep(StepFunction):
             theta = theta + (np.minimum(stop, 0) @ w.stops[0] + np.maximum(stop, 0) @ w.stops[1])[:, None]
         return theta, following
 
-    def jacobian(self, state: Array, u: float) -> Array:
+    def jacobian(self, state: Vec, u: float) -> Vec:
         """Active-branch derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1)."""
         w, size = self.weights, self.state_size
         state = np.asarray(state, dtype=np.float64)
@@ -134,6 +135,6 @@ class PlayKernelStep(StepFunction):
         return np.vstack([by_theta, by_z])
 
 
-def ramps(z: Array, knots: Array) -> Array:
+def ramps(z: Vec, knots: Vec) -> Vec:
     """ramp_k(z) = max(0, min(z - knot_k, knot_k+1 - knot_k)) with a last axis over the K segments."""
     return np.maximum(np.minimum(z[..., None] - knots[:-1], np.diff(knots)), 0.0)

@@ -7,8 +7,10 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from hystmpc.trials.types import Vec
+
 from ..contract.metadata import ModelMetadata
-from ..model import Array, Predictor
+from ..model import Predictor
 
 
 @final
@@ -25,20 +27,20 @@ class CasadiPredictor(Predictor):
         self._size = function.numel_in(0)
         self._horizons: dict[int, Any] = {}
 
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         state = self._metadata.conditioned.state(np.array([[y]]))[0]
         for _ in range(self._metadata.warmup_samples):
             _, state = self.advance(state, u)
         return state
 
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         theta, following = self._function(state, u)
         return float(theta), np.asarray(following).ravel()
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         return np.array([np.asarray(self._horizon(plans.shape[1])(state, plan)[0]).ravel() for plan in plans])
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         theta, jacobian = self._horizon(plan.size)(state, plan)
         return np.asarray(theta).ravel(), np.asarray(jacobian)
 

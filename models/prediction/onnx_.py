@@ -7,8 +7,10 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from hystmpc.trials.types import Vec
+
 from ..contract.load import OnnxModel
-from ..model import Array, Predictor
+from ..model import Predictor
 
 _SPARSE_ENTRIES = 4  # of A in a row, up to which its product is cheaper than directions through the step
 
@@ -43,17 +45,17 @@ class OnnxPredictor(Predictor):
         """Whether tangents are carried by the matrices A, B, C, D; else by directions through the step."""
         return self._sparse is not None
 
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         state = self._metadata.conditioned.state(np.array([[y]]))
         for _ in range(self._metadata.warmup_samples):
             _, state = self._model.advance(state, np.array([[u]]))
         return state[0]
 
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         theta, following = self._model.advance(state[None], np.array([[u]]))
         return float(theta[0, 0]), following[0]
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         states = np.tile(state, (plans.shape[0], 1))
         theta = np.empty(plans.shape)
         for k in range(plans.shape[1]):
@@ -61,7 +63,7 @@ class OnnxPredictor(Predictor):
             theta[:, k] = angle[:, 0]
         return theta
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         theta, jacobian = self._horizon(plan.size)(state, plan)
         return np.asarray(theta).ravel(), np.asarray(jacobian)
 

@@ -7,11 +7,13 @@ from typing import Literal, final
 
 import numpy as np
 
+from hystmpc.trials.types import Vec
+
 from ..contract.load import OnnxModel
 from ..contract.metadata import ModelMetadata
 from ..kernels.gru import GruRoute
 from ..kernels.network_route import NetworkRoute, chosen_route
-from ..model import Array, Predictor
+from ..model import Predictor
 from ..networks.lstm import LstmWeights
 
 Start = Literal["initial", "conditioned"]
@@ -35,15 +37,15 @@ class RoutedPredictor(Predictor):
         self._rule = metadata.initial if start == "initial" else metadata.conditioned
         self._warmup = metadata.warmup_samples
 
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         state = self._rule.state(np.array([[y]]))[0]
         return self._along(state, np.full(self._warmup, u))[1] if self._warmup else state
 
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         angles, following = self._along(state, np.array([u]))
         return float(angles[0]), following
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         if _finite(state, plans):
             return self.route.rollout(state, plans)
         usable = np.isfinite(plans).all(axis=1) & np.isfinite(state).all()
@@ -52,18 +54,18 @@ class RoutedPredictor(Predictor):
             angles[usable] = self.route.rollout(state, plans[usable])
         return angles
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         if not _finite(state, plan):
             return np.full(plan.size, np.nan), np.tril(np.full((plan.size, plan.size), np.nan))
         return self.route.linearise(state, plan)
 
-    def _along(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def _along(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         if not _finite(state, plan):
             return np.full(plan.size, np.nan), np.full(state.size, np.nan)
         return self.route.advance(state, plan)
 
 
-def _finite(state: Array, plans: Array) -> bool:
+def _finite(state: Vec, plans: Vec) -> bool:
     # a sum is finite only where all its terms are; one that overflows is no angle either
     return math.isfinite(state.sum() + plans.sum())
 

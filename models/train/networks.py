@@ -21,6 +21,7 @@ from ..contract.metadata import InitialRule, ModelMetadata, Range
 from ..fit.identify import DeviceLimits
 from ..fit.split import hold_out
 from ..fit.trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
+from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from ..networks.nodes import network_step_graph
 from ..networks.settings import HybridSettings, Scaling
@@ -33,9 +34,6 @@ from .teacher import Teacher
 if TYPE_CHECKING:
     from ..networks.network_ import Network, TorchStep
     from .updates_ import Check, TeacherRuns
-
-
-Progress = Callable[[int, float], None]
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ class NetworkFit:
 def fit_network(
     trials: Sequence[Trial],
     settings: NetworkSettings | None = None,
-    progress: Progress | None = None,
+    progress: FitProgress | None = None,
     validation: Sequence[Trial] = (),
 ) -> NetworkFit:
     """Train a network; the weights that do best on held-out trials are kept. Same trials, settings, machine: same net.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -19,6 +19,7 @@ from hystmpc.trials.types import Index, Vec
 
 from ..contract.metadata import Range
 from ..fit.trial_set import angle_range, check_trial_set, command_range
+from ..model import FitProgress
 from ..networks.svr import SvrWeights
 
 Positive = Annotated[float, Field(gt=0)]
@@ -76,9 +77,6 @@ SVR_PRESETS: Mapping[str, SvrSettings] = {
 }
 
 
-Progress = Callable[[int, float], None]
-
-
 @dataclass(frozen=True)
 class SvrChoice:
     """One combination that is compared."""
@@ -129,7 +127,7 @@ def fit_svr(
     trials: Sequence[Trial],
     settings: SvrSettings | None = None,
     skip_first_flexure: bool = False,
-    progress: Progress | None = None,
+    progress: FitProgress | None = None,
 ) -> SvrFit:
     """Identify a support-vector regression; before its first command a trial is taken to have been at rest.
 

@@ -10,8 +10,9 @@ import pytest
 from onnx import TensorProto, numpy_helper
 
 from hystmpc.models.contract import ExportBundle, GateReport, OnnxModel, export_onnx, load_onnx
-from hystmpc.models.model import Array, StepFunction
+from hystmpc.models.model import StepFunction
 from hystmpc.trials.errors import ExportError
+from hystmpc.trials.types import Vec
 
 from .contract_examples import DT_S, PROBE, SLOPE, SYSTEMS, WIDTH, Play, RatePlay, metadata, node, play_graph
 
@@ -135,10 +136,10 @@ class WrongSlope(StepFunction):
 
     state_size = 1
 
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         return Play().advance(state, u)
 
-    def jacobian(self, state: Array, u: float) -> Array:
+    def jacobian(self, state: Vec, u: float) -> Vec:
         return Play().jacobian(state, u) * (1 + 1e-6)
 
 
