@@ -23,8 +23,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from hystmpc.models.contract.bundle import ExportBundle
-from hystmpc.models.contract.export import export_onnx
+from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import Errors, RunnableModel, evaluate
 from hystmpc.models.kinds.catalogue import KINDS, kind_named

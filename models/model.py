@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
+
+import numpy as np
 
 from hystmpc.trials.types import Vec
+
+from .contract.metadata import ModelMetadata, Start
 
 
 class Model(Protocol):
@@ -55,6 +59,59 @@ class StepFunction(ABC):
     @abstractmethod
     def jacobian(self, state: Vec, u: float) -> Vec:
         """Exact active-branch derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1)."""
+
+
+class LoadedModel(ABC):
+    """What a model file holds, ready to run: the step of the ONNX contract behind the `Model` protocol.
+
+    The model's state is x = [state, theta] (N, S + 1): it carries the angle that it last produced, so that `output` is
+    a projection.
+
+    Args:
+        metadata: what the file says about the model.
+        start: rule that makes the state at the start.
+    """
+
+    def __init__(self, metadata: ModelMetadata, start: Start) -> None:
+        self.metadata, self._rule = metadata, metadata.rule(start)
+        self.state_size = metadata.state_size
+
+    @property
+    def nx(self) -> int:
+        """Entries of x: state and last angle."""
+        return self.state_size + 1
+
+    @property
+    def nu(self) -> int:
+        """Commands: one."""
+        return 1
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self.metadata.dt_s
+
+    def initial(self, y: Vec) -> Vec:
+        """State x (N, S + 1) of a device that rests at the measured angles `y` (N, 1) [deg]."""
+        y = np.asarray(y, dtype=np.float64).reshape(-1, 1)
+        return np.hstack([self._rule.state(y), y])
+
+    def step(self, x: Vec, u: Vec) -> Vec:
+        """State x (N, S + 1) one sample later under commands `u` (N, 1) [command unit]."""
+        theta, state = self.advance(np.asarray(x)[:, :-1], u)
+        return np.hstack([state, theta])
+
+    def output(self, x: Vec) -> Vec:
+        """Tip angles (N, 1) [deg]."""
+        return np.asarray(x)[:, -1:]
+
+    @abstractmethod
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
+        """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1)."""
+
+    @abstractmethod
+    def casadi_function(self) -> Any:
+        """The step as `casadi.Function`: state (S, 1), u (1, 1) -> theta (1, 1), next_state (S, 1)."""
 
 
 class Predictor(ABC):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, final
 
@@ -16,10 +17,10 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
 
 from .chain import Chain
-from .contract.metadata import ModelMetadata, Range, Rate, SampleTime
+from .contract.metadata import ModelMetadata, Range, Rate, SampleTime, Start
 from .kernels.chain_kernels import compile_step
 from .kernels.program import dense
-from .model import StepFunction
+from .model import LoadedModel, StepFunction
 from .operators.catalogue import operator_from, operator_spec
 
 FORMAT = "hystmpc-simulator/1"
@@ -183,35 +184,15 @@ def _side(specs: Any, where: str) -> tuple[Any, ...]:
 
 
 @final
-class ChainModel(StepFunction):
-    """Operator chain as model: `Model` for free runs, `StepFunction` as the reference of its own export.
+class ChainModel(LoadedModel, StepFunction):
+    """A simulator as a model, run by its compiled step; the reference of its own export."""
 
-    The model state is x = [chain state, angle], so that the output is a projection (nx = S + 1).
-    """
-
-    def __init__(self, simulator: Simulator, start: Literal["initial", "conditioned"] = "initial") -> None:
+    def __init__(self, simulator: Simulator, start: Start = "initial") -> None:
+        super().__init__(simulator.metadata(), start)
         self.simulator = simulator
-        self.metadata: ModelMetadata = simulator.metadata()
-        self.nx, self.nu, self.dt = simulator.chain.state_size + 1, 1, simulator.dt_s
-        self.state_size = simulator.chain.state_size
-        self._rule = getattr(self.metadata, start)
         self._kernels = compile_step(simulator.chain.transition)
         self._p, self._dt = simulator.chain.values, np.array([simulator.dt_s])
-        self._derivative = _step_jacobian(simulator)
-
-    def initial(self, y: Vec) -> Vec:
-        """States (N, S + 1) of devices that rest at angles y (N, 1) [deg]."""
-        y = np.asarray(y, dtype=np.float64).reshape(-1, 1)
-        return np.hstack([self._rule.state(y), y])
-
-    def step(self, x: Vec, u: Vec) -> Vec:
-        """States (N, S + 1) one sample later under commands u (N, 1)."""
-        theta, following = self.advance(np.asarray(x)[:, :-1], u)
-        return np.hstack([following, theta])
-
-    def output(self, x: Vec) -> Vec:
-        """Angles (N, 1) [deg]."""
-        return np.asarray(x)[:, -1:]
+        self._step = simulator.chain.bound(simulator.dt_s)
 
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         """Angles (N, 1) and next states (N, S) from states (N, S) and commands (N, 1)."""
@@ -230,19 +211,15 @@ class ChainModel(StepFunction):
         return theta[0, self.metadata.warmup_samples :]
 
     def casadi_function(self) -> ca.Function:
-        """The step as `casadi.Function`: state (S, 1), u (1, 1) -> theta (1, 1), next_state (S, 1)."""
-        function = self.simulator.chain.bound(self.dt)
         x, u = ca.SX.sym("x", self.state_size), ca.SX.sym("u")
-        return ca.Function("model", [x, u], function(x, u), ["state", "u"], ["theta", "next_state"])
+        return ca.Function("model", [x, u], self._step(x, u), ["state", "u"], ["theta", "next_state"])
 
     def jacobian(self, state: Vec, u: float) -> Vec:
         """Derivative of (theta, next state) by (state, u), shape (1 + S, S + 1)."""
         return np.asarray(self._derivative(state, u))
 
-
-def _step_jacobian(simulator: Simulator) -> ca.Function:
-    """CasADi function (state, u) -> d (theta, next state) / d (state, u)."""
-    function = simulator.chain.bound(simulator.dt_s)
-    x, u = ca.SX.sym("x", simulator.chain.state_size), ca.SX.sym("u")
-    theta, following = function(x, u)
-    return dense("jacobian", [x, u], [ca.jacobian(ca.vertcat(theta, following), ca.vertcat(x, u))])
+    @cached_property
+    def _derivative(self) -> ca.Function:
+        x, u = ca.SX.sym("x", self.state_size), ca.SX.sym("u")
+        theta, following = self._step(x, u)
+        return dense("jacobian", [x, u], [ca.jacobian(ca.vertcat(theta, following), ca.vertcat(x, u))])

@@ -1,4 +1,4 @@
-"""The numeric gate: reference, onnxruntime and CasADi have to agree, Jacobians included, before a file is written."""
+"""Numeric equivalence check of an export: reference, onnxruntime and CasADi agree, Jacobians included."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from hystmpc.trials.errors import ExportError
 from hystmpc.trials.types import Vec
 
 from ..model import StepFunction
-from .bundle import ExportBundle
 from .load import OnnxModel
 
 STEPS = 1000
@@ -30,8 +29,8 @@ Step = Callable[[Vec, Vec], tuple[Vec, Vec]]
 
 
 @dataclass(frozen=True)
-class GateReport:
-    """Largest differences from the reference that the gate has seen.
+class EquivalenceReport:
+    """Largest differences from the reference that the check has seen.
 
     Attributes:
         steps: free-running samples from the initial state.
@@ -54,7 +53,7 @@ class GateReport:
     kinks: int
 
 
-def run_gate(bundle: ExportBundle, model: OnnxModel) -> GateReport:
+def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> EquivalenceReport:
     """Compare the three implementations.
 
     Free run of 1,000 samples by the probe (repeated or cut) from the initial state, single steps from random states
@@ -64,19 +63,19 @@ def run_gate(bundle: ExportBundle, model: OnnxModel) -> GateReport:
         ExportError: on the first disagreement; names implementation, worst step and numbers.
     """
     function = model.casadi_function()
-    commands = np.resize(bundle.probe, STEPS)
-    angle = bundle.metadata.trained_angle  # the run starts at the angle of this range that is nearest to zero
-    start = bundle.metadata.initial.state(np.clip([[0.0]], angle.lower, angle.upper))
-    reference = _free_run(bundle.reference.advance, start, commands)
-    visited = np.vstack([start, reference[:-1, 1:]])
+    commands = np.resize(probe, STEPS)
+    angle = model.metadata.trained_angle  # the run starts at the angle of this range that is nearest to zero
+    start = model.metadata.initial.state(np.clip([[0.0]], angle.lower, angle.upper))
+    expected = _free_run(reference.advance, start, commands)
+    visited = np.vstack([start, expected[:-1, 1:]])
     rng = np.random.default_rng(0)
     worst = {}
     for name, step in (("onnxruntime", model.advance), ("CasADi", _casadi_step(function))):
-        free = _compare(reference, _free_run(step, start, commands), f"{name} on its own, sample")
-        single = _single_steps(bundle.reference, step, visited, commands, rng, name)
+        free = _compare(expected, _free_run(step, start, commands), f"{name} on its own, sample")
+        single = _single_steps(reference, step, visited, commands, rng, name)
         worst[name] = np.maximum(free, single)
-    jacobian, kinks = _compare_jacobians(bundle.reference, function, visited, commands, model.dtype.name)
-    return GateReport(
+    jacobian, kinks = _compare_jacobians(reference, function, visited, commands, model.dtype.name)
+    return EquivalenceReport(
         steps=STEPS,
         batches=(1, BATCH),
         runtime_deg=float(worst["onnxruntime"][0]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import TYPE_CHECKING, Any, final, get_args
 
 import numpy as np
 import onnx
@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
+from ..model import LoadedModel
 from .checks import check_graph, parse_model
-from .metadata import ModelMetadata
+from .metadata import ModelMetadata, Start
 
 if TYPE_CHECKING:
     import casadi as ca
@@ -68,21 +69,14 @@ def _check_batch(session: ort.InferenceSession, batch: int, state_size: int, dty
         )
 
 
-Start = Literal["initial", "conditioned"]
-_OUTPUTS = ["theta", "next_state"]
-
-
 @final
-class OnnxModel:
-    """A step graph behind the `Model` protocol, evaluated by onnxruntime on one thread.
-
-    The model's state is x = [state, theta] (N, S + 1): it carries the angle that it last produced, so that `output` is
-    a projection. A float32 graph is fed float32; everything that comes back is float64.
+class OnnxModel(LoadedModel):
+    """A step graph, evaluated by onnxruntime on one thread; a float32 graph is fed float32, what comes back is float64.
 
     Attributes:
-        metadata: what the file says about itself.
         graph: the ONNX graph, as `to_casadi` takes it.
         initializers: the graph's weights by name.
+        dtype: number type of the graph, float32 or float64.
         hash: SHA-256 of the file.
         source: the file's path, for messages and reports.
         start: which of the two initial rules `initial` follows.
@@ -94,56 +88,20 @@ class OnnxModel:
         Raises:
             ModelError: as `load_onnx` does, or if `start` is unknown.
         """
-        if start not in ("initial", "conditioned"):
+        if start not in get_args(Start):
             raise ModelError(f"{source}: start is {start!r}, available: conditioned, initial")
         proto = parse_model(content, source)
         # Damaged text arrives from protobuf as bytes; turned into str it is found to be neither our key nor JSON.
         properties = {str(entry.key): str(entry.value) for entry in proto.metadata_props}
-        self.metadata = ModelMetadata.from_properties(properties, source)
-        self._dtype = check_graph(proto, self.metadata.state_size, source)
+        super().__init__(ModelMetadata.from_properties(properties, source), start)
+        self.dtype = check_graph(proto, self.state_size, source)
         self.graph: onnx.GraphProto = proto.graph
         self.initializers: Mapping[str, NDArray[np.generic]] = {
             weight.name: onnx.numpy_helper.to_array(weight) for weight in proto.graph.initializer
         }
         self.hash = hashlib.sha256(content).hexdigest()
-        self.source = source
-        self.start = start
-        self._rule = self.metadata.initial if start == "initial" else self.metadata.conditioned
-        self._size = self.metadata.state_size
-        self._run = open_session(content, self._size, self._dtype, source).run
-
-    @property
-    def nx(self) -> int:
-        """Entries of x: state and last angle."""
-        return self._size + 1
-
-    @property
-    def nu(self) -> int:
-        """Commands: one."""
-        return 1
-
-    @property
-    def dt(self) -> float:
-        """Sample time [s]."""
-        return self.metadata.dt_s
-
-    @property
-    def dtype(self) -> np.dtype[np.generic]:
-        """Number type of the graph, float32 or float64."""
-        return self._dtype
-
-    def initial(self, y: Vec) -> Vec:
-        """State x (N, S + 1) of a device that rests at the measured angles `y` (N, 1) [deg]."""
-        return np.concatenate([self._rule.state(y), y], axis=1)
-
-    def step(self, x: Vec, u: Vec) -> Vec:
-        """State x (N, S + 1) one sample later under commands `u` (N, 1) [command unit]."""
-        theta, state = self.advance(x[:, :-1], u)
-        return np.concatenate([state, theta], axis=1)
-
-    def output(self, x: Vec) -> Vec:
-        """Tip angles (N, 1) [deg]."""
-        return x[:, -1:]
+        self.source, self.start = source, start
+        self._run = open_session(content, self.state_size, self.dtype, source).run
 
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1).
@@ -151,12 +109,13 @@ class OnnxModel:
         Raises:
             ModelError: if the shapes are not (N, S) and (N, 1).
         """
-        if state.shape != (u.shape[0], self._size) or u.shape != (u.shape[0], 1):
+        if state.shape != (u.shape[0], self.state_size) or u.shape != (u.shape[0], 1):
             raise ModelError(
-                f"{self.source}: got states {state.shape} and commands {u.shape}, expected (N, {self._size}) and (N, 1)"
+                f"{self.source}: got states {state.shape} and commands {u.shape}, "
+                f"expected (N, {self.state_size}) and (N, 1)"
             )
-        feed = {"u": u.astype(self._dtype), "state": state.astype(self._dtype)}
-        theta, following = self._run(_OUTPUTS, feed)
+        feed = {"u": u.astype(self.dtype), "state": state.astype(self.dtype)}
+        theta, following = self._run(["theta", "next_state"], feed)
         return np.array(theta, dtype=np.float64), np.array(following, dtype=np.float64)
 
     def casadi_function(self) -> ca.Function:

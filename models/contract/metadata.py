@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,8 @@ from hystmpc.trials.types import Vec
 
 FORMAT = "hystmpc-model/1"
 PREFIX = "hystmpc."
+Start = Literal["initial", "conditioned"]
+"""Which rule of a model file makes the state at the start."""
 
 # Bounds that no device of this field comes near; what lies beyond is a damaged or hostile file, or another unit.
 SampleTime = Annotated[float, Field(ge=1e-5, le=100.0)]  # s: 100 kHz to one sample in 100 s
@@ -128,6 +130,10 @@ class ModelMetadata(Settings):
     def state_size(self) -> int:
         """Number S of state entries."""
         return len(self.initial.offset)
+
+    def rule(self, start: Start) -> InitialRule:
+        """The rule that makes the state at the start."""
+        return self.initial if start == "initial" else self.conditioned
 
     @classmethod
     def of(cls, **facts: Any) -> Self:

@@ -1,4 +1,4 @@
-"""The exact one-step inverse of a compiled model."""
+"""Inverses of a model for one step: exact, through a simulator that runs beside it, or by a trained inverse map."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata
-from ..load import AnyModel
-from ..model import Inverse, InvertiblePredictor, Predictor
+from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
 
 
 @final
@@ -90,7 +89,7 @@ class MappedPredictor(Predictor):
     noise would flip its branch.
     """
 
-    def __init__(self, predictor: Predictor, inverse_map: AnyModel) -> None:
+    def __init__(self, predictor: Predictor, inverse_map: LoadedModel) -> None:
         self.dt, self.command_range = predictor.dt, predictor.command_range
         self.inverse_map = inverse_map
         self._predictor, self._size = predictor, inverse_map.metadata.state_size

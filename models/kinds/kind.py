@@ -10,7 +10,7 @@ from typing import ClassVar
 from hystmpc.trials.errors import FitError, did_you_mean
 from hystmpc.trials.trial import Trial
 
-from ..contract.bundle import ExportBundle
+from ..contract.export import ExportBundle
 from ..fit.identify import DeviceLimits
 from ..model import FitProgress
 from ..simulator import Simulator

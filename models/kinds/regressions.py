@@ -9,7 +9,7 @@ import numpy as np
 
 from hystmpc.trials.trial import Trial
 
-from ..contract.bundle import ExportBundle
+from ..contract.export import ExportBundle
 from ..fit.facts import facts_of, fixed_rule
 from ..model import FitProgress
 from ..motions import probe_commands

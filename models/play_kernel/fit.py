@@ -20,7 +20,7 @@ from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..contract.bundle import ExportBundle
+from ..contract.export import ExportBundle
 from ..fit.facts import facts_of, fixed_rule
 from ..fit.identify import DeviceLimits
 from ..fit.trial_set import angle_range, check_trial_set, command_range

@@ -1,22 +1,21 @@
-"""What the predictors of networks with compiled routes share."""
+"""Predictions of recurrent networks in single precision by compiled kernels."""
 
 from __future__ import annotations
 
 import math
-from typing import Literal, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from ..contract.load import OnnxModel
-from ..contract.metadata import ModelMetadata
-from ..kernels.gru import GruRoute
+from ..contract.metadata import ModelMetadata, Start
 from ..kernels.network_route import NetworkRoute, chosen_route
 from ..model import Predictor
 from ..networks.lstm import LstmWeights
 
-Start = Literal["initial", "conditioned"]
+if TYPE_CHECKING:
+    from ..contract.load import OnnxModel
 
 
 class RoutedPredictor(Predictor):
@@ -34,7 +33,7 @@ class RoutedPredictor(Predictor):
         self.dt = metadata.dt_s
         self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
         self.route = route
-        self._rule = metadata.initial if start == "initial" else metadata.conditioned
+        self._rule = metadata.rule(start)
         self._warmup = metadata.warmup_samples
 
     def initial(self, y: float, u: float) -> Vec:
@@ -82,6 +81,8 @@ class GruPredictor(RoutedPredictor):
     """
 
     def __init__(self, model: OnnxModel) -> None:
+        from ..kernels.gru import GruRoute  # an LSTM does not need it
+
         super().__init__(model.metadata, "conditioned", GruRoute(model.initializers))
 
 
@@ -89,8 +90,8 @@ class GruPredictor(RoutedPredictor):
 class LstmPredictor(RoutedPredictor):
     """The fastest route to each prediction of a stacked LSTM; state (S,) as in `LstmWeights`.
 
-    Roll-outs run on as many threads as the
-    process gives BLAS; a control process sets one (threadpoolctl), since a second one stalls beside a busy neighbour.
+    Roll-outs run on as many threads as the process gives BLAS; a control process sets one (threadpoolctl), since a
+    second one stalls beside a busy neighbour.
 
     Args:
         weights: of the network.

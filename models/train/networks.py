@@ -15,8 +15,8 @@ import numpy as np
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 
-from ..contract.bundle import ExportBundle
 from ..contract.equivalence import TOLERANCE_DEG
+from ..contract.export import ExportBundle
 from ..contract.metadata import InitialRule, ModelMetadata, Range
 from ..fit.identify import DeviceLimits
 from ..fit.split import hold_out

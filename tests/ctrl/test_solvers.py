@@ -25,8 +25,8 @@ from hystmpc.ctrl.planning import PlanningError, Weights
 from hystmpc.ctrl.stopwatch import Stopwatch
 from hystmpc.models.inverse.one_step import AccompaniedPredictor
 from hystmpc.models.library import library_file
-from hystmpc.models.load import AnyModel, load_model
-from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.load import load_model
+from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse
 from hystmpc.models.prediction.casadi_ import CasadiPredictor
 from hystmpc.models.simulator import ChainModel
@@ -157,7 +157,7 @@ def test_both_solvers_give_the_same_commands(case: Case, osqp: OsqpOptions, tole
     np.testing.assert_allclose(theirs[solved], ours[solved], atol=tolerance)
 
 
-def reference_route(model: AnyModel) -> tuple[Predictor, Predictor, Inverse]:
+def reference_route(model: LoadedModel) -> tuple[Predictor, Predictor, Inverse]:
     """The compiled route, the route through CasADi's own derivatives with the same state, and their inverse."""
     compiled, inverse = predictor_and_inverse(model)
     slow = CasadiPredictor(model.casadi_function(), model.metadata)

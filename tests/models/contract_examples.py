@@ -10,7 +10,8 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from hystmpc.models.contract import ExportBundle, ModelMetadata
+from hystmpc.models.contract.export import ExportBundle
+from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.model import StepFunction
 from hystmpc.trials.types import Vec
 

@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.models.contract.bundle import ExportBundle
-from hystmpc.models.contract.export import export_onnx
+from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.motions import probe_commands
 from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights, lstm_rollout_graph, lstm_step_graph
