@@ -11,7 +11,6 @@ from hystmpc.trials.trial import Trial
 
 from ..model import FitProgress
 from ..networks.settings import FeedForwardSettings, HybridSettings, NetworkForm, RecurrentSettings
-from ..train.networks import fit_network, network_bundle, training_seconds
 from ..train.settings import (
     NetworkSettings,
     RestSettings,
@@ -115,31 +114,6 @@ NETWORK_PRESETS: Mapping[str, Mapping[str, NetworkSettings]] = MappingProxyType(
 _WINDOW = 50  # S2's, over which its constancy term is taken
 
 
-def identify_network(
-    kind: str, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None
-) -> Identified:
-    """Train a network and wrap it for export."""
-    settings = network_settings(kind, request)
-    found = fit_network(trials, settings, progress, request.validation)
-    judges = ", ".join(Path(source).name for source in found.held_out) or "the training trials"
-    report = (
-        f"weights of step {found.best_step} of {settings.steps}, judged by {judges} "
-        f"({found.validation_rmse_deg:.3f} {trials[0].units.angle})"
-    )
-    history = tuple((look.step, look.validation_rmse_deg) for look in found.history)
-    return Identified(network_bundle(found, trials, request.limits), None, history, report, found.interrupted)
-
-
-def estimate_network(kind: str, trials: Sequence[Trial], request: FitRequest) -> float:
-    """Seconds that the training will take, from a few updates of it."""
-    return training_seconds(trials, network_settings(kind, request))
-
-
-def network_steps(kind: str, request: FitRequest) -> int:
-    """Epochs or updates."""
-    return network_settings(kind, request).steps
-
-
 def network_settings(kind: str, request: FitRequest) -> NetworkSettings:
     """The preset's settings with what the request changes.
 
@@ -161,21 +135,33 @@ def network_settings(kind: str, request: FitRequest) -> NetworkSettings:
         changes["validation_trials"] = 0
     elif request.hold_out is not None:
         changes["validation_trials"] = request.hold_out
-    return NetworkSettings.parse(chosen.model_dump() | changes, f"{kind}, preset {request.preset}")
+    return NetworkSettings.parse(dict(chosen) | changes, f"{kind}, preset {request.preset}")
 
 
 class NetworkKind(ModelKind):
-    """A kind that is a network, with presets of `NETWORK_PRESETS`."""
+    """A kind that is a network, with presets of `NETWORK_PRESETS`; torch is loaded when one is trained."""
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        from ..train.networks import fit_network, network_bundle
+
         self.check(trials, request)
-        return identify_network(self.name, trials, request, progress)
+        settings = network_settings(self.name, request)
+        found = fit_network(trials, settings, progress, request.validation)
+        judges = ", ".join(Path(source).name for source in found.held_out) or "the training trials"
+        report = (
+            f"weights of step {found.best_step} of {settings.steps}, judged by {judges} "
+            f"({found.validation_rmse_deg:.3f} {trials[0].units.angle})"
+        )
+        history = tuple((look.step, look.validation_rmse_deg) for look in found.history)
+        return Identified(network_bundle(found, trials, request.limits), None, history, report, found.interrupted)
 
     def steps(self, request: FitRequest) -> int | None:
-        return network_steps(self.name, request)
+        return network_settings(self.name, request).steps
 
     def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
-        return estimate_network(self.name, trials, request)
+        from ..train.networks import training_seconds
+
+        return training_seconds(trials, network_settings(self.name, request))
 
 
 @final
@@ -184,7 +170,7 @@ class FnnKind(NetworkKind):
 
     name: ClassVar[str] = "fnn"
     title: ClassVar[str] = "FNN"
-    presets: ClassVar[tuple[str, ...]] = ("best", "paper", "s1")
+    presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["fnn"])
     recurrent: ClassVar[bool] = False
 
 
@@ -194,7 +180,7 @@ class FnnHibKind(NetworkKind):
 
     name: ClassVar[str] = "fnn_hib"
     title: ClassVar[str] = "FNN-HIB"
-    presets: ClassVar[tuple[str, ...]] = ("best", "paper", "s1")
+    presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["fnn_hib"])
 
 
 @final
@@ -203,7 +189,7 @@ class LstmKind(NetworkKind):
 
     name: ClassVar[str] = "lstm"
     title: ClassVar[str] = "LSTM"
-    presets: ClassVar[tuple[str, ...]] = ("best", "kernel", "paper", "s1")
+    presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["lstm"])
 
 
 @final
@@ -212,7 +198,7 @@ class GruKind(NetworkKind):
 
     name: ClassVar[str] = "gru"
     title: ClassVar[str] = "GRU"
-    presets: ClassVar[tuple[str, ...]] = ("best", "paper", "s1")
+    presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["gru"])
 
 
 @final
@@ -221,7 +207,7 @@ class Hb1Kind(NetworkKind):
 
     name: ClassVar[str] = "hb1"
     title: ClassVar[str] = "HB1"
-    presets: ClassVar[tuple[str, ...]] = ("best", "paper", "paper-batch-4")
+    presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["hb1"])
 
 
 @final
@@ -230,4 +216,4 @@ class Hb2Kind(NetworkKind):
 
     name: ClassVar[str] = "hb2"
     title: ClassVar[str] = "HB2"
-    presets: ClassVar[tuple[str, ...]] = ("best", "paper")
+    presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["hb2"])

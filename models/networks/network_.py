@@ -1,4 +1,4 @@
-"""What a network is: a PyTorch module on scaled signals with explicit state, which also writes its own ONNX nodes."""
+"""What a network is: a PyTorch module with explicit state that also writes its own ONNX nodes; the plainest of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hystmpc.trials.types import Vec
 from ..contract.metadata import InitialRule
 from ..model import StepFunction
 from .nodes import GraphWriter
-from .settings import Scaling
+from .settings import FeedForwardSettings, Scaling
 
 
 class Network(torch.nn.Module, ABC):
@@ -127,18 +127,17 @@ class FeedForwardNet(Network):
     the contract has at least one entry.
 
     Args:
-        hidden: widths of the ReLU layers; S2 has (64, 64).
-        history: n, 1 for the FNN and 50 for the FNN-HIB of S2.
+        settings: widths, and n as `history`.
         rest: scaled input with which the buffer is filled at the start (S2 pads with u = 0 or theta = 30 deg).
     """
 
-    def __init__(self, hidden: Sequence[int], history: int, rest: float) -> None:
+    def __init__(self, settings: FeedForwardSettings, rest: float) -> None:
         super().__init__()
-        widths = [history, *hidden]
+        widths = [settings.history, *settings.hidden]
         self.hidden = torch.nn.ModuleList(torch.nn.Linear(a, b) for a, b in pairwise(widths))
         self.head = torch.nn.Linear(widths[-1], 1)
-        self.history, self.rest = history, rest
-        self.context, self.state_size = history - 1, max(1, history - 1)
+        self.history, self.rest = settings.history, rest
+        self.context, self.state_size = settings.context, max(1, settings.context)
 
     def start(self, y: torch.Tensor) -> torch.Tensor:
         return torch.full((len(y), self.state_size), self.rest, dtype=y.dtype)

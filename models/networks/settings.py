@@ -1,22 +1,68 @@
-"""What a network is made of: one class of settings for each form."""
+"""What a network is made of, one class of settings for each form, and the units around it."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
+if TYPE_CHECKING:
+    from ..operators.operator import Operator
+    from .network_ import Network
+
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
 
 
-class FeedForwardSettings(Settings):
+class FormSettings(Settings, ABC):
+    """What a network is made of; builds the network.
+
+    Attributes:
+        known: all forms, by name.
+        has_backlash: whether a backlash, fitted to the training trials beforehand, is part of it.
+    """
+
+    has_backlash: ClassVar[bool] = False
+    known: ClassVar[dict[str, type[FormSettings]]] = {}
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **options: Any) -> None:
+        super().__pydantic_init_subclass__(**options)
+        if "form" in cls.model_fields:
+            FormSettings.known |= dict.fromkeys(get_args(cls.model_fields["form"].annotation), cls)
+
+    @property
+    def context(self) -> int:
+        """Samples before the present one that an output looks back on; 0 with a recurrent state."""
+        return 0
+
+    @abstractmethod
+    def network(self, rest: float, operator: Operator | None) -> Network:
+        """A network with initial weights drawn from torch's generator.
+
+        Args:
+            rest: scaled input of a device at rest, for a buffer of past inputs.
+            operator: the fitted backlash in scaled units, for hybrids.
+        """
+
+
+def _of_its_form(data: Any) -> Any:
+    """Plain data as the settings of its form; anything else as it is."""
+    known = FormSettings.known
+    return known[data["form"]].model_validate(data) if isinstance(data, dict) and data.get("form") in known else data
+
+
+NetworkForm = Annotated[SerializeAsAny[FormSettings], BeforeValidator(_of_its_form)]
+
+
+class FeedForwardSettings(FormSettings):
     """ReLU layers over the present input and its past, see `FeedForwardNet`.
 
     Attributes:
@@ -28,8 +74,19 @@ class FeedForwardSettings(Settings):
     hidden: tuple[Annotated[int, Field(ge=2)], ...] = (64, 64)
     history: Count = 1
 
+    @property
+    def context(self) -> int:
+        """Samples before the present one."""
+        return self.history - 1
 
-class CellSettings(Settings):
+    def network(self, rest: float, operator: Operator | None) -> Network:
+        from .network_ import FeedForwardNet  # torch: here and below
+
+        del operator
+        return FeedForwardNet(self, rest)
+
+
+class CellSettings(FormSettings):
     """Stacked recurrent cells.
 
     Attributes:
@@ -46,10 +103,16 @@ class CellSettings(Settings):
 
 
 class RecurrentSettings(CellSettings):
-    """An LSTM or a GRU, see `LstmWeights` and `GruNet`."""
+    """An LSTM or a GRU, see `LstmNet` and `GruNet`."""
 
     form: Literal["recurrent"] = "recurrent"
     cell: Literal["lstm", "gru"] = "lstm"
+
+    def network(self, rest: float, operator: Operator | None) -> Network:
+        from .recurrent_ import GruNet, LstmNet
+
+        del rest, operator
+        return LstmNet(self) if self.cell == "lstm" else GruNet(self)
 
 
 class HybridSettings(CellSettings):
@@ -61,12 +124,18 @@ class HybridSettings(CellSettings):
             None for what fits the training trials best.
     """
 
+    has_backlash: ClassVar[bool] = True
     form: Literal["serial", "parallel"]
     head_gain: Annotated[float, Field(ge=0)] = 0.1
     dead_zone: Annotated[float, Field(ge=0, le=10)] | None = None
 
+    def network(self, rest: float, operator: Operator | None) -> Network:
+        from .hybrid_ import ParallelNet, SerialNet
 
-NetworkForm = Annotated[FeedForwardSettings | RecurrentSettings | HybridSettings, Field(discriminator="form")]
+        del rest
+        if operator is None:
+            raise TypeError("a hybrid needs its operator, got None")
+        return SerialNet(self, operator) if self.form == "serial" else ParallelNet(self, operator)
 
 
 @dataclass(frozen=True)

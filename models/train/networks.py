@@ -17,16 +17,16 @@ from hystmpc.trials.trial import Trial
 
 from ..contract.equivalence import TOLERANCE_DEG
 from ..contract.export import ExportBundle
-from ..contract.metadata import InitialRule, ModelMetadata, Range
+from ..contract.metadata import InitialRule, Range
+from ..fit.facts import facts_of
 from ..fit.identify import DeviceLimits
 from ..fit.split import hold_out
-from ..fit.trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
+from ..fit.trial_set import check_trial_set, command_range
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from ..networks.nodes import network_step_graph
-from ..networks.settings import HybridSettings, Scaling
+from ..networks.settings import Scaling
 from ..operators.hysteresis import Backlash
-from ..operators.operator import Operator
 from .runs import Prepared, Rng, Run, prepared, rest_of, scaled_run, scaling_of
 from .settings import NetworkSettings, StreamTraining, WindowTraining
 from .teacher import Teacher
@@ -163,11 +163,10 @@ def _looks(
 def _checks(
     training: Sequence[Trial], judges: Sequence[Trial], scaling: Scaling, settings: NetworkSettings
 ) -> Iterator[Check]:
-    from ..networks.build_ import new_network
     from .updates_ import stream_checks, window_checks
 
     ready: Prepared = prepared(training, judges, scaling, settings)
-    net = new_network(settings.network, rest_of(training, scaling, settings.rest), ready.operator)
+    net = settings.network.network(rest_of(training, scaling, settings.rest), ready.operator)
     way = settings.training
     if isinstance(way, StreamTraining):
         return stream_checks(net, ready.training, ready.judges, _teacher(training, scaling, way), settings, way)
@@ -200,31 +199,21 @@ def network_bundle(fit: NetworkFit, trials: Sequence[Trial], limits: DeviceLimit
     """
     from ..networks.network_ import TorchStep  # torch is there: the network was trained with it
 
-    limits = limits or DeviceLimits()
     step = TorchStep(fit.net, fit.scaling)
     dt, trained, warmup = check_trial_set(trials), command_range(trials), fit.settings.warmup_samples
     rest = float(np.median([trial.angle[0] for trial in trials]))
-    metadata = ModelMetadata.of(
-        kind=fit.settings.kind,
-        dt_s=dt,
-        command_unit=trials[0].units.command,
-        angle_unit=trials[0].units.angle,
-        command_limits=limits.command or trained,
-        command_rate=limits.rate_per_s or fastest_command(trials),
-        trained_command=trained,
-        trained_angle=angle_range(trials),
-        trained_rate=fastest_command(trials),
-        initial=step.initial_rule(),
-        conditioned=_conditioned_rule(step, trained, rest, dt, warmup),
-        warmup_samples=warmup,
-        training_data_hash=fingerprint(trials),
-        training={
+    metadata = facts_of(
+        fit.settings.kind,
+        trials,
+        limits or DeviceLimits(),
+        (step.initial_rule(), _conditioned_rule(step, trained, rest, dt, warmup)),
+        warmup,
+        {
             "preset": fit.settings.preset,
             "settings": fit.settings.model_dump_json(),
             "best_step": fit.best_step,
             "validation_rmse_deg": fit.validation_rmse_deg,
             "interrupted": fit.interrupted,
-            "logs": ", ".join(Path(trial.source).name for trial in trials),
             "held_out": ", ".join(Path(source).name for source in fit.held_out),
         },
     )
@@ -258,13 +247,13 @@ def training_seconds(trials: Sequence[Trial], settings: NetworkSettings) -> floa
     """
     check_trial_set(trials)
     try:
-        from ..networks.build_ import new_network
         from .updates_ import torch_session
     except ModuleNotFoundError as error:
         raise FitError(f"training needs {error.name}, expected it installed: pip install hystmpc[train]") from None
     training, _ = hold_out(trials, settings.validation_trials, settings.seed)
     with torch_session(settings.seed, settings.threads):
-        net = new_network(settings.network, 0.0, _some_operator(settings))
+        backlash = Backlash(1.0, 1.0, 0.1, -0.1) if settings.network.has_backlash else None
+        net = settings.network.network(0.0, backlash)
         way = settings.training
         if isinstance(way, StreamTraining):
             return way.updates * _seconds_of(_stream_update(net, settings, way))
@@ -280,10 +269,6 @@ def _seconds_of(improve: Callable[[], object]) -> float:
         improve()
         durations.append(time.perf_counter() - before)
     return float(np.median(durations[_FIRST:]))
-
-
-def _some_operator(settings: NetworkSettings) -> Operator | None:
-    return Backlash(1.0, 1.0, 0.1, -0.1) if isinstance(settings.network, HybridSettings) else None
 
 
 def _window_update(net: Network, settings: NetworkSettings, way: WindowTraining) -> Callable[[], object]:

@@ -17,7 +17,7 @@ from ..chain import Chain
 from ..fit.operators import OperatorFit, OperatorFitSettings, fit_chain
 from ..fit.starts import backlash_starts
 from ..fit.trial_set import angle_range, command_range
-from ..networks.settings import FeedForwardSettings, HybridSettings, Scaling
+from ..networks.settings import Scaling
 from ..operators.hysteresis import Backlash, InverseBacklash
 from ..operators.operator import Operator
 from .settings import NetworkSettings, RestSettings, ScalingSettings, WindowTraining
@@ -193,10 +193,10 @@ def prepared(
         FitError: if the backlash cannot be fitted.
     """
     runs = [[_run(trial, scaling, settings) for trial in trials] for trials in (training, judges)]
-    form = settings.network
-    if not isinstance(form, HybridSettings):
+    if not settings.network.has_backlash:
         return Prepared(runs[0], runs[1], None)
-    backlash = fitted_backlash(training, settings.first_flexure_weight == 0.0, form.dead_zone)
+    dead_zone = getattr(settings.network, "dead_zone", None)
+    backlash = fitted_backlash(training, settings.first_flexure_weight == 0.0, dead_zone)
     return Prepared(runs[0], runs[1], scaled_operator(backlash, scaling))
 
 
@@ -238,14 +238,12 @@ def _run(trial: Trial, scaling: Scaling, settings: NetworkSettings) -> Run:
 
 def _padded(run: Run, trial: Trial, settings: NetworkSettings, way: WindowTraining) -> Run:
     """Rest before the trial; a network that looks back needs at least as much as it looks back on."""
-    form = settings.network
-    context = form.history - 1 if isinstance(form, FeedForwardSettings) else 0
     command, angle = float(trial.command[0]), float(trial.angle[0])
     if settings.rest is not None and _command_unit(trial) == settings.rest.unit:
         rest = (settings.rest.command, settings.rest.angle)
         command, angle = rest[::-1] if trial.inverted else rest
     scored = settings.first_flexure_weight if way.padding_samples else 0.0
-    return run.padded(max(way.padding_samples, context), command, angle, scored)
+    return run.padded(max(way.padding_samples, settings.network.context), command, angle, scored)
 
 
 def _command_unit(trial: Trial) -> str:

@@ -245,13 +245,14 @@ def test_presets_are_the_papers_and_ours() -> None:
 
 
 def test_a_network_that_amplifies_rounding_is_noticed() -> None:
-    from hystmpc.models.networks.recurrent_ import LstmNet
     from hystmpc.models.train.updates_ import rounding_error, whole_runs
 
     ramp = np.linspace(-1, 1, 400)
     judged = whole_runs([Run(ramp, ramp, np.ones(400))] * 2, 0)
     torch.manual_seed(0)
-    calm, chaotic = LstmNet(32, 1), LstmNet(32, 1)
+    calm, chaotic = (
+        RecurrentSettings(hidden=32, layers=1, memory_samples=0, command_gain=1.0).network(0.0, None) for _ in range(2)
+    )
     with torch.no_grad():
         chaotic.get_parameter("lstm.weight_hh_l0").mul_(60.0)
     found = [rounding_error(net, judged, judged.output(net)) for net in (calm, chaotic)]

@@ -54,10 +54,8 @@ def by_operator(operator: Operator, u: np.ndarray, y: float) -> np.ndarray:
 
 def hybrid(form: str, operator: Operator) -> object:
     """A hybrid whose LSTM says nothing yet."""
-    from hystmpc.models.networks.build_ import new_network
-
     torch.manual_seed(0)
-    return new_network(HybridSettings(form=form, hidden=4, head_gain=0.0), 0.0, operator)
+    return HybridSettings(form=form, hidden=4, head_gain=0.0).network(0.0, operator)
 
 
 @every_operator
@@ -110,10 +108,8 @@ def test_the_parallel_hybrid_starts_windows_from_its_own_backlash() -> None:
 
 
 def test_a_history_buffer_holds_the_inputs_before() -> None:
-    from hystmpc.models.networks.network_ import FeedForwardNet
-
     torch.manual_seed(0)
-    net, v = FeedForwardNet((8, 8), 5, rest=-0.7), torch.linspace(-1, 1, 30)[None]
+    net, v = FeedForwardSettings(hidden=(8, 8), history=5).network(-0.7, None), torch.linspace(-1, 1, 30)[None]
     with torch.no_grad():
         outputs, state = net(v, net.start(torch.zeros(1)))
         padded = torch.cat([torch.full((1, 4), -0.7), v], dim=1)
