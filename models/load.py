@@ -14,6 +14,8 @@ from .motions import probe_commands
 from .simulator import ChainModel, Simulator, load_simulator
 
 if TYPE_CHECKING:
+    import onnx
+
     from .contract.equivalence import EquivalenceReport
 
 
@@ -38,11 +40,14 @@ def load_model(path: Path | str, start: Start = "initial") -> LoadedModel:
 
 
 def simulator_bundle(simulator: Simulator) -> ExportBundle:
-    """Graph, facts, reference and probe of a simulator, in double."""
-    from .contract.onnx_nodes import step_graph
-
+    """Graph, facts, reference and probe of a simulator, in double; the graph is made when it is exported."""
     model = ChainModel(simulator)
-    graph = step_graph(simulator.chain.bound(simulator.dt_s), model.metadata.kind)
+
+    def graph() -> onnx.GraphProto:
+        from .contract.onnx_nodes import step_graph
+
+        return step_graph(simulator.chain.bound(simulator.dt_s), model.metadata.kind)
+
     return ExportBundle(graph, model.metadata, model, probe_commands(model.metadata))
 
 

@@ -144,6 +144,34 @@ class Predictor(ABC):
         """
 
 
+class ModelPredictor(Predictor):
+    """Predictions of one model file; the state is the model's own.
+
+    Args:
+        metadata: what the file says about the model.
+        start: rule that makes the initial state.
+    """
+
+    def __init__(self, metadata: ModelMetadata, start: Start = "conditioned") -> None:
+        self.dt = metadata.dt_s
+        self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
+        self._rule, self._warmup = metadata.rule(start), metadata.warmup_samples
+
+    def initial(self, y: float, u: float) -> Vec:
+        state = self._rule.state(np.array([[y]]))[0]
+        for _ in range(self._warmup):
+            _, state = self.advance(state, u)
+        return state
+
+
+class InvertiblePredictor(ModelPredictor):
+    """A predictor of a model whose angle does not fall with the command, with a fast search for the command."""
+
+    @abstractmethod
+    def command_for(self, state: Vec, theta: float, low: float, high: float, last: float) -> float:
+        """Command in [low, high] after which the angle is `theta` [deg], exact to 1e-11; see `CompiledInverse`."""
+
+
 class Inverse(ABC):
     """The inverse of a model from its present memory: angle in, command out."""
 
@@ -154,14 +182,6 @@ class Inverse(ABC):
         Where a whole interval of commands does (the dead band of a play), the one nearest to `u_last`; where none
         does, the one that comes closest.
         """
-
-
-class InvertiblePredictor(Predictor):
-    """A predictor of a model whose angle does not fall with the command, with a fast search for the command."""
-
-    @abstractmethod
-    def command_for(self, state: Vec, theta: float, low: float, high: float, last: float) -> float:
-        """Command in [low, high] after which the angle is `theta` [deg], exact to 1e-11; see `CompiledInverse`."""
 
 
 FitProgress = Callable[[int, float], None]

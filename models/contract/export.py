@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,7 +28,7 @@ class ExportBundle:
 
     Attributes:
         graph: inputs u [N,1] and state [N,S], outputs theta [N,1] and next_state [N,S], batch axis N symbolic, all
-            four float32 or all four double, operators from the list.
+            four float32 or all four double, operators from the list; or a function that makes it.
         metadata: see `ModelMetadata`.
         reference: the implementation that the graph has to agree with.
         probe: commands (T,) [command unit], T >= 2, a persistent excitation inside the trained range.
@@ -36,7 +37,7 @@ class ExportBundle:
         ExportError: if the parts do not fit each other.
     """
 
-    graph: onnx.GraphProto
+    graph: onnx.GraphProto | Callable[[], onnx.GraphProto]
     metadata: ModelMetadata
     reference: StepFunction
     probe: Vec
@@ -100,7 +101,7 @@ def _model_bytes(bundle: ExportBundle) -> bytes:
     from .checks import IR_VERSION, OPSET
 
     proto = onnx.helper.make_model(
-        bundle.graph,
+        bundle.graph() if callable(bundle.graph) else bundle.graph,
         producer_name="hystmpc",
         opset_imports=[onnx.helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -44,6 +45,19 @@ class Range(Settings):
         """Whether each value lies in the interval, ends included; not-a-number does not. Shape as given."""
         array = np.asarray(values, dtype=np.float64)
         return np.asarray((array >= self.lower) & (array <= self.upper))
+
+
+@dataclass(frozen=True)
+class DeviceLimits:
+    """What the device may be sent; None takes what the trials show.
+
+    Attributes:
+        command: least and greatest command [mm or bar].
+        rate_per_s: greatest change of the command [mm/s or bar/s].
+    """
+
+    command: Range | None = None
+    rate_per_s: float | None = None
 
 
 class InitialRule(Settings):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import onnx
+from numpy.typing import ArrayLike
 from onnx import TensorProto, helper, numpy_helper
 
 from ..kernels.program import Instruction, instructions
@@ -27,6 +28,8 @@ _UNARY = {
     "floor": "Floor",
     "assign": "Identity",
 }
+
+_INTERFACE = (("u", "state"), ("theta", "next_state"))
 
 
 class _Writer:
@@ -145,6 +148,33 @@ def step_graph(function: Any, name: str) -> onnx.GraphProto:
             numpy_helper.from_array(np.full((1, 1), value), name=label) for label, value in program.constants.items()
         ],
     )
+
+
+def node(kind: str, inputs: str, outputs: str, **attributes: Any) -> onnx.NodeProto:
+    """A node between tensors that are named by words."""
+    return helper.make_node(kind, inputs.split(), outputs.split(), name=outputs.split()[0], **attributes)
+
+
+def graph_of_nodes(
+    name: str,
+    state_size: int,
+    nodes: Sequence[onnx.NodeProto],
+    numbers: Mapping[str, ArrayLike],
+    indices: Mapping[str, Sequence[int]],
+) -> onnx.GraphProto:
+    """Step graph in double of nodes between `u`, `state`, `theta` and `next_state`.
+
+    Args:
+        name: of the graph.
+        state_size: S.
+        nodes: in order, see `node`.
+        numbers: weights by name.
+        indices: axes, sizes and places by name.
+    """
+    weights = [numpy_helper.from_array(np.array(value, np.float64), key) for key, value in numbers.items()]
+    weights += [numpy_helper.from_array(np.array(value, np.int64), key) for key, value in indices.items()]
+    inputs, outputs = ([_value(one, 1), _value(state, state_size)] for one, state in _INTERFACE)
+    return helper.make_graph(nodes, name, inputs, outputs, initializer=weights)
 
 
 def _columns(names: list[str], constants: dict[str, float]) -> tuple[list[str], list[onnx.NodeProto]]:

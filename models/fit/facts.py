@@ -8,8 +8,7 @@ from pathlib import Path
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..contract.metadata import InitialRule, ModelMetadata
-from .identify import DeviceLimits
+from ..contract.metadata import DeviceLimits, InitialRule, ModelMetadata
 from .trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
 
 Fact = str | float | int | bool

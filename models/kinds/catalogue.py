@@ -8,7 +8,7 @@ from .backlash import BacklashKind
 from .bouc_wen import BoucWenKind
 from .drdpi import DrdpiKind
 from .kind import ModelKind
-from .networks import FnnHibKind, FnnKind, GruKind, Hb1Kind, Hb2Kind, LstmKind
+from .networks import NETWORK_KINDS
 from .prandtl_ishlinskii import PrandtlIshlinskiiKind
 from .regressions import PlayKernelKind, SvrKind
 
@@ -17,12 +17,7 @@ KINDS: tuple[ModelKind, ...] = (
     PrandtlIshlinskiiKind(),
     DrdpiKind(),
     BoucWenKind(),
-    FnnKind(),
-    FnnHibKind(),
-    LstmKind(),
-    GruKind(),
-    Hb1Kind(),
-    Hb2Kind(),
+    *NETWORK_KINDS,
     SvrKind(),
     PlayKernelKind(),
 )

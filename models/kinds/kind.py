@@ -5,15 +5,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from hystmpc.trials.errors import FitError, did_you_mean
 from hystmpc.trials.trial import Trial
 
 from ..contract.export import ExportBundle
-from ..fit.identify import DeviceLimits
+from ..contract.metadata import DeviceLimits
 from ..model import FitProgress
-from ..simulator import Simulator
+
+if TYPE_CHECKING:
+    from ..simulator import Simulator
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Identified:
     """What an identification found.
 
     Attributes:
-        bundle: graph, facts and reference, ready for `export_onnx`; `open_bundle` runs it.
+        bundle: graph, facts and reference, ready for `export_onnx`; `OnnxModel` runs it.
         simulator: the readable form of an operator; None for networks.
         history: step and best error so far, in the unit of the output.
         report: one line on how it went.

@@ -217,3 +217,6 @@ class Hb2Kind(NetworkKind):
     name: ClassVar[str] = "hb2"
     title: ClassVar[str] = "HB2"
     presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["hb2"])
+
+
+NETWORK_KINDS: tuple[NetworkKind, ...] = (FnnKind(), FnnHibKind(), LstmKind(), GruKind(), Hb1Kind(), Hb2Kind())

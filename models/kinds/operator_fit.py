@@ -9,9 +9,10 @@ from typing import ClassVar
 
 from hystmpc.trials.trial import Trial
 
+from ..contract.metadata import DeviceLimits
 from ..fit.chain_tasks import Structure
 from ..fit.global_search import GlobalSettings
-from ..fit.identify import DeviceLimits, simulator_of
+from ..fit.identify import simulator_of
 from ..fit.iterated import IteratedSettings
 from ..fit.methods import MethodSettings, identify_chain
 from ..fit.operators import OperatorFitSettings

@@ -1,22 +1,26 @@
-"""The play-kernel model as a kind of model."""
+"""The kinds of model that are regressions: play kernel and support vectors; each is loaded when it is fitted."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import ClassVar, final
 
-import numpy as np
-
 from hystmpc.trials.trial import Trial
 
-from ..contract.export import ExportBundle
-from ..fit.facts import facts_of, fixed_rule
 from ..model import FitProgress
-from ..motions import probe_commands
-from ..networks.svr import SvrStep, svr_step_graph
-from ..play_kernel.fit import PLAY_KERNEL_PRESETS, fit_play_kernel, play_kernel_bundle, play_kernel_seconds
-from ..train.svr_ import SVR_PRESETS, SvrFit, SvrSettings, fit_svr
 from .kind import FitRequest, Identified, ModelKind
+
+
+def recorded(progress: FitProgress | None) -> tuple[list[tuple[int, float]], FitProgress]:
+    """A history (step, least error), and a progress that writes it and goes on to the given one."""
+    history: list[tuple[int, float]] = []
+
+    def show(done: int, error: float) -> None:
+        history.append((done, error))
+        if progress:
+            progress(done, error)
+
+    return history, show
 
 
 @final
@@ -31,15 +35,11 @@ class PlayKernelKind(ModelKind):
     presets: ClassVar[tuple[str, ...]] = ("best", "rate_independent")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        from ..play_kernel.fit import PLAY_KERNEL_PRESETS, fit_play_kernel, play_kernel_bundle
+
         self.check(trials, request)
         settings = PLAY_KERNEL_PRESETS[request.preset]
-        history: list[tuple[int, float]] = []
-
-        def show(done: int, error: float) -> None:
-            history.append((done, error))
-            if progress:
-                progress(done, error)
-
+        history, show = recorded(progress)
         found = fit_play_kernel(trials, settings, request.skip_first_flexure, show)
         unit = trials[0].units.angle
         report = f"lag {found.choice.lag_s:g} s, {found.rmse:.4f} {unit} on the training trials"
@@ -49,9 +49,13 @@ class PlayKernelKind(ModelKind):
         return Identified(bundle, None, tuple(history), report, found.interrupted)
 
     def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
+        from ..play_kernel.fit import PLAY_KERNEL_PRESETS, play_kernel_seconds
+
         return play_kernel_seconds(trials, PLAY_KERNEL_PRESETS[request.preset])
 
     def steps(self, request: FitRequest) -> int | None:
+        from ..play_kernel.fit import PLAY_KERNEL_PRESETS
+
         settings = PLAY_KERNEL_PRESETS.get(request.preset)
         return None if settings is None else len(settings.lags_s) * len(settings.smoothness) + 1
 
@@ -68,15 +72,11 @@ class SvrKind(ModelKind):
     presets: ClassVar[tuple[str, ...]] = ("best", "paper", "grid")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        from ..train.svr_ import SVR_PRESETS, fit_svr, svr_bundle
+
         self.check(trials, request)
         settings = SVR_PRESETS[request.preset].model_copy(update={"seed": request.seed})
-        history: list[tuple[int, float]] = []
-
-        def show(done: int, error: float) -> None:
-            history.append((done, error))
-            if progress:
-                progress(done, error)
-
+        history, show = recorded(progress)
         found = fit_svr(trials, settings, request.skip_first_flexure, show)
         choice, unit = found.choice, trials[0].units.angle
         report = (
@@ -85,35 +85,14 @@ class SvrKind(ModelKind):
         )
         if found.judged:
             report += f", {found.judged[choice]:.4f} {unit} on what was left out"
-        bundle = _bundle(found, trials, settings, request)
+        bundle = svr_bundle(found, trials, settings, request.limits)
         return Identified(bundle, None, tuple(history), report, found.interrupted)
 
     def steps(self, request: FitRequest) -> int | None:
+        from ..train.svr_ import SVR_PRESETS
+
         settings = SVR_PRESETS.get(request.preset)
         if settings is None:
             return None
         compared = len(settings.c) * len(settings.gamma) * len(settings.epsilon)
         return 1 + (compared if compared > 1 else 0)
-
-
-def _bundle(fit: SvrFit, trials: Sequence[Trial], settings: SvrSettings, request: FitRequest) -> ExportBundle:
-    """Fresh and conditioned devices start alike: a window forgets what is older, and the warm-up fills it."""
-    past = fit.weights.state_size
-    rest = fixed_rule(np.full(past, float(np.mean([trial.command[0] for trial in trials]))))
-    metadata = facts_of(
-        "svr",
-        trials,
-        request.limits,
-        (rest, rest),
-        past,
-        {
-            "preset": settings.preset,
-            "settings": settings.model_dump_json(),
-            "c": fit.choice.c,
-            "gamma": fit.choice.gamma,
-            "epsilon": fit.choice.epsilon,
-            "training_rmse": fit.rmse,
-            "interrupted": fit.interrupted,
-        },
-    )
-    return ExportBundle(svr_step_graph(fit.weights), metadata, SvrStep(fit.weights), probe_commands(metadata))

@@ -1,18 +1,19 @@
-"""The numbers of a support-vector regression on a window of commands."""
+"""Support-vector regression on a window of commands: its numbers, step in float64, and step graph."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
-import onnx
-from onnx import TensorProto, helper, numpy_helper
 
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from ..model import StepFunction
+
+if TYPE_CHECKING:
+    import onnx
 
 
 @dataclass(frozen=True)
@@ -114,8 +115,10 @@ def svr_step_graph(weights: SvrWeights) -> onnx.GraphProto:
     ONNX-ML's SVMRegressor, which skl2onnx writes, is single precision and has no derivative: here the same sum stands
     in matrix products, -gamma |w - s|^2 = 2 gamma w.s - gamma |s|^2 - gamma |w|^2.
     """
+    from ..contract.onnx_nodes import graph_of_nodes, node
+
     gamma = weights.gamma
-    arrays = {
+    numbers = {
         "u_offset": weights.u_offset,
         "u_scale": weights.u_scale,
         "supports": 2 * gamma * weights.supports.T,
@@ -127,33 +130,23 @@ def svr_step_graph(weights: SvrWeights) -> onnx.GraphProto:
         "theta_offset": weights.theta_offset,
     }
     size = weights.state_size
-    lists = {"sizes": [1, size], "features": [1], "places": list(range(0, size + 1, weights.stride))}
-    tensors = [numpy_helper.from_array(np.array(value, np.float64), name) for name, value in arrays.items()]
-    tensors += [numpy_helper.from_array(np.array(value, np.int64), name) for name, value in lists.items()]
-    values = [
-        helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width])
-        for name, width in (("u", 1), ("state", size), ("theta", 1), ("next_state", size))
-    ]
+    indices = {"sizes": [1, size], "features": [1], "places": list(range(0, size + 1, weights.stride))}
     nodes = [
-        _node("Concat", "state u", "commands", axis=1),
-        _node("Split", "commands sizes", "oldest next_state", axis=1),
-        _node("Gather", "commands places", "window", axis=1),
-        _node("Sub", "window u_offset", "centred"),
-        _node("Div", "centred u_scale", "w"),
-        _node("Mul", "w w", "squares"),
-        _node("ReduceSum", "squares features", "square", keepdims=1),
-        _node("Mul", "square minus_gamma", "own_norm"),
-        _node("MatMul", "w supports", "products"),
-        _node("Add", "products support_norms", "shifted"),
-        _node("Add", "shifted own_norm", "exponents"),
-        _node("Exp", "exponents", "kernels"),
-        _node("MatMul", "kernels coefficients", "summed"),
-        _node("Add", "summed bias", "y"),
-        _node("Mul", "y theta_scale", "scaled"),
-        _node("Add", "scaled theta_offset", "theta"),
+        node("Concat", "state u", "commands", axis=1),
+        node("Split", "commands sizes", "oldest next_state", axis=1),
+        node("Gather", "commands places", "window", axis=1),
+        node("Sub", "window u_offset", "centred"),
+        node("Div", "centred u_scale", "w"),
+        node("Mul", "w w", "squares"),
+        node("ReduceSum", "squares features", "square", keepdims=1),
+        node("Mul", "square minus_gamma", "own_norm"),
+        node("MatMul", "w supports", "products"),
+        node("Add", "products support_norms", "shifted"),
+        node("Add", "shifted own_norm", "exponents"),
+        node("Exp", "exponents", "kernels"),
+        node("MatMul", "kernels coefficients", "summed"),
+        node("Add", "summed bias", "y"),
+        node("Mul", "y theta_scale", "scaled"),
+        node("Add", "scaled theta_offset", "theta"),
     ]
-    return helper.make_graph(nodes, "svr", values[:2], values[2:], tensors)
-
-
-def _node(kind: str, inputs: str, outputs: str, **attributes: Any) -> onnx.NodeProto:
-    return helper.make_node(kind, inputs.split(), outputs.split(), name=outputs.split()[0], **attributes)
+    return graph_of_nodes("svr", size, nodes, numbers, indices)

@@ -21,8 +21,8 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..contract.export import ExportBundle
+from ..contract.metadata import DeviceLimits
 from ..fit.facts import facts_of, fixed_rule
-from ..fit.identify import DeviceLimits
 from ..fit.trial_set import angle_range, check_trial_set, command_range
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands

@@ -5,18 +5,19 @@ with numbers = gain, lower, upper, bias, outer slope, and levels the value of ea
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from ..contract.load import OnnxModel
 from ..contract.metadata import ModelMetadata
 from ..kernels.numba_ import njit
 from ..model import InvertiblePredictor
-from .graph import weights_from_arrays
 from .weights import PlayKernelWeights
+
+if TYPE_CHECKING:
+    from ..contract.load import OnnxModel
 
 
 def pack_play_kernel(weights: PlayKernelWeights) -> tuple[Any, ...]:
@@ -162,13 +163,8 @@ class PlayKernelPredictor(InvertiblePredictor):
     """
 
     def __init__(self, weights: PlayKernelWeights, metadata: ModelMetadata) -> None:
-        self.dt = metadata.dt_s
-        self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
-        self._packed, self._rule, self._warmup = (
-            pack_play_kernel(weights),
-            metadata.conditioned,
-            metadata.warmup_samples,
-        )
+        super().__init__(metadata)
+        self._packed = pack_play_kernel(weights)
 
     @classmethod
     def of_model(cls, model: OnnxModel) -> PlayKernelPredictor:
@@ -177,13 +173,7 @@ class PlayKernelPredictor(InvertiblePredictor):
         Raises:
             ModelError: if the initializers are not those of an exported play-kernel model.
         """
-        return cls(weights_from_arrays(model.initializers), model.metadata)
-
-    def initial(self, y: float, u: float) -> Vec:
-        state = self._rule.state(np.array([[y]]))[0]
-        for _ in range(self._warmup):
-            _, state = self.advance(state, u)
-        return state
+        return cls(PlayKernelWeights.from_arrays(model.initializers), model.metadata)
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         following = np.array(state, dtype=np.float64)

@@ -1,12 +1,13 @@
-"""The numbers of a play-kernel model."""
+"""A play-kernel model: its numbers, and its step and derivative in NumPy, which graph and kernels are held against."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import final
+from typing import Any, Self, final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
@@ -78,6 +79,33 @@ class PlayKernelWeights:
             raise ModelError(
                 f"play kernel: least slope {least:.6g}, expected slopes >= 0, radii and knots in increasing order"
             )
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Read the weights back from the named initializers of a graph that `play_kernel_graph` made.
+
+        Raises:
+            ModelError: naming the arrays that are missing, or if the weights do not fit.
+        """
+        scalars = ("gain", "lower", "upper", "bias", "outer_slope")
+        wanted = (*scalars, "radii", "knots", "widths", "slopes")
+        missing = [name for name in wanted if name not in arrays]
+        if missing:
+            raise ModelError(f"play kernel: no array {', '.join(missing)}, available: {', '.join(sorted(arrays))}")
+        gain, lower, upper, bias, outer_slope = (float(np.asarray(arrays[name]).item()) for name in scalars)
+        starts, widths = np.ravel(arrays["knots"]), np.ravel(arrays["widths"])
+        stops = [np.ravel(arrays[name]) for name in ("lower_stops", "upper_stops") if name in arrays]
+        return cls(
+            gain=gain,
+            lower=lower,
+            upper=upper,
+            radii=np.ravel(arrays["radii"]),
+            knots=np.append(starts, starts[-1] + widths[-1]),
+            slopes=np.asarray(arrays["slopes"]),
+            bias=bias,
+            outer_slope=outer_slope,
+            stops=np.stack(stops) if len(stops) == 2 else None,
+        )
 
     @property
     def state_size(self) -> int:

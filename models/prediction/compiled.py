@@ -9,7 +9,7 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from ..contract.metadata import InitialRule, ModelMetadata
+from ..contract.metadata import ModelMetadata
 from ..kernels.chain_kernels import compile_step
 from ..kernels.program import dense
 from ..model import InvertiblePredictor
@@ -25,18 +25,15 @@ class CompiledPredictor(InvertiblePredictor):
         parameters, sample_s: p (P,) and dt (1,) [s], as the kernels take them.
     """
 
-    def __init__(self, transition: Any, p: Vec, metadata: ModelMetadata, rule: InitialRule) -> None:
-        self.dt = metadata.dt_s
-        self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
+    def __init__(self, transition: Any, p: Vec, metadata: ModelMetadata) -> None:
+        super().__init__(metadata)
         self.kernels = compile_step(transition)
         self.parameters, self.sample_s = np.asarray(p, dtype=np.float64), np.array([metadata.dt_s])
-        self._rule, self._warmup = rule, metadata.warmup_samples
 
     @classmethod
     def of_simulator(cls, simulator: Simulator) -> CompiledPredictor:
         """Predictor of a simulator at its own sample time."""
-        metadata = simulator.metadata()
-        return cls(simulator.chain.transition, simulator.chain.values, metadata, metadata.conditioned)
+        return cls(simulator.chain.transition, simulator.chain.values, simulator.metadata())
 
     @classmethod
     def of_function(cls, function: Any, metadata: ModelMetadata) -> CompiledPredictor:
@@ -44,13 +41,7 @@ class CompiledPredictor(InvertiblePredictor):
         x, u = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("u")
         theta, following = function(x, u)
         transition = dense("transition", [x, u, ca.SX.sym("p", 0), ca.SX.sym("dt")], [theta, following])
-        return cls(transition, np.empty(0), metadata, metadata.conditioned)
-
-    def initial(self, y: float, u: float) -> Vec:
-        state = self._rule.state(np.array([[y]]))[0]
-        for _ in range(self._warmup):
-            _, state = self.advance(state, u)
-        return state
+        return cls(transition, np.empty(0), metadata)
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         following, theta, run = state.reshape(1, -1).copy(), np.empty((1, 1)), self.kernels

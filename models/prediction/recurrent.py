@@ -11,14 +11,14 @@ from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata, Start
 from ..kernels.network_route import NetworkRoute, chosen_route
-from ..model import Predictor
+from ..model import ModelPredictor
 from ..networks.lstm import LstmWeights
 
 if TYPE_CHECKING:
     from ..contract.load import OnnxModel
 
 
-class RoutedPredictor(Predictor):
+class RoutedPredictor(ModelPredictor):
     """Predictions of a recurrent network in single precision by its fastest route.
 
     What follows from a command or a state that is not finite is not-a-number: the kernels' gates would hide it.
@@ -30,18 +30,14 @@ class RoutedPredictor(Predictor):
     """
 
     def __init__(self, metadata: ModelMetadata, start: Start, route: NetworkRoute) -> None:
-        self.dt = metadata.dt_s
-        self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
+        super().__init__(metadata, start)
         self.route = route
-        self._rule = metadata.rule(start)
-        self._warmup = metadata.warmup_samples
-
-    def initial(self, y: float, u: float) -> Vec:
-        state = self._rule.state(np.array([[y]]))[0]
-        return self._along(state, np.full(self._warmup, u))[1] if self._warmup else state
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
-        angles, following = self._along(state, np.array([u]))
+        plan = np.array([u])
+        if not _finite(state, plan):
+            return np.nan, np.full(state.size, np.nan)
+        angles, following = self.route.advance(state, plan)
         return float(angles[0]), following
 
     def rollout(self, state: Vec, plans: Vec) -> Vec:
@@ -57,11 +53,6 @@ class RoutedPredictor(Predictor):
         if not _finite(state, plan):
             return np.full(plan.size, np.nan), np.tril(np.full((plan.size, plan.size), np.nan))
         return self.route.linearise(state, plan)
-
-    def _along(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
-        if not _finite(state, plan):
-            return np.full(plan.size, np.nan), np.full(state.size, np.nan)
-        return self.route.advance(state, plan)
 
 
 def _finite(state: Vec, plans: Vec) -> bool:

@@ -17,9 +17,8 @@ from hystmpc.trials.trial import Trial
 
 from ..contract.equivalence import TOLERANCE_DEG
 from ..contract.export import ExportBundle
-from ..contract.metadata import InitialRule, Range
+from ..contract.metadata import DeviceLimits, InitialRule, Range
 from ..fit.facts import facts_of
-from ..fit.identify import DeviceLimits
 from ..fit.split import hold_out
 from ..fit.trial_set import check_trial_set, command_range
 from ..model import FitProgress

@@ -17,10 +17,13 @@ from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Vec
 
-from ..contract.metadata import Range
+from ..contract.export import ExportBundle
+from ..contract.metadata import DeviceLimits, Range
+from ..fit.facts import facts_of, fixed_rule
 from ..fit.trial_set import angle_range, check_trial_set, command_range
 from ..model import FitProgress
-from ..networks.svr import SvrWeights
+from ..motions import probe_commands
+from ..networks.svr import SvrStep, SvrWeights, svr_step_graph
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
@@ -167,6 +170,35 @@ def fit_svr(
     return SvrFit(
         _weights(machine, chosen, trials, settings.stride), chosen, judged, rmse, kept.angles.size, interrupted
     )
+
+
+def svr_bundle(fit: SvrFit, trials: Sequence[Trial], settings: SvrSettings, limits: DeviceLimits) -> ExportBundle:
+    """Graph, facts, reference and probe of a support-vector regression, ready for `export_onnx`.
+
+    Fresh and conditioned devices start alike: a window forgets what is older, and the warm-up fills it.
+
+    Raises:
+        FitError: on unusable trials.
+    """
+    past = fit.weights.state_size
+    rest = fixed_rule(np.full(past, float(np.mean([trial.command[0] for trial in trials]))))
+    metadata = facts_of(
+        "svr",
+        trials,
+        limits,
+        (rest, rest),
+        past,
+        {
+            "preset": settings.preset,
+            "settings": settings.model_dump_json(),
+            "c": fit.choice.c,
+            "gamma": fit.choice.gamma,
+            "epsilon": fit.choice.epsilon,
+            "training_rmse": fit.rmse,
+            "interrupted": fit.interrupted,
+        },
+    )
+    return ExportBundle(svr_step_graph(fit.weights), metadata, SvrStep(fit.weights), probe_commands(metadata))
 
 
 def _samples(trials: Sequence[Trial], settings: SvrSettings, skip_first_flexure: bool) -> _Samples:

@@ -12,9 +12,9 @@ from hystmpc.models.kinds.kind import ModelKind
 from hystmpc.models.library import library_file
 from hystmpc.models.model import Inverse, InvertiblePredictor, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
-from hystmpc.models.prediction.casadi_ import CasadiPredictor
 from hystmpc.models.simulator import load_simulator
 
+from ..models.casadi_predictor import CasadiPredictor
 from ..models.tiny_kinds import FORWARD, example
 from .test_solvers import compared, controller_for
 

@@ -28,9 +28,9 @@ from hystmpc.models.library import library_file
 from hystmpc.models.load import load_model
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse
-from hystmpc.models.prediction.casadi_ import CasadiPredictor
 from hystmpc.models.simulator import ChainModel
 
+from ..models.casadi_predictor import CasadiPredictor
 from .plays import DT, SOUND, Case, Faulty
 from .test_linearised import HARD, LIMITS, SOFT, H, posed
 

@@ -15,10 +15,10 @@ from hystmpc.models.motions import probe_commands
 from hystmpc.models.networks.lstm import LstmStep, lstm_step_graph
 from hystmpc.models.networks.svr import SvrStep, svr_step_graph
 from hystmpc.models.prediction.build import predictor_for
-from hystmpc.models.prediction.casadi_ import CasadiPredictor
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.prediction.onnx_ import OnnxPredictor
 
+from .casadi_predictor import CasadiPredictor
 from .lstm_examples import facts, random_weights
 from .test_svr import weights as svr_weights
 from .zoo import CHAINS, simulator

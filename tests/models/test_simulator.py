@@ -17,11 +17,11 @@ from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
 from hystmpc.models.load import export_simulator, load_model
 from hystmpc.models.model import Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
-from hystmpc.models.prediction.casadi_ import CasadiPredictor
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import ChainModel, load_simulator, save_simulator
 from hystmpc.trials.errors import ModelError
 
+from .casadi_predictor import CasadiPredictor
 from .zoo import CHAINS, DT, simulator
 
 NAMES = list(CHAINS)

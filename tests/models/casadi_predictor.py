@@ -7,31 +7,23 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.model import ModelPredictor
 from hystmpc.trials.types import Vec
-
-from ..contract.metadata import ModelMetadata
-from ..model import Predictor
 
 
 @final
-class CasadiPredictor(Predictor):
+class CasadiPredictor(ModelPredictor):
     """Predictor of any CasADi function (state, u) -> (theta, next state), by CasADi's own derivatives.
 
     Roll-outs and Jacobians of one horizon length are built at the first call for that length.
     """
 
     def __init__(self, function: Any, metadata: ModelMetadata) -> None:
-        self.dt = metadata.dt_s
-        self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
-        self._function, self._metadata = function, metadata
+        super().__init__(metadata)
+        self._function = function
         self._size = function.numel_in(0)
         self._horizons: dict[int, Any] = {}
-
-    def initial(self, y: float, u: float) -> Vec:
-        state = self._metadata.conditioned.state(np.array([[y]]))[0]
-        for _ in range(self._metadata.warmup_samples):
-            _, state = self.advance(state, u)
-        return state
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         theta, following = self._function(state, u)
