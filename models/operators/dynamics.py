@@ -1,17 +1,17 @@
-"""First-order lag of an actuator, valve or sensor, with one time constant or with one for each direction."""
+"""Linear dynamics of an actuator, valve or sensor: lag, servo, delay; and its top speed."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self, final
+from typing import Annotated, ClassVar, Self, final
 
 import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import Operator, Parameter, Symbol, check_values, maximum, minimum
+from .operator import Number, Operator, Parameter, Symbol, check_values, maximum, minimum
 
 
 @dataclass(frozen=True)
@@ -103,35 +103,13 @@ class Servo(Operator):
 
     At 1 us it is the identity but for a microsecond of the ramp.
 
-    Attributes:
-        tau_s: time by which it stays behind a ramp [s].
-        damping: ratio to the critical damping, below 1 [1].
-
     Source: Ogata, Modern Control Engineering (5th ed., 2010), section 5.3.
     """
 
-    tau_s: float
-    damping: float
+    tau_s: Annotated[float, Number("s", 1e-6, 1e3, 1.0, "time by which it stays behind a ramp")]
+    damping: Annotated[float, Number("1", 0.05, 0.999, 0.7, "ratio to the critical damping")]
     name: ClassVar[str] = "servo"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(1.0, 0.7)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("tau_s", "s", 1e-6, 1e3, "time by which it stays behind a ramp"),
-            Parameter("damping", "1", 0.05, 0.999, "ratio to the critical damping"),
-        )
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("y", "v", "u")
+    state_names: ClassVar[tuple[str, ...]] = ("y", "v", "u")
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         w = 2 * p[1] / p[0]
@@ -156,30 +134,12 @@ class RateLimit(Operator):
 
     Faster than the input ever is, it is the identity, to the last bit.
 
-    Attributes:
-        top_speed: greatest change [in/s].
-
     Source: Astrom and Murray, Feedback Systems (2nd ed., 2020), section 9.4, rate limiters.
     """
 
-    top_speed: float
+    top_speed: Annotated[float, Number("in/s", 0.0, 1e9, 1.0, "greatest change")]
     name: ClassVar[str] = "rate_limit"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(1.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("top_speed", "in/s", 0.0, 1e9, "greatest change"),)
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("y",)
+    state_names: ClassVar[tuple[str, ...]] = ("y",)
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         y = maximum(x[0] - p[0] * dt, minimum(x[0] + p[0] * dt, u))
@@ -206,7 +166,7 @@ class Delay(Operator):
         ModelError: if the store is empty or the delay out of bounds.
     """
 
-    delay_s: float
+    delay_s: Annotated[float, Number("s", 0.0, 1e2, 0.0, "transport delay")]
     samples: int
     name: ClassVar[str] = "delay"
     shape: ClassVar[tuple[str, ...]] = ("samples",)
@@ -220,14 +180,6 @@ class Delay(Operator):
     def at_rate(cls, delay_s: float, dt: float) -> Self:
         """A delay with just the store that it needs at sample time `dt` [s]."""
         return cls(delay_s, max(1, math.ceil(delay_s / dt - 1e-9)))
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        return cls(0.0, structure["samples"])
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("delay_s", "s", 0.0, 1e2, "transport delay"),)
 
     @property
     def states(self) -> tuple[str, ...]:

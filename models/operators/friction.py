@@ -1,14 +1,14 @@
-"""Stick-slip: friction that is larger at rest than in motion."""
+"""Friction beyond a plain play: stick-slip, rate dependence, loading and unloading that differ."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self, final
+from typing import Annotated, ClassVar, final
 
 import casadi as ca
 
 from .hysteresis import play
-from .operator import Operator, Parameter, Symbol, check_values, maximum, minimum
+from .operator import Number, Operator, Symbol, maximum, minimum
 
 
 @final
@@ -26,39 +26,15 @@ class StickSlip(Operator):
     short they are. The part of friction that does not fall with speed is the play of the device itself. Break-away 0
     is the identity.
 
-    Attributes:
-        break_away: half-width at which it breaks away, beyond that of the device [in].
-        stribeck_speed: speed at which 1/e of it is left [in/s].
-        memory_s: time for which friction remembers the speed [s].
-
     Source: Stribeck curve and frictional memory as in Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30
     (1994), 1083-1138.
     """
 
-    break_away: float
-    stribeck_speed: float
-    memory_s: float = 0.1
+    break_away: Annotated[float, Number("in", 0.0, 1e3, 0.0, "half-width at which it breaks away")]
+    stribeck_speed: Annotated[float, Number("in/s", 1e-3, 1e4, 1.0, "speed at which 1/e of it is left")]
+    memory_s: Annotated[float, Number("s", 1e-3, 1e2, 0.1, "time for which friction remembers the speed")] = 0.1
     name: ClassVar[str] = "stick_slip"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(0.0, 1.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("break_away", "in", 0.0, 1e3, "half-width at which it breaks away"),
-            Parameter("stribeck_speed", "in/s", 1e-3, 1e4, "speed at which 1/e of it is left"),
-            Parameter("memory_s", "s", 1e-3, 1e2, "time for which friction remembers the speed"),
-        )
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("z", "v")
+    state_names: ClassVar[tuple[str, ...]] = ("z", "v")
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         z = play(u, x[0], p[0] * ca.exp(-x[1] / p[1]))
@@ -88,47 +64,21 @@ class RateDependence(Operator):
     to a tendon's tension grows with the command, and along a bend it holds back more of a pull than of a release: a
     negative skew. A film that shears thin makes the width grow like the root of a fast speed. Width 0 is the identity.
 
-    Attributes:
-        width_s: half-width by speed [s], in units per unit per second.
-        recovery_s: time in which the width of a fast motion is lost [s].
-        growth: of the width with the input [1/in].
-        skew: of the width between falling and rising input, -1 to 1 [1].
-        lost_over: way over which the width of a fast motion is lost [in].
-        thinning: inverse of the speed around which the width begins to grow less than in proportion [s/in].
-
     Source: S2 eq. (5) with the rate-dependent part of the threshold alone; the recovery and what follows are ours.
     """
 
-    width_s: float
-    recovery_s: float = 0.0
-    growth: float = 0.0
-    skew: float = 0.0
-    thinning: float = 0.0
-    lost_over: float = NEVER
+    width_s: Annotated[float, Number("s", 0.0, 1e2, 0.0, "half-width by speed")]
+    recovery_s: Annotated[float, Number("s", 0.0, 1e4, 0.0, "time in which the width of a fast motion is lost")] = 0.0
+    growth: Annotated[float, Number("1/in", -1e3, 1e3, 0.0, "growth of the width with the input")] = 0.0
+    skew: Annotated[float, Number("1", -1.0, 1.0, 0.0, "of the width between falling and rising input")] = 0.0
+    thinning: Annotated[
+        float, Number("s/in", 0.0, 1e3, 0.0, "by which the width grows less than in proportion to a fast speed")
+    ] = 0.0
+    lost_over: Annotated[
+        float, Number("in", 1e-6, NEVER, NEVER, "way over which the width of a fast motion is lost")
+    ] = NEVER
     name: ClassVar[str] = "rate_dependence"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(0.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("width_s", "s", 0.0, 1e2, "half-width by speed"),
-            Parameter("recovery_s", "s", 0.0, 1e4, "time in which the width of a fast motion is lost"),
-            Parameter("growth", "1/in", -1e3, 1e3, "growth of the width with the input"),
-            Parameter("skew", "1", -1.0, 1.0, "of the width between falling and rising input"),
-            Parameter("thinning", "s/in", 0.0, 1e3, "by which the width grows less than in proportion to a fast speed"),
-            Parameter("lost_over", "in", 1e-6, NEVER, "way over which the width of a fast motion is lost"),
-        )
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("u", "z", "r")
+    state_names: ClassVar[tuple[str, ...]] = ("u", "z", "r")
 
     @property
     def settling_samples(self) -> int:
@@ -162,38 +112,14 @@ class Asymmetry(Operator):
     branches. Because both lines rise and do not cross, it has return-point memory and does not drift however often the
     loop is run through; a slope that depends on the direction alone would. Both ratios at 1 are the identity.
 
-    Attributes:
-        slope_ratio_above: slope of unloading by that of loading above the pivot [1], at least 1.
-        slope_ratio_below: the same below the pivot [1], at most 1.
-        pivot: where both meet [in].
-
     Source: generalised play, Visintin, Differential Models of Hysteresis (1994), ch. III.
     """
 
-    slope_ratio_above: float
-    slope_ratio_below: float
-    pivot: float
+    slope_ratio_above: Annotated[float, Number("1", 1.0, 10.0, 1.0, "slope of unloading by loading above the pivot")]
+    slope_ratio_below: Annotated[float, Number("1", 0.1, 1.0, 1.0, "slope of unloading by loading below the pivot")]
+    pivot: Annotated[float, Number("in", -1e4, 1e4, 0.0, "where loading and unloading meet")]
     name: ClassVar[str] = "asymmetry"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(1.0, 1.0, 0.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("slope_ratio_above", "1", 1.0, 10.0, "slope of unloading by loading above the pivot"),
-            Parameter("slope_ratio_below", "1", 0.1, 1.0, "slope of unloading by loading below the pivot"),
-            Parameter("pivot", "in", -1e4, 1e4, "where loading and unloading meet"),
-        )
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("z",)
+    state_names: ClassVar[tuple[str, ...]] = ("z",)
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         del dt
@@ -221,37 +147,13 @@ class DirectionalGain(Operator):
     The direction d lies in -1..1: -1 while unloading, 1 while loading, between them on the way. Branches then have
     slopes 1 + gain and 1 - gain, so that the loop widens (gain below zero) or narrows above the pivot and does the
     opposite below it, and does not drift however often it is run through. Gain 0 is the identity.
-
-    Attributes:
-        gain: half the difference of the two slopes [1].
-        pivot: where the branches meet [in].
-        turn: half the travel over which the direction turns [in].
     """
 
-    gain: float
-    pivot: float
-    turn: float
+    gain: Annotated[float, Number("1", -0.9, 0.9, 0.0, "half the difference of the slopes of loading and unloading")]
+    pivot: Annotated[float, Number("in", -1e4, 1e4, 0.0, "where loading and unloading meet")]
+    turn: Annotated[float, Number("in", 1e-3, 1e3, 1.0, "half the travel over which the direction turns")]
     name: ClassVar[str] = "directional_gain"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(0.0, 0.0, 1.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("gain", "1", -0.9, 0.9, "half the difference of the slopes of loading and unloading"),
-            Parameter("pivot", "in", -1e4, 1e4, "where loading and unloading meet"),
-            Parameter("turn", "in", 1e-3, 1e3, "half the travel over which the direction turns"),
-        )
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("z",)
+    state_names: ClassVar[tuple[str, ...]] = ("z",)
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         del dt

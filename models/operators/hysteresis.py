@@ -1,13 +1,13 @@
-"""The play operator: the elementary backlash of which Prandtl-Ishlinskii models are made."""
+"""Elementary hysteresis: play, backlash with two lines and its inverse, Bouc-Wen."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self, final
+from typing import Annotated, ClassVar, final
 
 import casadi as ca
 
-from .operator import Operator, Parameter, Symbol, check_values, maximum, minimum
+from .operator import Number, Operator, Symbol, maximum, minimum
 
 
 def play(u: Symbol, z: Symbol, r: Symbol) -> Symbol:
@@ -24,24 +24,9 @@ class Play(Operator):
     Source: S2 eq. (4) with one term; Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989), ch. 1.
     """
 
-    r: float
+    r: Annotated[float, Number("cmd", 0.0, 1e3, 0.0, "half-width")]
     name: ClassVar[str] = "play"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(0.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter("r", "cmd", 0.0, 1e3, "half-width"),)
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("z",)
+    state_names: ClassVar[tuple[str, ...]] = ("z",)
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         del dt
@@ -53,7 +38,17 @@ class Play(Operator):
 
 
 @dataclass(frozen=True)
-class Backlash(Operator):
+class BacklashLines(Operator):
+    """The two lines of a backlash: theta = m (u + c) for unloading (`lo`) and loading (`up`)."""
+
+    m_lo: Annotated[float, Number("deg/cmd", 1e-3, 1e3, 1.0, "slope of the unloading line")]
+    m_up: Annotated[float, Number("deg/cmd", 1e-3, 1e3, 1.0, "slope of the loading line")]
+    c_lo: Annotated[float, Number("cmd", -1e3, 1e3, 0.0, "shift of the unloading line")]
+    c_up: Annotated[float, Number("cmd", -1e3, 1e3, 0.0, "shift of the loading line")]
+
+
+@dataclass(frozen=True)
+class Backlash(BacklashLines):
     """Command to angle through a loading line, an unloading line and a flat path between them.
 
     theta_k = m_lo (u_k + c_lo)   if u_k <= theta_{k-1} / m_lo - c_lo   (unloading)
@@ -63,39 +58,11 @@ class Backlash(Operator):
     which, for positive slopes, is max(m_up (u_k + c_up), min(m_lo (u_k + c_lo), theta_{k-1})) wherever the
     unloading line lies above the loading line.
 
-    Attributes:
-        m_lo, m_up: slopes of the unloading and the loading line [deg/cmd].
-        c_lo, c_up: shifts of the two lines along the command [cmd].
-
     Source: S2 eq. (1)-(3), after Voros, Automatica 46 (2010); sign convention of the authors' code.
     """
 
-    m_lo: float
-    m_up: float
-    c_lo: float
-    c_up: float
     name: ClassVar[str] = "backlash"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(1.0, 1.0, 0.0, 0.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("m_lo", "deg/cmd", 1e-3, 1e3, "slope of the unloading line"),
-            Parameter("m_up", "deg/cmd", 1e-3, 1e3, "slope of the loading line"),
-            Parameter("c_lo", "cmd", -1e3, 1e3, "shift of the unloading line"),
-            Parameter("c_up", "cmd", -1e3, 1e3, "shift of the loading line"),
-        )
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("theta",)
+    state_names: ClassVar[tuple[str, ...]] = ("theta",)
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         del dt
@@ -117,7 +84,7 @@ class Backlash(Operator):
 
 
 @dataclass(frozen=True)
-class InverseBacklash(Operator):
+class InverseBacklash(BacklashLines):
     """Angle to command: the loading line upwards, the unloading line downwards, the last command to stay.
 
     u_k = theta_k / m_up - c_up  if theta_k > theta_{k-1};  theta_k / m_lo - c_lo  if theta_k < theta_{k-1};
@@ -127,29 +94,9 @@ class InverseBacklash(Operator):
     Source: S2 eq. (3).
     """
 
-    m_lo: float
-    m_up: float
-    c_lo: float
-    c_up: float
-    dead_zone: float = 0.0
+    dead_zone: Annotated[float, Number("deg", 0.0, 10.0, 0.0, "change of the wish that counts as none")] = 0.0
     name: ClassVar[str] = "inverse_backlash"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(1.0, 1.0, 0.0, 0.0, 0.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        forward = Backlash(self.m_lo, self.m_up, self.c_lo, self.c_up).parameters
-        return (*forward, Parameter("dead_zone", "deg", 0.0, 10.0, "change of the wish that counts as none"))
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("theta", "u")
+    state_names: ClassVar[tuple[str, ...]] = ("theta", "u")
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         del dt
@@ -180,48 +127,18 @@ class BoucWen(Operator):
 
     It has no inverse in closed form; `models/inverse` searches one.
 
-    Attributes:
-        a, delta: growth of h with the command and with its path [deg/cmd].
-        v: relaxation of h along the path [1/cmd].
-        alpha_1, alpha_2: slopes of a fast rise and a fast fall [deg/cmd].
-        steepness: speed scale of the change from one slope to the other [s/cmd].
-        b: offset [deg].
-
     Source: code of S2, not in its text; after Wen, J. Eng. Mech. Div. ASCE 102 (1976).
     """
 
-    a: float
-    delta: float
-    v: float
-    alpha_1: float
-    alpha_2: float
-    steepness: float
-    b: float
+    a: Annotated[float, Number("deg/cmd", -1e3, 1e3, 0.0, "growth of h with the command")]
+    delta: Annotated[float, Number("deg/cmd", -1e3, 1e3, 0.0, "growth of h with the path of the command")]
+    v: Annotated[float, Number("1/cmd", 0.0, 1e4, 1.0, "relaxation of h along the path")]
+    alpha_1: Annotated[float, Number("deg/cmd", 0.0, 1e3, 1.0, "slope of a fast rise")]
+    alpha_2: Annotated[float, Number("deg/cmd", 0.0, 1e3, 1.0, "slope of a fast fall")]
+    steepness: Annotated[float, Number("s/cmd", 0.0, 1e2, 0.0, "speed scale of the change of slope")]
+    b: Annotated[float, Number("deg", -1e4, 1e4, 0.0, "offset")]
     name: ClassVar[str] = "bouc_wen"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("a", "deg/cmd", -1e3, 1e3, "growth of h with the command"),
-            Parameter("delta", "deg/cmd", -1e3, 1e3, "growth of h with the path of the command"),
-            Parameter("v", "1/cmd", 0.0, 1e4, "relaxation of h along the path"),
-            Parameter("alpha_1", "deg/cmd", 0.0, 1e3, "slope of a fast rise"),
-            Parameter("alpha_2", "deg/cmd", 0.0, 1e3, "slope of a fast fall"),
-            Parameter("steepness", "s/cmd", 0.0, 1e2, "speed scale of the change of slope"),
-            Parameter("b", "deg", -1e4, 1e4, "offset"),
-        )
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("u", "h")
+    state_names: ClassVar[tuple[str, ...]] = ("u", "h")
 
     @property
     def settling_samples(self) -> int:

@@ -1,17 +1,17 @@
-"""Random numbers as an equation: a generator small enough to run in every backend, in single precision too."""
+"""What a measurement adds: sensor noise with randomness that is state, and periodic disturbances."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self, final
+from typing import Annotated, ClassVar, Self, final
 
 import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import Operator, Parameter, Symbol, check_values, maximum
+from .operator import Number, Operator, Parameter, Symbol, check_values, maximum
 
 Triple = tuple[Symbol, Symbol, Symbol]
 _FACTORS = (171, 172, 170)
@@ -68,31 +68,27 @@ class Sensor(Operator):
     v   = u + n + [c < outlier_probability] outlier_size sign(1/2 - b)         (third draw)
     y_k = y_{k-1} if c >= 1 - dropout_probability, else resolution round(v / resolution)
 
-    The draws a, b, c come from a Wichmann-Hill generator that is part of the state, see `random_numbers`: equal
+    The draws a, b, c come from a Wichmann-Hill generator that is part of the state, see `draw`: equal
     seeds give equal noise in every backend, and each row of a batch may start at its own seed. Probabilities and sigma
     are those of a sample, at whatever rate. All at 0 are the identity; a resolution of 0 does not round.
 
     The derivative of rounding is taken as 1 ("straight through"), so that what stands before a sensor remains
     identifiable; the one of the exact step is zero almost everywhere. Probabilities have no derivative.
 
-    Attributes:
-        resolution: step of the sensor [in].
-        sigma: standard deviation of the noise [in].
-        outlier_probability, outlier_size: of a sample [1], and how far it is off, either way [in].
-        dropout_probability: of a sample that repeats the last one [1].
-        seed: of the start state; not a parameter of a fit.
+    The seed fixes the start state; it is not a parameter of a fit.
 
     Raises:
         ModelError: if the seed is negative.
     """
 
-    resolution: float
-    sigma: float
-    outlier_probability: float
-    outlier_size: float
-    dropout_probability: float
+    resolution: Annotated[float, Number("in", 0.0, 1e3, 0.0, "step of the sensor")]
+    sigma: Annotated[float, Number("in", 0.0, 1e3, 0.0, "standard deviation of the noise")]
+    outlier_probability: Annotated[float, Number("1", 0.0, 0.5, 0.0, "probability of an outlier in a sample")]
+    outlier_size: Annotated[float, Number("in", 0.0, 1e3, 0.0, "distance of an outlier")]
+    dropout_probability: Annotated[float, Number("1", 0.0, 0.5, 0.0, "probability of a repeated sample")]
     seed: int = 0
     name: ClassVar[str] = "sensor"
+    state_names: ClassVar[tuple[str, ...]] = ("s1", "s2", "s3", "y")
     shape: ClassVar[tuple[str, ...]] = ("seed",)
     default_sizes: ClassVar[Mapping[str, int]] = {"seed": 0}
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"seed": (0, 2**63 - 1)}
@@ -101,24 +97,6 @@ class Sensor(Operator):
         check_values(self)
         if self.seed < 0:
             raise ModelError(f"sensor.seed is {self.seed}, expected 0 or more")
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        return cls(0.0, 0.0, 0.0, 0.0, 0.0, structure.get("seed", 0))
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("resolution", "in", 0.0, 1e3, "step of the sensor"),
-            Parameter("sigma", "in", 0.0, 1e3, "standard deviation of the noise"),
-            Parameter("outlier_probability", "1", 0.0, 0.5, "probability of an outlier in a sample"),
-            Parameter("outlier_size", "in", 0.0, 1e3, "distance of an outlier"),
-            Parameter("dropout_probability", "1", 0.0, 0.5, "probability of a repeated sample"),
-        )
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("s1", "s2", "s3", "y")
 
     def reseeded(self, seed: int) -> Sensor:
         """The same sensor with other random numbers."""
@@ -172,6 +150,7 @@ class PeriodicDisturbance(Operator):
     amplitudes: tuple[float, ...]
     phases_rad: tuple[float, ...]
     name: ClassVar[str] = "periodic_disturbance"
+    state_names: ClassVar[tuple[str, ...]] = ("c",)
     shape: ClassVar[tuple[str, ...]] = ("harmonics",)
     default_sizes: ClassVar[Mapping[str, int]] = {"harmonics": 1}
 
@@ -203,10 +182,6 @@ class PeriodicDisturbance(Operator):
             *(Parameter(f"amplitude{m}", "in", 0.0, 1e3, "amplitude") for m in marks),
             *(Parameter(f"phase{m}_rad", "rad", -10.0, 10.0, "phase at the start of the clock") for m in marks),
         )
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("c",)
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         n = self.harmonics

@@ -1,4 +1,4 @@
-"""The rate-dependent Prandtl-Ishlinskii model, forward and its analytic inverse."""
+"""Prandtl-Ishlinskii models: rate-dependent, behind dead zones (DRDPI), and their inverses."""
 
 from __future__ import annotations
 
@@ -13,14 +13,8 @@ from .static_curves import Pieces, band_parameters, freeze_bands, pieces_of
 
 
 @dataclass(frozen=True)
-class PrandtlIshlinskii(Operator):
-    """Weighted sum of n plays whose thresholds grow with the speed of the command.
-
-    r_i(t) = alpha i + beta |u'(t)|,  z_i,k = max(u_k - r_i, min(u_k + r_i, z_i,k-1)),  i = 1..n
-    theta  = a0 u + sum_i a_i z_i + b
-
-    The speed is (u_k - u_{k-1}) / dt per second, so that a model keeps its meaning at another sample rate.
-    Weights are not negative: the loops are then monotone and the inverse exists.
+class PlaySum(Operator):
+    """The numbers of a Prandtl-Ishlinskii model, which it shares with its inverse.
 
     Attributes:
         a0: weight of the command itself [deg/cmd].
@@ -28,8 +22,6 @@ class PrandtlIshlinskii(Operator):
         alpha: spacing of the thresholds [cmd].
         beta: growth of the thresholds with speed [s].
         b: offset [deg].
-
-    Source: S2 eq. (4)-(5), after Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
     """
 
     a0: float
@@ -37,7 +29,6 @@ class PrandtlIshlinskii(Operator):
     alpha: float
     beta: float
     b: float
-    name: ClassVar[str] = "prandtl_ishlinskii"
     shape: ClassVar[tuple[str, ...]] = ("plays",)
 
     def __post_init__(self) -> None:
@@ -64,13 +55,29 @@ class PrandtlIshlinskii(Operator):
         )
 
     @property
-    def states(self) -> tuple[str, ...]:
-        return ("u", *(f"z{i}" for i in range(1, self.plays + 1)))
+    def settling_samples(self) -> int:
+        """Two: the first sample of a hold may still look like a fast motion."""
+        return 2
+
+
+@dataclass(frozen=True)
+class PrandtlIshlinskii(PlaySum):
+    """Weighted sum of n plays whose thresholds grow with the speed of the command.
+
+    r_i(t) = alpha i + beta |u'(t)|,  z_i,k = max(u_k - r_i, min(u_k + r_i, z_i,k-1)),  i = 1..n
+    theta  = a0 u + sum_i a_i z_i + b
+
+    The speed is (u_k - u_{k-1}) / dt per second, so that a model keeps its meaning at another sample rate.
+    Weights are not negative: the loops are then monotone and the inverse exists.
+
+    Source: S2 eq. (4)-(5), after Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
+    """
+
+    name: ClassVar[str] = "prandtl_ishlinskii"
 
     @property
-    def settling_samples(self) -> int:
-        """Two: the first sample of a held command may still look like a fast motion."""
-        return 2
+    def states(self) -> tuple[str, ...]:
+        return ("u", *(f"z{i}" for i in range(1, self.plays + 1)))
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         n = self.plays
@@ -93,7 +100,7 @@ class PrandtlIshlinskii(Operator):
 
 
 @dataclass(frozen=True)
-class InversePrandtlIshlinskii(Operator):
+class InversePrandtlIshlinskii(PlaySum):
     """Angle to command by the Prandtl-Ishlinskii model's analytic inverse, itself a sum of plays.
 
     w_0 = 1 / a0,  w_i = 1 / sum_{j<=i} a_j - 1 / sum_{j<i} a_j
@@ -106,30 +113,7 @@ class InversePrandtlIshlinskii(Operator):
     Source: S2 eq. (5), after Al Janaideh and Krejci, IEEE/ASME T-Mech 18 (2013).
     """
 
-    a0: float
-    weights: tuple[float, ...]
-    alpha: float
-    beta: float
-    b: float
     name: ClassVar[str] = "inverse_prandtl_ishlinskii"
-    shape: ClassVar[tuple[str, ...]] = ("plays",)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", tuple(float(w) for w in self.weights))
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        return cls(1.0, (0.0,) * structure["plays"], 0.0, 0.0, 0.0)
-
-    @property
-    def plays(self) -> int:
-        """Number n of plays."""
-        return len(self.weights)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return self.forward().parameters
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -138,11 +122,6 @@ class InversePrandtlIshlinskii(Operator):
     def forward(self) -> PrandtlIshlinskii:
         """The forward model of which this is the inverse."""
         return PrandtlIshlinskii(self.a0, self.weights, self.alpha, self.beta, self.b)
-
-    @property
-    def settling_samples(self) -> int:
-        """Two: the first sample of a held angle may still look like a fast motion."""
-        return 2
 
     def _sums(self, p: Symbol) -> list[Symbol]:
         """Partial sums a0, a0 + a1, ... of the weights."""

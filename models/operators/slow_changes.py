@@ -1,17 +1,17 @@
-"""Creep: part of the answer to a held input relaxes away, or comes late."""
+"""Slow change and history: creep, drift, the first flexure, and what differs from trial to trial."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self, final
+from typing import Annotated, ClassVar, Self, final
 
 import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
 from .hysteresis import play
-from .operator import Operator, Parameter, Symbol, check_values, maximum
+from .operator import Number, Operator, Parameter, Symbol, check_values, maximum
 
 
 @final
@@ -91,37 +91,13 @@ class Drift(Operator):
     y   = u + (offset_per_min + gain_per_min u) t / 60 + offset_per_travel s
 
     Clock and travel are state and start at zero. All rates at 0 are the identity.
-
-    Attributes:
-        offset_per_min: change of the offset [in/min].
-        gain_per_min: change of the gain, softening if above zero [1/min].
-        offset_per_travel: change of the offset by travel of the input [1].
     """
 
-    offset_per_min: float
-    gain_per_min: float
-    offset_per_travel: float
+    offset_per_min: Annotated[float, Number("in/min", -1e3, 1e3, 0.0, "change of the offset with time")]
+    gain_per_min: Annotated[float, Number("1/min", -1.0, 1.0, 0.0, "change of the gain with time")]
+    offset_per_travel: Annotated[float, Number("1", -0.1, 0.1, 0.0, "change of the offset with travel")]
     name: ClassVar[str] = "drift"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(0.0, 0.0, 0.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("offset_per_min", "in/min", -1e3, 1e3, "change of the offset with time"),
-            Parameter("gain_per_min", "1/min", -1.0, 1.0, "change of the gain with time"),
-            Parameter("offset_per_travel", "1", -0.1, 0.1, "change of the offset with travel"),
-        )
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("t", "s", "u")
+    state_names: ClassVar[tuple[str, ...]] = ("t", "s", "u")
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         t, travel = x[0] + dt, x[1] + ca.fabs(u - x[2])
@@ -146,37 +122,13 @@ class FirstFlexure(Operator):
     With tau 0 it is taken at once, else late by l, as material flows or a tendon beds in. A first loading beyond the
     threshold therefore runs along another slope, 1 + set, and every motion below the largest bend so far is shifted
     and nothing else. A set below zero is one that loses angle. Set 0 is the identity.
-
-    Attributes:
-        set: set by bend beyond the threshold [1].
-        threshold: bend that leaves no set yet [in].
-        tau_s: time constant of taking it, 0 for at once [s].
     """
 
-    set: float
-    threshold: float
-    tau_s: float = 0.0
+    set: Annotated[float, Number("1", -0.95, 3.0, 0.0, "set by bend beyond the threshold")]
+    threshold: Annotated[float, Number("in", -1e4, 1e4, 0.0, "bend that leaves no set yet")]
+    tau_s: Annotated[float, Number("s", 0.0, 1e4, 0.0, "time constant of taking it")] = 0.0
     name: ClassVar[str] = "first_flexure"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(0.0, 0.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("set", "1", -0.95, 3.0, "set by bend beyond the threshold"),
-            Parameter("threshold", "in", -1e4, 1e4, "bend that leaves no set yet"),
-            Parameter("tau_s", "s", 0.0, 1e4, "time constant of taking it"),
-        )
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("m", "l")
+    state_names: ClassVar[tuple[str, ...]] = ("m", "l")
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         largest = maximum(u, x[0])
@@ -198,37 +150,13 @@ class TrialShift(Operator):
     v = gain u + offset,  z_k = max(v_k - width, min(v_k + width, z_{k-1})),  y = z
 
     Offset 0, gain 1 and width 0 are the identity.
-
-    Attributes:
-        offset: [in].
-        gain: [1].
-        width: half-width of the extra play [in].
     """
 
-    offset: float
-    gain: float
-    width: float
+    offset: Annotated[float, Number("in", -1e4, 1e4, 0.0, "offset of this trial")]
+    gain: Annotated[float, Number("1", 0.05, 20.0, 1.0, "gain of this trial")]
+    width: Annotated[float, Number("in", 0.0, 1e3, 0.0, "half-width of the extra play of this trial")]
     name: ClassVar[str] = "trial_shift"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(0.0, 1.0, 0.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("offset", "in", -1e4, 1e4, "offset of this trial"),
-            Parameter("gain", "1", 0.05, 20.0, "gain of this trial"),
-            Parameter("width", "in", 0.0, 1e3, "half-width of the extra play of this trial"),
-        )
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        return ("z",)
+    state_names: ClassVar[tuple[str, ...]] = ("z",)
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         del dt

@@ -1,16 +1,16 @@
-"""Dead zones side by side: a memoryless curve of straight pieces, closed under inversion."""
+"""Static maps: dead zones side by side, slack, contact, a curved gain."""
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import ClassVar, Self, final
+from typing import Annotated, ClassVar, Self, final
 
 import casadi as ca
 
 from hystmpc.trials.errors import ModelError
 
-from .operator import Memoryless, Operator, Parameter, Symbol, check_values, maximum, minimum
+from .operator import Memoryless, Number, Operator, Parameter, Symbol, check_values, maximum, minimum
 
 Side = tuple[tuple[Symbol, Symbol], ...]
 
@@ -199,30 +199,11 @@ class Slack(Memoryless):
 
     and y = u where that is less, so that commands below zero, which devices do not take, pass. Slack 0 and toe 0 are
     the identity; a sharp corner has no toe.
-
-    Attributes:
-        slack: command that is taken up in all [cmd].
-        toe: half the travel over which it is taken up [cmd].
     """
 
-    slack: float
-    toe: float = 0.0
+    slack: Annotated[float, Number("in", 0.0, 1e3, 0.0, "command that is taken up before all of it arrives")]
+    toe: Annotated[float, Number("in", 0.0, 1e3, 0.0, "half the travel over which it is taken up")] = 0.0
     name: ClassVar[str] = "slack"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(0.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("slack", "in", 0.0, 1e3, "command that is taken up before all of it arrives"),
-            Parameter("toe", "in", 0.0, 1e3, "half the travel over which it is taken up"),
-        )
 
     def curve(self, u: Symbol, p: Symbol) -> Symbol:
         over, toe = u - p[0], p[1]
@@ -243,33 +224,12 @@ class Contact(Memoryless):
 
     The ratio is that of the device's stiffness to the stiffness with what it touches: 0 is a rigid stop or saturation,
     1 is the identity.
-
-    Attributes:
-        angle: where contact begins [in].
-        stiffness_ratio: slope beyond it, and beyond the toe [1].
-        toe: over which the contact stiffens [in].
     """
 
-    angle: float
-    stiffness_ratio: float
-    toe: float = 0.0
+    angle: Annotated[float, Number("in", -1e4, 1e4, 0.0, "where contact begins")]
+    stiffness_ratio: Annotated[float, Number("1", 0.0, 1.0, 1.0, "slope beyond it")]
+    toe: Annotated[float, Number("in", 0.0, 1e4, 0.0, "over which the contact stiffens")] = 0.0
     name: ClassVar[str] = "contact"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(0.0, 1.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("angle", "in", -1e4, 1e4, "where contact begins"),
-            Parameter("stiffness_ratio", "1", 0.0, 1.0, "slope beyond it"),
-            Parameter("toe", "in", 0.0, 1e4, "over which the contact stiffens"),
-        )
 
     def curve(self, u: Symbol, p: Symbol) -> Symbol:
         deep, toe = u - p[0], p[2]
@@ -286,33 +246,12 @@ class NonlinearGain(Memoryless):
 
     Both coefficients at 0 are the identity. It does not force the curve to rise; where 1 + 2 quadratic w + 3 cubic w^2
     falls below zero it turns round.
-
-    Attributes:
-        quadratic: coefficient of the square [1/in].
-        cubic: coefficient of the cube [1/in^2].
-        centre: where the slope stays 1 [in].
     """
 
-    quadratic: float
-    cubic: float
-    centre: float
+    quadratic: Annotated[float, Number("1/in", -1e2, 1e2, 0.0, "coefficient of the square")]
+    cubic: Annotated[float, Number("1/in^2", -1e2, 1e2, 0.0, "coefficient of the cube")]
+    centre: Annotated[float, Number("in", -1e4, 1e4, 0.0, "where the slope stays 1")]
     name: ClassVar[str] = "nonlinear_gain"
-
-    def __post_init__(self) -> None:
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        del structure
-        return cls(0.0, 0.0, 0.0)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (
-            Parameter("quadratic", "1/in", -1e2, 1e2, "coefficient of the square"),
-            Parameter("cubic", "1/in^2", -1e2, 1e2, "coefficient of the cube"),
-            Parameter("centre", "in", -1e4, 1e4, "where the slope stays 1"),
-        )
 
     def curve(self, u: Symbol, p: Symbol) -> Symbol:
         w = u - p[2]
