@@ -1,4 +1,4 @@
-"""The motion on which a model is tried: a decaying sinusoid over its trained range."""
+"""Motions on which a model is tried and conditioned: a decaying sinusoid, and the initialisation flexure."""
 
 from __future__ import annotations
 

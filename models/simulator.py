@@ -1,4 +1,4 @@
-"""The simulator file: a chain of operators in readable YAML, with limits, trained range and unexplained remainder."""
+"""The simulator: a chain of operators in readable YAML, with limits, trained range and residuals; and its model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A step graph as a CasADi function with exact derivatives, for a user's own optimal control problem."""
+"""A step graph as a CasADi function with exact derivatives, of the active branch where there are several."""
 
 from __future__ import annotations
 

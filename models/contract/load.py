@@ -1,4 +1,4 @@
-"""Reading a model file: everything is checked before the first step, and nothing in it is ever executed as code."""
+"""A model file in onnxruntime: everything is checked before the first step, nothing in it is executed as code."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
-from .lstm_kernels import add_row, dot_row, rational_tanh
+from .lstm_plain import add_row, dot_row, rational_tanh
 from .network_route import Float32, NetworkRoute
 from .numba_ import njit
 

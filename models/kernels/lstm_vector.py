@@ -1,4 +1,4 @@
-"""The vector route: everything by the vector kernel."""
+"""The vector route of a stacked LSTM: the vector kernel, compiled for this processor, on several threads."""
 
 from __future__ import annotations
 

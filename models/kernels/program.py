@@ -1,4 +1,4 @@
-"""The instruction list of a CasADi SX function: the form from which every other backend is translated."""
+"""From one CasADi expression to Python source: scalar code for numba, array code for NumPy and torch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Presets of every network: as in S2, as in S1, and the best that we know."""
+"""The kinds of model that are networks, and their presets: as in S2 (Wu et al., RA-L 2024), as in S1 (Wu et al., RA-L
+2021), and the best that we know.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The numbers of a stacked LSTM with a linear head, free of any framework, and its step in float64."""
+"""The stacked LSTM: its numbers, its step and derivative in float64, and its step graph."""
 
 from __future__ import annotations
 

@@ -160,8 +160,9 @@ def weights_of(net: LstmNet, scaling: Scaling) -> LstmWeights:
 
 def net_of(weights: LstmWeights) -> LstmNet:
     """A network with these weights, for further training."""
-    plain = {"memory_samples": 0, "command_gain": 1.0}
-    net = LstmNet(RecurrentSettings(hidden=weights.hidden, layers=len(weights.layers), **plain))
+    net = LstmNet(
+        RecurrentSettings(hidden=weights.hidden, layers=len(weights.layers), memory_samples=0, command_gain=1.0)
+    )
     values = {"head.weight": weights.head_weight[None], "head.bias": [weights.head_bias]}
     for k, layer in enumerate(weights.layers):
         values |= {f"lstm.weight_ih_l{k}": layer.w_ih, f"lstm.weight_hh_l{k}": layer.w_hh}

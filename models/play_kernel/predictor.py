@@ -1,7 +1,9 @@
-"""Compiled step, roll-out, derivative and inverse of a play-kernel model; equations in `PlayKernelWeights`.
+"""Compiled predictions of a play-kernel model; equations in `PlayKernelWeights`.
 
-The model is a tuple of arrays (numbers (5,), radii (n,), knots (K + 1,), slopes (S, K), levels (S, K), stops (2, n))
-with numbers = gain, lower, upper, bias, outer slope, and levels the value of each function where its segments start."""
+The kernels take a model as a tuple of arrays (numbers (5,), radii (n,), knots (K + 1,), slopes (S, K), levels (S, K),
+stops (2, n)) with numbers = gain, lower, upper, bias, outer slope, and levels the value of each function where its
+segments start.
+"""
 
 from __future__ import annotations
 

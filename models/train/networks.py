@@ -1,4 +1,4 @@
-"""Training of any network on recorded trials."""
+"""Training of any network on recorded trials, its model file, and how long it will take."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The backlash inside a hybrid network: fitted to the training trials beforehand, then put into scaled units."""
+"""What a network is trained on: scaled runs, rest before them, streams side by side, and the backlash of a hybrid."""
 
 from __future__ import annotations
 

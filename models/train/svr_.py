@@ -1,4 +1,4 @@
-"""Settings of the support-vector regression and its presets."""
+"""Support-vector regression by scikit-learn: settings, comparison of choices, final model, and its model file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motions that were never recorded, answered by an operator: what a network learns beside the trials."""
+"""Random motions that an identified operator answers: what a network learns from beside the trials."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What both ways to train a network in PyTorch share: session, update, loss, and the look at what is held out."""
+"""Training in PyTorch: on short windows as in both papers, and on streams of whole trials."""
 
 from __future__ import annotations
 

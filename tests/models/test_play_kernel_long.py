@@ -9,7 +9,7 @@ import pytest
 
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.regressions import PlayKernelKind
-from hystmpc.models.play_kernel import features, fit
+from hystmpc.models.play_kernel import fit
 from hystmpc.models.play_kernel.fit import PlayKernelSettings, fit_play_kernel
 from hystmpc.models.play_kernel.predictor import follow_plays
 from hystmpc.models.play_kernel.weights import PlayKernelStep
@@ -45,7 +45,7 @@ def test_a_fit_holds_the_features_of_one_block_only() -> None:
 def test_blocks_change_no_number(skip_first_flexure: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     trials = [long_trial(k, 1_200) for k in range(3)]
     whole = fit_play_kernel(trials, FEW, skip_first_flexure)
-    monkeypatch.setattr(features, "BLOCK", 37)
+    monkeypatch.setattr(fit, "BLOCK", 37)
     parts = fit_play_kernel(trials, FEW, skip_first_flexure)
     assert parts.choice == whole.choice
     assert parts.rmse == pytest.approx(whole.rmse, rel=1e-9)

@@ -120,10 +120,10 @@ def test_inverse_out_of_reach_is_the_end_of_the_range(wanted: float, end: float)
     assert CompiledInverse(predictor, 0.0, 6.0).command(state, wanted, 2.4) == pytest.approx(end, abs=1e-9)
 
 
-def test_shadow_of_a_backlash_is_that_backlash(tmp_path: Path) -> None:
+def test_the_surrogate_of_a_backlash_is_that_backlash(tmp_path: Path) -> None:
     export_simulator(simulator(CHAINS["backlash"]), tmp_path / "model.onnx")
-    shadow = surrogate_backlash(load_model(tmp_path / "model.onnx"))
-    np.testing.assert_allclose(shadow.chain.values, CHAINS["backlash"].values, rtol=1e-6)
+    surrogate = surrogate_backlash(load_model(tmp_path / "model.onnx"))
+    np.testing.assert_allclose(surrogate.chain.values, CHAINS["backlash"].values, rtol=1e-6)
 
 
 def test_a_companion_brings_a_model_close_to_the_wanted_angle() -> None:

@@ -86,7 +86,8 @@ def test_the_same_source_in_a_younger_file_is_not_compiled_again(folder: Path) -
 def test_data_that_another_process_wrote_for_another_source_is_not_loaded(folder: Path) -> None:
     """Index and data of one file are two files: between them another process may have written its own."""
     assert started(folder)[0] == list(KERNELS)
-    index, data = (next((folder / "__pycache__").glob(f"inner.*.{ending}")) for ending in ("nbi", "nbc"))
+    compiled = Path(importlib.import_module("some_kernels.inner").inner._cache.cache_path)
+    index, data = (next(compiled.glob(f"inner.*.{ending}")) for ending in ("nbi", "nbc"))
     before = index.read_bytes()
     (folder / "numbers_.py").write_text("GRAVITY = 1.0\n")
     assert started(folder)[1] == pytest.approx(3.0)
