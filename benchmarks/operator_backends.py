@@ -1,7 +1,8 @@
 """Two ways to write an operator's equation once, measured on the play operator.
 
 A: the equation takes the module of its array operations as an argument (`play(u, z, r, np)`).
-B: the equation is a CasADi expression, its instruction list is translated (`models/kernels/program.py`); this is what we use.
+B: the equation is a CasADi expression, its instruction list is translated
+   (`models/kernels/program.py`); this is what we use.
 
 Run: python benchmarks/operator_backends.py
 """

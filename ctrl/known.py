@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
 from hystmpc.models.load import load_model
 from hystmpc.models.model import Inverse, InvertiblePredictor, LoadedModel, Predictor
@@ -53,7 +52,7 @@ def known_model(model: LoadedModel, inverse: Path | None, lag_s: float) -> Known
 def _given_inverse(file: Path, dt_s: float) -> Simulator | LoadedModel:
     """A simulator to invert, or an inverse map."""
     given = load_model(file)
-    if isinstance(given, OnnxModel):
+    if not isinstance(given, ChainModel):
         return given
     simulator = _at_sample_time(given.simulator, dt_s)
     return ChainModel(simulator) if given.metadata.inverted else simulator
