@@ -25,8 +25,7 @@ from .network_route import Float32, NetworkRoute
 from .numba_ import generated_module
 from .vector_emitter import VectorShape
 
-_EMITTERS = ("vector_emitter.py",)
-_HEADER = """# emitters {digest}
+_HEADER = """# emitter {digest}
 from hystmpc.models.kernels.vector_emitter import Rows, VectorShape, block_intrinsic
 
 LANES, ROWS = {lanes}, {rows}
@@ -76,10 +75,10 @@ def vector_kernels(shape: VectorShape) -> VectorKernels:
 def kernel_source(shape: VectorShape, folder: Traversable) -> str:
     """Text of the module for this shape, from the files in `folder`.
 
-    The emitters' hash is part of it, and thereby of the module's name: numba's cache looks at a function's own file
-    and would go on with the code of an emitter that has changed.
+    The hash of the emitter is part of it, and thereby of the name of the module: an intrinsic is not part of the digest
+    of its callers (`source_digest`).
     """
-    digest = hashlib.sha256(b"".join(folder.joinpath(name).read_bytes() for name in _EMITTERS)).hexdigest()[:24]
+    digest = hashlib.sha256(folder.joinpath("vector_emitter.py").read_bytes()).hexdigest()[:24]
     header = _HEADER.format(digest=digest, lanes=shape.lanes, rows=shape.rows)
     return header + folder.joinpath("vector_loops.py").read_text(encoding="utf-8")
 

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 import onnx
 from numpy.typing import ArrayLike
-from onnx import helper, numpy_helper
+from onnx import helper
 from scipy.special import expit
 
 from hystmpc.trials.errors import ModelError
@@ -141,16 +141,6 @@ class LstmWeights:
         numbers = [float(np.asarray(arrays[name]).item()) for name in ("head.bias", *scaling)]
         return cls(tuple(layers), np.ravel(arrays["head.weight"]), numbers[0], Scaling(*numbers[1:]))
 
-    @classmethod
-    def from_graph(cls, graph: onnx.GraphProto) -> Self:
-        """Read the weights back from the named initializers of a step graph that `lstm_step_graph` made.
-
-        Raises:
-            ModelError: if the graph is not one of these.
-        """
-        arrays = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
-        return cls.from_arrays(arrays)
-
 
 def _frozen(values: ArrayLike, name: str) -> Vec:
     """A read-only float64 copy; weights shared by kernels and sessions must not change behind them."""
@@ -220,7 +210,7 @@ def _gates(layer: LstmLayer, x: Vec, h: Vec) -> tuple[Vec, Vec, Vec, Vec]:
 def lstm_step_graph(weights: LstmWeights) -> onnx.GraphProto:
     """Step graph (u [N,1], state [N,S]) -> (theta [N,1], next_state [N,S]) in float32, scalings inside.
 
-    The initializers carry the names of `LstmWeights.to_arrays`, so that `LstmWeights.from_graph` finds them again.
+    The initializers carry the names of `LstmWeights.to_arrays`, so that `LstmWeights.from_arrays` finds them again.
     """
 
     def body(writer: GraphWriter, v: str, state: str) -> tuple[str, list[str]]:
