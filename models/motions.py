@@ -15,7 +15,7 @@ CYCLES, FREQUENCY_HZ = 7, 0.2
 
 
 def probe_commands(facts: ModelMetadata) -> Vec:
-    """Commands (T,) at the model's sample time: S2 eq. (9)-(10) with zero baseline, 0.2 Hz, seven cycles.
+    """Commands (T,) at the model's sample time: S2 (RA-L 2024) eq. (9)-(10) with zero baseline, 0.2 Hz, seven cycles.
 
     u = low + (high - low) / 2 e^{-tau t} (sin(2 pi f t - pi / 2) + 1),  tau = f ln(7) / 6; slower where the device
     was never driven as fast, so that the probe stays inside what the model was trained on.

@@ -1,4 +1,4 @@
-"""Identification by Adam on short windows, the way S2 trains its operators, on exact compiled sensitivities."""
+"""Identification by Adam on short windows, as S2 (RA-L 2024) trains its operators, on exact sensitivities."""
 
 from __future__ import annotations
 

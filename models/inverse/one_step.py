@@ -19,7 +19,7 @@ class CompiledInverse(Inverse):
 
     u = argmin |u - u_last| over { u in [low, high] : theta(x, u) = theta }, by Newton's method on the exact
     derivative inside a shrinking bracket; the end of the range where no command reaches the angle. For a backlash it
-    is S2 eq. (3), for a Prandtl-Ishlinskii model the analytic inverse with the true rate of the command.
+    is S2 (RA-L 2024) eq. (3), for a Prandtl-Ishlinskii model the analytic inverse with the true rate of the command.
     """
 
     def __init__(self, predictor: InvertiblePredictor, low: float, high: float) -> None:

@@ -28,7 +28,7 @@ class FitRequest:
         steps: greatest number of steps (epochs, updates, iterations); None for the preset's.
         hold_out: whole trials held out of those given to stop early; None for the preset's.
         validation: trials that only judge, in place of held-out ones.
-        constancy_weight: beta of the constant-in, constant-out term, S2 eq. (12); None for the preset's.
+        constancy_weight: beta of the constant-in, constant-out term, S2 (RA-L 2024) eq. (12); None for the preset's.
         plays: number of plays of a Prandtl-Ishlinskii model; None for the kind's own.
         skip_first_flexure: score each trial from the first reversal of its command on.
         limits: what the device may be sent.

@@ -62,7 +62,7 @@ class PlayKernelKind(ModelKind):
 
 @final
 class SvrKind(ModelKind):
-    """Radial kernel on 50 past commands, S1: `paper` with its values, `grid` with its grid search, or `best`.
+    """Radial kernel on 50 past commands, S1 (RA-L 2021): `paper` with its values, `grid` with its search, or `best`.
 
     See `SvrWeights` for the equations and `SvrSettings` for what is compared how.
     """

@@ -1,4 +1,4 @@
-"""The two hybrids of S2: an LSTM that steers a backlash, and an LSTM beside one."""
+"""The two hybrids of S2 (RA-L 2024): an LSTM that steers a backlash, and an LSTM beside one."""
 
 from __future__ import annotations
 

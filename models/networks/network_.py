@@ -121,7 +121,9 @@ class TorchStep(StepFunction):
 
 @final
 class FeedForwardNet(Network):
-    """y_k = W_n relu(... relu(W_1 [v_{k-n+1}, ..., v_k] + b_1) ...) + b_n, the FNN and FNN-HIB of S2 section III-B.
+    """y_k = W_n relu(... relu(W_1 [v_{k-n+1}, ..., v_k] + b_1) ...) + b_n, FNN and FNN-HIB.
+
+    Source: S2 (RA-L 2024) section III-B.
 
     The state holds the n - 1 past inputs, oldest first. With n = 1 it is the last input, which is not read: a step of
     the contract has at least one entry.

@@ -63,7 +63,7 @@ class LstmNet(Network):
 
 @final
 class GruNet(Network):
-    """Stacked GRU and linear head, S2 section III-B (Cho et al., EMNLP 2014, in the form of PyTorch).
+    """Stacked GRU and linear head, S2 (RA-L 2024) section III-B (Cho et al., EMNLP 2014, in the form of PyTorch).
 
         r = sigmoid(W_r x + U_r h + b_r),  z = sigmoid(W_z x + U_z h + b_z)
         n = tanh(W_n x + b_n + r (U_n h + c_n)),  h' = (1 - z) n + z h,  y = w . h' + b

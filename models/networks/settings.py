@@ -66,7 +66,7 @@ class FeedForwardSettings(FormSettings):
     """ReLU layers over the present input and its past, see `FeedForwardNet`.
 
     Attributes:
-        hidden: widths of the layers; S2 has two of 64.
+        hidden: widths of the layers; S2 (RA-L 2024) has two of 64.
         history: samples that are looked at, the present one included: 1 for the FNN, 50 for the FNN-HIB of S2.
     """
 

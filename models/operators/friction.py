@@ -64,7 +64,7 @@ class RateDependence(Operator):
     to a tendon's tension grows with the command, and along a bend it holds back more of a pull than of a release: a
     negative skew. A film that shears thin makes the width grow like the root of a fast speed. Width 0 is the identity.
 
-    Source: S2 eq. (5) with the rate-dependent part of the threshold alone; the recovery and what follows are ours.
+    Source: S2 (RA-L 2024) eq. (5), the rate-dependent part of the threshold alone; recovery and the rest are ours.
     """
 
     width_s: Annotated[float, Number("s", 0.0, 1e2, 0.0, "half-width by speed")]

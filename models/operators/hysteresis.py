@@ -21,7 +21,7 @@ class Play(Operator):
 
     z_k = max(u_k - r, min(u_k + r, z_{k-1})), y = z. Rate-independent, with return-point memory.
 
-    Source: S2 eq. (4) with one term; Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989), ch. 1.
+    Source: S2 (RA-L 2024) eq. (4) with one term; Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989), ch. 1.
     """
 
     r: Annotated[float, Number("cmd", 0.0, 1e3, 0.0, "half-width")]

@@ -70,7 +70,7 @@ class PrandtlIshlinskii(PlaySum):
     The speed is (u_k - u_{k-1}) / dt per second, so that a model keeps its meaning at another sample rate.
     Weights are not negative: the loops are then monotone and the inverse exists.
 
-    Source: S2 eq. (4)-(5), after Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
+    Source: S2 (RA-L 2024) eq. (4)-(5), after Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
     """
 
     name: ClassVar[str] = "prandtl_ishlinskii"
@@ -239,9 +239,9 @@ class Drdpi(DrdpiNumbers):
     The slope of the middle piece is one, since the weights a_i already scale the loop. Slopes and gaps stand for
     weights and thresholds of the dead zones, see `Pieces`; for the attributes see `DrdpiNumbers`.
 
-    Source: ours. S1 uses the model of Shakiba et al., Mech. Syst. Signal Process. 154 (2021) 107532, whose equations
-    it does not print; this is the modified Prandtl-Ishlinskii model of Kuhnen, Eur. J. Control 9 (2003), with the rate
-    thresholds of Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
+    Source: ours. S1 (RA-L 2021) has the model of Shakiba et al., Mech. Syst. Signal Process. 154 (2021) 107532, whose
+    equations it does not print; this is the modified Prandtl-Ishlinskii model of Kuhnen, Eur. J. Control 9 (2003), with the
+    rate thresholds of Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
     """
 
     name: ClassVar[str] = "drdpi"

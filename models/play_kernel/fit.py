@@ -417,7 +417,7 @@ def play_kernel_bundle(
 
 
 def _flexed(step: PlayKernelStep, state: Vec, trials: Sequence[Trial], warmup: int) -> Vec:
-    """State (S,) after the initialisation flexure of S2."""
+    """State (S,) after the initialisation flexure of S2 (RA-L 2024)."""
     at = state[None]
     for u in initialisation_flexure(command_range(trials), check_trial_set(trials), warmup):
         _, at = step.advance(at, np.array([[u]]))

@@ -223,7 +223,7 @@ def network_bundle(fit: NetworkFit, trials: Sequence[Trial], limits: DeviceLimit
 def _conditioned_rule(step: TorchStep, trained: Range, rest: float, dt_s: float, warmup: int) -> InitialRule:
     """State after the initialisation flexure, from rest at angle `rest`; what is measured starts as in a trial.
 
-    The flexure is that of S2, see `initialisation_flexure`.
+    The flexure is that of S2 (RA-L 2024), see `initialisation_flexure`.
     """
     initial = step.initial_rule()
     start = initial.state(np.array([[rest]]))[0]

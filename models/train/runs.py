@@ -22,7 +22,7 @@ from ..operators.hysteresis import Backlash, InverseBacklash
 from ..operators.operator import Operator
 from .settings import NetworkSettings, RestSettings, ScalingSettings, WindowTraining
 
-DEAD_ZONES_DEG = (0.027, 0.1, 0.3, 1.0)  # the first is that of the code of S2
+DEAD_ZONES_DEG = (0.027, 0.1, 0.3, 1.0)  # the first is that of the code of S2 (RA-L 2024)
 
 
 def fitted_backlash(trials: Sequence[Trial], skip_first_flexure: bool, dead_zone: float | None = None) -> Operator:

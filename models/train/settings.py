@@ -47,7 +47,9 @@ class RestSettings(Settings):
 
 
 class WindowTraining(Settings):
-    """Training on short windows, a recurrent state zero at the start of each (S1 section II-C, S2 section III).
+    """Training on short windows, a recurrent state zero at the start of each.
+
+    Source: S1 (RA-L 2021) section II-C, S2 (RA-L 2024) section III.
 
     Attributes:
         length: samples in a window, all of them scored; 50 are 2 s at 25 Hz. A feed-forward network sees the samples

@@ -40,7 +40,7 @@ class SvrSettings(Settings):
         stride: samples between them; 50 commands every 5 samples are 10 s at 25 Hz, a period of the slowest motions.
         c, gamma, epsilon: values that are compared; one of each is no comparison.
         folds: parts of the comparison.
-        by_trial: leave whole trials out in the comparison; else samples drawn at random, as S1 supposedly did.
+        by_trial: leave whole trials out in the comparison; else samples drawn at random, as S1 (RA-L 2021) may do.
             Neighbouring windows are nearly the same, so that random folds know what they are judged on.
         compared_samples: greatest number of samples in the comparison, drawn at random.
         samples: greatest number of samples that the final model is fitted to, drawn at random.

@@ -24,7 +24,7 @@ Answer = Callable[[Vec, float], Vec]
 
 _CYCLES = 7
 _DURATION_S = (12.0, 40.0)
-_FREQUENCY_HZ = (0.08, 0.6)  # of the tip motions of S1 and S2, a little beyond at both ends
+_FREQUENCY_HZ = (0.08, 0.6)  # of the tip motions of S1 (RA-L 2021) and S2 (RA-L 2024), a little beyond at both ends
 _HOLD_S = (0.1, 10.0)
 _SINES = 4
 _PAUSE_S = (0.1, 3.0)

@@ -20,7 +20,7 @@ from ..networks.network_ import Network, numbers
 from .runs import Rng, Run, Streams, arrange, pause, stretch
 from .settings import NetworkSettings, StreamTraining, WindowTraining
 
-_EPSILON = 1e-4  # of S2 eq. (12)
+_EPSILON = 1e-4  # of S2 (RA-L 2024) eq. (12)
 
 
 @dataclass(frozen=True)
