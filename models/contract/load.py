@@ -25,50 +25,6 @@ if TYPE_CHECKING:
     import casadi as ca
 
 
-_ERRORS = (
-    state_.EPFail,
-    state_.Fail,
-    state_.InvalidArgument,
-    state_.InvalidGraph,
-    state_.InvalidProtobuf,
-    state_.NotImplemented,
-    state_.RuntimeException,
-)
-_SILENT = 3  # errors only
-_WARM_UP = (1, 2, 1)  # batch sizes; the second differs so that a frozen batch axis shows
-
-
-def open_session(content: bytes, state_size: int, dtype: np.dtype[np.generic], where: str) -> ort.InferenceSession:
-    """Open a step graph and run it a few times, so that the first step in a loop is as fast as the rest.
-
-    Raises:
-        ModelError: if onnxruntime refuses the graph, or it does not keep the batch axis.
-    """
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-    options.log_severity_level = _SILENT
-    try:
-        session = ort.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-        for batch in _WARM_UP:
-            _check_batch(session, batch, state_size, dtype, where)
-    except _ERRORS as error:
-        text = " ".join(str(error).split())
-        raise ModelError(f"{where}: onnxruntime refuses the graph: {text}") from None
-    return session
-
-
-def _check_batch(session: ort.InferenceSession, batch: int, state_size: int, dtype: np.dtype[Any], where: str) -> None:
-    feed = {"u": np.zeros((batch, 1), dtype), "state": np.zeros((batch, state_size), dtype)}
-    shapes = [np.asarray(result).shape for result in session.run(["theta", "next_state"], feed)]
-    if shapes != [(batch, 1), (batch, state_size)]:
-        raise ModelError(
-            f"{where}: a batch of {batch} gives theta {shapes[0]} and next_state {shapes[1]}, "
-            f"expected ({batch}, 1) and ({batch}, {state_size})"
-        )
-
-
 @final
 class OnnxModel(LoadedModel):
     """A step graph, evaluated by onnxruntime on one thread; a float32 graph is fed float32, what comes back is float64.
@@ -147,3 +103,51 @@ def load_onnx(path: Path | str, start: Start = "initial") -> OnnxModel:
     except OSError as error:
         raise ModelError(f"{path}: cannot be read ({error.strerror}), expected an ONNX file") from None
     return OnnxModel(content, str(path), start)
+
+
+_ERRORS = (
+    state_.EPFail,
+    state_.Fail,
+    state_.InvalidArgument,
+    state_.InvalidGraph,
+    state_.InvalidProtobuf,
+    state_.NotImplemented,
+    state_.RuntimeException,
+)
+
+
+_SILENT = 3  # errors only
+
+
+_WARM_UP = (1, 2, 1)  # batch sizes; the second differs so that a frozen batch axis shows
+
+
+def open_session(content: bytes, state_size: int, dtype: np.dtype[np.generic], where: str) -> ort.InferenceSession:
+    """Open a step graph and run it a few times, so that the first step in a loop is as fast as the rest.
+
+    Raises:
+        ModelError: if onnxruntime refuses the graph, or it does not keep the batch axis.
+    """
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+    options.log_severity_level = _SILENT
+    try:
+        session = ort.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        for batch in _WARM_UP:
+            _check_batch(session, batch, state_size, dtype, where)
+    except _ERRORS as error:
+        text = " ".join(str(error).split())
+        raise ModelError(f"{where}: onnxruntime refuses the graph: {text}") from None
+    return session
+
+
+def _check_batch(session: ort.InferenceSession, batch: int, state_size: int, dtype: np.dtype[Any], where: str) -> None:
+    feed = {"u": np.zeros((batch, 1), dtype), "state": np.zeros((batch, state_size), dtype)}
+    shapes = [np.asarray(result).shape for result in session.run(["theta", "next_state"], feed)]
+    if shapes != [(batch, 1), (batch, state_size)]:
+        raise ModelError(
+            f"{where}: a batch of {batch} gives theta {shapes[0]} and next_state {shapes[1]}, "
+            f"expected ({batch}, 1) and ({batch}, {state_size})"
+        )

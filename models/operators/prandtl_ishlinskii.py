@@ -240,8 +240,8 @@ class Drdpi(DrdpiNumbers):
     weights and thresholds of the dead zones, see `Pieces`; for the attributes see `DrdpiNumbers`.
 
     Source: ours. S1 (RA-L 2021) has the model of Shakiba et al., Mech. Syst. Signal Process. 154 (2021) 107532, whose
-    equations it does not print; this is the modified Prandtl-Ishlinskii model of Kuhnen, Eur. J. Control 9 (2003), with the
-    rate thresholds of Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
+    equations it does not print; this is the modified Prandtl-Ishlinskii model of Kuhnen, Eur. J. Control 9 (2003), with
+    the rate thresholds of Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
     """
 
     name: ClassVar[str] = "drdpi"

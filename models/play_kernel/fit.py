@@ -30,6 +30,199 @@ from ..motions import initialisation_flexure, probe_commands
 from .predictor import follow_plays
 from .weights import PlayKernelStep, PlayKernelWeights, play_kernel_graph, ramps
 
+Positive = Annotated[float, Field(gt=0)]
+
+
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class PlayKernelSettings(Settings):
+    """How a play-kernel model is built and identified; see `PlayKernelWeights` and `fit_play_kernel`.
+
+    Commands are counted in units of the trained command range, angles in units of the trained angle range.
+
+    Attributes:
+        preset: name in reports.
+        plays: number n of plays with a positive radius.
+        reach: greatest radius; the radii of a forward model are spread evenly up to it.
+        inverse_reach, inverse_finest: greatest and least radius of an inverse map, spread evenly in their logarithm: a
+            reversal of the angle asks for a jump across the whole loop, which only plays of small radius can follow.
+        segments: number K of linear pieces of each function.
+        lags_s: time constants of the lag in front that are compared, 0 for none [s].
+        smoothness: penalties on the differences of neighbouring slopes that are compared.
+        offset_penalty: on the square of the trial offsets; an offset b of a trial is known up to the factor
+            1 / (1 + penalty). Angle sensors are zeroed anew for each trial, and a model that bends to follow the
+            offsets of its training trials does worse on the next one. Large values turn offsets off.
+        least_slope: added to every slope, so that the angle strictly rises.
+        folds: greatest number of groups of trials in the comparison, each left out once.
+    """
+
+    preset: str = "best"
+    plays: Count = 12
+    reach: Annotated[float, Field(gt=0, le=1)] = 0.45
+    inverse_reach: Annotated[float, Field(gt=0, le=1)] = 0.45
+    inverse_finest: Annotated[float, Field(gt=0, le=1)] = 3e-4
+    segments: Count = 14
+    lags_s: tuple[NotNegative, ...] = Field(default=(0.0, 0.02, 0.04, 0.06), min_length=1)
+    smoothness: tuple[NotNegative, ...] = Field(default=(3e-7, 3e-6, 3e-5), min_length=1)
+    offset_penalty: NotNegative = 0.03
+    least_slope: Positive = 1e-6
+    folds: Annotated[int, Field(ge=2)] = 6
+
+
+PLAY_KERNEL_PRESETS: Mapping[str, PlayKernelSettings] = {
+    "best": PlayKernelSettings(),
+    "rate_independent": PlayKernelSettings(preset="rate_independent", lags_s=(0.0,)),
+}
+
+
+_JITTER = 1e-10
+
+
+_SOON = 500_000  # samples: a fit of fewer takes seconds and is not announced
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One combination that is compared: time constant of the lag [s] and penalty on differences of slopes."""
+
+    lag_s: float
+    smoothness: float
+
+
+@dataclass(frozen=True, eq=False)
+class PlayKernelFit:
+    """An identified play-kernel model.
+
+    Attributes:
+        weights: the model.
+        choice: lag and smoothness that did best on trials left out.
+        judged: mean offset-free error on trials left out [unit of the output] of every choice compared; empty where
+            there was nothing to compare.
+        rmse: mean over the training trials of the error, their own offsets taken out [unit of the output].
+        interrupted: stopped by the user; the best choice so far.
+    """
+
+    weights: PlayKernelWeights
+    choice: Choice
+    judged: dict[Choice, float]
+    rmse: float
+    interrupted: bool
+
+
+def fit_play_kernel(
+    trials: Sequence[Trial],
+    settings: PlayKernelSettings | None = None,
+    skip_first_flexure: bool = False,
+    progress: FitProgress | None = None,
+) -> PlayKernelFit:
+    """Identify a play-kernel model; every trial has equal weight and an offset of its own.
+
+        min  mean_trials mean_t (theta - model(u) - b_trial)^2 + p sum b_trial^2 + q sum (s - s_neighbour)^2,  s >= 0
+
+    Neighbours are the next segment of the same play and the same segment of the next play. Lag and q are those whose
+    models do best, offset-free, on trials left out; whole groups of trials, never parts of one.
+
+    Args:
+        trials: uniformly sampled at one rate, in one unit; swapped ones give an inverse map, which has stops too.
+        settings: see `PlayKernelSettings`.
+        skip_first_flexure: leave out each trial up to the first reversal of its command.
+        progress: called with the fits so far and the least error on trials left out; KeyboardInterrupt keeps the best.
+
+    Raises:
+        FitError: on unusable trials, an angle that falls with the command, or a least-squares problem not solved.
+    """
+    settings = settings or PlayKernelSettings()
+    frame = _frame(trials, settings)
+    _line(trials)
+    starts = [first_flexure_end(trial) if skip_first_flexure else 0 for trial in trials]
+    choices = [Choice(*pair) for pair in itertools.product(settings.lags_s, settings.smoothness)]
+    judged: dict[Choice, float] = {}
+    interrupted, chosen = False, choices[len(choices) // 2]
+    if len(trials) > 1 and len(choices) > 1:
+        try:
+            for lag_s in settings.lags_s:
+                courses = [Course(*pair, frame, lag_s) for pair in zip(trials, starts, strict=True)]
+                for choice, error in _left_out(courses, lag_s, frame, settings):
+                    judged[choice] = error * span(frame.angle)
+                    if progress:
+                        progress(len(judged), min(judged.values()))
+        except KeyboardInterrupt:
+            interrupted = True
+        chosen = min(judged, key=lambda c: judged[c], default=chosen)
+    courses = [Course(*pair, frame, chosen.lag_s) for pair in zip(trials, starts, strict=True)]
+    slopes, bias = _solve([course.moments for course in courses], chosen, frame, settings)
+    rmse = float(np.mean([course.scatter(slopes[:, None])[0] for course in courses])) * span(frame.angle)
+    if progress:
+        progress(len(judged) + 1, min(judged.values(), default=rmse))
+    return PlayKernelFit(_weights(slopes, bias, trials, chosen, frame), chosen, judged, rmse, interrupted)
+
+
+def play_kernel_seconds(trials: Sequence[Trial], settings: PlayKernelSettings) -> float | None:
+    """Time of a fit [s], measured on one block; None where it is soon done.
+
+    Raises:
+        FitError: on unusable trials.
+    """
+    frame, samples = _frame(trials, settings), sum(len(trial) for trial in trials)
+    if samples < _SOON:
+        return None
+    head = trials[0].select(0, BLOCK)
+    _ = Course(head, 0, frame, 0.0).moments  # what has to be compiled is compiled now
+    start = time.perf_counter()
+    course = Course(head, 0, frame, max(settings.lags_s))
+    course.scatter(np.zeros((course.moments.mean.size, len(settings.smoothness))))
+    return (time.perf_counter() - start) / len(head) * samples * (len(settings.lags_s) + 1)
+
+
+_SETTLED_LAGS = 20.0  # time constants after which nothing is left of a step
+
+
+def play_kernel_bundle(
+    fit: PlayKernelFit, trials: Sequence[Trial], settings: PlayKernelSettings, limits: DeviceLimits
+) -> ExportBundle:
+    """Graph, facts, reference and probe of a play-kernel model, ready for `export_onnx`.
+
+    A fresh device has rested at the command at which the trials begin, so that no play is in contact; a conditioned
+    one has been flexed to the top of the trained commands and back. The first command is held until the lag has
+    settled.
+
+    Raises:
+        FitError: on unusable trials.
+    """
+    weights = fit.weights
+    step = PlayKernelStep(weights)
+    warmup = max(1, math.ceil(_SETTLED_LAGS * fit.choice.lag_s / check_trial_set(trials)))
+    fresh = np.full(weights.state_size, float(np.mean([trial.command[0] for trial in trials])))
+    metadata = facts_of(
+        "play_kernel",
+        trials,
+        limits,
+        (fixed_rule(fresh), fixed_rule(_flexed(step, fresh, trials, warmup))),
+        warmup,
+        {
+            "preset": settings.preset,
+            "settings": settings.model_dump_json(),
+            "lag_s": fit.choice.lag_s,
+            "smoothness": fit.choice.smoothness,
+            "training_rmse": fit.rmse,
+            "interrupted": fit.interrupted,
+        },
+    )
+    return ExportBundle(play_kernel_graph(weights), metadata, step, probe_commands(metadata))
+
+
+def _flexed(step: PlayKernelStep, state: Vec, trials: Sequence[Trial], warmup: int) -> Vec:
+    """State (S,) after the initialisation flexure of S2 (RA-L 2024)."""
+    at = state[None]
+    for u in initialisation_flexure(command_range(trials), check_trial_set(trials), warmup):
+        _, at = step.advance(at, np.array([[u]]))
+    return at[0]
+
+
 BLOCK = 16_384
 """Samples whose features are held at once, 25 MB."""
 
@@ -126,148 +319,6 @@ def scaled(values: Any, bounds: Range) -> Any:
 def span(bounds: Range) -> float:
     """Width of a range."""
     return bounds.upper - bounds.lower
-
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Count = Annotated[int, Field(ge=1)]
-
-
-class PlayKernelSettings(Settings):
-    """How a play-kernel model is built and identified; see `PlayKernelWeights` and `fit_play_kernel`.
-
-    Commands are counted in units of the trained command range, angles in units of the trained angle range.
-
-    Attributes:
-        preset: name in reports.
-        plays: number n of plays with a positive radius.
-        reach: greatest radius; the radii of a forward model are spread evenly up to it.
-        inverse_reach, inverse_finest: greatest and least radius of an inverse map, spread evenly in their logarithm: a
-            reversal of the angle asks for a jump across the whole loop, which only plays of small radius can follow.
-        segments: number K of linear pieces of each function.
-        lags_s: time constants of the lag in front that are compared, 0 for none [s].
-        smoothness: penalties on the differences of neighbouring slopes that are compared.
-        offset_penalty: on the square of the trial offsets; an offset b of a trial is known up to the factor
-            1 / (1 + penalty). Angle sensors are zeroed anew for each trial, and a model that bends to follow the
-            offsets of its training trials does worse on the next one. Large values turn offsets off.
-        least_slope: added to every slope, so that the angle strictly rises.
-        folds: greatest number of groups of trials in the comparison, each left out once.
-    """
-
-    preset: str = "best"
-    plays: Count = 12
-    reach: Annotated[float, Field(gt=0, le=1)] = 0.45
-    inverse_reach: Annotated[float, Field(gt=0, le=1)] = 0.45
-    inverse_finest: Annotated[float, Field(gt=0, le=1)] = 3e-4
-    segments: Count = 14
-    lags_s: tuple[NotNegative, ...] = Field(default=(0.0, 0.02, 0.04, 0.06), min_length=1)
-    smoothness: tuple[NotNegative, ...] = Field(default=(3e-7, 3e-6, 3e-5), min_length=1)
-    offset_penalty: NotNegative = 0.03
-    least_slope: Positive = 1e-6
-    folds: Annotated[int, Field(ge=2)] = 6
-
-
-PLAY_KERNEL_PRESETS: Mapping[str, PlayKernelSettings] = {
-    "best": PlayKernelSettings(),
-    "rate_independent": PlayKernelSettings(preset="rate_independent", lags_s=(0.0,)),
-}
-
-
-_JITTER = 1e-10
-_SOON = 500_000  # samples: a fit of fewer takes seconds and is not announced
-
-
-@dataclass(frozen=True)
-class Choice:
-    """One combination that is compared: time constant of the lag [s] and penalty on differences of slopes."""
-
-    lag_s: float
-    smoothness: float
-
-
-@dataclass(frozen=True, eq=False)
-class PlayKernelFit:
-    """An identified play-kernel model.
-
-    Attributes:
-        weights: the model.
-        choice: lag and smoothness that did best on trials left out.
-        judged: mean offset-free error on trials left out [unit of the output] of every choice compared; empty where
-            there was nothing to compare.
-        rmse: mean over the training trials of the error, their own offsets taken out [unit of the output].
-        interrupted: stopped by the user; the best choice so far.
-    """
-
-    weights: PlayKernelWeights
-    choice: Choice
-    judged: dict[Choice, float]
-    rmse: float
-    interrupted: bool
-
-
-def fit_play_kernel(
-    trials: Sequence[Trial],
-    settings: PlayKernelSettings | None = None,
-    skip_first_flexure: bool = False,
-    progress: FitProgress | None = None,
-) -> PlayKernelFit:
-    """Identify a play-kernel model; every trial has equal weight and an offset of its own.
-
-        min  mean_trials mean_t (theta - model(u) - b_trial)^2 + p sum b_trial^2 + q sum (s - s_neighbour)^2,  s >= 0
-
-    Neighbours are the next segment of the same play and the same segment of the next play. Lag and q are those whose
-    models do best, offset-free, on trials left out; whole groups of trials, never parts of one.
-
-    Args:
-        trials: uniformly sampled at one rate, in one unit; swapped ones give an inverse map, which has stops too.
-        settings: see `PlayKernelSettings`.
-        skip_first_flexure: leave out each trial up to the first reversal of its command.
-        progress: called with the fits so far and the least error on trials left out; KeyboardInterrupt keeps the best.
-
-    Raises:
-        FitError: on unusable trials, an angle that falls with the command, or a least-squares problem not solved.
-    """
-    settings = settings or PlayKernelSettings()
-    frame = _frame(trials, settings)
-    _line(trials)
-    starts = [first_flexure_end(trial) if skip_first_flexure else 0 for trial in trials]
-    choices = [Choice(*pair) for pair in itertools.product(settings.lags_s, settings.smoothness)]
-    judged: dict[Choice, float] = {}
-    interrupted, chosen = False, choices[len(choices) // 2]
-    if len(trials) > 1 and len(choices) > 1:
-        try:
-            for lag_s in settings.lags_s:
-                courses = [Course(*pair, frame, lag_s) for pair in zip(trials, starts, strict=True)]
-                for choice, error in _left_out(courses, lag_s, frame, settings):
-                    judged[choice] = error * span(frame.angle)
-                    if progress:
-                        progress(len(judged), min(judged.values()))
-        except KeyboardInterrupt:
-            interrupted = True
-        chosen = min(judged, key=lambda c: judged[c], default=chosen)
-    courses = [Course(*pair, frame, chosen.lag_s) for pair in zip(trials, starts, strict=True)]
-    slopes, bias = _solve([course.moments for course in courses], chosen, frame, settings)
-    rmse = float(np.mean([course.scatter(slopes[:, None])[0] for course in courses])) * span(frame.angle)
-    if progress:
-        progress(len(judged) + 1, min(judged.values(), default=rmse))
-    return PlayKernelFit(_weights(slopes, bias, trials, chosen, frame), chosen, judged, rmse, interrupted)
-
-
-def play_kernel_seconds(trials: Sequence[Trial], settings: PlayKernelSettings) -> float | None:
-    """Time of a fit [s], measured on one block; None where it is soon done.
-
-    Raises:
-        FitError: on unusable trials.
-    """
-    frame, samples = _frame(trials, settings), sum(len(trial) for trial in trials)
-    if samples < _SOON:
-        return None
-    head = trials[0].select(0, BLOCK)
-    _ = Course(head, 0, frame, 0.0).moments  # what has to be compiled is compiled now
-    start = time.perf_counter()
-    course = Course(head, 0, frame, max(settings.lags_s))
-    course.scatter(np.zeros((course.moments.mean.size, len(settings.smoothness))))
-    return (time.perf_counter() - start) / len(head) * samples * (len(settings.lags_s) + 1)
 
 
 def _frame(trials: Sequence[Trial], settings: PlayKernelSettings) -> Frame:
@@ -377,48 +428,3 @@ def _line(trials: Sequence[Trial]) -> float:
             "expected it to rise; turn the sign of one channel"
         )
     return slope
-
-
-_SETTLED_LAGS = 20.0  # time constants after which nothing is left of a step
-
-
-def play_kernel_bundle(
-    fit: PlayKernelFit, trials: Sequence[Trial], settings: PlayKernelSettings, limits: DeviceLimits
-) -> ExportBundle:
-    """Graph, facts, reference and probe of a play-kernel model, ready for `export_onnx`.
-
-    A fresh device has rested at the command at which the trials begin, so that no play is in contact; a conditioned
-    one has been flexed to the top of the trained commands and back. The first command is held until the lag has
-    settled.
-
-    Raises:
-        FitError: on unusable trials.
-    """
-    weights = fit.weights
-    step = PlayKernelStep(weights)
-    warmup = max(1, math.ceil(_SETTLED_LAGS * fit.choice.lag_s / check_trial_set(trials)))
-    fresh = np.full(weights.state_size, float(np.mean([trial.command[0] for trial in trials])))
-    metadata = facts_of(
-        "play_kernel",
-        trials,
-        limits,
-        (fixed_rule(fresh), fixed_rule(_flexed(step, fresh, trials, warmup))),
-        warmup,
-        {
-            "preset": settings.preset,
-            "settings": settings.model_dump_json(),
-            "lag_s": fit.choice.lag_s,
-            "smoothness": fit.choice.smoothness,
-            "training_rmse": fit.rmse,
-            "interrupted": fit.interrupted,
-        },
-    )
-    return ExportBundle(play_kernel_graph(weights), metadata, step, probe_commands(metadata))
-
-
-def _flexed(step: PlayKernelStep, state: Vec, trials: Sequence[Trial], warmup: int) -> Vec:
-    """State (S,) after the initialisation flexure of S2 (RA-L 2024)."""
-    at = state[None]
-    for u in initialisation_flexure(command_range(trials), check_trial_set(trials), warmup):
-        _, at = step.advance(at, np.array([[u]]))
-    return at[0]
