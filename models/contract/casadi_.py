@@ -270,14 +270,8 @@ ELEMENTWISE: Mapping[str, Callable[..., Expression]] = {
     "Tanh": ca.tanh,
     "Where": ca.if_else,
 }
-
-
 Places = NDArray[np.int64]
-
-
 Attributes = Mapping[str, Any]
-
-
 Rule = Callable[[Sequence[Places], Sequence[Places | None], Attributes], Sequence[Places]]
 
 

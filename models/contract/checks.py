@@ -11,17 +11,11 @@ from google.protobuf.message import DecodeError  # type: ignore[import-untyped] 
 from hystmpc.trials.errors import ModelError
 
 OPSET = 18
-
-
 IR_VERSION = 8  # the oldest that has opset 18; onnxruntime 1.20 reads up to 10
-
-
 _TYPES: dict[int, np.dtype[np.generic]] = {
     onnx.TensorProto.FLOAT: np.dtype(np.float32),
     onnx.TensorProto.DOUBLE: np.dtype(np.float64),
 }
-
-
 _MAGIC = {b"\x80": "a pickle, which is never loaded", b"PK": "a zip archive, which is never unpacked"}
 
 
@@ -109,11 +103,7 @@ def _check_weights(graph: onnx.GraphProto, where: str) -> None:
 
 
 _ARITHMETIC = ("Add", "Sub", "Mul", "Div", "Neg", "Reciprocal", "Abs", "Sign", "Floor", "Ceil", "Cast", "Identity")
-
-
 _FUNCTIONS = ("Sqrt", "Exp", "Log", "Pow", "Sin", "Cos", "Tanh", "Sigmoid", "Softplus", "Erf", "Relu")
-
-
 _BRANCHES = (
     "Max",
     "Min",
@@ -128,17 +118,9 @@ _BRANCHES = (
     "Or",
     "Not",
 )
-
-
 _REARRANGING = ("Concat", "Expand", "Gather", "Reshape", "Slice", "Split", "Squeeze", "Transpose", "Unsqueeze")
-
-
 _SUMMING = ("Gemm", "MatMul", "ReduceSum")
-
-
 _SOURCES = ("Constant", "Shape")
-
-
 ALLOWED = frozenset((*_ARITHMETIC, *_FUNCTIONS, *_BRANCHES, *_REARRANGING, *_SUMMING, *_SOURCES))
 
 

@@ -114,11 +114,7 @@ _ERRORS = (
     state_.NotImplemented,
     state_.RuntimeException,
 )
-
-
 _SILENT = 3  # errors only
-
-
 _WARM_UP = (1, 2, 1)  # batch sizes; the second differs so that a frozen batch axis shows
 
 

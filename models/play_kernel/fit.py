@@ -31,11 +31,7 @@ from .predictor import follow_plays
 from .weights import PlayKernelStep, PlayKernelWeights, play_kernel_graph, ramps
 
 Positive = Annotated[float, Field(gt=0)]
-
-
 NotNegative = Annotated[float, Field(ge=0)]
-
-
 Count = Annotated[int, Field(ge=1)]
 
 
@@ -77,11 +73,7 @@ PLAY_KERNEL_PRESETS: Mapping[str, PlayKernelSettings] = {
     "best": PlayKernelSettings(),
     "rate_independent": PlayKernelSettings(preset="rate_independent", lags_s=(0.0,)),
 }
-
-
 _JITTER = 1e-10
-
-
 _SOON = 500_000  # samples: a fit of fewer takes seconds and is not announced
 
 

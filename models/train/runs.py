@@ -23,8 +23,6 @@ from ..operators.operator import Operator
 from .settings import NetworkSettings, RestSettings, ScalingSettings, WindowTraining
 
 Float32 = NDArray[np.float32]
-
-
 Rng = np.random.Generator
 
 
