@@ -12,16 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.operators.asymmetry import Asymmetry
-from hystmpc.models.operators.contact import Contact
-from hystmpc.models.operators.creep import Creep
-from hystmpc.models.operators.drift import Drift
-from hystmpc.models.operators.first_flexure import FirstFlexure
-from hystmpc.models.operators.lag import Lag
-from hystmpc.models.operators.nonlinear_gain import NonlinearGain
+from hystmpc.models.operators.dynamics import Lag
+from hystmpc.models.operators.friction import Asymmetry, RateDependence
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from hystmpc.models.operators.rate_dependence import RateDependence
-from hystmpc.models.operators.slack import Slack
+from hystmpc.models.operators.slow_changes import Creep, Drift, FirstFlexure
+from hystmpc.models.operators.static_curves import Contact, NonlinearGain, Slack
 from hystmpc.models.staged.chain_run import StagedChain
 
 DT_S = 0.04

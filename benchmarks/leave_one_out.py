@@ -23,16 +23,14 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from hystmpc.models.contract.bundle import ExportBundle
-from hystmpc.models.contract.export import export_onnx
+from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import Errors, RunnableModel, evaluate
-from hystmpc.models.fit.network_bundle import network_bundle
-from hystmpc.models.fit.network_presets import NETWORK_PRESETS
-from hystmpc.models.fit.network_settings import NetworkSettings
-from hystmpc.models.fit.networks import fit_network
 from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.kinds.networks import NETWORK_PRESETS
+from hystmpc.models.train.networks import fit_network, network_bundle
+from hystmpc.models.train.settings import NetworkSettings
 from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.resample import resample
 from hystmpc.trials.trial import Trial

@@ -15,14 +15,13 @@ import numpy as np
 from rich.progress import Progress
 
 from hystmpc.models.contract.export import export_onnx
-from hystmpc.models.contract.metadata import Range
-from hystmpc.models.fit.identify import DeviceLimits, identify
-from hystmpc.models.fit.network_bundle import network_bundle
-from hystmpc.models.fit.network_presets import NETWORK_PRESETS
-from hystmpc.models.fit.network_settings import NetworkSettings, StreamTraining
-from hystmpc.models.fit.networks import fit_network
+from hystmpc.models.contract.metadata import DeviceLimits, Range
+from hystmpc.models.fit.identify import identify
+from hystmpc.models.kinds.networks import NETWORK_PRESETS
 from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
+from hystmpc.models.train.networks import fit_network, network_bundle
+from hystmpc.models.train.settings import NetworkSettings, StreamTraining
 from hystmpc.sim.plant import Effects, SimulatedPlant
 from hystmpc.trajectories import Trajectory, sample
 from hystmpc.trajectories.excitation import s2_point_to_point, s2_sinusoid

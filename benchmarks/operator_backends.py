@@ -1,7 +1,8 @@
 """Two ways to write an operator's equation once, measured on the play operator.
 
 A: the equation takes the module of its array operations as an argument (`play(u, z, r, np)`).
-B: the equation is a CasADi expression, its instruction list is translated (`models/symbolic`); this is what we use.
+B: the equation is a CasADi expression, its instruction list is translated
+   (`models/kernels/program.py`); this is what we use.
 
 Run: python benchmarks/operator_backends.py
 """
@@ -18,8 +19,8 @@ from rich.table import Table
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.kernels.chain_kernels import compile_step
-from hystmpc.models.operators.play import Play
-from hystmpc.models.symbolic.source import NUMPY, array_program
+from hystmpc.models.kernels.program import NUMPY, array_program
+from hystmpc.models.operators.hysteresis import Play
 
 SAMPLES, BATCH = 1000, 256
 

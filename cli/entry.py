@@ -1,4 +1,4 @@
-"""Where the program starts: Ctrl-C is quiet also while the verbs are being imported, and kernels are of this source."""
+"""Where the program starts: Ctrl-C is quiet also while the verbs are being imported."""
 
 from __future__ import annotations
 
@@ -10,9 +10,6 @@ _INTERRUPTED = 130
 def main() -> None:
     """Import the verbs and run the program."""
     try:
-        from hystmpc.models.kernels.stale import drop_stale_kernels
-
-        drop_stale_kernels()
         from .main import main as program
     except KeyboardInterrupt:
         sys.exit(_INTERRUPTED)

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hystmpc.models.chain_model import ChainModel
-from hystmpc.models.contract.load import OnnxModel
-from hystmpc.models.inverse.shadow import shadow_simulator
-from hystmpc.models.load import AnyModel, load_model
-from hystmpc.models.model import Inverse, Predictor
-from hystmpc.models.operators.delay import Delay
+from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
+from hystmpc.models.load import load_model
+from hystmpc.models.model import Inverse, InvertiblePredictor, LoadedModel, Predictor
+from hystmpc.models.operators.dynamics import Delay
 from hystmpc.models.prediction.actuated import ActuatedInverse, ActuatedPredictor
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
-from hystmpc.models.prediction.invertible import InvertiblePredictor
-from hystmpc.models.simulator import Simulator
+from hystmpc.models.simulator import ChainModel, Simulator
 
 Pair = tuple[Predictor, Inverse]
 
@@ -34,7 +31,7 @@ class Known:
     feedforward: Pair
 
 
-def known_model(model: AnyModel, inverse: Path | None, lag_s: float) -> Known:
+def known_model(model: LoadedModel, inverse: Path | None, lag_s: float) -> Known:
     """Predictors and inverses of a model.
 
     Args:
@@ -52,18 +49,18 @@ def known_model(model: AnyModel, inverse: Path | None, lag_s: float) -> Known:
     return Known(_actuated(predictive, lag_s), _actuated(alone, lag_s))
 
 
-def _given_inverse(file: Path, dt_s: float) -> Simulator | AnyModel:
+def _given_inverse(file: Path, dt_s: float) -> Simulator | LoadedModel:
     """A simulator to invert, or an inverse map."""
     given = load_model(file)
-    if isinstance(given, OnnxModel):
+    if not isinstance(given, ChainModel):
         return given
     simulator = _at_sample_time(given.simulator, dt_s)
     return ChainModel(simulator) if given.metadata.inverted else simulator
 
 
-def _companion(model: AnyModel) -> Simulator | None:
+def _companion(model: LoadedModel) -> Simulator | None:
     """A backlash that stands in where the model has no inverse of its own."""
-    return None if isinstance(predictor_for(model), InvertiblePredictor) else shadow_simulator(model)
+    return None if isinstance(predictor_for(model), InvertiblePredictor) else surrogate_backlash(model)
 
 
 def _at_sample_time(simulator: Simulator, dt_s: float) -> Simulator:

@@ -26,7 +26,8 @@ from threadpoolctl import threadpool_limits
 
 from hystmpc.ctrl import CommandLimits, TipController
 from hystmpc.models.library import library_file, model_path
-from hystmpc.models.load import AnyModel, load_model
+from hystmpc.models.load import load_model
+from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import load_simulator
 from hystmpc.sim.plant import SimulatedPlant
 
@@ -98,7 +99,7 @@ def run(model_text: str, horizon: int, steps: int) -> list[Comparison]:
     return compared
 
 
-def at_rest(model: AnyModel, step: ca.Function, y: float, u: float) -> Vec:
+def at_rest(model: LoadedModel, step: ca.Function, y: float, u: float) -> Vec:
     """The model's state after resting at angle `y` [deg] and command `u`, as the controller's estimator starts."""
     state = model.initial(np.array([[y]]))[0, :-1]  # the last entry of a model's x is the angle
     for _ in range(model.metadata.warmup_samples + 1):

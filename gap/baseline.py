@@ -11,7 +11,7 @@ import numpy as np
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.operators.backlash import Backlash
+from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.types import Vec
 

@@ -4,20 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from hystmpc.models.operators.asymmetry import Asymmetry
-from hystmpc.models.operators.contact import Contact
-from hystmpc.models.operators.creep import Creep
-from hystmpc.models.operators.delay import Delay
-from hystmpc.models.operators.directional_gain import DirectionalGain
-from hystmpc.models.operators.drift import Drift
-from hystmpc.models.operators.first_flexure import FirstFlexure
-from hystmpc.models.operators.lag import Lag
-from hystmpc.models.operators.nonlinear_gain import NonlinearGain
-from hystmpc.models.operators.rate_dependence import RateDependence
-from hystmpc.models.operators.rate_limit import RateLimit
-from hystmpc.models.operators.servo import Servo
-from hystmpc.models.operators.slack import Slack
-from hystmpc.models.operators.stick_slip import StickSlip
+from hystmpc.models.operators.dynamics import Delay, Lag, RateLimit, Servo
+from hystmpc.models.operators.friction import Asymmetry, DirectionalGain, RateDependence, StickSlip
+from hystmpc.models.operators.slow_changes import Creep, Drift, FirstFlexure
+from hystmpc.models.operators.static_curves import Contact, NonlinearGain, Slack
 
 from .candidate import CORE, Candidate, Freedom, Scale, Side
 

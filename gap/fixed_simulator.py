@@ -16,8 +16,8 @@ from hystmpc.models.effects.place import PlacedEffect, effect_spec
 from hystmpc.models.fit.identify import HOLDS_SHARE
 from hystmpc.models.fit.trial_set import fingerprint
 from hystmpc.models.operators.catalogue import operator_spec
+from hystmpc.models.operators.measurement import PeriodicDisturbance
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.operators.periodic_disturbance import PeriodicDisturbance
 from hystmpc.models.simulator import Identification, Residual, Simulator
 from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.config import dump_yaml

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.operators.drift import Drift
-from hystmpc.models.operators.first_flexure import FirstFlexure
+from hystmpc.models.operators.slow_changes import Drift, FirstFlexure
 from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.types import Vec
 

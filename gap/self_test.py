@@ -10,22 +10,13 @@ import numpy as np
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.fit.identify import identify
-from hystmpc.models.operators.asymmetry import Asymmetry
-from hystmpc.models.operators.contact import Contact
-from hystmpc.models.operators.creep import Creep
-from hystmpc.models.operators.delay import Delay
-from hystmpc.models.operators.drift import Drift
-from hystmpc.models.operators.first_flexure import FirstFlexure
-from hystmpc.models.operators.lag import Lag
-from hystmpc.models.operators.nonlinear_gain import NonlinearGain
+from hystmpc.models.operators.dynamics import Delay, Lag
+from hystmpc.models.operators.friction import Asymmetry, RateDependence, StickSlip
+from hystmpc.models.operators.measurement import PeriodicDisturbance, Sensor
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.operators.periodic_disturbance import PeriodicDisturbance
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from hystmpc.models.operators.rate_dependence import RateDependence
-from hystmpc.models.operators.sensor import Sensor
-from hystmpc.models.operators.slack import Slack
-from hystmpc.models.operators.stick_slip import StickSlip
-from hystmpc.models.operators.trial_shift import TrialShift
+from hystmpc.models.operators.slow_changes import Creep, Drift, FirstFlexure, TrialShift
+from hystmpc.models.operators.static_curves import Contact, NonlinearGain, Slack
 from hystmpc.models.simulator import Simulator
 from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.trial import Trial

@@ -12,8 +12,8 @@ import numpy as np
 
 from hystmpc.trials.errors import ModelError
 
+from .kernels.program import dense
 from .operators.operator import Operator, Parameter
-from .symbolic.instructions import dense
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ class Errors:
     """Errors of one free run, model minus measurement.
 
     Attributes:
-        rmse_deg: root mean square error (S1 eq. (8)).
+        rmse_deg: root mean square error (S1 (RA-L 2021) eq. (8)).
         bias_deg: mean error.
         offset_free_rmse_deg: root mean square of the error less its mean.
         max_abs_error_deg: greatest absolute error (called MAE in S1 eq. (7)).

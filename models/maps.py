@@ -19,7 +19,7 @@ _FEWEST = 3  # points that fix a parabola
 class ConstantCurvature:
     """Tip of a segment that bends to an arc: X = L sin(theta) / theta, Y = L (1 - cos(theta)) / theta.
 
-    S2 finds it inaccurate for its catheter and uses `TipMap` instead. Source: S2 eq. (8).
+    S2 (RA-L 2024) finds it inaccurate for its catheter and uses `TipMap` instead. Source: S2 eq. (8).
 
     Attributes:
         length_mm: L, length of the bending segment [mm].
@@ -163,7 +163,7 @@ class LaserConversion:
 
     s = m U + n;  d = s_straight - s;  theta = 2 d L / (H^2 + d^2), where s_straight is the greatest s of the group.
     L and H stand in S1's lost Fig. 3; 54.75 mm for both agrees with its "1-3 mm corresponds to 2.09-6.26 deg".
-    Source: S1 eq. (2)-(4).
+    Source: S1 (RA-L 2021) eq. (2)-(4).
 
     Attributes:
         m_mm_per_v: [mm/V].

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Protocol
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hystmpc.trials.types import Vec
+
+from .contract.metadata import ModelMetadata, Start
 
 
 class Model(Protocol):
@@ -32,15 +34,15 @@ class Model(Protocol):
         """Sample time [s]."""
         ...
 
-    def initial(self, y: Array) -> Array:
+    def initial(self, y: Vec) -> Vec:
         """State of a device that rests at the measured angle `y` (N, 1) [deg]."""
         ...
 
-    def step(self, x: Array, u: Array) -> Array:
+    def step(self, x: Vec, u: Vec) -> Vec:
         """State one sample later under command `u` (N, 1) [mm or bar]."""
         ...
 
-    def output(self, x: Array) -> Array:
+    def output(self, x: Vec) -> Vec:
         """Tip angle (N, 1) [deg] of state `x`."""
         ...
 
@@ -51,12 +53,65 @@ class StepFunction(ABC):
     state_size: int
 
     @abstractmethod
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1)."""
 
     @abstractmethod
-    def jacobian(self, state: Array, u: float) -> Array:
+    def jacobian(self, state: Vec, u: float) -> Vec:
         """Exact active-branch derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1)."""
+
+
+class LoadedModel(ABC):
+    """What a model file holds, ready to run: the step of the ONNX contract behind the `Model` protocol.
+
+    The model's state is x = [state, theta] (N, S + 1): it carries the angle that it last produced, so that `output` is
+    a projection.
+
+    Args:
+        metadata: what the file says about the model.
+        start: rule that makes the state at the start.
+    """
+
+    def __init__(self, metadata: ModelMetadata, start: Start) -> None:
+        self.metadata, self._rule = metadata, metadata.rule(start)
+        self.state_size = metadata.state_size
+
+    @property
+    def nx(self) -> int:
+        """Entries of x: state and last angle."""
+        return self.state_size + 1
+
+    @property
+    def nu(self) -> int:
+        """Commands: one."""
+        return 1
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self.metadata.dt_s
+
+    def initial(self, y: Vec) -> Vec:
+        """State x (N, S + 1) of a device that rests at the measured angles `y` (N, 1) [deg]."""
+        y = np.asarray(y, dtype=np.float64).reshape(-1, 1)
+        return np.hstack([self._rule.state(y), y])
+
+    def step(self, x: Vec, u: Vec) -> Vec:
+        """State x (N, S + 1) one sample later under commands `u` (N, 1) [command unit]."""
+        theta, state = self.advance(np.asarray(x)[:, :-1], u)
+        return np.hstack([state, theta])
+
+    def output(self, x: Vec) -> Vec:
+        """Tip angles (N, 1) [deg]."""
+        return np.asarray(x)[:, -1:]
+
+    @abstractmethod
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
+        """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1)."""
+
+    @abstractmethod
+    def casadi_function(self) -> Any:
+        """The step as `casadi.Function`: state (S, 1), u (1, 1) -> theta (1, 1), next_state (S, 1)."""
 
 
 class Predictor(ABC):
@@ -70,32 +125,64 @@ class Predictor(ABC):
     command_range: tuple[float, float]  # the range the model was identified on
 
     @abstractmethod
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         """State (S,) of a device that shows angle `y` [deg] and has been held at command `u`."""
 
     @abstractmethod
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         """Angle [deg] and state one sample later; the given state is left as it is."""
 
     @abstractmethod
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         """Angles (N, H) [deg] of the plans (N, H) from `state`."""
 
     @abstractmethod
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         """Angles (H,) along `plan` (H,) and their exact active-branch Jacobian (H, H), lower triangular.
 
         Entry [i, j] is d theta_i / d u_j [deg per command unit].
         """
 
 
+class ModelPredictor(Predictor):
+    """Predictions of one model file; the state is the model's own.
+
+    Args:
+        metadata: what the file says about the model.
+        start: rule that makes the initial state.
+    """
+
+    def __init__(self, metadata: ModelMetadata, start: Start = "conditioned") -> None:
+        self.dt = metadata.dt_s
+        self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
+        self._rule, self._warmup = metadata.rule(start), metadata.warmup_samples
+
+    def initial(self, y: float, u: float) -> Vec:
+        state = self._rule.state(np.array([[y]]))[0]
+        for _ in range(self._warmup):
+            _, state = self.advance(state, u)
+        return state
+
+
+class InvertiblePredictor(ModelPredictor):
+    """A predictor of a model whose angle does not fall with the command, with a fast search for the command."""
+
+    @abstractmethod
+    def command_for(self, state: Vec, theta: float, low: float, high: float, last: float) -> float:
+        """Command in [low, high] after which the angle is `theta` [deg], exact to 1e-11; see `CompiledInverse`."""
+
+
 class Inverse(ABC):
     """The inverse of a model from its present memory: angle in, command out."""
 
     @abstractmethod
-    def command(self, state: Array, theta: float, u_last: float) -> float:
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
         """Command [mm or bar] that brings the predictor state `state` to angle `theta` [deg].
 
         Where a whole interval of commands does (the dead band of a play), the one nearest to `u_last`; where none
         does, the one that comes closest.
         """
+
+
+FitProgress = Callable[[int, float], None]
+"""What an identification calls as it goes on: steps done, and the least error so far in the unit of the output."""

@@ -1,20 +1,26 @@
-"""The simulator file: a chain of operators in readable YAML, with limits, trained range and unexplained remainder."""
+"""The simulator: a chain of operators in readable YAML, with limits, trained range and residuals; and its model."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, final
 
+import casadi as ca
 import numpy as np
 from pydantic import Field
 
 from hystmpc.trials.config import Settings, dump_yaml, read_yaml
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.types import Vec
 
 from .chain import Chain
-from .contract.metadata import ModelMetadata, Range, Rate, SampleTime
+from .contract.metadata import ModelMetadata, Range, Rate, SampleTime, Start
+from .kernels.chain_kernels import compile_step
+from .kernels.program import dense
+from .model import LoadedModel, StepFunction
 from .operators.catalogue import operator_from, operator_spec
 
 FORMAT = "hystmpc-simulator/1"
@@ -175,3 +181,45 @@ def _side(specs: Any, where: str) -> tuple[Any, ...]:
     if specs is not None and not isinstance(specs, list):
         raise ModelError(f"{where}: got {type(specs).__name__}, expected a list of operators")
     return tuple(operator_from(spec, f"{where}[{k}]") for k, spec in enumerate(specs or []))
+
+
+@final
+class ChainModel(LoadedModel, StepFunction):
+    """A simulator as a model, run by its compiled step; the reference of its own export."""
+
+    def __init__(self, simulator: Simulator, start: Start = "initial") -> None:
+        super().__init__(simulator.metadata(), start)
+        self.simulator = simulator
+        self._kernels = compile_step(simulator.chain.transition)
+        self._p, self._dt = simulator.chain.values, np.array([simulator.dt_s])
+        self._step = simulator.chain.bound(simulator.dt_s)
+
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
+        """Angles (N, 1) and next states (N, S) from states (N, S) and commands (N, 1)."""
+        following = np.array(state, dtype=np.float64, order="C")
+        u = np.ascontiguousarray(u, dtype=np.float64)
+        theta = np.empty_like(u)
+        self._kernels.simulate(following, u, self._p, self._dt, self._kernels.step_constants, theta)
+        return theta, following
+
+    def run(self, commands: Vec, y: float) -> Vec:
+        """Free run (T,) [deg] over commands (T,) from the start rule and its warm-up."""
+        full = np.concatenate([np.full(self.metadata.warmup_samples, commands[0]), commands])[None]
+        theta = np.empty_like(full)
+        state = self._rule.state(np.array([[y]]))
+        self._kernels.simulate(state, full, self._p, self._dt, self._kernels.step_constants, theta)
+        return theta[0, self.metadata.warmup_samples :]
+
+    def casadi_function(self) -> ca.Function:
+        x, u = ca.SX.sym("x", self.state_size), ca.SX.sym("u")
+        return ca.Function("model", [x, u], self._step(x, u), ["state", "u"], ["theta", "next_state"])
+
+    def jacobian(self, state: Vec, u: float) -> Vec:
+        """Derivative of (theta, next state) by (state, u), shape (1 + S, S + 1)."""
+        return np.asarray(self._derivative(state, u))
+
+    @cached_property
+    def _derivative(self) -> ca.Function:
+        x, u = ca.SX.sym("x", self.state_size), ca.SX.sym("u")
+        theta, following = self._step(x, u)
+        return dense("jacobian", [x, u], [ca.jacobian(ca.vertcat(theta, following), ca.vertcat(x, u))])

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.operators.sensor import Sensor
+from hystmpc.models.operators.measurement import Sensor
 from hystmpc.trials.errors import ConfigError
 
 from .sensors import SensorChain

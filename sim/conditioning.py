@@ -9,11 +9,10 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.kernels.chain_kernels import compile_step
-from hystmpc.models.lstm.initial import initialisation_flexure
-from hystmpc.models.operators.creep import Creep
-from hystmpc.models.operators.delay import Delay
-from hystmpc.models.operators.lag import Lag
+from hystmpc.models.motions import initialisation_flexure
+from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.types import Vec
 

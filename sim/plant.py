@@ -11,10 +11,9 @@ import numpy as np
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.effects.place import PlacedEffect, effect_from, with_effect
-from hystmpc.models.operators.delay import Delay
-from hystmpc.models.operators.lag import Lag
+from hystmpc.models.operators.dynamics import Delay, Lag
+from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.operators.sensor import Sensor
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import ConfigError, ModelError, did_you_mean

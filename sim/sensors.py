@@ -9,7 +9,7 @@ import numpy as np
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.kernels.chain_kernels import compile_step
-from hystmpc.models.operators.sensor import Sensor
+from hystmpc.models.operators.measurement import Sensor
 from hystmpc.trials.types import Vec
 
 _STEP = np.array([1.0])  # sensors have no time in them

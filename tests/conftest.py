@@ -10,8 +10,6 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, is_hypothesis_test, settings
 
-from hystmpc.models.kernels.stale import drop_stale_kernels
-
 ROOT = Path(__file__).resolve().parent.parent
 FAST_EXAMPLES = 12
 
@@ -23,9 +21,7 @@ settings.load_profile("ci")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Take fewer examples where the slow tests are left out; test the kernels that are there, not compiled old ones."""
-    if not hasattr(config, "workerinput"):  # once, before the workers of pytest-xdist start
-        drop_stale_kernels()
+    """Take fewer examples where the slow tests are left out."""
     if config.getoption("markexpr", "") == "not slow":
         settings.load_profile("fast")
 

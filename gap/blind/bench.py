@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from hystmpc.models.contract.metadata import Range
-from hystmpc.models.fit.identify import DeviceLimits, simulator_of
+from hystmpc.models.contract.metadata import DeviceLimits, Range
+from hystmpc.models.fit.identify import simulator_of
 from hystmpc.models.fit.operators import OperatorFitSettings, fit_chain
 from hystmpc.models.fit.starts import backlash_starts, prandtl_ishlinskii_starts
 from hystmpc.models.simulator import Simulator

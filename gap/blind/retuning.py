@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.fit.operators import FreeRunResiduals, OperatorFitSettings
-from hystmpc.models.simulator import Simulator
+from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 

@@ -1,9 +1,10 @@
-"""A step graph as a CasADi function with exact derivatives, for a user's own optimal control problem."""
+"""A step graph as a CasADi function with exact derivatives, of the active branch where there are several."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -14,9 +15,10 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
 
-from .elementwise_ import ELEMENTWISE, Expression, cast
-from .operators import check_operators, node_name
-from .structure import REARRANGE
+from .checks import check_operators, node_name
+
+Expression = Any  # casadi.MX or casadi.DM, which have no types
+
 
 # Scalar expressions differentiate and evaluate faster than matrix ones while there are few of them: a graph whose
 # matrix products take no more multiplications than this (any chain of operators) is expanded.
@@ -195,3 +197,167 @@ def _products(graph: onnx.GraphProto) -> int:
     """Multiplications of the matrix products, as far as their weights are constant."""
     used = {key for node in graph.node if node.op_type in ("MatMul", "Gemm") for key in node.input}
     return sum(int(np.prod(weight.dims)) for weight in graph.initializer if weight.name in used)
+
+
+def _maximum(a: Expression, b: Expression) -> Expression:
+    # CasADi's fmax averages the derivatives at a tie; a play in contact rests exactly on one. The first operand counts.
+    return ca.if_else(a >= b, a, b)
+
+
+def _minimum(a: Expression, b: Expression) -> Expression:
+    return ca.if_else(a <= b, a, b)
+
+
+def _clip(x: Expression, lower: Expression = None, upper: Expression = None) -> Expression:
+    x = x if lower is None else _maximum(x, lower)
+    return x if upper is None else _minimum(x, upper)
+
+
+def _sigmoid(x: Expression) -> Expression:
+    # 1 / (1 + exp(-x)) has the derivative inf / inf far to the left.
+    return 0.5 + 0.5 * ca.tanh(0.5 * x)
+
+
+def _softplus(x: Expression) -> Expression:
+    # log(1 + exp(x)) overflows; here fmax's average at the tie is exactly the derivative 1/2.
+    return ca.fmax(x, 0) + ca.log1p(ca.exp(-ca.fabs(x)))
+
+
+def _toward_zero(x: Expression) -> Expression:
+    return ca.if_else(x >= 0, ca.floor(x), ca.ceil(x))
+
+
+def cast(x: Expression, to: int) -> Expression:
+    """Convert to ONNX element type `to`; numbers stay double, truth values are 0 and 1."""
+    if to == onnx.TensorProto.BOOL:
+        return x != 0
+    return x if to in (onnx.TensorProto.FLOAT, onnx.TensorProto.DOUBLE) else _toward_zero(x)
+
+
+ELEMENTWISE: Mapping[str, Callable[..., Expression]] = {
+    "Abs": ca.fabs,
+    "Add": lambda a, b: a + b,
+    "And": ca.logic_and,
+    "Ceil": ca.ceil,
+    "Clip": _clip,
+    "Cos": ca.cos,
+    "Div": lambda a, b: a / b,
+    "Equal": lambda a, b: a == b,
+    "Erf": ca.erf,
+    "Exp": ca.exp,
+    "Floor": ca.floor,
+    "Greater": lambda a, b: a > b,
+    "GreaterOrEqual": lambda a, b: a >= b,
+    "Identity": lambda a: a,
+    "Less": lambda a, b: a < b,
+    "LessOrEqual": lambda a, b: a <= b,
+    "Log": ca.log,
+    "Max": lambda *a: reduce(_maximum, a),
+    "Min": lambda *a: reduce(_minimum, a),
+    "Mul": lambda a, b: a * b,
+    "Neg": lambda a: -a,
+    "Not": ca.logic_not,
+    "Or": ca.logic_or,
+    "Pow": lambda a, b: a**b,
+    "Reciprocal": lambda a: 1 / a,
+    "Relu": lambda a: ca.if_else(a > 0, a, 0),
+    "Sigmoid": _sigmoid,
+    "Sign": ca.sign,
+    "Sin": ca.sin,
+    "Softplus": _softplus,
+    "Sqrt": ca.sqrt,
+    "Sub": lambda a, b: a - b,
+    "Tanh": ca.tanh,
+    "Where": ca.if_else,
+}
+Places = NDArray[np.int64]
+Attributes = Mapping[str, Any]
+Rule = Callable[[Sequence[Places], Sequence[Places | None], Attributes], Sequence[Places]]
+
+
+# A rule takes the entry numbers of the tensors that it rearranges (all inputs of Concat, the first of the others), the
+# values of its remaining inputs (axes, sizes, starts; None where left out) and the attributes.
+
+
+def _concat(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
+    del options
+    return [np.concatenate(data, axis=given["axis"])]
+
+
+def _split(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
+    axis = given.get("axis", 0)
+    sizes = _option(options, 0)
+    if sizes is not None:
+        return np.split(data[0], np.cumsum(sizes)[:-1], axis)
+    size = data[0].shape[axis]
+    chunk = -(-size // given["num_outputs"])  # ONNX rounds up and lets the last part be smaller
+    return np.split(data[0], range(chunk, size, chunk), axis)
+
+
+def _slice(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
+    del given
+    starts, ends, axes, steps = _needed(options, 0), _needed(options, 1), _option(options, 2), _option(options, 3)
+    axes = np.arange(starts.size) if axes is None else axes
+    steps = np.ones_like(starts) if steps is None else steps
+    cuts = [slice(None)] * data[0].ndim
+    for start, end, axis, step in np.stack([starts, ends, axes, steps], axis=1).tolist():
+        # Counting down to the first entry, ONNX writes an end that Python would count from the back.
+        past_front = step < 0 and end < -data[0].shape[axis]
+        cuts[axis] = slice(start, None if past_front else end, step)
+    return [data[0][tuple(cuts)]]
+
+
+def _gather(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
+    return [np.take(data[0], _needed(options), axis=given.get("axis", 0))]
+
+
+def _reshape(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
+    copy_zeros = not given.get("allowzero", 0)
+    shape = [data[0].shape[k] if n == 0 and copy_zeros else n for k, n in enumerate(_needed(options).tolist())]
+    return [data[0].reshape(shape)]
+
+
+def _squeeze(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
+    del given
+    axes = _option(options, 0)
+    return [np.squeeze(data[0], None if axes is None else tuple(axes.tolist()))]
+
+
+def _unsqueeze(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
+    del given
+    return [np.expand_dims(data[0], tuple(_needed(options).tolist()))]
+
+
+def _transpose(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
+    del options
+    return [np.transpose(data[0], given.get("perm"))]
+
+
+def _expand(data: Sequence[Places], options: Sequence[Places | None], given: Attributes) -> list[Places]:
+    del given
+    shape = np.broadcast_shapes(data[0].shape, tuple(_needed(options).tolist()))
+    return [np.broadcast_to(data[0], shape)]
+
+
+def _option(options: Sequence[Places | None], place: int) -> Places | None:
+    return options[place] if place < len(options) else None
+
+
+def _needed(options: Sequence[Places | None], place: int = 0) -> Places:
+    value = _option(options, place)
+    if value is None:
+        raise ValueError(f"input {place + 1} is left out, expected whole numbers")
+    return value
+
+
+REARRANGE: Mapping[str, Rule] = {
+    "Concat": _concat,
+    "Expand": _expand,
+    "Gather": _gather,
+    "Reshape": _reshape,
+    "Slice": _slice,
+    "Split": _split,
+    "Squeeze": _squeeze,
+    "Transpose": _transpose,
+    "Unsqueeze": _unsqueeze,
+}

@@ -10,8 +10,6 @@ from google.protobuf.message import DecodeError  # type: ignore[import-untyped] 
 
 from hystmpc.trials.errors import ModelError
 
-from .operators import check_operators, node_name
-
 OPSET = 18
 IR_VERSION = 8  # the oldest that has opset 18; onnxruntime 1.20 reads up to 10
 _TYPES: dict[int, np.dtype[np.generic]] = {
@@ -102,3 +100,46 @@ def _check_weights(graph: onnx.GraphProto, where: str) -> None:
         bad = np.flatnonzero(~np.isfinite(values)) if values.dtype.kind == "f" else np.empty(0)
         if bad.size:
             raise ModelError(f"{where}: {name} is {values.flat[bad[0]]} at entry {bad[0]}, expected finite weights")
+
+
+_ARITHMETIC = ("Add", "Sub", "Mul", "Div", "Neg", "Reciprocal", "Abs", "Sign", "Floor", "Ceil", "Cast", "Identity")
+_FUNCTIONS = ("Sqrt", "Exp", "Log", "Pow", "Sin", "Cos", "Tanh", "Sigmoid", "Softplus", "Erf", "Relu")
+_BRANCHES = (
+    "Max",
+    "Min",
+    "Clip",
+    "Where",
+    "Less",
+    "LessOrEqual",
+    "Greater",
+    "GreaterOrEqual",
+    "Equal",
+    "And",
+    "Or",
+    "Not",
+)
+_REARRANGING = ("Concat", "Expand", "Gather", "Reshape", "Slice", "Split", "Squeeze", "Transpose", "Unsqueeze")
+_SUMMING = ("Gemm", "MatMul", "ReduceSum")
+_SOURCES = ("Constant", "Shape")
+ALLOWED = frozenset((*_ARITHMETIC, *_FUNCTIONS, *_BRANCHES, *_REARRANGING, *_SUMMING, *_SOURCES))
+
+
+def check_operators(graph: onnx.GraphProto, where: str) -> None:
+    """Hold every node against the list.
+
+    Raises:
+        ModelError: naming the first node that is not on it, its operator, and the list.
+    """
+    for index, node in enumerate(graph.node):
+        domain = "" if node.domain == "ai.onnx" else node.domain
+        if domain or node.op_type not in ALLOWED:
+            operator = f"{domain}.{node.op_type}" if domain else node.op_type
+            raise ModelError(
+                f"{where}: node {node_name(node, index)} uses operator {operator!r}, which is not on the list, "
+                f"available: {', '.join(sorted(ALLOWED))}"
+            )
+
+
+def node_name(node: onnx.NodeProto, index: int) -> str:
+    """How messages call a node: its name, else its place and first output."""
+    return repr(node.name) if node.name else f"{index} (output {node.output[0] if node.output else 'none'!r})"

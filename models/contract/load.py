@@ -1,42 +1,38 @@
-"""Reading a model file: everything is checked before the first step, and nothing in it is ever executed as code."""
+"""A model file in onnxruntime: everything is checked before the first step, nothing in it is executed as code."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, final
+from typing import TYPE_CHECKING, Any, final, get_args
 
 import numpy as np
 import onnx
 import onnx.numpy_helper
+import onnxruntime as ort
+import onnxruntime.capi.onnxruntime_pybind11_state as state_
 from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
-from ..model import Array
+from ..model import LoadedModel
 from .checks import check_graph, parse_model
-from .metadata import ModelMetadata
-from .onnxruntime_ import open_session
+from .metadata import ModelMetadata, Start
 
 if TYPE_CHECKING:
     import casadi as ca
 
-Start = Literal["initial", "conditioned"]
-_OUTPUTS = ["theta", "next_state"]
-
 
 @final
-class OnnxModel:
-    """A step graph behind the `Model` protocol, evaluated by onnxruntime on one thread.
-
-    The model's state is x = [state, theta] (N, S + 1): it carries the angle that it last produced, so that `output` is
-    a projection. A float32 graph is fed float32; everything that comes back is float64.
+class OnnxModel(LoadedModel):
+    """A step graph, evaluated by onnxruntime on one thread; a float32 graph is fed float32, what comes back is float64.
 
     Attributes:
-        metadata: what the file says about itself.
         graph: the ONNX graph, as `to_casadi` takes it.
         initializers: the graph's weights by name.
+        dtype: number type of the graph, float32 or float64.
         hash: SHA-256 of the file.
         source: the file's path, for messages and reports.
         start: which of the two initial rules `initial` follows.
@@ -48,69 +44,34 @@ class OnnxModel:
         Raises:
             ModelError: as `load_onnx` does, or if `start` is unknown.
         """
-        if start not in ("initial", "conditioned"):
+        if start not in get_args(Start):
             raise ModelError(f"{source}: start is {start!r}, available: conditioned, initial")
         proto = parse_model(content, source)
         # Damaged text arrives from protobuf as bytes; turned into str it is found to be neither our key nor JSON.
         properties = {str(entry.key): str(entry.value) for entry in proto.metadata_props}
-        self.metadata = ModelMetadata.from_properties(properties, source)
-        self._dtype = check_graph(proto, self.metadata.state_size, source)
+        super().__init__(ModelMetadata.from_properties(properties, source), start)
+        self.dtype = check_graph(proto, self.state_size, source)
         self.graph: onnx.GraphProto = proto.graph
         self.initializers: Mapping[str, NDArray[np.generic]] = {
             weight.name: onnx.numpy_helper.to_array(weight) for weight in proto.graph.initializer
         }
         self.hash = hashlib.sha256(content).hexdigest()
-        self.source = source
-        self.start = start
-        self._rule = self.metadata.initial if start == "initial" else self.metadata.conditioned
-        self._size = self.metadata.state_size
-        self._run = open_session(content, self._size, self._dtype, source).run
+        self.source, self.start = source, start
+        self._run = open_session(content, self.state_size, self.dtype, source).run
 
-    @property
-    def nx(self) -> int:
-        """Entries of x: state and last angle."""
-        return self._size + 1
-
-    @property
-    def nu(self) -> int:
-        """Commands: one."""
-        return 1
-
-    @property
-    def dt(self) -> float:
-        """Sample time [s]."""
-        return self.metadata.dt_s
-
-    @property
-    def dtype(self) -> np.dtype[np.generic]:
-        """Number type of the graph, float32 or float64."""
-        return self._dtype
-
-    def initial(self, y: Array) -> Array:
-        """State x (N, S + 1) of a device that rests at the measured angles `y` (N, 1) [deg]."""
-        return np.concatenate([self._rule.state(y), y], axis=1)
-
-    def step(self, x: Array, u: Array) -> Array:
-        """State x (N, S + 1) one sample later under commands `u` (N, 1) [command unit]."""
-        theta, state = self.advance(x[:, :-1], u)
-        return np.concatenate([state, theta], axis=1)
-
-    def output(self, x: Array) -> Array:
-        """Tip angles (N, 1) [deg]."""
-        return x[:, -1:]
-
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1).
 
         Raises:
             ModelError: if the shapes are not (N, S) and (N, 1).
         """
-        if state.shape != (u.shape[0], self._size) or u.shape != (u.shape[0], 1):
+        if state.shape != (u.shape[0], self.state_size) or u.shape != (u.shape[0], 1):
             raise ModelError(
-                f"{self.source}: got states {state.shape} and commands {u.shape}, expected (N, {self._size}) and (N, 1)"
+                f"{self.source}: got states {state.shape} and commands {u.shape}, "
+                f"expected (N, {self.state_size}) and (N, 1)"
             )
-        feed = {"u": u.astype(self._dtype), "state": state.astype(self._dtype)}
-        theta, following = self._run(_OUTPUTS, feed)
+        feed = {"u": u.astype(self.dtype), "state": state.astype(self.dtype)}
+        theta, following = self._run(["theta", "next_state"], feed)
         return np.array(theta, dtype=np.float64), np.array(following, dtype=np.float64)
 
     def casadi_function(self) -> ca.Function:
@@ -142,3 +103,47 @@ def load_onnx(path: Path | str, start: Start = "initial") -> OnnxModel:
     except OSError as error:
         raise ModelError(f"{path}: cannot be read ({error.strerror}), expected an ONNX file") from None
     return OnnxModel(content, str(path), start)
+
+
+_ERRORS = (
+    state_.EPFail,
+    state_.Fail,
+    state_.InvalidArgument,
+    state_.InvalidGraph,
+    state_.InvalidProtobuf,
+    state_.NotImplemented,
+    state_.RuntimeException,
+)
+_SILENT = 3  # errors only
+_WARM_UP = (1, 2, 1)  # batch sizes; the second differs so that a frozen batch axis shows
+
+
+def open_session(content: bytes, state_size: int, dtype: np.dtype[np.generic], where: str) -> ort.InferenceSession:
+    """Open a step graph and run it a few times, so that the first step in a loop is as fast as the rest.
+
+    Raises:
+        ModelError: if onnxruntime refuses the graph, or it does not keep the batch axis.
+    """
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+    options.log_severity_level = _SILENT
+    try:
+        session = ort.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        for batch in _WARM_UP:
+            _check_batch(session, batch, state_size, dtype, where)
+    except _ERRORS as error:
+        text = " ".join(str(error).split())
+        raise ModelError(f"{where}: onnxruntime refuses the graph: {text}") from None
+    return session
+
+
+def _check_batch(session: ort.InferenceSession, batch: int, state_size: int, dtype: np.dtype[Any], where: str) -> None:
+    feed = {"u": np.zeros((batch, 1), dtype), "state": np.zeros((batch, state_size), dtype)}
+    shapes = [np.asarray(result).shape for result in session.run(["theta", "next_state"], feed)]
+    if shapes != [(batch, 1), (batch, state_size)]:
+        raise ModelError(
+            f"{where}: a batch of {batch} gives theta {shapes[0]} and next_state {shapes[1]}, "
+            f"expected ({batch}, 1) and ({batch}, {state_size})"
+        )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,11 +13,12 @@ from pydantic import Field, model_validator
 
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, ModelError
-
-from ..model import Array
+from hystmpc.trials.types import Vec
 
 FORMAT = "hystmpc-model/1"
 PREFIX = "hystmpc."
+Start = Literal["initial", "conditioned"]
+"""Which rule of a model file makes the state at the start."""
 
 # Bounds that no device of this field comes near; what lies beyond is a damaged or hostile file, or another unit.
 SampleTime = Annotated[float, Field(ge=1e-5, le=100.0)]  # s: 100 kHz to one sample in 100 s
@@ -45,6 +47,19 @@ class Range(Settings):
         return np.asarray((array >= self.lower) & (array <= self.upper))
 
 
+@dataclass(frozen=True)
+class DeviceLimits:
+    """What the device may be sent; None takes what the trials show.
+
+    Attributes:
+        command: least and greatest command [mm or bar].
+        rate_per_s: greatest change of the command [mm/s or bar/s].
+    """
+
+    command: Range | None = None
+    rate_per_s: float | None = None
+
+
 class InitialRule(Settings):
     """State of a device that rests at the measured angle y [deg]: x0 = offset + slope * y, entry by entry.
 
@@ -60,7 +75,7 @@ class InitialRule(Settings):
             raise ValueError(f"offset has {len(self.offset)} entries, slope {len(self.slope)}, expected as many")
         return self
 
-    def state(self, y: Array) -> Array:
+    def state(self, y: Vec) -> Vec:
         """States (N, S) from measured angles (N, 1) [deg]."""
         return np.asarray(self.offset, dtype=np.float64) + np.asarray(self.slope, dtype=np.float64) * y
 
@@ -129,6 +144,10 @@ class ModelMetadata(Settings):
     def state_size(self) -> int:
         """Number S of state entries."""
         return len(self.initial.offset)
+
+    def rule(self, start: Start) -> InitialRule:
+        """The rule that makes the state at the start."""
+        return self.initial if start == "initial" else self.conditioned
 
     @classmethod
     def of(cls, **facts: Any) -> Self:

@@ -5,22 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from ..operators.asymmetry import Asymmetry
-from ..operators.contact import Contact
-from ..operators.creep import Creep
-from ..operators.delay import Delay
-from ..operators.directional_gain import DirectionalGain
-from ..operators.drift import Drift
-from ..operators.first_flexure import FirstFlexure
-from ..operators.lag import Lag
-from ..operators.nonlinear_gain import NonlinearGain
+from ..operators.dynamics import Delay, Lag
+from ..operators.friction import NEVER, Asymmetry, DirectionalGain, RateDependence, StickSlip
+from ..operators.measurement import PeriodicDisturbance, Sensor
 from ..operators.operator import Operator
-from ..operators.periodic_disturbance import PeriodicDisturbance
-from ..operators.rate_dependence import NEVER, RateDependence
-from ..operators.sensor import Sensor
-from ..operators.slack import Slack
-from ..operators.stick_slip import StickSlip
-from ..operators.trial_shift import TrialShift
+from ..operators.slow_changes import Creep, Drift, FirstFlexure, TrialShift
+from ..operators.static_curves import Contact, NonlinearGain, Slack
 from .effect import Effect, Free, Side
 
 BOTH: tuple[Side, ...] = ("command", "output")

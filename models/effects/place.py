@@ -11,7 +11,7 @@ from hystmpc.trials.errors import ModelError, did_you_mean
 
 from ..chain import Chain
 from ..operators.catalogue import operator_spec
-from ..operators.delay import Delay
+from ..operators.dynamics import Delay
 from ..operators.operator import Operator
 from ..operators.specification import is_number, names_of, template_from
 from .catalogue import EFFECTS

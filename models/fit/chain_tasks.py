@@ -14,11 +14,9 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
-from ..operators.backlash import Backlash
-from ..operators.bouc_wen import BoucWen
-from ..operators.drdpi import Drdpi
+from ..operators.hysteresis import Backlash, BoucWen
 from ..operators.operator import Operator
-from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
+from ..operators.prandtl_ishlinskii import Drdpi, PrandtlIshlinskii
 from .chain_fit import ChainTask
 from .starts import backlash_starts, branch, prandtl_ishlinskii_starts
 from .trial_set import check_trial_set, fastest_command

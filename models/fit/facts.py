@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
-from ..contract.metadata import InitialRule, ModelMetadata
-from ..model import Array
-from .identify import DeviceLimits
+from ..contract.metadata import DeviceLimits, InitialRule, ModelMetadata
 from .trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
 
 Fact = str | float | int | bool
@@ -56,6 +55,6 @@ def facts_of(
     )
 
 
-def fixed_rule(state: Array) -> InitialRule:
+def fixed_rule(state: Vec) -> InitialRule:
     """A start (S,) that does not depend on the measured angle."""
     return InitialRule(offset=tuple(state.tolist()), slope=(0.0,) * state.size)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,30 +12,16 @@ from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
 
 from ..chain import Chain
-from ..chain_model import ChainModel
-from ..contract.metadata import Range
+from ..contract.metadata import DeviceLimits, Range
 from ..evaluate import evaluate
-from ..operators.backlash import Backlash
-from ..simulator import Identification, Residual, Simulator
+from ..operators.hysteresis import Backlash
+from ..simulator import ChainModel, Identification, Residual, Simulator
 from .operators import OperatorFit, OperatorFitSettings, Progress, fit_chain
 from .starts import backlash_starts, prandtl_ishlinskii_starts
 from .trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
 
 OPERATOR_KINDS = ("backlash", "pi")
 HOLDS_SHARE = 0.2
-
-
-@dataclass(frozen=True)
-class DeviceLimits:
-    """What the device may be sent; None takes what the trials show.
-
-    Attributes:
-        command: least and greatest command [mm or bar].
-        rate_per_s: greatest change of the command [mm/s or bar/s].
-    """
-
-    command: Range | None = None
-    rate_per_s: float | None = None
 
 
 def identify(

@@ -12,7 +12,7 @@ from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..operators.backlash import Backlash
+from ..operators.hysteresis import Backlash
 from .chain_fit import ChainFit, ChainTask, Progress, Tracker
 from .free_run import FreeRunLoss, ScoredRun
 from .trial_set import check_trial_set

@@ -10,7 +10,7 @@ from hystmpc.trials.errors import FitError, did_you_mean
 from hystmpc.trials.trial import Trial
 
 from ..chain import Chain
-from .adam import AdamSettings, fit_by_adam
+from ..identify.adam import AdamSettings, fit_by_adam
 from .chain_fit import ChainFit, ChainTask, Progress
 from .chain_tasks import Structure, chain_task
 from .convergence import ConvergenceReport

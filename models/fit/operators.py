@@ -16,7 +16,7 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..kernels.chain_kernels import compile_step
-from ..symbolic.instructions import dense
+from ..kernels.program import dense
 from .chain_fit import nothing_found
 from .free_parameters import FreeParameters
 from .free_run import scored_runs

@@ -12,7 +12,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
-from ..operators.backlash import Backlash
+from ..operators.hysteresis import Backlash
 from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 

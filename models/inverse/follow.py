@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import lru_cache
+from importlib import resources
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ..kernels.follow_kernels import compile_follow
-from ..model import Array, Inverse, Predictor
+from hystmpc.trials.types import Vec
+
+from ..kernels.numba_ import generated_module
+from ..model import Inverse, Predictor
 from ..prediction.actuated import ActuatedInverse
 from ..prediction.compiled import CompiledPredictor
-from ..prediction.routed import RoutedPredictor
-from .companion import CompanionInverse
-from .one_step import CompiledInverse
+from ..prediction.recurrent import RoutedPredictor
+from .one_step import CompanionInverse, CompiledInverse
 
 
 class Bounds(NamedTuple):
@@ -29,7 +32,7 @@ class Follower(ABC):
     """The inverse, sample by sample from what the commands before have led to."""
 
     @abstractmethod
-    def follow(self, state: Array, wanted: Array, u_last: float, bounds: Bounds) -> Array:
+    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         """Commands (2, H) along the angles `wanted` (H,) [deg]: within the box alone, and within the rate limit too."""
 
 
@@ -40,14 +43,14 @@ class StepwiseFollower(Follower):
     def __init__(self, predictor: Predictor, inverse: Inverse) -> None:
         self._predictor, self._inverse = predictor, inverse
 
-    def follow(self, state: Array, wanted: Array, u_last: float, bounds: Bounds) -> Array:
+    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         free = self._followed(state, wanted, u_last, bounds._replace(reach=np.inf))
         moves = np.abs(np.diff(free, prepend=u_last))
         return np.stack(
             [free, free if np.max(moves) <= bounds.reach else self._followed(state, wanted, u_last, bounds)]
         )
 
-    def _followed(self, state: Array, wanted: Array, u_last: float, bounds: Bounds) -> Array:
+    def _followed(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         plan = np.empty(wanted.size)
         for k, theta in enumerate(wanted.tolist()):
             u = self._inverse.command(state, theta, u_last)
@@ -80,13 +83,15 @@ class CompiledFollower(Follower):
     ) -> None:
         route = None if network is None else network.route
         self._packed: Any = 0 if route is None else route.packed
-        self._kernel: Callable[..., Any] = compile_follow(chain.kernels, None if route is None else route.sample)
         kernels = chain.kernels
+        self._kernel = _compiled_follow(
+            kernels.command_for.__module__, None if route is None else route.sample.__module__
+        )
         self._chain = (chain.parameters, chain.sample_s, kernels.step_constants, kernels.tangent_constants)
         self._inverted = np.array([inverse.low, inverse.high])
         self._size, self._gain = size, gain
 
-    def follow(self, state: Array, wanted: Array, u_last: float, bounds: Bounds) -> Array:
+    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         plans = np.full((2, wanted.size), u_last)
         if np.isfinite(state).all():  # a clamp of the gates would turn what is no number into one
             ends = np.array(bounds), self._inverted, self._gain
@@ -104,3 +109,19 @@ def follower_for(predictor: Predictor, inverse: Inverse) -> Follower:
         if isinstance(network, RoutedPredictor) and isinstance(chain, CompiledPredictor):
             return CompiledFollower(inner.inverse, chain, network, inner.predictor.size, gain)
     return StepwiseFollower(predictor, inverse)
+
+
+_NO_NETWORK = '''@njit(cache=True)
+def sample(packed, states, rows, v, theta):
+    """No network."""
+'''
+
+
+@lru_cache(maxsize=64)
+def _compiled_follow(chain: str, network: str | None) -> Callable[..., Any]:
+    """`follow_loops.follow` for the modules of a chain's kernels and of a network's `sample`; None for no network."""
+    header = f"from {chain} import command_for, step\n"
+    header += _NO_NETWORK if network is None else f"from {network} import sample\n"
+    loops = resources.files("hystmpc.models.kernels").joinpath("follow_loops.py").read_text(encoding="utf-8")
+    follow: Callable[..., Any] = generated_module(f"{header}\n\n{loops}").follow
+    return follow

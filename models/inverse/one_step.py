@@ -1,11 +1,16 @@
-"""The exact one-step inverse of a compiled model."""
+"""Inverses of a model for one step: exact, through a simulator that runs beside it, or by a trained inverse map."""
 
 from __future__ import annotations
 
 from typing import final
 
-from ..model import Array, Inverse
-from ..prediction.invertible import InvertiblePredictor
+import numpy as np
+
+from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
+
+from ..contract.metadata import ModelMetadata
+from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
 
 
 @final
@@ -14,11 +19,134 @@ class CompiledInverse(Inverse):
 
     u = argmin |u - u_last| over { u in [low, high] : theta(x, u) = theta }, by Newton's method on the exact
     derivative inside a shrinking bracket; the end of the range where no command reaches the angle. For a backlash it
-    is S2 eq. (3), for a Prandtl-Ishlinskii model the analytic inverse with the true rate of the command.
+    is S2 (RA-L 2024) eq. (3), for a Prandtl-Ishlinskii model the analytic inverse with the true rate of the command.
     """
 
     def __init__(self, predictor: InvertiblePredictor, low: float, high: float) -> None:
         self.predictor, self.low, self.high = predictor, low, high
 
-    def command(self, state: Array, theta: float, u_last: float) -> float:
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
         return self.predictor.command_for(state, theta, self.low, self.high, u_last)
+
+
+@final
+class AccompaniedPredictor(Predictor):
+    """A model with a second one at its side that sees the same commands.
+
+    Predictions are the model's. The state is [model state, model angle, companion state, companion angle], so that
+    the companion's memory is branched and restored together with the model's.
+    """
+
+    def __init__(self, predictor: Predictor, companion: Predictor, angle: float = 0.0) -> None:
+        self.dt, self.command_range = predictor.dt, predictor.command_range
+        self.predictor, self.companion = predictor, companion
+        self.size = predictor.initial(angle, predictor.command_range[0]).size
+
+    def initial(self, y: float, u: float) -> Vec:
+        # What the two show before their first step is the measured angle for both: no difference is known yet.
+        return np.concatenate([self.predictor.initial(y, u), [y], self.companion.initial(y, u), [y]])
+
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
+        own, _, beside, _ = self.parts(state)
+        size, after = self.size, np.empty(state.size)
+        theta, after[:size] = self.predictor.advance(own, u)
+        after[-1], after[size + 1 : -1] = self.companion.advance(beside, u)
+        after[size] = theta
+        return theta, after
+
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
+        return self.predictor.rollout(self.parts(state)[0], plans)
+
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
+        return self.predictor.linearise(self.parts(state)[0], plan)
+
+    def parts(self, state: Vec) -> tuple[Vec, float, Vec, float]:
+        """Model state, model angle [deg], companion state, companion angle [deg]."""
+        return state[: self.size], float(state[self.size]), state[self.size + 1 : -1], float(state[-1])
+
+
+@final
+class CompanionInverse(Inverse):
+    """The companion's inverse, asked for the wanted angle less what the companion is off the model by now.
+
+    u = companion^-1(theta + theta_companion - theta_model)
+    """
+
+    def __init__(self, predictor: AccompaniedPredictor, inverse: Inverse) -> None:
+        self.predictor, self.inverse = predictor, inverse
+
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
+        _, own, beside, angle = self.predictor.parts(state)
+        return self.inverse.command(beside, theta + angle - own, u_last)
+
+
+@final
+class MappedPredictor(Predictor):
+    """A model with an inverse map at its side, which is shown the angles that the model's commands lead to.
+
+    Predictions are the model's. The state is [model state, map state], so that the map's memory is branched and
+    restored together with the model's. What the map has seen are the model's own angles, never measured ones, whose
+    noise would flip its branch.
+    """
+
+    def __init__(self, predictor: Predictor, inverse_map: LoadedModel) -> None:
+        self.dt, self.command_range = predictor.dt, predictor.command_range
+        self.inverse_map = inverse_map
+        self._predictor, self._size = predictor, inverse_map.metadata.state_size
+
+    def initial(self, y: float, u: float) -> Vec:
+        facts = self.inverse_map.metadata
+        beside = facts.conditioned.state(np.array([[u]]))  # its output is the command that the device holds
+        for _ in range(facts.warmup_samples):
+            _, beside = self.inverse_map.advance(beside, np.array([[y]]))
+        return np.concatenate([self._predictor.initial(y, u), beside[0]])
+
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
+        own, beside = self.parts(state)
+        theta, own = self._predictor.advance(own, u)
+        _, beside = self.inverse_map.advance(beside[None], np.array([[theta]]))
+        return theta, np.concatenate([own, beside[0]])
+
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
+        return self._predictor.rollout(self.parts(state)[0], plans)
+
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
+        return self._predictor.linearise(self.parts(state)[0], plan)
+
+    def parts(self, state: Vec) -> tuple[Vec, Vec]:
+        """Model state and map state."""
+        cut = state.size - self._size
+        return state[:cut], state[cut:]
+
+
+@final
+class TrainedInverse(Inverse):
+    """One step of an inverse map from its present memory: u = map(x_map, theta).
+
+    It is as good as what it was trained on: no search and no check whether the model answers with `theta`; an answer
+    beyond the device's limits is cut there.
+    """
+
+    def __init__(self, predictor: MappedPredictor, low: float, high: float) -> None:
+        self._predictor, self._low, self._high = predictor, low, high
+
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
+        del u_last  # the map's own memory says where the device is
+        _, beside = self._predictor.parts(state)
+        answer, _ = self._predictor.inverse_map.advance(beside[None], np.array([[theta]]))
+        return min(max(float(answer[0, 0]), self._low), self._high)
+
+
+def check_inverse_map(inverse_map: ModelMetadata, model: ModelMetadata) -> None:
+    """Hold the facts of an inverse map against those of the model that it is to invert.
+
+    Raises:
+        ModelError: if it is a forward model, or its units or its sample time are not those of the model.
+    """
+    got = f"inverse of kind {inverse_map.kind}: maps {inverse_map.command_unit} to {inverse_map.angle_unit}"
+    if not inverse_map.inverted:
+        raise ModelError(f"{got}, a forward model; expected an inverse map, {model.angle_unit} to {model.command_unit}")
+    if inverse_map.angle_unit != model.command_unit:
+        raise ModelError(f"{got}, expected {model.angle_unit} to {model.command_unit} as the model's command is")
+    if abs(inverse_map.dt_s - model.dt_s) > 1e-3 * model.dt_s:
+        raise ModelError(f"{got} every {inverse_map.dt_s:.6g} s, expected every {model.dt_s:.6g} s as the model")

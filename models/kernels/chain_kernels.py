@@ -13,9 +13,8 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from ..symbolic.instructions import dense
-from ..symbolic.source import scalar_program
-from .cache import generated_module
+from .numba_ import generated_module
+from .program import dense, scalar_program
 
 _DECORATOR = '@njit(cache=True, error_model="numpy", inline="never")\n'
 

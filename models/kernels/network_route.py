@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
@@ -9,7 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
+
+from ..networks.lstm import LstmWeights
+from .vector_emitter import SHAPES, host_shape
+
+Float32 = NDArray[np.float32]
 
 
 class NetworkRoute(ABC):
@@ -28,13 +35,37 @@ class NetworkRoute(ABC):
     sample: Callable[..., None]
 
     @abstractmethod
-    def advance(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         """Angles (K,) [deg] along the plan (K,) [command unit] and the state behind it."""
 
     @abstractmethod
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         """Angles (N, K) [deg] of the plans (N, K)."""
 
     @abstractmethod
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         """Angles (K,) [deg] along the plan (K,) and their derivatives (K, K) by its commands, lower triangular."""
+
+
+VARIABLE = "HYSTMPC_LSTM_KERNEL"
+
+
+def chosen_route(weights: LstmWeights) -> NetworkRoute:
+    """The vector kernel in the processor's own shape, the plain route where it has none; or what the user says.
+
+    Environment variable HYSTMPC_LSTM_KERNEL: `auto`, `plain`, or the name of a shape, `avx512` or `avx2`.
+
+    Raises:
+        ConfigError: if the variable is anything else.
+    """
+    wanted = os.environ.get(VARIABLE) or "auto"
+    if wanted not in ("auto", "plain", *SHAPES):
+        raise ConfigError(f"{VARIABLE}: got {wanted}, available: auto, plain, {', '.join(SHAPES)}")
+    shape = host_shape() if wanted == "auto" else SHAPES.get(wanted)
+    if shape is None:
+        from .lstm_plain import PlainRoute
+
+        return PlainRoute(weights)
+    from .lstm_vector import VectorRoute  # the other route's kernels and session are not loaded
+
+    return VectorRoute(weights, shape)

@@ -7,28 +7,17 @@ from hystmpc.trials.errors import FitError, did_you_mean
 from .backlash import BacklashKind
 from .bouc_wen import BoucWenKind
 from .drdpi import DrdpiKind
-from .fnn import FnnKind
-from .fnn_hib import FnnHibKind
-from .gru import GruKind
-from .hb1 import Hb1Kind
-from .hb2 import Hb2Kind
 from .kind import ModelKind
-from .lstm import LstmKind
-from .play_kernel import PlayKernelKind
+from .networks import NETWORK_KINDS
 from .prandtl_ishlinskii import PrandtlIshlinskiiKind
-from .svr import SvrKind
+from .regressions import PlayKernelKind, SvrKind
 
 KINDS: tuple[ModelKind, ...] = (
     BacklashKind(),
     PrandtlIshlinskiiKind(),
     DrdpiKind(),
     BoucWenKind(),
-    FnnKind(),
-    FnnHibKind(),
-    LstmKind(),
-    GruKind(),
-    Hb1Kind(),
-    Hb2Kind(),
+    *NETWORK_KINDS,
     SvrKind(),
     PlayKernelKind(),
 )

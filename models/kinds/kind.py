@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from hystmpc.trials.errors import FitError, did_you_mean
 from hystmpc.trials.trial import Trial
 
-from ..contract.bundle import ExportBundle
-from ..fit.identify import DeviceLimits
-from ..simulator import Simulator
+from ..contract.export import ExportBundle
+from ..contract.metadata import DeviceLimits
+from ..model import FitProgress
 
-Progress = Callable[[int, float], None]
+if TYPE_CHECKING:
+    from ..simulator import Simulator
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class FitRequest:
         steps: greatest number of steps (epochs, updates, iterations); None for the preset's.
         hold_out: whole trials held out of those given to stop early; None for the preset's.
         validation: trials that only judge, in place of held-out ones.
-        constancy_weight: beta of the constant-in, constant-out term, S2 eq. (12); None for the preset's.
+        constancy_weight: beta of the constant-in, constant-out term, S2 (RA-L 2024) eq. (12); None for the preset's.
         plays: number of plays of a Prandtl-Ishlinskii model; None for the kind's own.
         skip_first_flexure: score each trial from the first reversal of its command on.
         limits: what the device may be sent.
@@ -49,7 +50,7 @@ class Identified:
     """What an identification found.
 
     Attributes:
-        bundle: graph, facts and reference, ready for `export_onnx`; `open_bundle` runs it.
+        bundle: graph, facts and reference, ready for `export_onnx`; `OnnxModel` runs it.
         simulator: the readable form of an operator; None for networks.
         history: step and best error so far, in the unit of the output.
         report: one line on how it went.
@@ -85,7 +86,7 @@ class ModelKind(ABC):
     recurrent: ClassVar[bool] = True
 
     @abstractmethod
-    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         """Identify from uniformly sampled trials of one rate and one pair of units.
 
         `progress` gets the steps so far and the best error; KeyboardInterrupt keeps the best so far.

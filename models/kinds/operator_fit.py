@@ -9,15 +9,17 @@ from typing import ClassVar
 
 from hystmpc.trials.trial import Trial
 
-from ..export_simulator import simulator_bundle
-from ..fit.adam import AdamSettings
+from ..contract.metadata import DeviceLimits
 from ..fit.chain_tasks import Structure
 from ..fit.global_search import GlobalSettings
-from ..fit.identify import DeviceLimits, simulator_of
+from ..fit.identify import simulator_of
 from ..fit.iterated import IteratedSettings
 from ..fit.methods import MethodSettings, identify_chain
 from ..fit.operators import OperatorFitSettings
-from .kind import FitRequest, Identified, ModelKind, Progress
+from ..identify.adam import AdamSettings
+from ..load import simulator_bundle
+from ..model import FitProgress
+from .kind import FitRequest, Identified, ModelKind
 
 Method = tuple[str, Callable[[FitRequest], MethodSettings]]
 
@@ -50,7 +52,7 @@ def identify_operator(
     trials: Sequence[Trial],
     request: FitRequest,
     presets: Mapping[str, str],
-    progress: Progress | None = None,
+    progress: FitProgress | None = None,
     structure: Structure | None = None,
 ) -> Identified:
     """Identify an operator by the method that the request's preset stands for.
@@ -92,7 +94,7 @@ class OperatorKind(ModelKind):
     readable: ClassVar[bool] = True
     plays: ClassVar[int] = 4
 
-    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)
         plays = self.plays if request.plays is None else request.plays
         return identify_operator(self.name, trials, replace(request, plays=plays), self.methods, progress)

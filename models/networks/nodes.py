@@ -11,7 +11,7 @@ import onnx
 from numpy.typing import ArrayLike
 from onnx import TensorProto, helper, numpy_helper
 
-from .scaling import Scaling
+from .settings import Scaling
 
 
 class GraphWriter:

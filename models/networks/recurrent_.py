@@ -1,18 +1,69 @@
-"""Gated recurrent units in PyTorch, stacked, with a linear head."""
+"""Stacked recurrent networks in PyTorch with a linear head: LSTM and GRU."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import final
 
+import numpy as np
 import torch
 
+from .lstm import LstmLayer, LstmWeights, write_layers
 from .network_ import Network, numbers
 from .nodes import GraphWriter
+from .settings import CellSettings, RecurrentSettings, Scaling
+
+
+@final
+class LstmNet(Network):
+    """Stacked LSTM and linear head on scaled signals, equations in `LstmWeights`.
+
+    The state is [h_1, c_1, h_2, c_2, ...], zero at the start.
+
+    Args:
+        settings: size and initial weights.
+        outputs: numbers that the head gives a sample; more than one for a network inside another.
+    """
+
+    def __init__(self, settings: CellSettings, outputs: int = 1) -> None:
+        super().__init__()
+        hidden, layers = settings.hidden, settings.layers
+        self.lstm = torch.nn.LSTM(1, hidden, layers, batch_first=True)
+        self.head = torch.nn.Linear(hidden, outputs)
+        self.state_size = 2 * layers * hidden
+        _initialise(self.lstm, settings, (-1.0, 1.0))  # forget bias log(tau), input bias -log(tau)
+
+    def start(self, y: torch.Tensor) -> torch.Tensor:
+        return y.new_zeros(len(y), self.state_size)
+
+    def begin(self, past: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        del past
+        return self.start(y)
+
+    def forward(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        outputs, following = self.outputs(v, state)
+        return outputs[..., 0], following
+
+    def outputs(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """All outputs (N, T, outputs) of the head and the states after the last sample."""
+        rows, layers = len(v), self.lstm.num_layers
+        h, c = state.reshape(rows, layers, 2, -1).permute(2, 1, 0, 3).contiguous()
+        hidden, following = self.lstm(v[..., None], (h, c))
+        return self.head(hidden), torch.stack(following).permute(2, 1, 0, 3).reshape(rows, -1)
+
+    def shown(self, v: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        del v
+        return y
+
+    def write(self, writer: GraphWriter, v: str, state: str) -> tuple[str, list[str]]:
+        hidden, following = write_layers(writer, lstm_layers(self), v, state)
+        return writer.affine(hidden, "head", numbers(self.head.weight), numbers(self.head.bias), "y"), following
 
 
 @final
 class GruNet(Network):
-    """Stacked GRU and linear head, S2 section III-B (Cho et al., EMNLP 2014, in the form of PyTorch).
+    """Stacked GRU and linear head, S2 (RA-L 2024) section III-B (Cho et al., EMNLP 2014, in the form of PyTorch).
 
         r = sigmoid(W_r x + U_r h + b_r),  z = sigmoid(W_z x + U_z h + b_z)
         n = tanh(W_n x + b_n + r (U_n h + c_n)),  h' = (1 - z) n + z h,  y = w . h' + b
@@ -20,11 +71,13 @@ class GruNet(Network):
     The state is [h_1, h_2, ...], S = layers * hidden entries, zero at the start.
     """
 
-    def __init__(self, hidden: int, layers: int) -> None:
+    def __init__(self, settings: CellSettings) -> None:
         super().__init__()
+        hidden, layers = settings.hidden, settings.layers
         self.gru = torch.nn.GRU(1, hidden, layers, batch_first=True)
         self.head = torch.nn.Linear(hidden, 1)
         self.state_size = layers * hidden
+        _initialise(self.gru, settings, (None, 1.0))  # its gate z keeps what was: bias log(tau - 1)
 
     def start(self, y: torch.Tensor) -> torch.Tensor:
         return y.new_zeros(len(y), self.state_size)
@@ -67,3 +120,52 @@ class GruNet(Network):
         writer.node("Mul", [f"fresh_{k}", f"n_{k}"], f"new_{k}")
         writer.node("Mul", [f"z_{k}", f"h_{k}"], f"kept_{k}")
         return writer.node("Add", [f"new_{k}", f"kept_{k}"], f"h_{k}_next")
+
+
+def _initialise(cells: torch.nn.RNNBase, settings: CellSettings, signs: Sequence[float | None]) -> None:
+    """PyTorch's initial weights with a gain on the input and, with `memory_samples`, gates that remember.
+
+    Memories tau from 1 to that many samples, log(tau) uniform, after Tallec and Ollivier, ICLR 2018.
+
+    Args:
+        cells: all layers.
+        settings: gain and longest memory.
+        signs: of log(tau) in the bias of each of the first gates; None leaves a gate as it is.
+    """
+    cells.get_parameter("weight_ih_l0").data.mul_(settings.command_gain)
+    if settings.memory_samples:
+        for k in range(settings.layers):
+            bias = cells.get_parameter(f"bias_ih_l{k}").data
+            memory = torch.rand(settings.hidden) * math.log(settings.memory_samples)
+            for gate, sign in enumerate(signs):
+                if sign is not None:
+                    bias[gate * settings.hidden : (gate + 1) * settings.hidden] = sign * memory
+
+
+def lstm_layers(net: LstmNet) -> tuple[LstmLayer, ...]:
+    """The layers' numbers; the two biases of a layer, which only ever act together, are added."""
+    values = {name: numbers(tensor) for name, tensor in net.lstm.state_dict().items()}
+    return tuple(
+        LstmLayer(
+            values[f"weight_ih_l{k}"], values[f"weight_hh_l{k}"], values[f"bias_ih_l{k}"] + values[f"bias_hh_l{k}"]
+        )
+        for k in range(net.lstm.num_layers)
+    )
+
+
+def weights_of(net: LstmNet, scaling: Scaling) -> LstmWeights:
+    """Copy the numbers out of a network with one output."""
+    return LstmWeights(lstm_layers(net), numbers(net.head.weight)[0], float(numbers(net.head.bias)[0]), scaling)
+
+
+def net_of(weights: LstmWeights) -> LstmNet:
+    """A network with these weights, for further training."""
+    net = LstmNet(
+        RecurrentSettings(hidden=weights.hidden, layers=len(weights.layers), memory_samples=0, command_gain=1.0)
+    )
+    values = {"head.weight": weights.head_weight[None], "head.bias": [weights.head_bias]}
+    for k, layer in enumerate(weights.layers):
+        values |= {f"lstm.weight_ih_l{k}": layer.w_ih, f"lstm.weight_hh_l{k}": layer.w_hh}
+        values |= {f"lstm.bias_ih_l{k}": layer.bias, f"lstm.bias_hh_l{k}": np.zeros_like(layer.bias)}
+    net.load_state_dict({name: torch.tensor(np.asarray(v), dtype=torch.float32) for name, v in values.items()})
+    return net

@@ -1,22 +1,72 @@
-"""What a network is made of: one class of settings for each form."""
+"""What a network is made of, one class of settings for each form, and the units around it."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import Field
+import numpy as np
+from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from hystmpc.trials.config import Settings
+from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
+
+if TYPE_CHECKING:
+    from ..operators.operator import Operator
+    from .network_ import Network
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
 
 
-class FeedForwardSettings(Settings):
+class FormSettings(Settings, ABC):
+    """What a network is made of; builds the network.
+
+    Attributes:
+        known: all forms, by name.
+        has_backlash: whether a backlash, fitted to the training trials beforehand, is part of it.
+    """
+
+    has_backlash: ClassVar[bool] = False
+    known: ClassVar[dict[str, type[FormSettings]]] = {}
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **options: Any) -> None:
+        super().__pydantic_init_subclass__(**options)
+        if "form" in cls.model_fields:
+            FormSettings.known |= dict.fromkeys(get_args(cls.model_fields["form"].annotation), cls)
+
+    @property
+    def context(self) -> int:
+        """Samples before the present one that an output looks back on; 0 with a recurrent state."""
+        return 0
+
+    @abstractmethod
+    def network(self, rest: float, operator: Operator | None) -> Network:
+        """A network with initial weights drawn from torch's generator.
+
+        Args:
+            rest: scaled input of a device at rest, for a buffer of past inputs.
+            operator: the fitted backlash in scaled units, for hybrids.
+        """
+
+
+def _of_its_form(data: Any) -> Any:
+    """Plain data as the settings of its form; anything else as it is."""
+    known = FormSettings.known
+    return known[data["form"]].model_validate(data) if isinstance(data, dict) and data.get("form") in known else data
+
+
+NetworkForm = Annotated[SerializeAsAny[FormSettings], BeforeValidator(_of_its_form)]
+
+
+class FeedForwardSettings(FormSettings):
     """ReLU layers over the present input and its past, see `FeedForwardNet`.
 
     Attributes:
-        hidden: widths of the layers; S2 has two of 64.
+        hidden: widths of the layers; S2 (RA-L 2024) has two of 64.
         history: samples that are looked at, the present one included: 1 for the FNN, 50 for the FNN-HIB of S2.
     """
 
@@ -24,8 +74,19 @@ class FeedForwardSettings(Settings):
     hidden: tuple[Annotated[int, Field(ge=2)], ...] = (64, 64)
     history: Count = 1
 
+    @property
+    def context(self) -> int:
+        """Samples before the present one."""
+        return self.history - 1
 
-class CellSettings(Settings):
+    def network(self, rest: float, operator: Operator | None) -> Network:
+        from .network_ import FeedForwardNet  # torch: here and below
+
+        del operator
+        return FeedForwardNet(self, rest)
+
+
+class CellSettings(FormSettings):
     """Stacked recurrent cells.
 
     Attributes:
@@ -42,10 +103,16 @@ class CellSettings(Settings):
 
 
 class RecurrentSettings(CellSettings):
-    """An LSTM or a GRU, see `LstmWeights` and `GruNet`."""
+    """An LSTM or a GRU, see `LstmNet` and `GruNet`."""
 
     form: Literal["recurrent"] = "recurrent"
     cell: Literal["lstm", "gru"] = "lstm"
+
+    def network(self, rest: float, operator: Operator | None) -> Network:
+        from .recurrent_ import GruNet, LstmNet
+
+        del rest, operator
+        return LstmNet(self) if self.cell == "lstm" else GruNet(self)
 
 
 class HybridSettings(CellSettings):
@@ -57,9 +124,52 @@ class HybridSettings(CellSettings):
             None for what fits the training trials best.
     """
 
+    has_backlash: ClassVar[bool] = True
     form: Literal["serial", "parallel"]
     head_gain: Annotated[float, Field(ge=0)] = 0.1
     dead_zone: Annotated[float, Field(ge=0, le=10)] | None = None
 
+    def network(self, rest: float, operator: Operator | None) -> Network:
+        from .hybrid_ import ParallelNet, SerialNet
 
-NetworkForm = Annotated[FeedForwardSettings | RecurrentSettings | HybridSettings, Field(discriminator="form")]
+        del rest
+        if operator is None:
+            raise TypeError("a hybrid needs its operator, got None")
+        return SerialNet(self, operator) if self.form == "serial" else ParallelNet(self, operator)
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Units in, units out: v = (u - u_offset) / u_scale, theta = theta_offset + theta_scale * y.
+
+    For an inverse map `u` is the angle and `theta` the command.
+
+    Attributes:
+        u_offset, u_scale: in the unit of what goes in [mm or bar].
+        theta_offset, theta_scale: in the unit of what comes out [deg].
+
+    Raises:
+        ModelError: if a number is not finite or a scale not positive.
+    """
+
+    u_offset: float = 0.0
+    u_scale: float = 6.0
+    theta_offset: float = 0.0
+    theta_scale: float = 90.0
+
+    def __post_init__(self) -> None:
+        values = [getattr(self, f.name) for f in fields(self)]
+        if not np.isfinite(values).all() or self.u_scale <= 0 or self.theta_scale <= 0:
+            raise ModelError(f"network scaling: got {values}, expected finite numbers and scales > 0")
+
+    def scale_in(self, u: Vec) -> Vec:
+        """Scaled input v."""
+        return (u - self.u_offset) / self.u_scale
+
+    def scale_out(self, theta: Vec) -> Vec:
+        """Scaled output y that stands for `theta`."""
+        return (theta - self.theta_offset) / self.theta_scale
+
+    def to_units(self, y: Vec) -> Vec:
+        """Output `theta` of a scaled output y."""
+        return self.theta_offset + self.theta_scale * y

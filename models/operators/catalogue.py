@@ -6,31 +6,15 @@ from typing import Any
 
 from hystmpc.trials.errors import ModelError, did_you_mean
 
-from .asymmetry import Asymmetry
-from .backlash import Backlash, InverseBacklash
-from .bouc_wen import BoucWen
-from .contact import Contact
-from .creep import Creep
-from .deadband import Deadband
-from .delay import Delay
-from .directional_gain import DirectionalGain
-from .drdpi import Drdpi, InverseDrdpi
-from .drift import Drift
-from .first_flexure import FirstFlexure
-from .lag import Lag
-from .nonlinear_gain import NonlinearGain
+from .dynamics import Delay, Lag, RateLimit, Servo
+from .friction import Asymmetry, DirectionalGain, RateDependence, StickSlip
+from .hysteresis import Backlash, BoucWen, InverseBacklash, Play
+from .measurement import PeriodicDisturbance, Sensor
 from .operator import Operator, values_from
-from .periodic_disturbance import PeriodicDisturbance
-from .play import Play
-from .prandtl_ishlinskii import InversePrandtlIshlinskii, PrandtlIshlinskii
-from .rate_dependence import RateDependence
-from .rate_limit import RateLimit
-from .sensor import Sensor
-from .servo import Servo
-from .slack import Slack
+from .prandtl_ishlinskii import Drdpi, InverseDrdpi, InversePrandtlIshlinskii, PrandtlIshlinskii
+from .slow_changes import Creep, Drift, FirstFlexure, TrialShift
 from .specification import is_number, template_from
-from .stick_slip import StickSlip
-from .trial_shift import TrialShift
+from .static_curves import Contact, Deadband, NonlinearGain, Slack
 
 OPERATORS: tuple[type[Operator], ...] = (
     Play,

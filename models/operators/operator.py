@@ -6,7 +6,8 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Self
+from functools import cache
+from typing import Annotated, Any, ClassVar, Self, get_origin, get_type_hints
 
 import casadi as ca
 
@@ -34,27 +35,51 @@ class Parameter:
     meaning: str
 
 
+@dataclass(frozen=True)
+class Number:
+    """What a field of an operator says of itself as a parameter, in `Annotated[float, Number(...)]`.
+
+    Attributes:
+        unit, lower, upper, meaning: as `Parameter` has them.
+        template: value in `Operator.template`.
+    """
+
+    unit: str
+    lower: float
+    upper: float
+    template: float
+    meaning: str
+
+
 class Operator(ABC):
     """One block of a simulator: a causal map of a scalar signal with explicit state.
 
     A subclass is a frozen dataclass with one field a parameter and states its equation as a CasADi expression.
-    NumPy, compiled, torch, CasADi and ONNX forms, Jacobians included, are all derived from it (`models/symbolic`).
+    NumPy, compiled, torch, CasADi and ONNX forms, Jacobians included, are all derived from it (`kernels/program.py`).
+    An operator of variable size says its parameters, states and template itself.
+
+    Raises:
+        ModelError: if a parameter is out of its bounds.
     """
 
     name: ClassVar[str]
+    state_names: ClassVar[tuple[str, ...]] = ()
     shape: ClassVar[tuple[str, ...]] = ()  # attributes that fix the size of state or parameters
     default_sizes: ClassVar[Mapping[str, int]] = {}  # of those that a specification may leave out
     size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {}  # where other than 1 to 1000
 
-    @property
-    @abstractmethod
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters in the order of `values`."""
+    def __post_init__(self) -> None:
+        check_values(self)
 
     @property
-    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters in the order of `values`."""
+        return tuple(Parameter(n, p.unit, p.lower, p.upper, p.meaning) for n, p in _numbers(type(self)).items())
+
+    @property
     def states(self) -> tuple[str, ...]:
         """Names of the state's entries."""
+        return self.state_names
 
     @abstractmethod
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
@@ -65,9 +90,10 @@ class Operator(ABC):
         """State (S, 1) of an operator whose input rests at `u` and whose output was seen at `y`."""
 
     @classmethod
-    @abstractmethod
     def template(cls, **structure: int) -> Self:
         """Some operator of the given structure, to be filled by `with_values`."""
+        sizes = {name: structure[name] for name in cls.shape if name in structure}
+        return cls(**{name: number.template for name, number in _numbers(cls).items()}, **sizes)
 
     @property
     def structure(self) -> dict[str, int]:
@@ -101,6 +127,13 @@ class Operator(ABC):
     def settling_samples(self) -> int:
         """Samples of constant input after which the state no longer depends on how `at_rest` guessed it."""
         return 1
+
+
+@cache
+def _numbers(kind: type[Operator]) -> dict[str, Number]:
+    """The fields of an operator that are parameters."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: hint.__metadata__[0] for name, hint in hints.items() if get_origin(hint) is Annotated}
 
 
 def check_values(operator: Operator) -> None:
@@ -142,3 +175,25 @@ def minimum(a: Symbol, b: Symbol) -> Symbol:
 def maximum(a: Symbol, b: Symbol) -> Symbol:
     """Return max(a, b) with the derivative of the active branch, the first at a tie."""
     return ca.if_else(a >= b, a, b)
+
+
+class Memoryless(Operator):
+    """A static map y = curve(u).
+
+    Every step of the contract has a state; here it is the last output, without effect.
+    """
+
+    state_names: ClassVar[tuple[str, ...]] = ("y",)
+
+    @abstractmethod
+    def curve(self, u: Symbol, p: Symbol) -> Symbol:
+        """Output from input and parameters (P, 1)."""
+
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        del x, dt
+        y = self.curve(u, p)
+        return y, y
+
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        del y, p
+        return ca.vertcat(u)

@@ -1,25 +1,20 @@
-"""The rate-dependent Prandtl-Ishlinskii model, forward and its analytic inverse."""
+"""Prandtl-Ishlinskii models: rate-dependent, behind dead zones (DRDPI), and their inverses."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, Self
+from dataclasses import dataclass, fields
+from typing import ClassVar, Self, final
 
 import casadi as ca
 
+from .hysteresis import play
 from .operator import Operator, Parameter, Symbol, check_values
-from .play import play
+from .static_curves import Pieces, band_parameters, freeze_bands, pieces_of
 
 
 @dataclass(frozen=True)
-class PrandtlIshlinskii(Operator):
-    """Weighted sum of n plays whose thresholds grow with the speed of the command.
-
-    r_i(t) = alpha i + beta |u'(t)|,  z_i,k = max(u_k - r_i, min(u_k + r_i, z_i,k-1)),  i = 1..n
-    theta  = a0 u + sum_i a_i z_i + b
-
-    The speed is (u_k - u_{k-1}) / dt per second, so that a model keeps its meaning at another sample rate.
-    Weights are not negative: the loops are then monotone and the inverse exists.
+class PlaySum(Operator):
+    """The numbers of a Prandtl-Ishlinskii model, which it shares with its inverse.
 
     Attributes:
         a0: weight of the command itself [deg/cmd].
@@ -27,8 +22,6 @@ class PrandtlIshlinskii(Operator):
         alpha: spacing of the thresholds [cmd].
         beta: growth of the thresholds with speed [s].
         b: offset [deg].
-
-    Source: S2 eq. (4)-(5), after Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
     """
 
     a0: float
@@ -36,7 +29,6 @@ class PrandtlIshlinskii(Operator):
     alpha: float
     beta: float
     b: float
-    name: ClassVar[str] = "prandtl_ishlinskii"
     shape: ClassVar[tuple[str, ...]] = ("plays",)
 
     def __post_init__(self) -> None:
@@ -63,13 +55,29 @@ class PrandtlIshlinskii(Operator):
         )
 
     @property
-    def states(self) -> tuple[str, ...]:
-        return ("u", *(f"z{i}" for i in range(1, self.plays + 1)))
+    def settling_samples(self) -> int:
+        """Two: the first sample of a hold may still look like a fast motion."""
+        return 2
+
+
+@dataclass(frozen=True)
+class PrandtlIshlinskii(PlaySum):
+    """Weighted sum of n plays whose thresholds grow with the speed of the command.
+
+    r_i(t) = alpha i + beta |u'(t)|,  z_i,k = max(u_k - r_i, min(u_k + r_i, z_i,k-1)),  i = 1..n
+    theta  = a0 u + sum_i a_i z_i + b
+
+    The speed is (u_k - u_{k-1}) / dt per second, so that a model keeps its meaning at another sample rate.
+    Weights are not negative: the loops are then monotone and the inverse exists.
+
+    Source: S2 (RA-L 2024) eq. (4)-(5), after Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
+    """
+
+    name: ClassVar[str] = "prandtl_ishlinskii"
 
     @property
-    def settling_samples(self) -> int:
-        """Two: the first sample of a held command may still look like a fast motion."""
-        return 2
+    def states(self) -> tuple[str, ...]:
+        return ("u", *(f"z{i}" for i in range(1, self.plays + 1)))
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         n = self.plays
@@ -92,7 +100,7 @@ class PrandtlIshlinskii(Operator):
 
 
 @dataclass(frozen=True)
-class InversePrandtlIshlinskii(Operator):
+class InversePrandtlIshlinskii(PlaySum):
     """Angle to command by the Prandtl-Ishlinskii model's analytic inverse, itself a sum of plays.
 
     w_0 = 1 / a0,  w_i = 1 / sum_{j<=i} a_j - 1 / sum_{j<i} a_j
@@ -105,30 +113,7 @@ class InversePrandtlIshlinskii(Operator):
     Source: S2 eq. (5), after Al Janaideh and Krejci, IEEE/ASME T-Mech 18 (2013).
     """
 
-    a0: float
-    weights: tuple[float, ...]
-    alpha: float
-    beta: float
-    b: float
     name: ClassVar[str] = "inverse_prandtl_ishlinskii"
-    shape: ClassVar[tuple[str, ...]] = ("plays",)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", tuple(float(w) for w in self.weights))
-        check_values(self)
-
-    @classmethod
-    def template(cls, **structure: int) -> Self:
-        return cls(1.0, (0.0,) * structure["plays"], 0.0, 0.0, 0.0)
-
-    @property
-    def plays(self) -> int:
-        """Number n of plays."""
-        return len(self.weights)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return self.forward().parameters
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -137,11 +122,6 @@ class InversePrandtlIshlinskii(Operator):
     def forward(self) -> PrandtlIshlinskii:
         """The forward model of which this is the inverse."""
         return PrandtlIshlinskii(self.a0, self.weights, self.alpha, self.beta, self.b)
-
-    @property
-    def settling_samples(self) -> int:
-        """Two: the first sample of a held angle may still look like a fast motion."""
-        return 2
 
     def _sums(self, p: Symbol) -> list[Symbol]:
         """Partial sums a0, a0 + a1, ... of the weights."""
@@ -167,3 +147,159 @@ class InversePrandtlIshlinskii(Operator):
         """Plays of the forward model centred on command `y`: inverse play i rests at its own share of it."""
         del y
         return ca.vertcat(u, *([u - p[self.plays + 3]] * self.plays))
+
+
+@dataclass(frozen=True)
+class DrdpiNumbers(Operator):
+    """What the model and its inverse share: the numbers of the model.
+
+    Attributes:
+        a0, weights, alpha, beta, b: of the Prandtl-Ishlinskii part, see `PrandtlIshlinskii`.
+        slopes_below, slopes_above: slopes of the pieces below and above the middle one, outwards.
+        gaps_below, gaps_above: distances between neighbouring thresholds, outwards [deg].
+        offset: angle in the middle of the pieces, where v = 0 [deg].
+
+    Raises:
+        ModelError: if a value is out of bounds, or a side has another number of slopes than of gaps, or none.
+    """
+
+    a0: float
+    weights: tuple[float, ...]
+    alpha: float
+    beta: float
+    b: float
+    slopes_below: tuple[float, ...]
+    slopes_above: tuple[float, ...]
+    gaps_below: tuple[float, ...]
+    gaps_above: tuple[float, ...]
+    offset: float
+    shape: ClassVar[tuple[str, ...]] = ("plays", "below", "above")
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "weights", tuple(float(w) for w in self.weights))
+        freeze_bands(self)
+        check_values(self)
+
+    @classmethod
+    def template(cls, **structure: int) -> Self:
+        plays, below, above = (structure[name] for name in cls.shape)
+        pi = PrandtlIshlinskii.template(plays=plays)
+        ones, zeros = ([(value,) * count for count in (below, above)] for value in (1.0, 0.0))
+        return cls(pi.a0, pi.weights, pi.alpha, pi.beta, pi.b, ones[0], ones[1], zeros[0], zeros[1], 0.0)
+
+    @property
+    def plays(self) -> int:
+        """Number n of plays."""
+        return len(self.weights)
+
+    @property
+    def below(self) -> int:
+        """Number of pieces below the middle one."""
+        return len(self.slopes_below)
+
+    @property
+    def above(self) -> int:
+        """Number of pieces above the middle one."""
+        return len(self.slopes_above)
+
+    @property
+    def hysteresis(self) -> PrandtlIshlinskii:
+        """The Prandtl-Ishlinskii part of the model, command to v."""
+        return PrandtlIshlinskii(self.a0, self.weights, self.alpha, self.beta, self.b)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (
+            *PrandtlIshlinskii.template(plays=self.plays).parameters,
+            # Relative to the middle piece; steeper or farther out a piece would only say that it was never reached.
+            *band_parameters(self.below, self.above, 10.0, 1e3),
+            Parameter("offset", "deg", -1e4, 1e4, "angle in the middle of the pieces"),
+        )
+
+    @property
+    def settling_samples(self) -> int:
+        """As of the plays."""
+        return self.hysteresis.settling_samples
+
+    def parts(self, p: Symbol) -> tuple[Symbol, Pieces, Symbol]:
+        """Parameters p (P,) of the Prandtl-Ishlinskii part (n + 4,), the dead zones' curve, the offset."""
+        first = self.plays + 4
+        last = first + 2 * (self.below + self.above)
+        return p[:first], pieces_of(1, p[first:last], self.below, self.above), p[last]
+
+
+@final
+@dataclass(frozen=True)
+class Drdpi(DrdpiNumbers):
+    """Rate-dependent plays behind which dead zones bend the loop: asymmetric, dead or saturated at its ends.
+
+    v     = a0 u + sum_i a_i z_i + b,  plays z_i with thresholds r_i(t) = alpha i + beta |u'(t)| as in the PI model
+    theta = sum_j w_j D_{d_j}[v] + offset,  w_0 = 1
+
+    The slope of the middle piece is one, since the weights a_i already scale the loop. Slopes and gaps stand for
+    weights and thresholds of the dead zones, see `Pieces`; for the attributes see `DrdpiNumbers`.
+
+    Source: ours. S1 (RA-L 2021) has the model of Shakiba et al., Mech. Syst. Signal Process. 154 (2021) 107532, whose
+    equations it does not print; this is the modified Prandtl-Ishlinskii model of Kuhnen, Eur. J. Control 9 (2003), with
+    the rate thresholds of Al Janaideh, Rakheja and Su, Mechatronics 19 (2009).
+    """
+
+    name: ClassVar[str] = "drdpi"
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return self.hysteresis.states
+
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        plays, pieces, offset = self.parts(p)
+        following, v = self.hysteresis.equation(x, u, plays, dt)
+        return following, pieces.at(v) + offset
+
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        # All plays at one share of their half-widths, linear in y, as the start rule of a model file has to be: exact
+        # on both branches of the loop, and between them where no kink lies between. Beyond a branch settling clamps.
+        n = self.plays
+        _, pieces, offset = self.parts(p)
+        middle = sum(p[i] for i in range(n + 1)) * u + p[n + 3]
+        half = p[n + 1] * sum(i * p[i] for i in range(1, n + 1))
+        high, low = pieces.at(middle + half) + offset, pieces.at(middle - half) + offset
+        share = (2 * y - high - low) / (high - low + 1e-9)
+        return ca.vertcat(u, *(u + share * p[n + 1] * i for i in range(1, n + 1)))
+
+    def inverse(self) -> InverseDrdpi:
+        """The inverse, angle to command."""
+        return InverseDrdpi(*(getattr(self, field.name) for field in fields(self)))
+
+
+@final
+@dataclass(frozen=True)
+class InverseDrdpi(DrdpiNumbers):
+    """Angle to command: first the inverse dead zones, then the inverse plays.
+
+    v = D^{-1}[theta - offset],  u = PI^{-1}[v]
+
+    Both steps with the parameters of the forward model (`DrdpiNumbers`), see `Pieces.inverse` and
+    `InversePrandtlIshlinskii`. Exact for beta = 0; otherwise the command's speed is taken as |v'| / sum_j a_j. That the
+    thresholds' differences are constant in time is what gives the inverse plays their closed form.
+
+    Source: ours, of the parts named at `Drdpi`; inverse plays after Al Janaideh and Krejci, IEEE/ASME T-Mech 18 (2013).
+    """
+
+    name: ClassVar[str] = "inverse_drdpi"
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return ("v", *self.hysteresis.inverse().states[1:])
+
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        plays, pieces, offset = self.parts(p)
+        return self.hysteresis.inverse().equation(x, pieces.inverse().at(u - offset), plays, dt)
+
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        """Plays of the forward model centred on the command, as for the inverse plays alone."""
+        plays, pieces, offset = self.parts(p)
+        return self.hysteresis.inverse().at_rest(pieces.inverse().at(u - offset), y, plays)
+
+    def forward(self) -> Drdpi:
+        """The forward model of which this is the inverse."""
+        return Drdpi(*(getattr(self, field.name) for field in fields(self)))

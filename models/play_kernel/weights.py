@@ -1,15 +1,20 @@
-"""The numbers of a play-kernel model."""
+"""A play-kernel model: its numbers, its step and derivative in NumPy, and its step graph."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, Self, final
 
 import numpy as np
-from numpy.typing import ArrayLike
+import onnx
+from numpy.typing import ArrayLike, NDArray
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
-from ..model import Array
+from ..contract.onnx_nodes import graph_of_nodes, node
+from ..model import StepFunction
 
 
 @dataclass(frozen=True)
@@ -48,12 +53,12 @@ class PlayKernelWeights:
     gain: float
     lower: float
     upper: float
-    radii: Array
-    knots: Array
-    slopes: Array
+    radii: Vec
+    knots: Vec
+    slopes: Vec
     bias: float
     outer_slope: float
-    stops: Array | None = field(default=None)
+    stops: Vec | None = field(default=None)
 
     def __post_init__(self) -> None:
         for name in ("radii", "knots", "slopes", "stops"):
@@ -77,13 +82,162 @@ class PlayKernelWeights:
                 f"play kernel: least slope {least:.6g}, expected slopes >= 0, radii and knots in increasing order"
             )
 
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Read the weights back from the named initializers of a graph that `play_kernel_graph` made.
+
+        Raises:
+            ModelError: naming the arrays that are missing, or if the weights do not fit.
+        """
+        scalars = ("gain", "lower", "upper", "bias", "outer_slope")
+        wanted = (*scalars, "radii", "knots", "widths", "slopes")
+        missing = [name for name in wanted if name not in arrays]
+        if missing:
+            raise ModelError(f"play kernel: no array {', '.join(missing)}, available: {', '.join(sorted(arrays))}")
+        gain, lower, upper, bias, outer_slope = (float(np.asarray(arrays[name]).item()) for name in scalars)
+        starts, widths = np.ravel(arrays["knots"]), np.ravel(arrays["widths"])
+        stops = [np.ravel(arrays[name]) for name in ("lower_stops", "upper_stops") if name in arrays]
+        return cls(
+            gain=gain,
+            lower=lower,
+            upper=upper,
+            radii=np.ravel(arrays["radii"]),
+            knots=np.append(starts, starts[-1] + widths[-1]),
+            slopes=np.asarray(arrays["slopes"]),
+            bias=bias,
+            outer_slope=outer_slope,
+            stops=np.stack(stops) if len(stops) == 2 else None,
+        )
+
     @property
     def state_size(self) -> int:
         """Number S = n + 1 of state entries."""
         return self.radii.size + 1
 
 
-def _frozen(values: ArrayLike) -> Array:
+def _frozen(values: ArrayLike) -> Vec:
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
+
+
+@final
+class PlayKernelStep(StepFunction):
+    """Reference step of `weights`; equations in `PlayKernelWeights`. At a kink the branch that moves counts."""
+
+    def __init__(self, weights: PlayKernelWeights) -> None:
+        self.weights = weights
+        self.state_size = weights.state_size
+
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
+        """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1)."""
+        w = self.weights
+        u = np.asarray(u, dtype=np.float64)
+        inside = np.minimum(np.maximum(u, w.lower), w.upper)
+        v = inside if w.gain == 1 else state[:, :1] + w.gain * (inside - state[:, :1])
+        following = np.hstack([v, np.maximum(v - w.radii, np.minimum(v + w.radii, state[:, 1:]))])
+        theta = w.bias + np.sum(w.slopes * ramps(following, w.knots), axis=(1, 2))[:, None]
+        theta = theta + w.outer_slope * (u - inside)
+        if w.stops is not None:
+            stop = v - following[:, 1:]
+            theta = theta + (np.minimum(stop, 0) @ w.stops[0] + np.maximum(stop, 0) @ w.stops[1])[:, None]
+        return theta, following
+
+    def jacobian(self, state: Vec, u: float) -> Vec:
+        """Active-branch derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1)."""
+        w, size = self.weights, self.state_size
+        state = np.asarray(state, dtype=np.float64)
+        inside = float(w.lower <= u <= w.upper)
+        by_v = np.zeros(size + 1)
+        by_v[0], by_v[-1] = 1 - w.gain, w.gain * inside
+        _, following = self.advance(state[None], np.array([[u]]))
+        v, z = following[0, 0], following[0]
+        held = np.minimum(v + w.radii, state[1:])
+        moves = (v - w.radii >= held) | (v + w.radii <= state[1:])
+        by_z = np.vstack([by_v, np.where(moves[:, None], by_v, np.eye(size, size + 1)[1:])])
+        beyond = z[:, None] - w.knots[:-1]
+        slope = np.sum(w.slopes * ((beyond >= 0) & (beyond <= np.diff(w.knots))), axis=1)
+        by_theta = slope @ by_z
+        by_theta[-1] += w.outer_slope * (1 - inside)
+        if w.stops is not None:
+            stop = v - z[1:]
+            by_theta = by_theta + (w.stops[0] * (stop <= 0) + w.stops[1] * (stop >= 0)) @ (by_v - by_z[1:])
+        return np.vstack([by_theta, by_z])
+
+
+def ramps(z: Vec, knots: Vec) -> Vec:
+    """ramp_k(z) = max(0, min(z - knot_k, knot_k+1 - knot_k)) with a last axis over the K segments."""
+    return np.maximum(np.minimum(z[..., None] - knots[:-1], np.diff(knots)), 0.0)
+
+
+def play_kernel_graph(weights: PlayKernelWeights) -> onnx.GraphProto:
+    """Step graph (u [N,1], state [N,S]) -> (theta [N,1], next_state [N,S]); equations in `PlayKernelWeights`.
+
+    Min and Max have the branch that moves first, so that their derivatives at a tie are those of the reference.
+    """
+    arrays: dict[str, ArrayLike] = {
+        "gain": weights.gain,
+        "lower": weights.lower,
+        "upper": weights.upper,
+        "radii": weights.radii[None],
+        "knots": weights.knots[:-1],
+        "widths": np.diff(weights.knots),
+        "slopes": weights.slopes,
+        "bias": weights.bias,
+        "outer_slope": weights.outer_slope,
+        "zero": 0.0,
+    }
+    if weights.stops is not None:
+        arrays |= {"lower_stops": weights.stops[0][:, None], "upper_stops": weights.stops[1][:, None]}
+    lists = {"sizes": [1, weights.radii.size], "last": [2], "features": [1, 2]}
+    nodes = [*_plays(weights.gain < 1), *_readout(weights.stops is not None)]
+    return graph_of_nodes("play_kernel", weights.state_size, nodes, arrays, lists)
+
+
+def _plays(lagged: bool) -> list[onnx.NodeProto]:
+    """From command and state to the next state."""
+    lag = [
+        node("Sub", "inside v_last", "ahead"),
+        node("Mul", "ahead gain", "approach"),
+        node("Add", "v_last approach", "v"),
+    ]
+    return [
+        node("Split", "state sizes", "v_last z_last", axis=1),
+        node("Max", "u lower", "above"),
+        node("Min", "above upper", "inside"),
+        *(lag if lagged else [node("Identity", "inside", "v")]),
+        node("Sub", "v radii", "pushed"),
+        node("Add", "v radii", "pulled"),
+        node("Min", "pulled z_last", "held"),
+        node("Max", "pushed held", "z"),
+        node("Concat", "v z", "next_state", axis=1),
+    ]
+
+
+def _readout(stops: bool) -> list[onnx.NodeProto]:
+    """From the next state to the angle."""
+    nodes = [
+        node("Unsqueeze", "next_state last", "levels"),
+        node("Sub", "levels knots", "beyond"),
+        node("Min", "beyond widths", "capped"),
+        node("Max", "capped zero", "ramps"),
+        node("Mul", "ramps slopes", "weighted"),
+        node("ReduceSum", "weighted features", "summed", keepdims=1),
+        node("Squeeze", "summed last", "rising"),
+        node("Add", "rising bias", "based"),
+        node("Sub", "u inside", "outside"),
+        node("Mul", "outside outer_slope", "continued"),
+    ]
+    if not stops:
+        return [*nodes, node("Add", "based continued", "theta")]
+    return [
+        *nodes,
+        node("Add", "based continued", "played"),
+        node("Sub", "v z", "stop"),
+        node("Min", "stop zero", "stop_below"),
+        node("Max", "stop zero", "stop_above"),
+        node("MatMul", "stop_below lower_stops", "from_below"),
+        node("MatMul", "stop_above upper_stops", "from_above"),
+        node("Add", "from_below from_above", "stopped"),
+        node("Add", "played stopped", "theta"),
+    ]

@@ -1,1 +1,1 @@
-"""Fast roll-outs and exact linearisations of a model for predictive control, and the reference to test them against."""
+"""Fast roll-outs and exact linearisations of a model for predictive control."""

@@ -8,8 +8,9 @@ from typing import final
 import numpy as np
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
 
-from ..model import Array, Inverse, Predictor
+from ..model import Inverse, Predictor
 
 
 @final
@@ -36,27 +37,27 @@ class ActuatedPredictor(Predictor):
         self._predictor = predictor
         self._kept = np.empty((0, 0))
 
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         return np.append(self._predictor.initial(y, u), u)
 
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         v = state[-1] + self.gain * (u - state[-1])
         theta, following = self._predictor.advance(state[:-1], float(v))
         return theta, np.append(following, v)
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         return self._predictor.rollout(state[:-1], self._travel(state, plans))
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         theta, by_travel = self._predictor.linearise(state[:-1], self._travel(state, plan))
         return theta, by_travel @ self._response(plan.size)
 
-    def _travel(self, state: Array, plans: Array) -> Array:
+    def _travel(self, state: Vec, plans: Vec) -> Vec:
         """True travel (..., H) under the plans (..., H)."""
         samples = np.arange(1, plans.shape[-1] + 1)
         return plans @ self._response(plans.shape[-1]).T + state[-1] * (1 - self.gain) ** samples
 
-    def _response(self, horizon: int) -> Array:
+    def _response(self, horizon: int) -> Vec:
         """L (H, H): travel at sample i for a unit command at sample j; computed once for a horizon."""
         kept = self._kept
         if kept.shape[0] != horizon:
@@ -75,7 +76,7 @@ class ActuatedInverse(Inverse):
     def __init__(self, predictor: ActuatedPredictor, inverse: Inverse) -> None:
         self.gain, self.inverse = predictor.gain, inverse
 
-    def command(self, state: Array, theta: float, u_last: float) -> float:
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
         del u_last  # in a dead band the travel stays where it is
         v = float(state[-1])
         return v + (self.inverse.command(state[:-1], theta, v) - v) / self.gain

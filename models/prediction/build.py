@@ -4,25 +4,24 @@ from __future__ import annotations
 
 from hystmpc.trials.errors import ModelError
 
-from ..chain_model import ChainModel
-from ..contract.load import OnnxModel
 from ..contract.metadata import ModelMetadata
-from ..inverse.companion import AccompaniedPredictor, CompanionInverse
-from ..inverse.one_step import CompiledInverse
-from ..inverse.shadow import shadow_simulator
-from ..inverse.trained import MappedPredictor, TrainedInverse, check_inverse_map
-from ..load import AnyModel
-from ..model import Inverse, Predictor
-from ..simulator import Simulator
+from ..inverse.one_step import (
+    AccompaniedPredictor,
+    CompanionInverse,
+    CompiledInverse,
+    MappedPredictor,
+    TrainedInverse,
+    check_inverse_map,
+)
+from ..model import Inverse, InvertiblePredictor, LoadedModel, Predictor
+from ..simulator import ChainModel, Simulator
 from .compiled import CompiledPredictor
-from .invertible import InvertiblePredictor
-from .onnx_ import OnnxPredictor
 
 # A step unrolled to more scalar operations than this takes numba minutes to compile; a chain of operators has tens.
 _COMPILED_INSTRUCTIONS = 500
 
 
-def predictor_for(model: AnyModel) -> Predictor:
+def predictor_for(model: LoadedModel) -> Predictor:
     """The fastest predictor that there is for a model.
 
     Compiled for operator chains and exported graphs of few elementwise operations, kernels of their own for models of
@@ -38,25 +37,33 @@ def predictor_for(model: AnyModel) -> Predictor:
         )
     if isinstance(model, ChainModel):
         return CompiledPredictor.of_simulator(model.simulator)
-    if model.metadata.kind == "lstm":
-        from .lstm import LstmPredictor  # its kernels take a moment to load, which operators need not wait for
+    return _exported_predictor(model)
 
-        return LstmPredictor.of_model(model)
-    if model.metadata.kind == "gru":
-        from .gru import GruPredictor  # as above
 
-        return GruPredictor(model)
+def _exported_predictor(model: LoadedModel) -> Predictor:
+    """The predictor of an ONNX file; what it needs takes a moment to load, which operators need not wait for."""
+    from ..contract.load import OnnxModel
+
+    assert isinstance(model, OnnxModel)  # there are these two
+    if model.metadata.kind in ("lstm", "gru"):
+        from .recurrent import GruPredictor, LstmPredictor
+
+        return LstmPredictor.of_model(model) if model.metadata.kind == "lstm" else GruPredictor(model)
     if model.metadata.kind == "play_kernel":
-        from .play_kernel import PlayKernelPredictor  # as above
+        from ..play_kernel.predictor import PlayKernelPredictor
 
         return PlayKernelPredictor.of_model(model)
     function = model.casadi_function()
     if function.is_a("SXFunction") and function.n_instructions() <= _COMPILED_INSTRUCTIONS:
         return CompiledPredictor.of_function(function, model.metadata)
+    from .onnx_ import OnnxPredictor
+
     return OnnxPredictor(model)
 
 
-def predictor_and_inverse(model: AnyModel, companion: Simulator | AnyModel | None = None) -> tuple[Predictor, Inverse]:
+def predictor_and_inverse(
+    model: LoadedModel, companion: Simulator | LoadedModel | None = None
+) -> tuple[Predictor, Inverse]:
     """Predictor and inverse that share one memory.
 
     A compiled model is inverted exactly. Any other gets a companion whose inverse is asked instead: the given
@@ -69,13 +76,17 @@ def predictor_and_inverse(model: AnyModel, companion: Simulator | AnyModel | Non
     """
     predictor = predictor_for(model)
     low, high = _inverse_range(model.metadata)
-    if isinstance(companion, ChainModel | OnnxModel):
+    if isinstance(companion, LoadedModel):
         check_inverse_map(companion.metadata, model.metadata)
         mapped = MappedPredictor(predictor, companion)
         return mapped, TrainedInverse(mapped, low, high)
     if isinstance(predictor, InvertiblePredictor) and companion is None:
         return predictor, CompiledInverse(predictor, low, high)
-    beside = CompiledPredictor.of_simulator(companion or shadow_simulator(model))
+    if companion is None:
+        from ..inverse.surrogate_backlash import surrogate_backlash  # an identification, with all that it needs
+
+        companion = surrogate_backlash(model)
+    beside = CompiledPredictor.of_simulator(companion)
     both = AccompaniedPredictor(predictor, beside)
     return both, CompanionInverse(both, CompiledInverse(beside, low, high))
 

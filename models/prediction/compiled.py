@@ -7,12 +7,13 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from ..contract.metadata import InitialRule, ModelMetadata
+from hystmpc.trials.types import Vec
+
+from ..contract.metadata import ModelMetadata
 from ..kernels.chain_kernels import compile_step
-from ..model import Array
+from ..kernels.program import dense
+from ..model import InvertiblePredictor
 from ..simulator import Simulator
-from ..symbolic.instructions import dense
-from .invertible import InvertiblePredictor
 
 
 @final
@@ -24,18 +25,15 @@ class CompiledPredictor(InvertiblePredictor):
         parameters, sample_s: p (P,) and dt (1,) [s], as the kernels take them.
     """
 
-    def __init__(self, transition: Any, p: Array, metadata: ModelMetadata, rule: InitialRule) -> None:
-        self.dt = metadata.dt_s
-        self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
+    def __init__(self, transition: Any, p: Vec, metadata: ModelMetadata) -> None:
+        super().__init__(metadata)
         self.kernels = compile_step(transition)
         self.parameters, self.sample_s = np.asarray(p, dtype=np.float64), np.array([metadata.dt_s])
-        self._rule, self._warmup = rule, metadata.warmup_samples
 
     @classmethod
     def of_simulator(cls, simulator: Simulator) -> CompiledPredictor:
         """Predictor of a simulator at its own sample time."""
-        metadata = simulator.metadata()
-        return cls(simulator.chain.transition, simulator.chain.values, metadata, metadata.conditioned)
+        return cls(simulator.chain.transition, simulator.chain.values, simulator.metadata())
 
     @classmethod
     def of_function(cls, function: Any, metadata: ModelMetadata) -> CompiledPredictor:
@@ -43,32 +41,26 @@ class CompiledPredictor(InvertiblePredictor):
         x, u = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("u")
         theta, following = function(x, u)
         transition = dense("transition", [x, u, ca.SX.sym("p", 0), ca.SX.sym("dt")], [theta, following])
-        return cls(transition, np.empty(0), metadata, metadata.conditioned)
+        return cls(transition, np.empty(0), metadata)
 
-    def initial(self, y: float, u: float) -> Array:
-        state = self._rule.state(np.array([[y]]))[0]
-        for _ in range(self._warmup):
-            _, state = self.advance(state, u)
-        return state
-
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         following, theta, run = state.reshape(1, -1).copy(), np.empty((1, 1)), self.kernels
         run.simulate(following, np.array([[u]]), self.parameters, self.sample_s, run.step_constants, theta)
         return float(theta[0, 0]), following[0]
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         plans = np.ascontiguousarray(plans, dtype=np.float64)
         theta, run = np.empty(plans.shape), self.kernels
         run.rollout(state, plans, self.parameters, self.sample_s, run.step_constants, theta)
         return theta
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         plan = np.ascontiguousarray(plan, dtype=np.float64)
         theta, jacobian, run = np.empty(plan.size), np.empty((plan.size, plan.size)), self.kernels
         run.linearise(state, plan, self.parameters, self.sample_s, run.tangent_constants, theta, jacobian)
         return theta, jacobian
 
-    def command_for(self, state: Array, theta: float, low: float, high: float, last: float) -> float:
+    def command_for(self, state: Vec, theta: float, low: float, high: float, last: float) -> float:
         run = self.kernels
         u = run.command_for(state, theta, low, high, last, self.parameters, self.sample_s, run.tangent_constants)
         return float(u)

@@ -7,14 +7,16 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from hystmpc.trials.types import Vec
+
 from ..contract.load import OnnxModel
-from ..model import Array, Predictor
+from ..model import ModelPredictor
 
 _SPARSE_ENTRIES = 4  # of A in a row, up to which its product is cheaper than directions through the step
 
 
 @final
-class OnnxPredictor(Predictor):
+class OnnxPredictor(ModelPredictor):
     """Predictor of a loaded model file of any kind; what has no kernels of its own.
 
     A roll-out is H runs of the step graph on all plans at once. A linearisation carries the tangents of the state along
@@ -30,10 +32,8 @@ class OnnxPredictor(Predictor):
     """
 
     def __init__(self, model: OnnxModel) -> None:
-        metadata = model.metadata
-        self.dt = metadata.dt_s
-        self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
-        self._model, self._metadata = model, metadata
+        super().__init__(model.metadata)
+        self._model = model
         self._function = model.casadi_function()
         self._sparse = _sparse_derivative(self._function)
         self._horizons: dict[int, Any] = {}
@@ -43,17 +43,11 @@ class OnnxPredictor(Predictor):
         """Whether tangents are carried by the matrices A, B, C, D; else by directions through the step."""
         return self._sparse is not None
 
-    def initial(self, y: float, u: float) -> Array:
-        state = self._metadata.conditioned.state(np.array([[y]]))
-        for _ in range(self._metadata.warmup_samples):
-            _, state = self._model.advance(state, np.array([[u]]))
-        return state[0]
-
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         theta, following = self._model.advance(state[None], np.array([[u]]))
         return float(theta[0, 0]), following[0]
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         states = np.tile(state, (plans.shape[0], 1))
         theta = np.empty(plans.shape)
         for k in range(plans.shape[1]):
@@ -61,7 +55,7 @@ class OnnxPredictor(Predictor):
             theta[:, k] = angle[:, 0]
         return theta
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         theta, jacobian = self._horizon(plan.size)(state, plan)
         return np.asarray(theta).ravel(), np.asarray(jacobian)
 

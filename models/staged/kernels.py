@@ -11,7 +11,7 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from ..kernels.cache import generated_module
+from ..kernels.numba_ import generated_module
 from ..operators.operator import Operator
 from .source import stage_source
 

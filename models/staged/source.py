@@ -8,9 +8,8 @@ from typing import Any
 
 import casadi as ca
 
+from ..kernels.program import SCALAR, Instruction, dense, instructions
 from ..operators.operator import Operator
-from ..symbolic.instructions import Instruction, dense, instructions
-from ..symbolic.source import SCALAR
 
 _STATE, _INPUT = 0, 1  # arguments of an operator's function that change from sample to sample
 _ARGUMENTS = ("x", "u", "p", "dt")

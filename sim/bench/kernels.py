@@ -6,7 +6,7 @@ import numpy as np
 
 from hystmpc.models.kernels.lstm_plain import PlainRoute
 from hystmpc.models.model import Predictor
-from hystmpc.models.prediction.lstm import LstmPredictor
+from hystmpc.models.prediction.recurrent import LstmPredictor
 
 from .limit import best_rate, jacobian_flops, products, rollout_flops
 from .report import Reads, Row

@@ -8,17 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.models.contract.bundle import ExportBundle
-from hystmpc.models.contract.export import export_onnx
+from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.contract.metadata import ModelMetadata, Range
 from hystmpc.models.library import library_file, library_names
-from hystmpc.models.lstm.graph import lstm_step_graph
-from hystmpc.models.lstm.initial import conditioned_rule, zero_state_rule
-from hystmpc.models.lstm.reference import LstmStep
-from hystmpc.models.lstm.weights import LstmLayer, LstmWeights
-from hystmpc.models.networks.scaling import Scaling
-from hystmpc.models.probe import probe_commands
+from hystmpc.models.motions import conditioned_rule, probe_commands, zero_state_rule
+from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights, lstm_step_graph
+from hystmpc.models.networks.settings import Scaling
 
 _COMMAND = Range(lower=0.0, upper=6.0)  # tendon [mm]
 _ANGLE = Range(lower=29.0, upper=89.0)  # 10 deg/mm

@@ -9,7 +9,7 @@ import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planning import PlanningProblem, Weights
-from hystmpc.models.lstm.weights import LstmWeights
+from hystmpc.models.networks.lstm import LstmWeights
 from hystmpc.trials.types import Vec
 
 
@@ -48,7 +48,7 @@ class TorchMppi:
         import torch
         from pytorch_mppi import MPPI
 
-        from hystmpc.models.lstm.torch_ import net_of
+        from hystmpc.models.networks.recurrent_ import net_of
 
         self._torch = torch
         self._net = net_of(network).requires_grad_(False)

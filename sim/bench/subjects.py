@@ -10,16 +10,14 @@ from numpy.typing import NDArray
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.models.chain import Chain
-from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.metadata import ModelMetadata, Range
-from hystmpc.models.load import AnyModel
-from hystmpc.models.lstm.weights import LstmWeights
-from hystmpc.models.model import Inverse, Predictor
-from hystmpc.models.operators.backlash import Backlash
+from hystmpc.models.model import Inverse, LoadedModel, Predictor
+from hystmpc.models.networks.lstm import LstmWeights
+from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
-from hystmpc.models.simulator import Identification, Simulator
+from hystmpc.models.simulator import ChainModel, Identification, Simulator
 
 from .lstm_model import lstm_model
 
@@ -95,7 +93,7 @@ def operator_subjects() -> list[Subject]:
     return subjects
 
 
-def _subject(name: str, source: str, model: AnyModel, function: Any, weights: LstmWeights | None = None) -> Subject:
+def _subject(name: str, source: str, model: LoadedModel, function: Any, weights: LstmWeights | None = None) -> Subject:
     predictor, inverse = predictor_and_inverse(model)
     own = predictor_for(model)
     return Subject(name, source, model.metadata, predictor, inverse, own, function, weights)

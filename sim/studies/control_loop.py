@@ -13,7 +13,7 @@ import numpy as np
 
 from hystmpc.ctrl.config import InversePidControllerSettings, PidControllerSettings, PidSettings
 from hystmpc.ctrl.protocols import Controller
-from hystmpc.models.lstm.initial import initialisation_flexure
+from hystmpc.models.motions import initialisation_flexure
 from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically

@@ -11,7 +11,7 @@ import numpy as np
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.operators.lag import Lag
+from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.simulator import Simulator, save_simulator
 from hystmpc.trajectories.excitation import Offset, s2_point_to_point, s2_sinusoid
 from hystmpc.trajectories.trajectory import Trajectory

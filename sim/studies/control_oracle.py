@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import final
 
-from hystmpc.models.model import Array, Predictor
+from hystmpc.models.model import Predictor
+from hystmpc.trials.types import Vec
 
 
 @final
@@ -19,21 +20,21 @@ class RestedPredictor(Predictor):
         before: commands (T,) that the device got before the first sample, the last of them its rest.
     """
 
-    def __init__(self, predictor: Predictor, before: Array) -> None:
+    def __init__(self, predictor: Predictor, before: Vec) -> None:
         self.dt, self.command_range = predictor.dt, predictor.command_range
         self._predictor, self._before = predictor, before
 
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         state = self._predictor.initial(y, u)
         for command in self._before:
             _, state = self._predictor.advance(state, float(command))
         return state
 
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         return self._predictor.advance(state, u)
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         return self._predictor.rollout(state, plans)
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         return self._predictor.linearise(state, plan)

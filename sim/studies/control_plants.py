@@ -9,13 +9,11 @@ from types import MappingProxyType
 import numpy as np
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.library import library_file
-from hystmpc.models.operators.creep import Creep
-from hystmpc.models.operators.delay import Delay
-from hystmpc.models.operators.lag import Lag
+from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.simulator import Simulator, load_simulator
+from hystmpc.models.operators.slow_changes import Creep
+from hystmpc.models.simulator import ChainModel, Simulator, load_simulator
 
 from ..plant import Effects, SimulatedPlant, at_sample_time, mismatched
 

@@ -10,7 +10,7 @@ import numpy as np
 from hystmpc.ctrl.command import Command
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.protocols import Controller
-from hystmpc.models.lstm.initial import initialisation_flexure
+from hystmpc.models.motions import initialisation_flexure
 from hystmpc.trials.types import Vec
 
 from ..computed_plant import ComputedPlant

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hystmpc.models.fit.network_bundle import network_bundle
-from hystmpc.models.fit.network_settings import NetworkSettings
-from hystmpc.models.fit.networks import fit_network
 from hystmpc.models.kinds.kind import FitRequest, Identified
-from hystmpc.models.kinds.network_fit import network_settings
+from hystmpc.models.kinds.networks import network_settings
 from hystmpc.models.networks.settings import FeedForwardSettings
+from hystmpc.models.train.networks import fit_network, network_bundle
+from hystmpc.models.train.settings import NetworkSettings
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.cli.outputs import EVALUATION, MODEL, SIMULATOR, Output, check_output
-from hystmpc.models.export_simulator import export_simulator
+from hystmpc.models.load import export_simulator
 from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.csv_ import write_csv
 from hystmpc.trials.errors import ConfigError

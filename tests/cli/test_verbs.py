@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from hystmpc.cli.main import main
-from hystmpc.models.chain_model import ChainModel
+from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.csv_ import read_csv, write_csv
 from hystmpc.trials.trial import Trial
 

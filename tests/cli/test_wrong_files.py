@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 import yaml
 
-from hystmpc.models.chain_model import ChainModel
-from hystmpc.models.export_simulator import export_simulator
-from hystmpc.models.simulator import save_simulator
+from hystmpc.models.load import export_simulator
+from hystmpc.models.simulator import ChainModel, save_simulator
 from hystmpc.sim.compare import compare
 from hystmpc.sim.config import SimulationConfig
 from hystmpc.trials.csv_ import write_csv

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.model import Array, Inverse, Predictor
+from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.prediction.build import predictor_and_inverse
-from hystmpc.models.simulator import Identification, Simulator
+from hystmpc.models.simulator import ChainModel, Identification, Simulator
+from hystmpc.trials.types import Vec
 
 DT = 0.04
 
@@ -30,15 +30,15 @@ class Backlash(Predictor):
     dt: float = DT
     command_range: tuple[float, float] = (0.0, 6.0)
 
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         del u
         return np.array([y])
 
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         y = max(self.m_up * (u + self.c_up), min(self.m_lo * (u + self.c_lo), float(state[0])))
         return y, np.array([y])
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         angles = np.empty_like(plans)
         y = np.full(plans.shape[0], float(state[0]))
         for k in range(plans.shape[1]):
@@ -47,7 +47,7 @@ class Backlash(Predictor):
             angles[:, k] = y
         return angles
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, jacobian = np.empty(plan.size), np.zeros((plan.size, plan.size))
         y, row = float(state[0]), np.zeros(plan.size)
         for k, u in enumerate(plan):
@@ -70,7 +70,7 @@ class BacklashInverse(Inverse):
 
     model: Backlash
 
-    def command(self, state: Array, theta: float, u_last: float) -> float:
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
         m, y = self.model, float(state[0])
         up, lo = theta / m.m_up - m.c_up, theta / m.m_lo - m.c_lo
         if abs(theta - y) < 1e-9:
@@ -88,20 +88,20 @@ class Lag(Predictor):
     dt: float = DT
     command_range: tuple[float, float] = (0.0, 6.0)
 
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         del u
         return np.array([y])
 
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         y = self.a * float(state[0]) + (1 - self.a) * (self.g * u + self.b)
         return y, np.array([y])
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         _, jacobian = self.linearise(state, plans[0])
         free = float(state[0]) * self.a ** np.arange(1, plans.shape[1] + 1)
         return free + (plans + self.b / self.g) @ jacobian.T
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         n = plan.size
         ages = np.arange(n)[:, None] - np.arange(n)
         jacobian = np.where(ages >= 0, (1 - self.a) * self.g * self.a ** np.maximum(ages, 0), 0.0)
@@ -115,7 +115,7 @@ class LagInverse(Inverse):
 
     model: Lag
 
-    def command(self, state: Array, theta: float, u_last: float) -> float:
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
         del u_last
         m = self.model
         return ((theta - m.a * float(state[0])) / (1 - m.a) - m.b) / m.g
@@ -124,34 +124,34 @@ class LagInverse(Inverse):
 class Faulty(Predictor):
     """A model that does `fault` whenever it is asked about a command above `threshold`; at rest it is sound."""
 
-    def __init__(self, inner: Predictor, fault: Callable[[Array], Array], threshold: float = 1.0) -> None:
+    def __init__(self, inner: Predictor, fault: Callable[[Vec], Vec], threshold: float = 1.0) -> None:
         self.inner, self.fault, self.threshold = inner, fault, threshold
         self.dt, self.command_range = inner.dt, inner.command_range
 
-    def _spoil(self, value: Array, plan: Array | float) -> Array:
+    def _spoil(self, value: Vec, plan: Vec | float) -> Vec:
         return self.fault(value) if np.max(plan) > self.threshold else value
 
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         return self.inner.initial(y, u)
 
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         y, after = self.inner.advance(state, u)
         return float(self._spoil(np.array([y]), u)[0]), self._spoil(after, u)
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         return self._spoil(self.inner.rollout(state, plans), plans)
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, jacobian = self.inner.linearise(state, plan)
         return self._spoil(angles, plan), self._spoil(jacobian, plan)
 
 
-def raising(value: Array) -> Array:
+def raising(value: Vec) -> Vec:
     """The fault of a model that raises."""
     raise ValueError("out of the trained range")
 
 
-def not_a_number(value: Array) -> Array:
+def not_a_number(value: Vec) -> Vec:
     """The fault of a model that answers not-a-number."""
     return np.full_like(value, np.nan)
 
@@ -215,7 +215,7 @@ class Case:
     def inverse(self) -> Inverse:
         return self._built[1]
 
-    def broken(self, fault: Callable[[Array], Array]) -> Case:
+    def broken(self, fault: Callable[[Vec], Vec]) -> Case:
         """The same model with a fault."""
         return replace(
             self, name=f"{self.name}, {fault.__name__}", build=lambda: (Faulty(self.predictor, fault), self.inverse)

@@ -14,13 +14,12 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import LoopLog, run_loop
 from hystmpc.ctrl.pid import PidGains
 from hystmpc.models.chain import Chain
-from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.model import Inverse, Predictor
-from hystmpc.models.operators.backlash import Backlash
+from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.prediction.actuated import ActuatedInverse, ActuatedPredictor
 from hystmpc.models.prediction.build import predictor_and_inverse
-from hystmpc.models.simulator import Identification, Simulator
+from hystmpc.models.simulator import ChainModel, Identification, Simulator
 from hystmpc.trials.errors import ControllerError
 
 from .plays import DT, Lag, ModelPlant

@@ -15,8 +15,9 @@ from hystmpc.ctrl.ladder import Ladder, LadderOptions
 from hystmpc.ctrl.law import Law, Proposal, Situation
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.stopwatch import Stopwatch
-from hystmpc.models.model import Array, Inverse, Predictor
+from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from .plays import PLAY
 
@@ -35,18 +36,18 @@ class Switched(Predictor):
         if call in self.broken:
             raise RuntimeError(f"{call} is broken\non purpose")
 
-    def initial(self, y: float, u: float) -> Array:
+    def initial(self, y: float, u: float) -> Vec:
         return self.inner.initial(y, u)
 
-    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         self._check("advance")
         return self.inner.advance(state, u)
 
-    def rollout(self, state: Array, plans: Array) -> Array:
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
         self._check("rollout")
         return self.inner.rollout(state, plans)
 
-    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         self._check("linearise")
         return self.inner.linearise(state, plan)
 
@@ -57,7 +58,7 @@ class SwitchedInverse(Inverse):
     def __init__(self, inner: Inverse) -> None:
         self.inner, self.broken, self.answer = inner, False, 0.0
 
-    def command(self, state: Array, theta: float, u_last: float) -> float:
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
         if self.broken:
             raise ZeroDivisionError("no inverse")
         if self.answer:

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from hystmpc.ctrl.linearised.daqp_ import DaqpOptions
-from hystmpc.models.inverse.companion import AccompaniedPredictor, CompanionInverse
+from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse
 from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import ModelKind
 from hystmpc.models.library import library_file
-from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.model import Inverse, InvertiblePredictor, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
-from hystmpc.models.prediction.casadi_ import CasadiPredictor
-from hystmpc.models.prediction.invertible import InvertiblePredictor
 from hystmpc.models.simulator import load_simulator
 
+from ..models.casadi_predictor import CasadiPredictor
 from ..models.tiny_kinds import FORWARD, example
 from .test_solvers import compared, controller_for
 

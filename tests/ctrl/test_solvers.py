@@ -23,14 +23,14 @@ from hystmpc.ctrl.linearised.solver import QpSolver
 from hystmpc.ctrl.mpc import HoldRule, PredictiveLaw
 from hystmpc.ctrl.planning import PlanningError, Weights
 from hystmpc.ctrl.stopwatch import Stopwatch
-from hystmpc.models.chain_model import ChainModel
-from hystmpc.models.inverse.companion import AccompaniedPredictor
+from hystmpc.models.inverse.one_step import AccompaniedPredictor
 from hystmpc.models.library import library_file
-from hystmpc.models.load import AnyModel, load_model
-from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.load import load_model
+from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse
-from hystmpc.models.prediction.casadi_ import CasadiPredictor
+from hystmpc.models.simulator import ChainModel
 
+from ..models.casadi_predictor import CasadiPredictor
 from .plays import DT, SOUND, Case, Faulty
 from .test_linearised import HARD, LIMITS, SOFT, H, posed
 
@@ -157,7 +157,7 @@ def test_both_solvers_give_the_same_commands(case: Case, osqp: OsqpOptions, tole
     np.testing.assert_allclose(theirs[solved], ours[solved], atol=tolerance)
 
 
-def reference_route(model: AnyModel) -> tuple[Predictor, Predictor, Inverse]:
+def reference_route(model: LoadedModel) -> tuple[Predictor, Predictor, Inverse]:
     """The compiled route, the route through CasADi's own derivatives with the same state, and their inverse."""
     compiled, inverse = predictor_and_inverse(model)
     slow = CasadiPredictor(model.casadi_function(), model.metadata)

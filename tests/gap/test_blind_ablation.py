@@ -11,10 +11,8 @@ import pytest
 from hystmpc.gap.blind.ablation import RESULT, Ablated, ablate, answered, components, effect_of, without
 from hystmpc.gap.blind.reading import Reading
 from hystmpc.models.chain import Chain
-from hystmpc.models.operators.delay import Delay
-from hystmpc.models.operators.lag import Lag
-from hystmpc.models.operators.nonlinear_gain import NonlinearGain
-from hystmpc.models.operators.servo import Servo
+from hystmpc.models.operators.dynamics import Delay, Lag, Servo
+from hystmpc.models.operators.static_curves import NonlinearGain
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.errors import ConfigError
 

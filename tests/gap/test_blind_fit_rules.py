@@ -12,7 +12,7 @@ from hystmpc.gap.hypothesis import CrossValidation
 from hystmpc.gap.recording import Run, runs_of
 from hystmpc.gap.select import Selection, SelectionSettings, select
 from hystmpc.models.chain import Chain
-from hystmpc.models.operators.lag import Lag
+from hystmpc.models.operators.dynamics import Lag
 
 from ..models.zoo import BACKLASH
 from .engine_examples import BASELINES, CANDIDATES, moves, trials_of

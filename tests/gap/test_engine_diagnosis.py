@@ -17,9 +17,9 @@ from hystmpc.gap.procedure import LIBRARY, conclude, investigate
 from hystmpc.gap.report.evidence import Evidence
 from hystmpc.gap.report.folder import diagnosis_json
 from hystmpc.models.chain import Chain
-from hystmpc.models.operators.creep import Creep
-from hystmpc.models.operators.lag import Lag
+from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 

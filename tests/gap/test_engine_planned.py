@@ -18,12 +18,10 @@ from hystmpc.gap.trial_terms import TrialTerms
 from hystmpc.gap.uncertainty import uncertainty
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.place import effect_from
-from hystmpc.models.operators.creep import Creep
-from hystmpc.models.operators.drift import Drift
-from hystmpc.models.operators.first_flexure import FirstFlexure
-from hystmpc.models.operators.lag import Lag
+from hystmpc.models.operators.dynamics import Lag
+from hystmpc.models.operators.measurement import PeriodicDisturbance
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.operators.periodic_disturbance import PeriodicDisturbance
+from hystmpc.models.operators.slow_changes import Creep, Drift, FirstFlexure
 from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.types import Vec

@@ -11,9 +11,8 @@ from hystmpc.gap.lack_of_fit import remaining_curvature
 from hystmpc.gap.preparation import Prepared, prepare
 from hystmpc.gap.trial_terms import NO_TERMS
 from hystmpc.models.chain import Chain
-from hystmpc.models.operators.contact import Contact
-from hystmpc.models.operators.nonlinear_gain import NonlinearGain
 from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.static_curves import Contact, NonlinearGain
 
 from ..models.zoo import BACKLASH
 from .engine_examples import moves, simulator_of, sine, trials_of

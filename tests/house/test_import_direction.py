@@ -27,15 +27,9 @@ def wrong_way(root: Path) -> Iterator[str]:
 
 def may_need_torch(module: Module) -> bool:
     """Training, the definitions of networks, and the benchmark's rival that runs on torch."""
-    networks = module.name.startswith("hystmpc.models.networks.") and module.name.endswith("_")
+    wrapper = module.name.startswith("hystmpc.models.networks.") and module.name.endswith("_")
     return (
-        networks
-        or module.name.startswith("hystmpc.models.fit.")
-        or module.name
-        in (
-            "hystmpc.models.lstm.torch_",
-            "hystmpc.sim.bench.pytorch_mppi_",
-        )
+        wrapper or module.name.startswith("hystmpc.models.train.") or module.name == "hystmpc.sim.bench.pytorch_mppi_"
     )
 
 

@@ -10,8 +10,10 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from hystmpc.models.contract import ExportBundle, ModelMetadata
-from hystmpc.models.model import Array, StepFunction
+from hystmpc.models.contract.export import ExportBundle
+from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.model import StepFunction
+from hystmpc.trials.types import Vec
 
 DT_S = 0.04
 SLOPE, OFFSET, WIDTH, RATE_GAIN = 10.0, 30.0, 0.3, 0.05
@@ -24,11 +26,11 @@ class Play(StepFunction):
 
     state_size = 1
 
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         z = np.maximum(u - WIDTH, np.minimum(u + WIDTH, state))
         return SLOPE * z + OFFSET, z
 
-    def jacobian(self, state: Array, u: float) -> Array:
+    def jacobian(self, state: Vec, u: float) -> Vec:
         moves = u - WIDTH >= min(u + WIDTH, state[0]) or u + WIDTH <= state[0]
         dz = [0.0, 1.0] if moves else [1.0, 0.0]
         return np.array([[SLOPE * dz[0], SLOPE * dz[1]], dz])
@@ -39,12 +41,12 @@ class RatePlay(StepFunction):
 
     state_size = 2
 
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         width = WIDTH + RATE_GAIN * np.abs(u - state[:, 1:]) / DT_S
         z = np.maximum(u - width, np.minimum(u + width, state[:, :1]))
         return SLOPE * z + OFFSET, np.hstack([z, u])
 
-    def jacobian(self, state: Array, u: float) -> Array:
+    def jacobian(self, state: Vec, u: float) -> Vec:
         growth = RATE_GAIN * np.sign(u - state[1]) / DT_S
         width = WIDTH + RATE_GAIN * abs(u - state[1]) / DT_S
         if u - width >= min(u + width, state[0]):
@@ -68,18 +70,18 @@ class Lstm(StepFunction):
         self.bias = np.float64(np.float32(rng.normal(0, 0.3, 4 * HIDDEN)))
         self.head = np.float64(np.float32(rng.normal(0, 40 * scale, (HIDDEN, 1))))
 
-    def _gates(self, h: Array, u: Array) -> list[Array]:
+    def _gates(self, h: Vec, u: Vec) -> list[Vec]:
         z = (u - 3.0) / 3.0 @ self.w_x + h @ self.w_h + self.bias
         return [np.tanh(p) if k == 2 else 1 / (1 + np.exp(-p)) for k, p in enumerate(np.split(z, 4, axis=1))]
 
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         h, c = np.split(state, 2, axis=1)
         i, f, g, o = self._gates(h, u)
         c = f * c + i * g
         h = o * np.tanh(c)
         return h @ self.head + 30.0, np.hstack([h, c])
 
-    def jacobian(self, state: Array, u: float) -> Array:
+    def jacobian(self, state: Vec, u: float) -> Vec:
         h, c = np.split(state[None], 2, axis=1)
         i, f, g, o = (gate.T for gate in self._gates(h, np.array([[u]])))
         dz = np.hstack([self.w_h.T, np.zeros((4 * HIDDEN, HIDDEN)), self.w_x.T / 3.0])

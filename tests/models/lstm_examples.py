@@ -9,14 +9,12 @@ import pytest
 
 from hystmpc.models.contract.metadata import ModelMetadata, Range
 from hystmpc.models.kernels.lstm_plain import PlainRoute
-from hystmpc.models.kernels.lstm_vector import VectorRoute
+from hystmpc.models.kernels.lstm_vector import VectorRoute, allowed_threads
 from hystmpc.models.kernels.network_route import NetworkRoute
-from hystmpc.models.kernels.threads import allowed_threads
-from hystmpc.models.kernels.vector_shape import SHAPES, host_shape
-from hystmpc.models.lstm.initial import conditioned_rule, zero_state_rule
-from hystmpc.models.lstm.reference import LstmStep
-from hystmpc.models.lstm.weights import LstmLayer, LstmWeights
-from hystmpc.models.networks.scaling import Scaling
+from hystmpc.models.kernels.vector_emitter import SHAPES, host_shape
+from hystmpc.models.motions import conditioned_rule, zero_state_rule
+from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights
+from hystmpc.models.networks.settings import Scaling
 from hystmpc.trials.trial import Trial
 
 DT = 0.04

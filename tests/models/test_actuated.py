@@ -9,7 +9,7 @@ import pytest
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.inverse.one_step import CompiledInverse
-from hystmpc.models.operators.lag import Lag
+from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.prediction.actuated import ActuatedInverse, ActuatedPredictor
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.trials.errors import ModelError

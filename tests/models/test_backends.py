@@ -9,12 +9,11 @@ import onnxruntime as ort
 import pytest
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.contract.onnx_nodes import step_graph
 from hystmpc.models.kernels.chain_kernels import compile_step
+from hystmpc.models.kernels.program import BINARY, NUMPY, SCALAR, TORCH, UNARY, array_program, dense
 from hystmpc.models.operators.catalogue import OPERATORS
-from hystmpc.models.operators.sensor import Sensor
-from hystmpc.models.symbolic.instructions import BINARY, UNARY, dense
-from hystmpc.models.symbolic.onnx_nodes import step_graph
-from hystmpc.models.symbolic.source import NUMPY, SCALAR, TORCH, array_program
+from hystmpc.models.operators.measurement import Sensor
 from hystmpc.trials.errors import ModelError
 
 from .zoo import CHAINS, DT, EXAMPLES, WITH_EFFECTS

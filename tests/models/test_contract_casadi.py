@@ -12,8 +12,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from hystmpc.models.contract.casadi_ import to_casadi
-from hystmpc.models.contract.checks import IR_VERSION, OPSET
-from hystmpc.models.contract.operators import ALLOWED
+from hystmpc.models.contract.checks import ALLOWED, IR_VERSION, OPSET
 from hystmpc.trials.errors import ModelError
 
 SIZE = 4

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from onnx import TensorProto, numpy_helper
 
-from hystmpc.models.contract import ExportBundle, GateReport, OnnxModel, export_onnx, load_onnx
-from hystmpc.models.model import Array, StepFunction
+from hystmpc.models.contract.equivalence import EquivalenceReport
+from hystmpc.models.contract.export import ExportBundle, export_onnx
+from hystmpc.models.contract.load import OnnxModel, load_onnx
+from hystmpc.models.model import StepFunction
 from hystmpc.trials.errors import ExportError
+from hystmpc.trials.types import Vec
 
 from .contract_examples import DT_S, PROBE, SLOPE, SYSTEMS, WIDTH, Play, RatePlay, metadata, node, play_graph
 
@@ -22,17 +25,17 @@ def bundle(request: pytest.FixtureRequest) -> ExportBundle:
 
 
 @pytest.fixture(scope="module")
-def exported(bundle: ExportBundle, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, GateReport]:
+def exported(bundle: ExportBundle, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, EquivalenceReport]:
     path = tmp_path_factory.mktemp("exported") / "model.onnx"
     return path, export_onnx(bundle, path)
 
 
 @pytest.fixture
-def model(exported: tuple[Path, GateReport]) -> OnnxModel:
+def model(exported: tuple[Path, EquivalenceReport]) -> OnnxModel:
     return load_onnx(exported[0])
 
 
-def test_gate_passes_and_reports(bundle: ExportBundle, exported: tuple[Path, GateReport]) -> None:
+def test_gate_passes_and_reports(bundle: ExportBundle, exported: tuple[Path, EquivalenceReport]) -> None:
     report = exported[1]
     single = bundle.graph.input[0].type.tensor_type.elem_type == TensorProto.FLOAT
     assert report.steps == 1000
@@ -59,7 +62,7 @@ def test_round_trip_over_1000_samples(bundle: ExportBundle, model: OnnxModel) ->
 
 
 def test_metadata_and_state_survive_the_file(
-    bundle: ExportBundle, model: OnnxModel, exported: tuple[Path, GateReport]
+    bundle: ExportBundle, model: OnnxModel, exported: tuple[Path, EquivalenceReport]
 ) -> None:
     assert model.metadata == bundle.metadata
     assert (model.nx, model.nu, model.dt) == (bundle.reference.state_size + 1, 1, DT_S)
@@ -135,10 +138,10 @@ class WrongSlope(StepFunction):
 
     state_size = 1
 
-    def advance(self, state: Array, u: Array) -> tuple[Array, Array]:
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
         return Play().advance(state, u)
 
-    def jacobian(self, state: Array, u: float) -> Array:
+    def jacobian(self, state: Vec, u: float) -> Vec:
         return Play().jacobian(state, u) * (1 + 1e-6)
 
 

@@ -19,8 +19,8 @@ from hystmpc.models.effects.place import (
     neutral_operator,
     with_effect,
 )
+from hystmpc.models.operators.friction import StickSlip
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.operators.stick_slip import StickSlip
 
 from .running import run_chain
 from .zoo import BACKLASH, DT, STATIC_PI

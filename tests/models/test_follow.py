@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hystmpc.models.inverse.companion import AccompaniedPredictor, CompanionInverse
 from hystmpc.models.inverse.follow import Bounds, CompiledFollower, Follower, StepwiseFollower, follower_for
-from hystmpc.models.inverse.one_step import CompiledInverse
+from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse, CompiledInverse
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.prediction.actuated import ActuatedInverse, ActuatedPredictor
 from hystmpc.models.prediction.compiled import CompiledPredictor
-from hystmpc.models.prediction.lstm import LstmPredictor
+from hystmpc.models.prediction.recurrent import LstmPredictor
 
 from .lstm_examples import ROUTES, facts, make_route, random_weights
 from .zoo import CHAINS, simulator

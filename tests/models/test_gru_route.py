@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from onnx import numpy_helper
 
-from hystmpc.models.kernels.gru_kernels import pack_gru
-from hystmpc.models.kernels.gru_plain import GruRoute
+from hystmpc.models.kernels.gru import GruRoute, pack_gru
 from hystmpc.models.networks.nodes import network_step_graph
-from hystmpc.models.networks.scaling import Scaling
+from hystmpc.models.networks.settings import RecurrentSettings, Scaling
 from hystmpc.trials.errors import ModelError
 
 torch = pytest.importorskip("torch", reason="torch is an extra")
@@ -19,10 +18,10 @@ every_size = pytest.mark.parametrize("size", [(5, 1), (64, 2), (7, 3)], ids=str)
 
 
 def network(size: tuple[int, int]):  # type: ignore[no-untyped-def]
-    from hystmpc.models.networks.recurrent_ import GruNet
-
     torch.manual_seed(1)
-    net = GruNet(*size)
+    hidden, layers = size
+    settings = RecurrentSettings(cell="gru", hidden=hidden, layers=layers, memory_samples=0, command_gain=1.0)
+    net = settings.network(0.0, None)
     with torch.no_grad():
         for weight in net.parameters():
             weight.mul_(2.0)  # gates that open and close

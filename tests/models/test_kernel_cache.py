@@ -21,8 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.models.kernels import numba_
-from hystmpc.models.kernels.cache import generated_module
-from hystmpc.models.kernels.numba_ import njit
+from hystmpc.models.kernels.numba_ import generated_module, njit
 
 from ..conftest import ROOT
 
@@ -45,7 +44,7 @@ numba.njit(lambda x: 2.0 * x)(1.0)
 
 def start():
     from hystmpc.ctrl.plan_kernels import run_ahead
-    from hystmpc.models.kernels.cache import generated_module
+    from hystmpc.models.kernels.numba_ import generated_module
     generated_module("VALUE = 1\\n")
     if os.geteuid() == 0:
         os.setuid(65534)

@@ -13,10 +13,10 @@ from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate, free_run
 from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest, ModelKind
-from hystmpc.models.prediction.casadi_ import CasadiPredictor
 from hystmpc.trials.errors import FitError, LogError, ModelError
 from hystmpc.trials.trial import Trial
 
+from .casadi_predictor import CasadiPredictor
 from .lstm_examples import DT, four_trials
 from .tiny_kinds import FORWARD, INVERSE, Example, example, tiny_presets, trials_of
 

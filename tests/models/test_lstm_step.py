@@ -11,15 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.models.contract.bundle import ExportBundle
-from hystmpc.models.contract.export import export_onnx
+from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
-from hystmpc.models.lstm.graph import lstm_rollout_graph, lstm_step_graph
-from hystmpc.models.lstm.reference import LstmStep
-from hystmpc.models.lstm.weights import LstmLayer, LstmWeights
-from hystmpc.models.networks.scaling import Scaling
-from hystmpc.models.prediction.lstm import LstmPredictor
-from hystmpc.models.probe import probe_commands
+from hystmpc.models.motions import probe_commands
+from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights, lstm_rollout_graph, lstm_step_graph
+from hystmpc.models.networks.settings import Scaling
+from hystmpc.models.prediction.recurrent import LstmPredictor
 from hystmpc.trials.errors import ModelError
 
 from .lstm_examples import ROUTES, SIZES, facts, make_route, random_weights
@@ -70,7 +67,7 @@ def test_paper_size_has_the_papers_number_of_parameters() -> None:
 @every_size
 def test_torch_agrees_over_a_long_run(weights: LstmWeights) -> None:
     torch = pytest.importorskip("torch")
-    from hystmpc.models.lstm.torch_ import net_of, weights_of
+    from hystmpc.models.networks.recurrent_ import net_of, weights_of
 
     net, scaling, u = net_of(weights), weights.scaling, commands()
     with torch.no_grad():
@@ -103,7 +100,7 @@ def test_exported_file_passes_the_gate_and_feeds_the_kernels(weights: LstmWeight
     assert report.runtime_deg < FREE_RUN_DEG
     assert report.casadi_deg < FREE_RUN_DEG
     model = load_onnx(tmp_path / "lstm.onnx")
-    again = LstmWeights.from_graph(model.graph).to_arrays()
+    again = LstmWeights.from_arrays(model.initializers).to_arrays()
     for name, array in weights.to_arrays().items():
         np.testing.assert_array_equal(again[name], array, err_msg=name)
     from_file, direct = LstmPredictor.of_model(model), LstmPredictor(weights, metadata)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.models.contract import OnnxModel
+from hystmpc.models.contract.load import OnnxModel
 from hystmpc.trials.errors import ModelError
 
 from .test_contract_load import lag_model, refusal, saved, set_property

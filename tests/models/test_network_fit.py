@@ -11,15 +11,14 @@ import pytest
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate
-from hystmpc.models.fit.network_bundle import network_bundle
-from hystmpc.models.fit.network_presets import NETWORK_PRESETS
-from hystmpc.models.fit.network_settings import NetworkSettings, StreamTraining, TeacherSettings, WindowTraining
-from hystmpc.models.fit.networks import NetworkCheck, NetworkFit, fit_network
 from hystmpc.models.fit.split import hold_out
-from hystmpc.models.fit.streams import Run, arrange, pause, stretch
-from hystmpc.models.fit.teacher import Teacher
 from hystmpc.models.fit.windows import draw_windows
+from hystmpc.models.kinds.networks import NETWORK_PRESETS
 from hystmpc.models.networks.settings import RecurrentSettings
+from hystmpc.models.train.networks import NetworkCheck, NetworkFit, fit_network, network_bundle
+from hystmpc.models.train.runs import Run, arrange, pause, stretch
+from hystmpc.models.train.settings import NetworkSettings, StreamTraining, TeacherSettings, WindowTraining
+from hystmpc.models.train.teacher import Teacher
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 
@@ -139,7 +138,7 @@ def test_interrupting_before_the_first_look_leaves_nothing(monkeypatch: pytest.M
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hystmpc.models.fit.network_runs._run", interrupted)
+    monkeypatch.setattr("hystmpc.models.train.runs._run", interrupted)
     with pytest.raises(FitError, match="before its first check"):
         fit_network(four_trials(), SMALL)
 
@@ -246,13 +245,14 @@ def test_presets_are_the_papers_and_ours() -> None:
 
 
 def test_a_network_that_amplifies_rounding_is_noticed() -> None:
-    from hystmpc.models.fit.training_torch_ import rounding_error, whole_runs
-    from hystmpc.models.lstm.torch_ import LstmNet
+    from hystmpc.models.train.updates_ import rounding_error, whole_runs
 
     ramp = np.linspace(-1, 1, 400)
     judged = whole_runs([Run(ramp, ramp, np.ones(400))] * 2, 0)
     torch.manual_seed(0)
-    calm, chaotic = LstmNet(32, 1), LstmNet(32, 1)
+    calm, chaotic = (
+        RecurrentSettings(hidden=32, layers=1, memory_samples=0, command_gain=1.0).network(0.0, None) for _ in range(2)
+    )
     with torch.no_grad():
         chaotic.get_parameter("lstm.weight_hh_l0").mul_(60.0)
     found = [rounding_error(net, judged, judged.output(net)) for net in (calm, chaotic)]

@@ -6,20 +6,17 @@ import numpy as np
 import pytest
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.chain_model import ChainModel
-from hystmpc.models.fit.network_operator import fitted_backlash, scaled_operator
-from hystmpc.models.fit.network_presets import NETWORK_PRESETS
-from hystmpc.models.fit.network_runs import prepared, rest_of, scaling_of
-from hystmpc.models.fit.network_settings import NetworkSettings, StreamTraining, WindowTraining
-from hystmpc.models.fit.networks import fit_network
 from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.network_fit import network_settings
-from hystmpc.models.networks.operator_step import operator_step
-from hystmpc.models.networks.scaling import Scaling
-from hystmpc.models.networks.settings import FeedForwardSettings, HybridSettings, RecurrentSettings
-from hystmpc.models.operators.backlash import Backlash, InverseBacklash
+from hystmpc.models.kinds.networks import NETWORK_PRESETS, network_settings
+from hystmpc.models.networks.hybrid_ import operator_step
+from hystmpc.models.networks.settings import FeedForwardSettings, HybridSettings, RecurrentSettings, Scaling
+from hystmpc.models.operators.hysteresis import Backlash, InverseBacklash
 from hystmpc.models.operators.operator import Operator
+from hystmpc.models.simulator import ChainModel
+from hystmpc.models.train.networks import fit_network
+from hystmpc.models.train.runs import fitted_backlash, prepared, rest_of, scaled_operator, scaling_of
+from hystmpc.models.train.settings import NetworkSettings, StreamTraining, WindowTraining
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.trial import Trial, Units
 
@@ -57,10 +54,8 @@ def by_operator(operator: Operator, u: np.ndarray, y: float) -> np.ndarray:
 
 def hybrid(form: str, operator: Operator) -> object:
     """A hybrid whose LSTM says nothing yet."""
-    from hystmpc.models.networks.build_ import new_network
-
     torch.manual_seed(0)
-    return new_network(HybridSettings(form=form, hidden=4, head_gain=0.0), 0.0, operator)
+    return HybridSettings(form=form, hidden=4, head_gain=0.0).network(0.0, operator)
 
 
 @every_operator
@@ -78,7 +73,7 @@ def test_a_hybrid_that_has_learned_nothing_is_the_operator(form: str, operator: 
 
 @every_operator
 def test_gradients_through_the_recursion_are_those_of_finite_differences(operator: Operator, scaling: Scaling) -> None:
-    from hystmpc.models.networks.operator_ import OperatorLayer
+    from hystmpc.models.networks.hybrid_ import OperatorLayer
 
     inside = scaled_operator(operator, scaling)
     layer, rng = OperatorLayer(operator_step(inside)), np.random.default_rng(1)
@@ -113,10 +108,8 @@ def test_the_parallel_hybrid_starts_windows_from_its_own_backlash() -> None:
 
 
 def test_a_history_buffer_holds_the_inputs_before() -> None:
-    from hystmpc.models.networks.feed_forward_ import FeedForwardNet
-
     torch.manual_seed(0)
-    net, v = FeedForwardNet((8, 8), 5, rest=-0.7), torch.linspace(-1, 1, 30)[None]
+    net, v = FeedForwardSettings(hidden=(8, 8), history=5).network(-0.7, None), torch.linspace(-1, 1, 30)[None]
     with torch.no_grad():
         outputs, state = net(v, net.start(torch.zeros(1)))
         padded = torch.cat([torch.full((1, 4), -0.7), v], dim=1)
@@ -207,7 +200,7 @@ def test_early_epochs_are_kept_only_where_no_later_one_is() -> None:
 
 
 def test_constant_in_is_rewarded_for_constant_out() -> None:
-    from hystmpc.models.fit.training_torch_ import constancy
+    from hystmpc.models.train.updates_ import constancy
 
     still, moving = torch.zeros(4, 50), torch.linspace(0, 1, 50).repeat(4, 1)
     assert float(constancy(still, moving)) == 0.0

@@ -8,20 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.models.contract.bundle import ExportBundle
-from hystmpc.models.contract.export import export_onnx
+from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
-from hystmpc.models.export_simulator import simulator_bundle
-from hystmpc.models.lstm.graph import lstm_step_graph
-from hystmpc.models.lstm.reference import LstmStep
+from hystmpc.models.load import simulator_bundle
+from hystmpc.models.motions import probe_commands
+from hystmpc.models.networks.lstm import LstmStep, lstm_step_graph
+from hystmpc.models.networks.svr import SvrStep, svr_step_graph
 from hystmpc.models.prediction.build import predictor_for
-from hystmpc.models.prediction.casadi_ import CasadiPredictor
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.prediction.onnx_ import OnnxPredictor
-from hystmpc.models.probe import probe_commands
-from hystmpc.models.svr.graph import svr_step_graph
-from hystmpc.models.svr.step import SvrStep
 
+from .casadi_predictor import CasadiPredictor
 from .lstm_examples import facts, random_weights
 from .test_svr import weights as svr_weights
 from .zoo import CHAINS, simulator

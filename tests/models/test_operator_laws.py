@@ -10,17 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.operators.asymmetry import Asymmetry
 from hystmpc.models.operators.catalogue import OPERATORS, operator_from, operator_spec
-from hystmpc.models.operators.contact import Contact
-from hystmpc.models.operators.delay import Delay
-from hystmpc.models.operators.first_flexure import FirstFlexure
-from hystmpc.models.operators.lag import Lag
-from hystmpc.models.operators.nonlinear_gain import NonlinearGain
+from hystmpc.models.operators.dynamics import Delay, Lag
+from hystmpc.models.operators.friction import Asymmetry
+from hystmpc.models.operators.hysteresis import Play
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.operators.play import Play
-from hystmpc.models.operators.slack import Slack
-from hystmpc.models.operators.trial_shift import TrialShift
+from hystmpc.models.operators.slow_changes import FirstFlexure, TrialShift
+from hystmpc.models.operators.static_curves import Contact, NonlinearGain, Slack
 from hystmpc.trials.errors import ModelError
 
 from .running import run_operator

@@ -11,28 +11,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.cli.options import trials_at
-from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
-from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata
 from hystmpc.models.evaluate import evaluate, mean_errors
-from hystmpc.models.fit.identify import DeviceLimits, identify
+from hystmpc.models.fit.identify import identify
 from hystmpc.models.fit.operators import OperatorFitSettings
-from hystmpc.models.fit.play_kernel import fit_play_kernel
-from hystmpc.models.fit.play_kernel_bundle import play_kernel_bundle
-from hystmpc.models.fit.play_kernel_settings import PlayKernelSettings
 from hystmpc.models.inverse.one_step import CompiledInverse
 from hystmpc.models.kinds.kind import FitRequest, Identified
-from hystmpc.models.kinds.play_kernel import PlayKernelKind
-from hystmpc.models.play_kernel.graph import weights_from_arrays
-from hystmpc.models.play_kernel.step import PlayKernelStep
-from hystmpc.models.play_kernel.weights import PlayKernelWeights
+from hystmpc.models.kinds.regressions import PlayKernelKind
+from hystmpc.models.play_kernel.fit import PlayKernelSettings, fit_play_kernel, play_kernel_bundle
+from hystmpc.models.play_kernel.predictor import PlayKernelPredictor
+from hystmpc.models.play_kernel.weights import PlayKernelStep, PlayKernelWeights
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
-from hystmpc.models.prediction.casadi_ import CasadiPredictor
-from hystmpc.models.prediction.play_kernel import PlayKernelPredictor
+from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.trial import Trial
 
+from .casadi_predictor import CasadiPredictor
 from .lstm_examples import four_trials
 
 LEVELS = st.lists(st.floats(0.0, 5.4), min_size=2, max_size=6)
@@ -152,10 +148,10 @@ def model(found: Identified, tmp_path_factory: pytest.TempPathFactory) -> OnnxMo
 def test_weights_come_back_from_the_file(found: Identified, model: OnnxModel) -> None:
     reference = found.bundle.reference
     assert isinstance(reference, PlayKernelStep)
-    for name, value in vars(weights_from_arrays(model.initializers)).items():
+    for name, value in vars(PlayKernelWeights.from_arrays(model.initializers)).items():
         np.testing.assert_allclose(value, getattr(reference.weights, name), rtol=1e-12) if value is not None else None
     with pytest.raises(ModelError, match="no array gain"):
-        weights_from_arrays({})
+        PlayKernelWeights.from_arrays({})
 
 
 def test_kernels_are_the_graph(found: Identified, model: OnnxModel) -> None:

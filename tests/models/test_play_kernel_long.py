@@ -7,13 +7,12 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from hystmpc.models.fit import play_kernel, play_kernel_features
-from hystmpc.models.fit.play_kernel import fit_play_kernel
-from hystmpc.models.fit.play_kernel_settings import PlayKernelSettings
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.play_kernel import PlayKernelKind
-from hystmpc.models.play_kernel.follow import follow_plays
-from hystmpc.models.play_kernel.step import PlayKernelStep
+from hystmpc.models.kinds.regressions import PlayKernelKind
+from hystmpc.models.play_kernel import fit
+from hystmpc.models.play_kernel.fit import PlayKernelSettings, fit_play_kernel
+from hystmpc.models.play_kernel.predictor import follow_plays
+from hystmpc.models.play_kernel.weights import PlayKernelStep
 from hystmpc.trials.trial import Trial
 
 
@@ -46,7 +45,7 @@ def test_a_fit_holds_the_features_of_one_block_only() -> None:
 def test_blocks_change_no_number(skip_first_flexure: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     trials = [long_trial(k, 1_200) for k in range(3)]
     whole = fit_play_kernel(trials, FEW, skip_first_flexure)
-    monkeypatch.setattr(play_kernel_features, "BLOCK", 37)
+    monkeypatch.setattr(fit, "BLOCK", 37)
     parts = fit_play_kernel(trials, FEW, skip_first_flexure)
     assert parts.choice == whole.choice
     assert parts.rmse == pytest.approx(whole.rmse, rel=1e-9)
@@ -77,7 +76,7 @@ def test_only_a_long_fit_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
     trials = [long_trial(k, 1_200) for k in range(2)]
     request = FitRequest(preset="best")
     assert PlayKernelKind().estimate(trials, request) is None
-    monkeypatch.setattr(play_kernel, "_SOON", 2_000)
+    monkeypatch.setattr(fit, "_SOON", 2_000)
     seconds = PlayKernelKind().estimate(trials, request)
     assert seconds is not None
     assert seconds > 0

@@ -9,10 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.operators.random_numbers import draw, start_of_seed
-from hystmpc.models.operators.sensor import Sensor
-from hystmpc.models.symbolic.instructions import dense
-from hystmpc.models.symbolic.source import NUMPY, array_program
+from hystmpc.models.kernels.program import NUMPY, array_program, dense
+from hystmpc.models.operators.measurement import Sensor, draw, start_of_seed
 from hystmpc.trials.errors import ModelError
 
 from .running import run_chain

@@ -11,20 +11,17 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.evaluate import free_run
-from hystmpc.models.export_simulator import export_simulator
-from hystmpc.models.inverse.companion import AccompaniedPredictor, CompanionInverse
-from hystmpc.models.inverse.one_step import CompiledInverse
-from hystmpc.models.inverse.shadow import shadow_simulator
-from hystmpc.models.load import load_model
+from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse, CompiledInverse
+from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
+from hystmpc.models.load import export_simulator, load_model
 from hystmpc.models.model import Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
-from hystmpc.models.prediction.casadi_ import CasadiPredictor
 from hystmpc.models.prediction.compiled import CompiledPredictor
-from hystmpc.models.simulator import load_simulator, save_simulator
+from hystmpc.models.simulator import ChainModel, load_simulator, save_simulator
 from hystmpc.trials.errors import ModelError
 
+from .casadi_predictor import CasadiPredictor
 from .zoo import CHAINS, DT, simulator
 
 NAMES = list(CHAINS)
@@ -123,15 +120,15 @@ def test_inverse_out_of_reach_is_the_end_of_the_range(wanted: float, end: float)
     assert CompiledInverse(predictor, 0.0, 6.0).command(state, wanted, 2.4) == pytest.approx(end, abs=1e-9)
 
 
-def test_shadow_of_a_backlash_is_that_backlash(tmp_path: Path) -> None:
+def test_the_surrogate_of_a_backlash_is_that_backlash(tmp_path: Path) -> None:
     export_simulator(simulator(CHAINS["backlash"]), tmp_path / "model.onnx")
-    shadow = shadow_simulator(load_model(tmp_path / "model.onnx"))
-    np.testing.assert_allclose(shadow.chain.values, CHAINS["backlash"].values, rtol=1e-6)
+    surrogate = surrogate_backlash(load_model(tmp_path / "model.onnx"))
+    np.testing.assert_allclose(surrogate.chain.values, CHAINS["backlash"].values, rtol=1e-6)
 
 
 def test_a_companion_brings_a_model_close_to_the_wanted_angle() -> None:
     model = ChainModel(simulator(CHAINS["pi"]))
-    predictor, inverse = predictor_and_inverse(model, companion=shadow_simulator(model))
+    predictor, inverse = predictor_and_inverse(model, companion=surrogate_backlash(model))
     assert isinstance(inverse, CompanionInverse)
     state, u = predictor.initial(45.0, 2.0), 2.0
     for wanted in 45 + 15 * np.sin(2 * np.pi * 0.1 * np.arange(0, 10, DT)):

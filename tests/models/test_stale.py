@@ -1,73 +1,97 @@
-"""Compiled code that is older than what went into it is not used again."""
+"""Compiled code of another source than the one that is there is never used."""
 
 from __future__ import annotations
 
-import os
-from importlib import resources
+import importlib
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from hystmpc.models.kernels.follow_kernels import follow_source
-from hystmpc.models.kernels.stale import drop_stale_kernels
-
+NJIT = "from hystmpc.models.kernels.numba_ import njit\n"
 FILES = {
-    "sim/__init__.py": "",
-    "sim/outer.py": "from numba import njit\nfrom .inner import inner\nfrom ..trials.errors import SomeError\n",
-    "sim/inner.py": "from numba import njit\nfrom hystmpc.models.numbers import GRAVITY\n",
-    "sim/alone.py": "from numba import njit\n",
-    "models/__init__.py": "",
-    "models/numbers.py": "GRAVITY = 9.81\n",
-    "trials/errors.py": "class SomeError(Exception): ...\n",
+    "__init__.py": "",
+    "numbers_.py": "GRAVITY = 9.81\n",
+    "inner.py": NJIT
+    + "from .numbers_ import GRAVITY\n\n@njit(cache=True)\ndef inner(x):\n    return x * GRAVITY + OFFSET\n\n"
+    + "OFFSET = 1.0\n",
+    "outer.py": NJIT + "from .inner import inner\n\n@njit(cache=True)\ndef outer(x):\n    return inner(x)\n",
+    "alone.py": NJIT + "\n@njit(cache=True)\ndef alone(x):\n    return x\n",
 }
+KERNELS = ("alone", "inner", "outer")
 
 
 @pytest.fixture
-def root(tmp_path: Path) -> Path:
-    """A package whose kernels were all compiled after its files were written."""
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A package of kernels."""
+    folder = tmp_path / "some_kernels"
+    folder.mkdir()
     for name, text in FILES.items():
-        path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(text)
-        os.utime(path, (1000, 1000))
-    for name in ("outer", "inner", "alone"):
-        compiled = tmp_path / "sim" / "__pycache__" / f"{name}.kernel-3.py311.1.nbc"
-        compiled.parent.mkdir(exist_ok=True)
-        compiled.touch()
-        os.utime(compiled, (2000, 2000))
-    return tmp_path
+        (folder / name).write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield folder
+    forget()
+
+
+def forget() -> None:
+    for name in [name for name in sys.modules if name.startswith("some_kernels")]:
+        del sys.modules[name]
+
+
+def started(folder: Path) -> tuple[list[str], float]:
+    """Kernels that a new process would compile, and what the outer one answers."""
+    forget()
+    importlib.invalidate_caches()
+    sys.dont_write_bytecode, before = True, sys.dont_write_bytecode
+    try:
+        kernels = {name: getattr(importlib.import_module(f"some_kernels.{name}"), name) for name in KERNELS}
+    finally:
+        sys.dont_write_bytecode = before
+    answers = {name: kernel(2.0) for name, kernel in kernels.items()}
+    assert answers["inner"] == answers["outer"]
+    return [name for name, kernel in kernels.items() if not kernel.stats.cache_hits], answers["outer"]
 
 
 @pytest.mark.parametrize(
-    ("changed", "gone"),
+    ("changed", "text", "anew", "answer"),
     [
-        (None, []),
-        ("sim/alone.py", ["alone"]),
-        ("sim/outer.py", ["outer"]),
-        ("sim/inner.py", ["inner", "outer"]),  # a kernel that another one calls
-        ("models/numbers.py", ["inner", "outer"]),  # a constant, by way of another file
-        ("trials/errors.py", []),  # never compiled
+        (None, "", [], 20.62),
+        ("alone.py", "# one more line\n", ["alone"], 20.62),
+        ("outer.py", "# one more line\n", ["outer"], 20.62),
+        ("inner.py", "OFFSET = 2.0\n", ["inner", "outer"], 21.62),  # a kernel that another one calls
+        ("numbers_.py", "GRAVITY = 1.0\n", ["inner", "outer"], 3.0),  # a constant of another file
+        ("numbers_.py", "FURTHER = 1.0\n", [], 20.62),  # nobody reads it
     ],
 )
-def test_what_an_imported_file_has_changed_is_compiled_anew(root: Path, changed: str | None, gone: list[str]) -> None:
+def test_what_has_changed_is_compiled_anew_and_kept(
+    changed: str | None, text: str, anew: list[str], answer: float, folder: Path
+) -> None:
+    assert started(folder) == (list(KERNELS), 20.62)
     if changed is not None:
-        os.utime(root / changed, (3000, 3000))
-    assert [path.name.partition(".")[0] for path in drop_stale_kernels(root)] == gone
-    assert sum(1 for _ in root.rglob("*.nbc")) == 3 - len(gone)
-    assert drop_stale_kernels(root) == []
+        with (folder / changed).open("a") as file:
+            file.write(text)
+    assert started(folder) == (anew, pytest.approx(answer))
+    assert started(folder) == ([], pytest.approx(answer))
 
 
-def test_the_code_of_a_file_that_is_gone_goes_too(root: Path) -> None:
-    (root / "sim" / "alone.py").unlink()
-    assert [path.name.partition(".")[0] for path in drop_stale_kernels(root)] == ["alone"]
+def test_the_same_source_in_a_younger_file_is_not_compiled_again(folder: Path) -> None:
+    assert started(folder)[0] == list(KERNELS)
+    for name, text in FILES.items():
+        (folder / name).unlink()
+        (folder / name).write_text(text)
+    assert started(folder)[0] == []
 
 
-@pytest.mark.parametrize(("network", "other"), [("hystmpc.models.kernels.lstm_kernels", True), ("generated", False)])
-def test_a_changed_kernel_of_the_package_is_another_follower(tmp_path: Path, network: str, other: bool) -> None:
-    for file in resources.files("hystmpc.models.kernels").iterdir():
-        if file.name.endswith(".py"):
-            (tmp_path / file.name).write_bytes(file.read_bytes())
-    before = follow_source("chain", network, tmp_path)
-    with (tmp_path / "lstm_gates.py").open("a", encoding="utf-8") as file:
-        file.write("# one more line\n")
-    assert (follow_source("chain", network, tmp_path) != before) == other
+def test_data_that_another_process_wrote_for_another_source_is_not_loaded(folder: Path) -> None:
+    """Index and data of one file are two files: between them another process may have written its own."""
+    assert started(folder)[0] == list(KERNELS)
+    compiled = Path(importlib.import_module("some_kernels.inner").inner._cache.cache_path)
+    index, data = (next(compiled.glob(f"inner.*.{ending}")) for ending in ("nbi", "nbc"))
+    before = index.read_bytes()
+    (folder / "numbers_.py").write_text("GRAVITY = 1.0\n")
+    assert started(folder)[1] == pytest.approx(3.0)
+    assert data.exists()
+    (folder / "numbers_.py").write_text(FILES["numbers_.py"])
+    index.write_bytes(before)
+    assert started(folder)[1] == pytest.approx(20.62)

@@ -11,13 +11,10 @@ import pytest
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.evaluate import evaluate
-from hystmpc.models.fit.svr_ import fit_svr
-from hystmpc.models.fit.svr_settings import SVR_PRESETS, SvrSettings
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.svr import SvrKind
-from hystmpc.models.svr.graph import svr_step_graph
-from hystmpc.models.svr.step import SvrStep
-from hystmpc.models.svr.weights import SvrWeights
+from hystmpc.models.kinds.regressions import SvrKind
+from hystmpc.models.networks.svr import SvrStep, SvrWeights, svr_step_graph
+from hystmpc.models.train.svr_ import SVR_PRESETS, SvrSettings, fit_svr
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.trial import Trial
 

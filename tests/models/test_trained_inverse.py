@@ -9,18 +9,17 @@ import numpy as np
 import pytest
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import Errors, TrialEvaluation, evaluation_json
-from hystmpc.models.export_simulator import simulator_bundle
-from hystmpc.models.inverse.trained import MappedPredictor, TrainedInverse
+from hystmpc.models.inverse.one_step import MappedPredictor, TrainedInverse
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.models.kinds.play_kernel import PlayKernelKind
-from hystmpc.models.operators.backlash import Backlash
+from hystmpc.models.kinds.regressions import PlayKernelKind
+from hystmpc.models.load import simulator_bundle
+from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.prediction.build import predictor_and_inverse
-from hystmpc.models.simulator import Identification, Simulator, save_simulator
+from hystmpc.models.simulator import ChainModel, Identification, Simulator, save_simulator
 from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.config import SimulationConfig
 from hystmpc.sim.study import prepare

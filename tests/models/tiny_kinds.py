@@ -11,11 +11,11 @@ import pytest
 
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
-from hystmpc.models.fit.network_presets import NETWORK_PRESETS
-from hystmpc.models.fit.network_settings import NetworkSettings, StreamTraining
-from hystmpc.models.kinds import network_fit
+from hystmpc.models.kinds import networks
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified
+from hystmpc.models.kinds.networks import NETWORK_PRESETS
+from hystmpc.models.train.settings import NetworkSettings, StreamTraining
 from hystmpc.trials.trial import Trial
 
 from .lstm_examples import four_trials
@@ -36,7 +36,7 @@ def tiny(settings: NetworkSettings, **changes: object) -> NetworkSettings:
 def tiny_presets(patch: pytest.MonkeyPatch, **changes: object) -> None:
     """Put tiny networks in the place of the presets `best`."""
     small = {kind: {**presets, "best": tiny(presets["best"], **changes)} for kind, presets in NETWORK_PRESETS.items()}
-    patch.setattr(network_fit, "NETWORK_PRESETS", small)
+    patch.setattr(networks, "NETWORK_PRESETS", small)
 
 
 @dataclass(frozen=True)

@@ -4,30 +4,14 @@ from __future__ import annotations
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.operators.asymmetry import Asymmetry
-from hystmpc.models.operators.backlash import Backlash, InverseBacklash
-from hystmpc.models.operators.bouc_wen import BoucWen
-from hystmpc.models.operators.contact import Contact
-from hystmpc.models.operators.creep import Creep
-from hystmpc.models.operators.deadband import Deadband
-from hystmpc.models.operators.delay import Delay
-from hystmpc.models.operators.directional_gain import DirectionalGain
-from hystmpc.models.operators.drdpi import Drdpi
-from hystmpc.models.operators.drift import Drift
-from hystmpc.models.operators.first_flexure import FirstFlexure
-from hystmpc.models.operators.lag import Lag
-from hystmpc.models.operators.nonlinear_gain import NonlinearGain
+from hystmpc.models.operators.dynamics import Delay, Lag, RateLimit, Servo
+from hystmpc.models.operators.friction import Asymmetry, DirectionalGain, RateDependence, StickSlip
+from hystmpc.models.operators.hysteresis import Backlash, BoucWen, InverseBacklash, Play
+from hystmpc.models.operators.measurement import PeriodicDisturbance, Sensor
 from hystmpc.models.operators.operator import Operator
-from hystmpc.models.operators.periodic_disturbance import PeriodicDisturbance
-from hystmpc.models.operators.play import Play
-from hystmpc.models.operators.prandtl_ishlinskii import InversePrandtlIshlinskii, PrandtlIshlinskii
-from hystmpc.models.operators.rate_dependence import RateDependence
-from hystmpc.models.operators.rate_limit import RateLimit
-from hystmpc.models.operators.sensor import Sensor
-from hystmpc.models.operators.servo import Servo
-from hystmpc.models.operators.slack import Slack
-from hystmpc.models.operators.stick_slip import StickSlip
-from hystmpc.models.operators.trial_shift import TrialShift
+from hystmpc.models.operators.prandtl_ishlinskii import Drdpi, InversePrandtlIshlinskii, PrandtlIshlinskii
+from hystmpc.models.operators.slow_changes import Creep, Drift, FirstFlexure, TrialShift
+from hystmpc.models.operators.static_curves import Contact, Deadband, NonlinearGain, Slack
 from hystmpc.models.simulator import Identification, Simulator
 
 DT = 0.04

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystmpc.models.chain_model import ChainModel
+from hystmpc.models.simulator import ChainModel
 from hystmpc.sim.studies.job import Job, Splits
 from hystmpc.sim.studies.result import JobResult
 from hystmpc.trials.trial import Trial

@@ -14,7 +14,7 @@ import pytest
 from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
 from hystmpc.ctrl.planning import PlanCost, Weights
-from hystmpc.models.kernels.vector_shape import host_shape
+from hystmpc.models.kernels.vector_emitter import host_shape
 from hystmpc.models.model import Predictor
 from hystmpc.sim.bench import pytorch_mppi_
 from hystmpc.sim.bench.casadi_peer_ import METHODS, SQP, Method, SingleShooting

@@ -11,15 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.effects.pictures import SHOWN
-from hystmpc.models.operators.backlash import Backlash
-from hystmpc.models.operators.delay import Delay
-from hystmpc.models.operators.drift import Drift
+from hystmpc.models.operators.dynamics import Delay
+from hystmpc.models.operators.hysteresis import Backlash
+from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from hystmpc.models.operators.sensor import Sensor
-from hystmpc.models.simulator import Simulator
+from hystmpc.models.operators.slow_changes import Drift
+from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.sim.plant import Effects, SimulatedPlant, mismatched
 from hystmpc.trials.errors import ConfigError, ModelError
 

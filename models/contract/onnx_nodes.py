@@ -1,0 +1,191 @@
+"""ONNX nodes from an instruction list: the step graph of any operator chain, or an operator within a network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import onnx
+from numpy.typing import ArrayLike
+from onnx import TensorProto, helper, numpy_helper
+
+from ..kernels.program import Instruction, instructions
+
+_BINARY = {"add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "and": "Mul", "pow": "Pow"}
+_COMPARE = {"lt": "Less", "le": "LessOrEqual", "eq": "Equal"}
+_UNARY = {
+    "neg": "Neg",
+    "fabs": "Abs",
+    "sign": "Sign",
+    "sqrt": "Sqrt",
+    "exp": "Exp",
+    "log": "Log",
+    "tanh": "Tanh",
+    "sin": "Sin",
+    "cos": "Cos",
+    "floor": "Floor",
+    "assign": "Identity",
+}
+
+_INTERFACE = (("u", "state"), ("theta", "next_state"))
+
+
+class _Writer:
+    """Collects nodes and constants of one program; registers become columns (N, 1)."""
+
+    def __init__(self, prefix: str = "", element: int = TensorProto.DOUBLE) -> None:
+        self.prefix, self.element = prefix, element
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: dict[float, str] = {}
+        self.count = 0
+
+    def node(self, kind: str, inputs: list[str], **attributes: Any) -> str:
+        self.count += 1
+        out = f"{self.prefix}{kind.lower()}_{self.count}"
+        self.nodes.append(helper.make_node(kind, inputs, [out], name=out, **attributes))
+        return out
+
+    def constant(self, value: float) -> str:
+        return self.constants.setdefault(value, f"{self.prefix}constant_{len(self.constants)}")
+
+    def number(self, condition: str) -> str:
+        """Turn a truth column into 1.0 or 0.0."""
+        return self.node("Cast", [condition], to=self.element)
+
+    def operation(self, step: Instruction, w: dict[int, str]) -> str:
+        a = [w[i] for i in step.args]
+        if step.name in _BINARY:
+            return self.node(_BINARY[step.name], a)
+        if step.name in _UNARY:
+            return self.node(_UNARY[step.name], a)
+        if step.name in _COMPARE:
+            return self.number(self.node(_COMPARE[step.name], a))
+        zero, one = self.constant(0.0), self.constant(1.0)
+        if step.name == "if_else_zero":
+            return self.node("Where", [self.node("Greater", [self.node("Abs", [a[0]]), zero]), a[1], zero])
+        if step.name in ("fmin", "fmax"):
+            compare = "LessOrEqual" if step.name == "fmin" else "GreaterOrEqual"
+            return self.node("Where", [self.node(compare, a), *a])
+        if step.name == "ne":
+            return self.number(self.node("Not", [self.node("Equal", a)]))
+        if step.name == "or":
+            return self.number(self.node("Greater", [self.node("Add", a), zero]))
+        if step.name == "not":
+            return self.node("Sub", [one, a[0]])
+        if step.name == "inv":
+            return self.node("Div", [one, a[0]])
+        return self.node({"sq": "Mul", "twice": "Add"}[step.name], [a[0], a[0]])
+
+
+@dataclass(frozen=True)
+class OperatorNodes:
+    """Nodes of one program inside a larger graph.
+
+    Attributes:
+        nodes: in order.
+        constants: names and values of the numbers, to become initializers of shape (1, 1).
+        outputs: name of the column (N, 1) of every element of every output.
+    """
+
+    nodes: list[onnx.NodeProto]
+    constants: dict[str, float]
+    outputs: list[list[str]]
+
+
+def operator_nodes(
+    function: Any, inputs: Sequence[Sequence[str]], prefix: str = "", element: int = TensorProto.DOUBLE
+) -> OperatorNodes:
+    """Translate a dense CasADi function whose inputs' elements stand in the named columns (N, 1).
+
+    Args:
+        function: any number of inputs and outputs.
+        inputs: column of every element of every input.
+        prefix: of all names made here.
+        element: number type of the columns, a `TensorProto` type.
+    """
+    writer = _Writer(prefix, element)
+    registers: dict[int, str] = {}
+    outputs = [[""] * function.numel_out(j) for j in range(function.n_out())]
+    for step in instructions(function):
+        if step.name == "input":
+            registers[step.out[0]] = inputs[step.args[0]][step.args[1]]
+        elif step.name == "output":
+            outputs[step.out[0]][step.out[1]] = registers[step.args[0]]
+        elif step.name == "const":
+            registers[step.out[0]] = writer.constant(step.value)
+        else:
+            registers[step.out[0]] = writer.operation(step, registers)
+    return OperatorNodes(writer.nodes, {label: value for value, label in writer.constants.items()}, outputs)
+
+
+def step_graph(function: Any, name: str) -> onnx.GraphProto:
+    """Translate (state (S, 1), u) -> (theta, next state) into the step graph of the ONNX contract, in double.
+
+    Inputs `u [N,1]`, `state [N,S]`; outputs `theta [N,1]`, `next_state [N,S]`.
+    """
+    size = function.numel_in(0)
+    columns = [f"state_{i}" for i in range(size)]
+    if size > 1:
+        split = helper.make_node("Split", ["state"], columns, name="split_state", axis=1, num_outputs=size)
+    else:
+        split = helper.make_node("Identity", ["state"], columns, name="split_state")
+    program = operator_nodes(function, [columns, ["u"]])
+    (theta,), following = program.outputs
+    following, spread = _columns(following, program.constants)
+    last = [
+        *spread,
+        helper.make_node("Identity", [theta], ["theta"], name="theta"),
+        helper.make_node("Concat", following, ["next_state"], name="next_state", axis=1),
+    ]
+    return helper.make_graph(
+        [split, *program.nodes, *last],
+        name,
+        [_value("u", 1), _value("state", size)],
+        [_value("theta", 1), _value("next_state", size)],
+        initializer=[
+            numpy_helper.from_array(np.full((1, 1), value), name=label) for label, value in program.constants.items()
+        ],
+    )
+
+
+def node(kind: str, inputs: str, outputs: str, **attributes: Any) -> onnx.NodeProto:
+    """A node between tensors that are named by words."""
+    return helper.make_node(kind, inputs.split(), outputs.split(), name=outputs.split()[0], **attributes)
+
+
+def graph_of_nodes(
+    name: str,
+    state_size: int,
+    nodes: Sequence[onnx.NodeProto],
+    numbers: Mapping[str, ArrayLike],
+    indices: Mapping[str, Sequence[int]],
+) -> onnx.GraphProto:
+    """Step graph in double of nodes between `u`, `state`, `theta` and `next_state`.
+
+    Args:
+        name: of the graph.
+        state_size: S.
+        nodes: in order, see `node`.
+        numbers: weights by name.
+        indices: axes, sizes and places by name.
+    """
+    weights = [numpy_helper.from_array(np.array(value, np.float64), key) for key, value in numbers.items()]
+    weights += [numpy_helper.from_array(np.array(value, np.int64), key) for key, value in indices.items()]
+    inputs, outputs = ([_value(one, 1), _value(state, state_size)] for one, state in _INTERFACE)
+    return helper.make_graph(nodes, name, inputs, outputs, initializer=weights)
+
+
+def _columns(names: list[str], constants: dict[str, float]) -> tuple[list[str], list[onnx.NodeProto]]:
+    """The names with every number (1, 1) among them spread to a column (N, 1), and the nodes that do it."""
+    nodes, spread = [], {name: f"{name}_column" for name in names if name in constants}
+    if spread:
+        nodes.append(helper.make_node("LessOrEqual", ["u", "u"], ["each_row"], name="each_row"))
+    for name, column in spread.items():
+        nodes.append(helper.make_node("Where", ["each_row", name, name], [column], name=column))
+    return [spread.get(name, name) for name in names], nodes
+
+
+def _value(name: str, width: int) -> onnx.ValueInfoProto:
+    return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width])

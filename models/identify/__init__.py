@@ -1,0 +1,1 @@
+"""Identification: which chain of operators explains the trials, and with which numbers."""

@@ -1,0 +1,41 @@
+"""A backlash fitted to what a model itself predicts: the operator that stands in for it where an inverse is needed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hystmpc.trials.trial import Trial, Units
+
+from ..chain import Chain
+from ..evaluate import RunnableModel, free_run
+from ..fit.operators import OperatorFitSettings, fit_chain
+from ..fit.starts import backlash_starts
+from ..motions import probe_commands
+from ..simulator import Identification, Simulator
+
+
+def surrogate_backlash(model: RunnableModel) -> Simulator:
+    """Simulator whose backlash follows the model's free run over a decaying sinusoid of its trained range.
+
+    The motion is `probe_commands`; its first flexure does not count.
+
+    Raises:
+        FitError: if the model's angle does not rise with the command.
+    """
+    facts = model.metadata
+    commands = probe_commands(facts)
+    theta = free_run(model, commands, 0.5 * (facts.trained_angle.lower + facts.trained_angle.upper))
+    t = np.arange(commands.size, dtype=np.float64) * facts.dt_s
+    trial = Trial(t, commands, theta, units=Units(facts.command_unit), source="the model's own free run")
+    fit = fit_chain(backlash_starts([trial]), [trial], OperatorFitSettings(skip_first_flexure=True))
+    return Simulator(
+        chain=Chain(fit.chain.core),
+        dt_s=facts.dt_s,
+        command_unit=facts.command_unit,
+        command_limits=facts.command_limits,
+        command_rate_per_s=facts.command_rate,
+        trained_command=facts.trained_command,
+        trained_angle_deg=facts.trained_angle,
+        trained_rate_per_s=facts.trained_rate,
+        identification=Identification(method=f"backlash fitted to the free run of a model of kind {facts.kind}"),
+    )

@@ -1,0 +1,98 @@
+"""The kinds of model that are regressions: play kernel and support vectors; each is loaded when it is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, final
+
+from hystmpc.trials.trial import Trial
+
+from ..model import FitProgress
+from .kind import FitRequest, Identified, ModelKind
+
+
+def recorded(progress: FitProgress | None) -> tuple[list[tuple[int, float]], FitProgress]:
+    """A history (step, least error), and a progress that writes it and goes on to the given one."""
+    history: list[tuple[int, float]] = []
+
+    def show(done: int, error: float) -> None:
+        history.append((done, error))
+        if progress:
+            progress(done, error)
+
+    return history, show
+
+
+@final
+class PlayKernelKind(ModelKind):
+    """Monotone additive regression on plays: `best` with a first-order lag in front, or `rate_independent`.
+
+    See `PlayKernelWeights` for the equations and `PlayKernelSettings` for what is chosen how.
+    """
+
+    name: ClassVar[str] = "play_kernel"
+    title: ClassVar[str] = "play kernel"
+    presets: ClassVar[tuple[str, ...]] = ("best", "rate_independent")
+
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        from ..play_kernel.fit import PLAY_KERNEL_PRESETS, fit_play_kernel, play_kernel_bundle
+
+        self.check(trials, request)
+        settings = PLAY_KERNEL_PRESETS[request.preset]
+        history, show = recorded(progress)
+        found = fit_play_kernel(trials, settings, request.skip_first_flexure, show)
+        unit = trials[0].units.angle
+        report = f"lag {found.choice.lag_s:g} s, {found.rmse:.4f} {unit} on the training trials"
+        if found.judged:
+            report += f", {found.judged[found.choice]:.4f} {unit} offset-free on trials left out"
+        bundle = play_kernel_bundle(found, trials, settings, request.limits)
+        return Identified(bundle, None, tuple(history), report, found.interrupted)
+
+    def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
+        from ..play_kernel.fit import PLAY_KERNEL_PRESETS, play_kernel_seconds
+
+        return play_kernel_seconds(trials, PLAY_KERNEL_PRESETS[request.preset])
+
+    def steps(self, request: FitRequest) -> int | None:
+        from ..play_kernel.fit import PLAY_KERNEL_PRESETS
+
+        settings = PLAY_KERNEL_PRESETS.get(request.preset)
+        return None if settings is None else len(settings.lags_s) * len(settings.smoothness) + 1
+
+
+@final
+class SvrKind(ModelKind):
+    """Radial kernel on 50 past commands, S1 (RA-L 2021): `paper` with its values, `grid` with its search, or `best`.
+
+    See `SvrWeights` for the equations and `SvrSettings` for what is compared how.
+    """
+
+    name: ClassVar[str] = "svr"
+    title: ClassVar[str] = "SVR"
+    presets: ClassVar[tuple[str, ...]] = ("best", "paper", "grid")
+
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        from ..train.svr_ import SVR_PRESETS, fit_svr, svr_bundle
+
+        self.check(trials, request)
+        settings = SVR_PRESETS[request.preset].model_copy(update={"seed": request.seed})
+        history, show = recorded(progress)
+        found = fit_svr(trials, settings, request.skip_first_flexure, show)
+        choice, unit = found.choice, trials[0].units.angle
+        report = (
+            f"C {choice.c:g}, gamma {choice.gamma:g}, epsilon {choice.epsilon:g}: {len(found.weights.supports)} "
+            f"support vectors of {found.samples} samples, {found.rmse:.4f} {unit} on these"
+        )
+        if found.judged:
+            report += f", {found.judged[choice]:.4f} {unit} on what was left out"
+        bundle = svr_bundle(found, trials, settings, request.limits)
+        return Identified(bundle, None, tuple(history), report, found.interrupted)
+
+    def steps(self, request: FitRequest) -> int | None:
+        from ..train.svr_ import SVR_PRESETS
+
+        settings = SVR_PRESETS.get(request.preset)
+        if settings is None:
+            return None
+        compared = len(settings.c) * len(settings.gamma) * len(settings.epsilon)
+        return 1 + (compared if compared > 1 else 0)

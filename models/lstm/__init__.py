@@ -1,1 +1,0 @@
-"""The stacked LSTM: weights, NumPy reference with exact Jacobian, ONNX graphs, torch module."""

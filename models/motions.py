@@ -1,0 +1,57 @@
+"""Motions on which a model is tried and conditioned: a decaying sinusoid, and the initialisation flexure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hystmpc.trials.types import Vec
+
+from .contract.metadata import InitialRule, ModelMetadata, Range
+from .model import StepFunction
+
+CYCLES, FREQUENCY_HZ = 7, 0.2
+
+
+def probe_commands(facts: ModelMetadata) -> Vec:
+    """Commands (T,) at the model's sample time: S2 (RA-L 2024) eq. (9)-(10) with zero baseline, 0.2 Hz, seven cycles.
+
+    u = low + (high - low) / 2 e^{-tau t} (sin(2 pi f t - pi / 2) + 1),  tau = f ln(7) / 6; slower where the device
+    was never driven as fast, so that the probe stays inside what the model was trained on.
+    """
+    low, high = facts.trained_command.lower, facts.trained_command.upper
+    half = 0.5 * (high - low)
+    frequency = min(FREQUENCY_HZ, facts.trained_rate / (2 * math.pi * half))
+    t = np.arange(0.0, CYCLES / frequency, facts.dt_s)
+    decay = np.exp(-frequency / 6 * math.log(7) * t)
+    return np.clip(low + half * decay * (np.sin(2 * np.pi * frequency * t - np.pi / 2) + 1), low, high)
+
+
+FLEXURE_HZ = 0.1
+REST_S = 5.0
+
+
+def zero_state_rule(state_size: int) -> InitialRule:
+    """Start of a trial: zeros, as in training; the warm-up brings the state in line with the first command."""
+    return InitialRule(offset=(0.0,) * state_size, slope=(0.0,) * state_size)
+
+
+def conditioned_rule(step: StepFunction, commands: Range, dt_s: float, warmup_samples: int) -> InitialRule:
+    """State after the initialisation flexure, run through the network itself; it does not depend on the measured angle.
+
+    The flexure is that of S2: from rest one period of a 0.1 Hz sine to the top of the trained commands and back, then
+    5 s of rest.
+    """
+    state = np.zeros((1, step.state_size))
+    for u in initialisation_flexure(commands, dt_s, warmup_samples):
+        _, state = step.advance(state, np.array([[u]]))
+    return InitialRule(offset=tuple(state[0].tolist()), slope=(0.0,) * step.state_size)
+
+
+def initialisation_flexure(commands: Range, dt_s: float, warmup_samples: int) -> Vec:
+    """Commands (T,): the lowest, held for the warm-up; to the highest and back along a sine; the lowest, held."""
+    t = np.arange(0.0, 1.0 / FLEXURE_HZ, dt_s)
+    sine = 0.5 - 0.5 * np.cos(2 * math.pi * FLEXURE_HZ * t)
+    shape = np.concatenate([np.zeros(warmup_samples), sine, np.zeros(round(REST_S / dt_s))])
+    return commands.lower + (commands.upper - commands.lower) * shape

@@ -1,0 +1,285 @@
+"""The stacked LSTM: its numbers, its step and derivative in float64, and its step graph."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Self
+
+import numpy as np
+import onnx
+from numpy.typing import ArrayLike
+from onnx import helper
+from scipy.special import expit
+
+from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
+
+from ..model import StepFunction
+from .nodes import GraphWriter, network_step_graph, tensor
+from .settings import Scaling
+
+
+@dataclass(frozen=True)
+class LstmLayer:
+    """One layer of H cells with I inputs; gates stand below each other in the order i, f, g, o (that of PyTorch).
+
+    Attributes:
+        w_ih: input weights (4H, I).
+        w_hh: recurrent weights (4H, H).
+        bias: sum of the input and the recurrent bias (4H,).
+
+    Raises:
+        ModelError: if sizes do not fit each other or a number is not finite.
+    """
+
+    w_ih: Vec
+    w_hh: Vec
+    bias: Vec
+
+    def __post_init__(self) -> None:
+        for name in ("w_ih", "w_hh", "bias"):
+            object.__setattr__(self, name, _frozen(getattr(self, name), name))
+        rows = 4 * self.hidden
+        if self.w_hh.ndim != 2 or self.w_ih.ndim != 2 or {len(self.w_ih), len(self.w_hh), self.bias.size} != {rows}:
+            raise ModelError(
+                f"LSTM layer: got w_ih {self.w_ih.shape}, w_hh {self.w_hh.shape}, bias {self.bias.shape}, "
+                "expected (4H, I), (4H, H), (4H,)"
+            )
+
+    @property
+    def inputs(self) -> int:
+        """Number I of inputs."""
+        return self.w_ih.shape[-1]
+
+    @property
+    def hidden(self) -> int:
+        """Number H of cells."""
+        return self.w_hh.shape[-1]
+
+
+@dataclass(frozen=True)
+class LstmWeights:
+    """A stacked LSTM, one command in, one angle out (Wu et al., RA-L 2021 (S1), eq. (1); RA-L 2024, PMC11633443 (S2)).
+
+    With v = (u - u_offset) / u_scale and x = v for the first layer, x = h' of the layer below for the others:
+
+        [i, f, o] = sigmoid(W_ih x + W_hh h + bias),  g = tanh(W_ih x + W_hh h + bias)
+        c' = f c + i g,  h' = o tanh(c'),  theta = theta_offset + theta_scale (head_weight . h' + head_bias)
+
+    The state of a model with L layers is [h_1, c_1, h_2, c_2, ...], S = 2 L H entries.
+
+    Attributes:
+        layers: from the command upwards; all of the same width H.
+        head_weight: (H,).
+        head_bias: scalar.
+        scaling: units in and out.
+
+    Raises:
+        ModelError: if sizes do not fit each other or a number is not finite.
+    """
+
+    layers: tuple[LstmLayer, ...]
+    head_weight: Vec
+    head_bias: float
+    scaling: Scaling = field(default_factory=Scaling)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "head_weight", _frozen(self.head_weight, "head_weight"))
+        object.__setattr__(self, "head_bias", float(self.head_bias))
+        if not self.layers:
+            raise ModelError("LSTM: got no layer, expected at least one")
+        sizes = [(layer.inputs, layer.hidden) for layer in self.layers]
+        wanted = [(1, self.hidden)] + [(self.hidden, self.hidden)] * (len(sizes) - 1)
+        if sizes != wanted or self.head_weight.shape != (self.hidden,) or not np.isfinite(self.head_bias):
+            raise ModelError(
+                f"LSTM: got (inputs, hidden) per layer {sizes}, head {self.head_weight.shape} and bias "
+                f"{self.head_bias}, expected {wanted}, ({self.hidden},) and a finite number"
+            )
+
+    @property
+    def hidden(self) -> int:
+        """Number H of cells in each layer."""
+        return self.layers[0].hidden
+
+    @property
+    def state_size(self) -> int:
+        """Number S = 2 L H of state entries."""
+        return 2 * len(self.layers) * self.hidden
+
+    @property
+    def parameter_count(self) -> int:
+        """Trained numbers, counted as the papers do, with two bias vectors a layer: 50,497 for two layers of 64."""
+        per_layer = sum(layer.w_ih.size + layer.w_hh.size + 2 * layer.bias.size for layer in self.layers)
+        return per_layer + self.hidden + 1
+
+    def to_arrays(self) -> dict[str, Vec]:
+        """Flat names and arrays, `lstm.0.w_ih` ... `scaling.theta_scale`; what `from_arrays` takes."""
+        named: dict[str, ArrayLike] = {}
+        for k, layer in enumerate(self.layers):
+            named |= {f"lstm.{k}.{part.name}": getattr(layer, part.name) for part in fields(layer)}
+        named |= {"head.weight": self.head_weight, "head.bias": self.head_bias}
+        named |= {f"scaling.{part.name}": getattr(self.scaling, part.name) for part in fields(self.scaling)}
+        return {name: np.asarray(value, dtype=np.float64) for name, value in named.items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Self:
+        """Build from the names that `to_arrays` gives; others are left alone.
+
+        Raises:
+            ModelError: naming the arrays that are missing.
+        """
+        count = 1
+        while f"lstm.{count}.w_ih" in arrays:
+            count += 1
+        parts = [f"lstm.{k}.{part.name}" for k in range(count) for part in fields(LstmLayer)]
+        scaling = [f"scaling.{part.name}" for part in fields(Scaling)]
+        missing = [name for name in (*parts, "head.weight", "head.bias", *scaling) if name not in arrays]
+        if missing:
+            raise ModelError(f"LSTM: no array {', '.join(missing)}, available: {', '.join(sorted(arrays))}")
+        layers = [LstmLayer(*(np.asarray(arrays[n]) for n in parts[3 * k : 3 * k + 3])) for k in range(count)]
+        numbers = [float(np.asarray(arrays[name]).item()) for name in ("head.bias", *scaling)]
+        return cls(tuple(layers), np.ravel(arrays["head.weight"]), numbers[0], Scaling(*numbers[1:]))
+
+
+def _frozen(values: ArrayLike, name: str) -> Vec:
+    """A read-only float64 copy; weights shared by kernels and sessions must not change behind them."""
+    array = np.array(values, dtype=np.float64)
+    if not np.isfinite(array).all():
+        raise ModelError(f"LSTM {name}: {np.count_nonzero(~np.isfinite(array))} numbers are not finite")
+    array.setflags(write=False)
+    return array
+
+
+class LstmStep(StepFunction):
+    """Reference step of `weights`; equations in `LstmWeights`.
+
+    The derivative is carried forward along the layers (forward sensitivity) and exact: an LSTM has no kinks.
+    """
+
+    def __init__(self, weights: LstmWeights) -> None:
+        self.weights = weights
+        self.state_size = weights.state_size
+
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
+        """Angles (N, 1) [deg] and next states (N, S) from states (N, S) and commands (N, 1)."""
+        scaling = self.weights.scaling
+        x = (np.asarray(u, dtype=np.float64) - scaling.u_offset) / scaling.u_scale
+        following = []
+        for layer, (h, c) in zip(self.weights.layers, self._split(state), strict=True):
+            i, f, g, o = _gates(layer, x, h)
+            c = f * c + i * g
+            x = o * np.tanh(c)
+            following += [x, c]
+        y = x @ self.weights.head_weight[:, None] + self.weights.head_bias
+        return scaling.theta_offset + scaling.theta_scale * y, np.concatenate(following, axis=1)
+
+    def jacobian(self, state: Vec, u: float) -> Vec:
+        """Derivative of (theta, next state) by (state, u) at one point, shape (1 + S, S + 1)."""
+        scaling, size, hidden = self.weights.scaling, self.state_size, self.weights.hidden
+        identity = np.eye(size, size + 1)
+        x = np.array([[(u - scaling.u_offset) / scaling.u_scale]])
+        dx = np.zeros((1, size + 1))
+        dx[0, size] = 1.0 / scaling.u_scale
+        rows = []
+        parts = self._split(np.reshape(state, (1, size)))
+        for k, (layer, (h, c)) in enumerate(zip(self.weights.layers, parts, strict=True)):
+            dh, dc = identity[2 * k * hidden :][:hidden], identity[(2 * k + 1) * hidden :][:hidden]
+            i, f, g, o = (gate[0, :, None] for gate in _gates(layer, x, h))
+            dz_i, dz_f, dz_g, dz_o = np.split(layer.w_ih @ dx + layer.w_hh @ dh, 4)
+            c_old = c[0, :, None]
+            c_new = f * c_old + i * g
+            dc = f * dc + c_old * f * (1 - f) * dz_f + g * i * (1 - i) * dz_i + i * (1 - g**2) * dz_g
+            dx = np.tanh(c_new) * o * (1 - o) * dz_o + o * (1 - np.tanh(c_new) ** 2) * dc
+            x = (o * np.tanh(c_new)).T
+            rows += [dx, dc]
+        return np.concatenate([scaling.theta_scale * self.weights.head_weight[None] @ dx, *rows])
+
+    def _split(self, state: Vec) -> list[tuple[Vec, Vec]]:
+        """Pairs (h, c) of each layer, (N, H) each."""
+        parts = np.split(np.asarray(state, dtype=np.float64), 2 * len(self.weights.layers), axis=1)
+        return list(zip(parts[::2], parts[1::2], strict=True))
+
+
+def _gates(layer: LstmLayer, x: Vec, h: Vec) -> tuple[Vec, Vec, Vec, Vec]:
+    """Input, forget, cell and output gate, (N, H) each, from inputs (N, I) and outputs (N, H) of the last step."""
+    i, f, g, o = np.split(x @ layer.w_ih.T + h @ layer.w_hh.T + layer.bias, 4, axis=1)
+    return expit(i), expit(f), np.tanh(g), expit(o)
+
+
+def lstm_step_graph(weights: LstmWeights) -> onnx.GraphProto:
+    """Step graph (u [N,1], state [N,S]) -> (theta [N,1], next_state [N,S]) in float32, scalings inside.
+
+    The initializers carry the names of `LstmWeights.to_arrays`, so that `LstmWeights.from_arrays` finds them again.
+    """
+
+    def body(writer: GraphWriter, v: str, state: str) -> tuple[str, list[str]]:
+        hidden, following = write_layers(writer, weights.layers, v, state)
+        # The head stands as a row here and as a vector in `to_arrays`; `from_arrays` takes either.
+        return writer.affine(hidden, "head", weights.head_weight[None], [weights.head_bias], "y"), following
+
+    return network_step_graph("lstm_step", weights.state_size, weights.scaling, body)
+
+
+def write_layers(writer: GraphWriter, layers: tuple[LstmLayer, ...], v: str, state: str) -> tuple[str, list[str]]:
+    """Nodes of stacked LSTM layers over input `v` [N,1] and state [h_1, c_1, h_2, c_2, ...].
+
+    c' = f c + i g, h' = o tanh(c'), see `LstmWeights`; returns the last h' and the parts of the next state.
+    """
+    hidden, count = layers[0].hidden, len(layers)
+    writer.split(state, [hidden] * (2 * count), [f"{name}_{k}" for k in range(count) for name in ("h", "c")])
+    following, x = [], v
+    for k, layer in enumerate(layers):
+        following += _write_layer(writer, k, layer, x)
+        x = following[-2]
+    return x, following
+
+
+def _write_layer(writer: GraphWriter, k: int, layer: LstmLayer, x: str) -> list[str]:
+    names = {part: writer.weight(f"lstm.{k}.{part}", getattr(layer, part)) for part in ("w_ih", "w_hh", "bias")}
+    writer.node("Gemm", [x, names["w_ih"], names["bias"]], f"zx_{k}", transB=1)
+    writer.node("Gemm", [f"h_{k}", names["w_hh"], f"zx_{k}"], f"z_{k}", transB=1)
+    writer.split(f"z_{k}", [layer.hidden] * 4, [f"z{gate}_{k}" for gate in "ifgo"])
+    for gate, kind in (("i", "Sigmoid"), ("f", "Sigmoid"), ("g", "Tanh"), ("o", "Sigmoid")):
+        writer.node(kind, [f"z{gate}_{k}"], f"{gate}_{k}")
+    writer.node("Mul", [f"f_{k}", f"c_{k}"], f"kept_{k}")
+    writer.node("Mul", [f"i_{k}", f"g_{k}"], f"added_{k}")
+    writer.node("Add", [f"kept_{k}", f"added_{k}"], f"c_{k}_next")
+    writer.node("Tanh", [f"c_{k}_next"], f"shown_{k}")
+    writer.node("Mul", [f"o_{k}", f"shown_{k}"], f"h_{k}_next")
+    return [f"h_{k}_next", f"c_{k}_next"]
+
+
+def lstm_rollout_graph(weights: LstmWeights) -> onnx.GraphProto:
+    """Roll-out graph (u [N,H], state [N,S]) -> theta [N,H] in float32 with the fused operator LSTM.
+
+    N and H are free. Each row starts from its own state. Not for CasADi: the operator is outside the step's list.
+    """
+    hidden, count, writer = weights.hidden, len(weights.layers), GraphWriter()
+    for name, axis in (("first", 0), ("direction", 1), ("last", 2)):
+        writer.indices(name, [axis])
+    writer.node("Transpose", [writer.scale_in(weights.scaling, "u", "v")], "x_time", perm=[1, 0])
+    writer.node("Unsqueeze", ["x_time", "last"], "x_0")
+    writer.split("state", [hidden] * (2 * count), [f"{name}_{k}" for k in range(count) for name in ("h", "c")])
+    for k, layer in enumerate(weights.layers):
+        for s in ("h", "c"):
+            writer.node("Unsqueeze", [f"{s}_{k}", "first"], f"{s}_{k}_start")
+        bias = np.concatenate([_onnx_order(layer.bias), np.zeros(4 * hidden)])
+        parts = (("W", _onnx_order(layer.w_ih)), ("R", _onnx_order(layer.w_hh)), ("B", bias))
+        operands = [f"x_{k}", *(writer.weight(f"{name}_{k}", array[None]) for name, array in parts)]
+        writer.node("LSTM", [*operands, "", f"h_{k}_start", f"c_{k}_start"], f"out_{k}", hidden_size=hidden)
+        writer.node("Squeeze", [f"out_{k}", "direction"], f"x_{k + 1}")
+    head = writer.weight("head.weight", weights.head_weight[:, None]), writer.weight("head.bias", [weights.head_bias])
+    writer.node("MatMul", [f"x_{count}", head[0]], "y_time_0")
+    writer.node("Add", ["y_time_0", head[1]], "y_time_1")
+    writer.node("Squeeze", ["y_time_1", "last"], "y_time")
+    writer.node("Transpose", ["y_time"], "y", perm=[1, 0])
+    writer.scale_out("y")
+    inputs = [tensor("u", "N", "H"), tensor("state", "N", weights.state_size)]
+    return helper.make_graph(writer.nodes, "lstm_rollout", inputs, [tensor("theta", "N", "H")], writer.initializers())
+
+
+def _onnx_order(gates: Vec) -> Vec:
+    """Rows in the order i, o, f, g of the operator LSTM from i, f, g, o."""
+    i, f, g, o = np.split(gates, 4)
+    return np.concatenate([i, o, f, g])

@@ -1,0 +1,201 @@
+"""Linear dynamics of an actuator, valve or sensor: lag, servo, delay; and its top speed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Self, final
+
+import casadi as ca
+
+from hystmpc.trials.errors import ModelError
+
+from .operator import Number, Operator, Parameter, Symbol, check_values, maximum, minimum
+
+
+@dataclass(frozen=True)
+class Lag(Operator):
+    """First-order lag, exact for an input in steps, or for one that runs straight between samples.
+
+    tau y' + y = u  =>  y_k = u_k + exp(-dt / tau) (y_{k-1} - u_k)                                      hold 0
+                        y_k = u_k - d_k + exp(-dt / tau) (y_{k-1} - u_{k-1} + d_k),
+                              d_k = tau (u_k - u_{k-1}) / dt                                            hold 1
+
+    The first takes the input of a sample to be there from the sample before on, half a sample early on average: a
+    little delay undoes that, which matters where lag and delay are to be told apart at few samples a time constant.
+
+    With a second constant tau is `tau_s` while the output rises (u_k >= y_{k-1}) and `tau_down_s` while it falls, as
+    a valve fills and vents. At 1 us it is the identity, to the last bit from samples of 1 ms on.
+
+    Attributes:
+        tau_s: time constant, or that of a rise [s]; in files `tau_s`, with two of them `tau_up_s`.
+        tau_down_s: time constant of a fall, if it has its own [s].
+        hold: order of the hold: 0 for an input in steps, 1 for one that runs straight between samples.
+
+    Raises:
+        ModelError: on more than one constant of a fall.
+
+    Source: Franklin, Powell, Workman, Digital Control of Dynamic Systems (3rd ed., 1998), sections 4.3 and 6.3.
+    """
+
+    tau_s: float
+    tau_down_s: tuple[float, ...] = ()
+    hold: int = 0
+    name: ClassVar[str] = "lag"
+    shape: ClassVar[tuple[str, ...]] = ("ways", "hold")
+    default_sizes: ClassVar[Mapping[str, int]] = {"ways": 1, "hold": 0}
+    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"ways": (1, 2), "hold": (0, 1)}
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tau_down_s", tuple(float(v) for v in self.tau_down_s))
+        if len(self.tau_down_s) > 1:
+            raise ModelError(f"lag: {len(self.tau_down_s)} time constants of a fall, expected at most 1")
+        check_values(self)
+
+    @classmethod
+    def template(cls, **structure: int) -> Self:
+        return cls(1.0, (1.0,) * (structure.get("ways", 1) - 1), structure.get("hold", 0))
+
+    @property
+    def ways(self) -> int:
+        """Number of time constants: one, or one for each direction."""
+        return 1 + len(self.tau_down_s)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        if self.ways == 1:
+            return (Parameter("tau_s", "s", 1e-6, 1e3, "time constant"),)
+        ways = (("up", "rise"), ("down", "fall"))
+        return tuple(Parameter(f"tau_{way}_s", "s", 1e-6, 1e3, f"time constant of a {motion}") for way, motion in ways)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return ("y", "u") if self.hold else ("y",)
+
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        tau = p[0] if self.ways == 1 else ca.if_else(u >= x[0], p[0], p[1])
+        left = ca.exp(-dt / tau)
+        if self.hold:
+            behind = tau * (u - x[1]) / dt
+            y = u - behind + left * (x[0] - x[1] + behind)
+            return ca.vertcat(y, u), y
+        y = u + left * (x[0] - u)
+        return y, y
+
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        del y, p
+        return ca.vertcat(u, u) if self.hold else u
+
+
+@final
+@dataclass(frozen=True)
+class Servo(Operator):
+    """Underdamped lag of second order, exact for an input that runs straight between samples.
+
+    y'' + 2 d w y' + w^2 y = w^2 u,  w = 2 d / tau
+
+    with damping ratio d, so that it stays behind a ramp by tau as a lag of first order does. With the ramp's slope
+    a = (u_k - u_{k-1}) / dt, what is off from following it, e = y - (u_{k-1} - a tau) and g = v - a, and with s = d w,
+    f = w sqrt(1 - d^2), c = cos(f dt), h = sin(f dt) / f,
+
+        y_k = u_k - a tau + exp(-s dt) ((c + s h) e + h g),  v_k = a + exp(-s dt) (-w^2 h e + (c - s h) g)
+
+    At 1 us it is the identity but for a microsecond of the ramp.
+
+    Source: Ogata, Modern Control Engineering (5th ed., 2010), section 5.3.
+    """
+
+    tau_s: Annotated[float, Number("s", 1e-6, 1e3, 1.0, "time by which it stays behind a ramp")]
+    damping: Annotated[float, Number("1", 0.05, 0.999, 0.7, "ratio to the critical damping")]
+    name: ClassVar[str] = "servo"
+    state_names: ClassVar[tuple[str, ...]] = ("y", "v", "u")
+
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        w = 2 * p[1] / p[0]
+        s, f = p[1] * w, w * ca.sqrt(1 - p[1] * p[1])
+        left, c, h = ca.exp(-s * dt), ca.cos(f * dt), ca.sin(f * dt) / f
+        slope = (u - x[2]) / dt
+        e, g = x[0] - x[2] + slope * p[0], x[1] - slope
+        y = u - slope * p[0] + left * ((c + s * h) * e + h * g)
+        return ca.vertcat(y, slope + left * ((c - s * h) * g - w * w * h * e), u), y
+
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        del y, p
+        return ca.vertcat(u, 0, u)
+
+
+@final
+@dataclass(frozen=True)
+class RateLimit(Operator):
+    """A follower with a top speed.
+
+    y_k = max(y_{k-1} - top_speed dt, min(y_{k-1} + top_speed dt, u_k))
+
+    Faster than the input ever is, it is the identity, to the last bit.
+
+    Source: Astrom and Murray, Feedback Systems (2nd ed., 2020), section 9.4, rate limiters.
+    """
+
+    top_speed: Annotated[float, Number("in/s", 0.0, 1e9, 1.0, "greatest change")]
+    name: ClassVar[str] = "rate_limit"
+    state_names: ClassVar[tuple[str, ...]] = ("y",)
+
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        y = maximum(x[0] - p[0] * dt, minimum(x[0] + p[0] * dt, u))
+        return y, y
+
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        del y, p
+        return u
+
+
+@dataclass(frozen=True)
+class Delay(Operator):
+    """Transport delay of d seconds by linear interpolation between stored samples.
+
+    y_k = sum_j h(d / dt - j) u_{k-j},  h(s) = max(0, 1 - |s|),  j = 0..n
+
+    The hat weights keep the output differentiable in the delay, so that it can be identified.
+
+    Attributes:
+        delay_s: delay d [s], at most `samples` sample times.
+        samples: length n of the store; it fixes the size of the state, so it is not a parameter of a fit.
+
+    Raises:
+        ModelError: if the store is empty or the delay out of bounds.
+    """
+
+    delay_s: Annotated[float, Number("s", 0.0, 1e2, 0.0, "transport delay")]
+    samples: int
+    name: ClassVar[str] = "delay"
+    shape: ClassVar[tuple[str, ...]] = ("samples",)
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if self.samples < 1:
+            raise ModelError(f"delay.samples is {self.samples}, expected at least 1")
+
+    @classmethod
+    def at_rate(cls, delay_s: float, dt: float) -> Self:
+        """A delay with just the store that it needs at sample time `dt` [s]."""
+        return cls(delay_s, max(1, math.ceil(delay_s / dt - 1e-9)))
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return tuple(f"u{j}" for j in range(1, self.samples + 1))
+
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        past: Symbol = ca.vertcat(u, x)
+        steps = p[0] / dt
+        y = sum(maximum(0.0, 1 - ca.fabs(steps - j)) * past[j] for j in range(self.samples + 1))
+        return past[: self.samples], y
+
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        del y, p
+        return ca.repmat(u, self.samples, 1)
+
+    @property
+    def settling_samples(self) -> int:
+        """The store's length."""
+        return self.samples

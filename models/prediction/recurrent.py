@@ -1,0 +1,111 @@
+"""Predictions of recurrent networks in single precision by compiled kernels."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from hystmpc.trials.types import Vec
+
+from ..contract.metadata import ModelMetadata, Start
+from ..kernels.network_route import NetworkRoute, chosen_route
+from ..model import ModelPredictor
+from ..networks.lstm import LstmWeights
+
+if TYPE_CHECKING:
+    from ..contract.load import OnnxModel
+
+
+class RoutedPredictor(ModelPredictor):
+    """Predictions of a recurrent network in single precision by its fastest route.
+
+    What follows from a command or a state that is not finite is not-a-number: the kernels' gates would hide it.
+
+    Args:
+        metadata: facts of the model file.
+        start: rule that makes the initial state.
+        route: how to compute.
+    """
+
+    def __init__(self, metadata: ModelMetadata, start: Start, route: NetworkRoute) -> None:
+        super().__init__(metadata, start)
+        self.route = route
+
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
+        plan = np.array([u])
+        if not _finite(state, plan):
+            return np.nan, np.full(state.size, np.nan)
+        angles, following = self.route.advance(state, plan)
+        return float(angles[0]), following
+
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
+        if _finite(state, plans):
+            return self.route.rollout(state, plans)
+        usable = np.isfinite(plans).all(axis=1) & np.isfinite(state).all()
+        angles = np.full(plans.shape, np.nan)
+        if usable.any():
+            angles[usable] = self.route.rollout(state, plans[usable])
+        return angles
+
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
+        if not _finite(state, plan):
+            return np.full(plan.size, np.nan), np.tril(np.full((plan.size, plan.size), np.nan))
+        return self.route.linearise(state, plan)
+
+
+def _finite(state: Vec, plans: Vec) -> bool:
+    # a sum is finite only where all its terms are; one that overflows is no angle either
+    return math.isfinite(state.sum() + plans.sum())
+
+
+@final
+class GruPredictor(RoutedPredictor):
+    """Compiled prediction of a stacked GRU; state [h_1, h_2, ...] as in `GruNet`.
+
+    Args:
+        model: a loaded model file of kind `gru`; the graph's initializers are all that it needs.
+
+    Raises:
+        ModelError: if the initializers are not those of an exported GRU.
+    """
+
+    def __init__(self, model: OnnxModel) -> None:
+        from ..kernels.gru import GruRoute  # an LSTM does not need it
+
+        super().__init__(model.metadata, "conditioned", GruRoute(model.initializers))
+
+
+@final
+class LstmPredictor(RoutedPredictor):
+    """The fastest route to each prediction of a stacked LSTM; state (S,) as in `LstmWeights`.
+
+    Roll-outs run on as many threads as the process gives BLAS; a control process sets one (threadpoolctl), since a
+    second one stalls beside a busy neighbour.
+
+    Args:
+        weights: of the network.
+        metadata: facts of the model file.
+        start: rule that makes the initial state.
+        route: how to compute; None for the fastest on this processor, see `chosen_route`.
+    """
+
+    def __init__(
+        self,
+        weights: LstmWeights,
+        metadata: ModelMetadata,
+        start: Start = "conditioned",
+        route: NetworkRoute | None = None,
+    ) -> None:
+        super().__init__(metadata, start, chosen_route(weights) if route is None else route)
+
+    @classmethod
+    def of_model(cls, model: OnnxModel, start: Start = "conditioned") -> LstmPredictor:
+        """Predictor of a loaded model file of kind `lstm`; the graph's initializers are all that it needs.
+
+        Raises:
+            ModelError: if the initializers are not those of an exported LSTM.
+            ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
+        """
+        return cls(LstmWeights.from_arrays(model.initializers), model.metadata, start)

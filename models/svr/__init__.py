@@ -1,1 +1,0 @@
-"""Support-vector regression on the last commands: weights, reference step and step graph."""

@@ -1,0 +1,289 @@
+"""Training of any network on recorded trials, its model file, and how long it will take."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.trial import Trial
+
+from ..contract.equivalence import TOLERANCE_DEG
+from ..contract.export import ExportBundle
+from ..contract.metadata import DeviceLimits, InitialRule, Range
+from ..fit.facts import facts_of
+from ..fit.split import hold_out
+from ..fit.trial_set import check_trial_set, command_range
+from ..model import FitProgress
+from ..motions import initialisation_flexure, probe_commands
+from ..networks.nodes import network_step_graph
+from ..networks.settings import Scaling
+from ..operators.hysteresis import Backlash
+from .runs import Prepared, Rng, Run, prepared, rest_of, scaled_run, scaling_of
+from .settings import NetworkSettings, StreamTraining, WindowTraining
+from .teacher import Teacher
+
+if TYPE_CHECKING:
+    from ..networks.network_ import Network, TorchStep
+    from .updates_ import Check, TeacherRuns
+
+
+@dataclass(frozen=True)
+class NetworkCheck:
+    """One look during training.
+
+    Attributes:
+        step: epochs or updates done.
+        training_rmse_deg: error in training, the teacher's runs included [deg; of an inverse map in its unit].
+        validation_rmse_deg: error on what is held out [deg].
+        rounding_deg: what single precision does to a free run over what is held out [deg].
+    """
+
+    step: int
+    training_rmse_deg: float
+    validation_rmse_deg: float
+    rounding_deg: float
+
+    @property
+    def exportable(self) -> bool:
+        """Whether a free run in single precision stays well within the tolerance of the export."""
+        return self.rounding_deg <= 0.5 * TOLERANCE_DEG
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkFit:
+    """Result of a training.
+
+    Attributes:
+        net: with the lowest validation error among the exportable looks.
+        scaling: units around it.
+        settings: what it was trained with.
+        history: every look.
+        best_step: epoch or update of `net`.
+        validation_rmse_deg: its error on the held-out trials [deg]; on the training trials where none is held out.
+        held_out: sources of the held-out trials.
+        interrupted: stopped by the user; `net` is the best so far.
+    """
+
+    net: Network
+    scaling: Scaling
+    settings: NetworkSettings
+    history: tuple[NetworkCheck, ...]
+    best_step: int
+    validation_rmse_deg: float
+    held_out: tuple[str, ...]
+    interrupted: bool = False
+
+
+def fit_network(
+    trials: Sequence[Trial],
+    settings: NetworkSettings | None = None,
+    progress: FitProgress | None = None,
+    validation: Sequence[Trial] = (),
+) -> NetworkFit:
+    """Train a network; the weights that do best on held-out trials are kept. Same trials, settings, machine: same net.
+
+    Args:
+        trials: uniformly sampled at one rate, in one pair of units, each from its start; swapped ones for an inverse.
+        settings: see `NetworkSettings` and `NETWORK_PRESETS`; an LSTM where left out.
+        progress: called at every look with the epochs or updates so far, of `settings.steps`, and the best validation
+            error [deg]; KeyboardInterrupt ends the training and keeps the best so far.
+        validation: trials that only judge, beside those held out of `trials`.
+
+    Raises:
+        FitError: on unusable trials, if too few are left to train on, if the loss diverges, if training is
+            interrupted before the first look, or if torch is not installed.
+    """
+    settings = settings or NetworkSettings()
+    check_trial_set([*trials, *validation])
+    training, held_out = hold_out(trials, settings.validation_trials, settings.seed)
+    held_out += validation
+    scaling = scaling_of(trials, settings.scaling)
+    history: list[NetworkCheck] = []
+    best: tuple[NetworkCheck, Network] | None = None
+    interrupted = False
+    try:
+        for look, net in _looks(training, held_out or training, scaling, settings):
+            history.append(look)
+            if look.exportable and (best is None or _better(look, best[0], settings)):
+                best = look, copy.deepcopy(net)
+            if progress:
+                progress(look.step, best[0].validation_rmse_deg if best else math.inf)
+    except KeyboardInterrupt:
+        interrupted = True
+    if best is None:
+        raise FitError(_nothing_to_keep(history))
+    sources = tuple(trial.source for trial in held_out)
+    chosen, net = best
+    return NetworkFit(
+        net, scaling, settings, tuple(history), chosen.step, chosen.validation_rmse_deg, sources, interrupted
+    )
+
+
+def _better(look: NetworkCheck, best: NetworkCheck, settings: NetworkSettings) -> bool:
+    early = 0 if isinstance(settings.training, StreamTraining) else settings.training.keep_after
+    if best.step <= early < look.step:
+        return True
+    return look.validation_rmse_deg < best.validation_rmse_deg
+
+
+def _nothing_to_keep(history: Sequence[NetworkCheck]) -> str:
+    if not history:
+        return "training was interrupted before its first check, there is nothing to keep"
+    least = min(look.rounding_deg for look in history)
+    return (
+        f"the network amplifies rounding: single and double precision differ by at least {least:.2g} deg in all "
+        f"{len(history)} checks, expected at most {0.5 * TOLERANCE_DEG:g}; another seed or a lower learning_rate helps"
+    )
+
+
+def _looks(
+    training: Sequence[Trial], judges: Sequence[Trial], scaling: Scaling, settings: NetworkSettings
+) -> Iterator[tuple[NetworkCheck, Network]]:
+    try:
+        from .updates_ import torch_session
+    except ModuleNotFoundError as error:
+        raise FitError(f"training needs {error.name}, expected it installed: pip install hystmpc[train]") from None
+    with torch_session(settings.seed, settings.threads):
+        for check in _checks(training, judges, scaling, settings):
+            in_degrees = tuple(scaling.theta_scale * part for part in (check.training, check.judged, check.rounding))
+            if not math.isfinite(in_degrees[1]):
+                raise FitError(f"training diverged: free run not finite at step {check.step}; lower learning_rate")
+            yield NetworkCheck(check.step, *in_degrees), check.net
+
+
+def _checks(
+    training: Sequence[Trial], judges: Sequence[Trial], scaling: Scaling, settings: NetworkSettings
+) -> Iterator[Check]:
+    from .updates_ import stream_checks, window_checks
+
+    ready: Prepared = prepared(training, judges, scaling, settings)
+    net = settings.network.network(rest_of(training, scaling, settings.rest), ready.operator)
+    way = settings.training
+    if isinstance(way, StreamTraining):
+        return stream_checks(net, ready.training, ready.judges, _teacher(training, scaling, way), settings, way)
+    return window_checks(net, ready.training, ready.judges, settings, way)
+
+
+def _teacher(training: Sequence[Trial], scaling: Scaling, way: StreamTraining) -> TeacherRuns:
+    if way.teacher is None:
+        return lambda done, rng: []
+    teacher, count = Teacher(training, way.teacher.plays, way.teacher.model), way.teacher.runs
+    first, last = way.teacher.weight
+
+    def runs(done: float, rng: Rng) -> list[Run]:
+        return [scaled_run(run, scaling) for run in teacher.runs(count, first + (last - first) * done, rng)]
+
+    return runs
+
+
+def network_bundle(fit: NetworkFit, trials: Sequence[Trial], limits: DeviceLimits | None = None) -> ExportBundle:
+    """Graph, facts, reference and probe of a trained network, ready for `export_onnx`.
+
+    Args:
+        fit: what `fit_network` returned.
+        trials: those it was given, held-out ones included; ranges and fingerprint are theirs.
+        limits: what the device may be sent; what the trials show where left out.
+
+    Raises:
+        FitError: on unusable trials.
+        ModelError: if they are beyond what a model file may say.
+    """
+    from ..networks.network_ import TorchStep  # torch is there: the network was trained with it
+
+    step = TorchStep(fit.net, fit.scaling)
+    dt, trained, warmup = check_trial_set(trials), command_range(trials), fit.settings.warmup_samples
+    rest = float(np.median([trial.angle[0] for trial in trials]))
+    metadata = facts_of(
+        fit.settings.kind,
+        trials,
+        limits or DeviceLimits(),
+        (step.initial_rule(), _conditioned_rule(step, trained, rest, dt, warmup)),
+        warmup,
+        {
+            "preset": fit.settings.preset,
+            "settings": fit.settings.model_dump_json(),
+            "best_step": fit.best_step,
+            "validation_rmse_deg": fit.validation_rmse_deg,
+            "interrupted": fit.interrupted,
+            "held_out": ", ".join(Path(source).name for source in fit.held_out),
+        },
+    )
+    graph = network_step_graph(f"{fit.settings.kind}_step", fit.net.state_size, fit.scaling, fit.net.write)
+    return ExportBundle(graph, metadata, step, probe_commands(metadata))
+
+
+def _conditioned_rule(step: TorchStep, trained: Range, rest: float, dt_s: float, warmup: int) -> InitialRule:
+    """State after the initialisation flexure, from rest at angle `rest`; what is measured starts as in a trial.
+
+    The flexure is that of S2 (RA-L 2024), see `initialisation_flexure`.
+    """
+    initial = step.initial_rule()
+    start = initial.state(np.array([[rest]]))[0]
+    _, state = step.run(start, initialisation_flexure(trained, dt_s, warmup))
+    known = np.arange(step.state_size) >= step.state_size - step.measured
+    offset, slope = np.where(known, initial.offset, state), np.where(known, initial.slope, 0.0)
+    return InitialRule(offset=tuple(offset.tolist()), slope=tuple(slope.tolist()))
+
+
+_FIRST, _TIMED = 3, 12
+
+
+def training_seconds(trials: Sequence[Trial], settings: NetworkSettings) -> float:
+    """Expected duration of `fit_network` [s] on this machine as it is loaded now: its updates, nothing beside them.
+
+    Fitting a backlash or a teacher beforehand takes seconds, looks at what is held out some percent.
+
+    Raises:
+        FitError: on unusable trials, if too few are left to train on, or if torch is not installed.
+    """
+    check_trial_set(trials)
+    try:
+        from .updates_ import torch_session
+    except ModuleNotFoundError as error:
+        raise FitError(f"training needs {error.name}, expected it installed: pip install hystmpc[train]") from None
+    training, _ = hold_out(trials, settings.validation_trials, settings.seed)
+    with torch_session(settings.seed, settings.threads):
+        backlash = Backlash(1.0, 1.0, 0.1, -0.1) if settings.network.has_backlash else None
+        net = settings.network.network(0.0, backlash)
+        way = settings.training
+        if isinstance(way, StreamTraining):
+            return way.updates * _seconds_of(_stream_update(net, settings, way))
+        count = way.windows_per_epoch or sum(len(trial) + way.padding_samples for trial in training)
+        return way.epochs * math.ceil(count / way.batch) * _seconds_of(_window_update(net, settings, way))
+
+
+def _seconds_of(improve: Callable[[], object]) -> float:
+    """Median duration of one call [s]."""
+    durations = []
+    for _ in range(_FIRST + _TIMED):
+        before = time.perf_counter()
+        improve()
+        durations.append(time.perf_counter() - before)
+    return float(np.median(durations[_FIRST:]))
+
+
+def _window_update(net: Network, settings: NetworkSettings, way: WindowTraining) -> Callable[[], object]:
+    from .updates_ import cut, window_update
+
+    rng, improve = np.random.default_rng(0), window_update(net, settings, way)
+    parts = [rng.uniform(-1, 1, (way.batch, net.context + way.length)).astype(np.float32) for _ in range(4)]
+    return lambda: improve(cut(net, parts), 0)
+
+
+def _stream_update(net: Network, settings: NetworkSettings, way: StreamTraining) -> Callable[[], object]:
+    import torch
+
+    from .updates_ import Piece, stream_update
+
+    improve = stream_update(net, settings, way)
+    signal = torch.rand(way.streams, way.length)
+    piece = Piece(signal, signal, torch.ones_like(signal), torch.ones(way.streams, 1, dtype=torch.bool))
+    return lambda: improve(piece, None, 0)

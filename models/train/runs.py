@@ -1,0 +1,251 @@
+"""What a network is trained on: scaled runs, rest before them, streams side by side, and the backlash of a hybrid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hystmpc.trials.segments import first_flexure_end
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from ..chain import Chain
+from ..fit.operators import OperatorFit, OperatorFitSettings, fit_chain
+from ..fit.starts import backlash_starts
+from ..fit.trial_set import angle_range, command_range
+from ..networks.settings import Scaling
+from ..operators.hysteresis import Backlash, InverseBacklash
+from ..operators.operator import Operator
+from .settings import NetworkSettings, RestSettings, ScalingSettings, WindowTraining
+
+Float32 = NDArray[np.float32]
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True)
+class Run:
+    """One motion to learn from, from the start of a trial.
+
+    Attributes:
+        command, angle: (T,), in units or scaled; exchanged for an inverse map.
+        weight: weight of each sample in the loss (T,).
+    """
+
+    command: Vec
+    angle: Vec
+    weight: Vec
+
+    def padded(self, samples: int, command: float, angle: float, weight: float) -> Self:
+        """The same motion after `samples` of rest."""
+        values = ((self.command, command), (self.angle, angle), (self.weight, weight))
+        return type(self)(*(np.concatenate([np.full(samples, value), signal]) for signal, value in values))
+
+    def stretched(self, factor: float) -> Self:
+        """The same motion `factor` times as fast, interpolated linearly."""
+        at, own = np.arange(0.0, self.command.size - 1, factor), np.arange(self.command.size)
+        parts = (np.interp(at, own, signal) for signal in (self.command, self.angle, self.weight))
+        return type(self)(*parts)
+
+    def paused(self, at: int, samples: int) -> Self:
+        """The same motion with command and angle held for `samples` after sample `at`, as hysteresis would hold."""
+        index = np.concatenate([np.arange(at + 1), np.full(samples, at), np.arange(at + 1, self.command.size)])
+        return type(self)(self.command[index], self.angle[index], self.weight[index])
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Scaled runs and, for a hybrid, the fitted operator in scaled units."""
+
+    training: list[Run]
+    judges: list[Run]
+    operator: Operator | None
+
+
+def prepared(
+    training: Sequence[Trial], judges: Sequence[Trial], scaling: Scaling, settings: NetworkSettings
+) -> Prepared:
+    """Scale and pad the trials; fit the backlash of a hybrid to those that are trained on.
+
+    Raises:
+        FitError: if the backlash cannot be fitted.
+    """
+    runs = [[_run(trial, scaling, settings) for trial in trials] for trials in (training, judges)]
+    if not settings.network.has_backlash:
+        return Prepared(runs[0], runs[1], None)
+    dead_zone = getattr(settings.network, "dead_zone", None)
+    backlash = fitted_backlash(training, settings.first_flexure_weight == 0.0, dead_zone)
+    return Prepared(runs[0], runs[1], scaled_operator(backlash, scaling))
+
+
+def scaling_of(trials: Sequence[Trial], given: ScalingSettings | None) -> Scaling:
+    """The given scaling for devices of its unit, else the one that maps the trials' ranges to [-1, 1]."""
+    inverted = trials[0].inverted
+    if given is not None and _command_unit(trials[0]) == given.unit:
+        command, angle = (given.command_offset, given.command_scale), (given.angle_offset, given.angle_scale)
+        return Scaling(*angle, *command) if inverted else Scaling(*command, *angle)
+    u, theta = command_range(trials), angle_range(trials)
+    pairs = [(0.5 * (r.lower + r.upper), 0.5 * (r.upper - r.lower)) for r in (u, theta)]
+    # Single precision, as the graph will hold them: what was trained is what is exported.
+    return Scaling(*(float(np.float32(number)) for pair in pairs for number in pair))
+
+
+def rest_of(trials: Sequence[Trial], scaling: Scaling, given: RestSettings | None) -> float:
+    """Scaled input of a device at rest: as given for devices of that unit, else the least input of the trials."""
+    if given is not None and _command_unit(trials[0]) == given.unit:
+        rest = given.angle if trials[0].inverted else given.command
+    else:
+        rest = command_range(trials).lower
+    return float(scaling.scale_in(np.array(rest)))
+
+
+def scaled_run(run: Run, scaling: Scaling) -> Run:
+    """The same motion in scaled units."""
+    return Run(scaling.scale_in(run.command), scaling.scale_out(run.angle), run.weight)
+
+
+def _run(trial: Trial, scaling: Scaling, settings: NetworkSettings) -> Run:
+    weight = np.ones(len(trial))
+    if settings.first_flexure_weight != 1.0:
+        weight[: first_flexure_end(trial)] = settings.first_flexure_weight
+    run = Run(trial.command, trial.angle, weight)
+    if isinstance(settings.training, WindowTraining):
+        run = _padded(run, trial, settings, settings.training)
+    return scaled_run(run, scaling)
+
+
+def _padded(run: Run, trial: Trial, settings: NetworkSettings, way: WindowTraining) -> Run:
+    """Rest before the trial; a network that looks back needs at least as much as it looks back on."""
+    command, angle = float(trial.command[0]), float(trial.angle[0])
+    if settings.rest is not None and _command_unit(trial) == settings.rest.unit:
+        rest = (settings.rest.command, settings.rest.angle)
+        command, angle = rest[::-1] if trial.inverted else rest
+    scored = settings.first_flexure_weight if way.padding_samples else 0.0
+    return run.padded(max(way.padding_samples, settings.network.context), command, angle, scored)
+
+
+def _command_unit(trial: Trial) -> str:
+    """Unit of the device's command, in a swapped trial as well."""
+    return trial.units.angle if trial.inverted else trial.units.command
+
+
+@dataclass(frozen=True)
+class Streams:
+    """P pieces of L samples in N streams.
+
+    Attributes:
+        command, angle, weight: (P, N, L) float32; weight 0 where nothing is to be learned (warm-up, filling). The
+            angle of a warm-up is the run's first, from which the state starts.
+        fresh: (P, N), whether a run begins with this piece, so that the state goes back to the start.
+    """
+
+    command: Float32
+    angle: Float32
+    weight: Float32
+    fresh: NDArray[np.bool_]
+
+
+def arrange(runs: Sequence[Run], streams: int, length: int, warmup: int, rng: Rng) -> Streams:
+    """Distribute runs over streams of about equal length, each run from the start of a piece.
+
+    A run's first command is held for `warmup` samples before it, its last one to the end of its last piece.
+    """
+    pieces = [-(-(warmup + run.command.size) // length) for run in runs]
+    queues: list[list[int]] = [[] for _ in range(streams)]
+    filled = np.zeros(streams, np.int64)
+    for k in np.argsort(pieces)[::-1].tolist():  # longest first, each to the emptiest stream
+        shortest = int(np.argmin(filled))
+        queues[shortest].append(k)
+        filled[shortest] += pieces[k]
+    shape = (streams, int(filled.max()) * length)
+    command, angle, weight = (np.zeros(shape, np.float32) for _ in range(3))
+    fresh = np.zeros((streams, shape[1] // length), bool)
+    for n, queue in enumerate(queues):
+        at = 0
+        for k in rng.permutation(queue).tolist():
+            run, first, end = runs[k], at + warmup, at + pieces[k] * length
+            fresh[n, at // length] = True
+            last = first + run.command.size
+            command[n, at:first], command[n, first:last], command[n, last:end] = (
+                run.command[0],
+                run.command,
+                run.command[-1],
+            )
+            angle[n, at:first], angle[n, first:last], weight[n, first:last] = run.angle[0], run.angle, run.weight
+            at = end
+    cut = [np.ascontiguousarray(a.reshape(streams, -1, length).swapaxes(0, 1)) for a in (command, angle, weight)]
+    return Streams(cut[0], cut[1], cut[2], fresh.T)
+
+
+def stretch(runs: Sequence[Run], share: float, rng: Rng) -> list[Run]:
+    """Each run at a speed of its own, up to `1 + share` times faster or slower."""
+    reach = np.log1p(share)
+    return [run.stretched(float(np.exp(rng.uniform(-reach, reach)))) for run in runs]
+
+
+def pause(runs: Sequence[Run], longest: int, rng: Rng) -> list[Run]:
+    """Each run with a pause of up to `longest` samples after a random one of its samples."""
+    return [run.paused(int(rng.integers(run.command.size)), int(rng.integers(longest + 1))) for run in runs]
+
+
+DEAD_ZONES_DEG = (0.027, 0.1, 0.3, 1.0)  # the first is that of the code of S2 (RA-L 2024)
+
+
+def fitted_backlash(trials: Sequence[Trial], skip_first_flexure: bool, dead_zone: float | None = None) -> Operator:
+    """Backlash by least squares; from swapped trials an inverse backlash of its own, S2 eq. (3).
+
+    Args:
+        trials: all forward or all swapped.
+        skip_first_flexure: count each trial from its first reversal on.
+        dead_zone: of the inverse [deg]; None for the one of `DEAD_ZONES_DEG` with the least error.
+
+    Raises:
+        FitError: as `fit_chain` does.
+        KeyboardInterrupt: if the user stops a fit.
+    """
+    settings = OperatorFitSettings(skip_first_flexure, evaluations=60, restarts=2)
+    if not trials[0].inverted:
+        return _fitted(backlash_starts(trials), trials, settings).chain.core
+    turned = [trial.swapped() for trial in trials]
+    forward = _fitted(backlash_starts(turned), turned, settings).chain.core
+    assert isinstance(forward, Backlash)  # the starts are backlashes
+    zones = DEAD_ZONES_DEG if dead_zone is None else (dead_zone,)
+    # One fit a dead zone: the error jumps where a sample crosses it, so that no slope leads from one to the next.
+    fits = [_fitted([Chain(forward.inverse(zone))], trials, settings) for zone in zones]
+    return min(fits, key=lambda fit: fit.rmse_deg).chain.core
+
+
+def _fitted(starts: Sequence[Chain], trials: Sequence[Trial], settings: OperatorFitSettings) -> OperatorFit:
+    """The fit; stopped by the user, the training that it is part of is to end as well."""
+    fit = fit_chain(starts, trials, settings)
+    if fit.interrupted:
+        raise KeyboardInterrupt
+    return fit
+
+
+def scaled_operator(operator: Operator, scaling: Scaling) -> Operator:
+    """The same operator between scaled input and scaled output.
+
+    A line theta = m (u + c) reads y = m' (v + c') with m' = m u_scale / theta_scale and
+    c' = (u_offset + c) / u_scale - theta_offset / (m u_scale); the inverse's line u = theta / m - c with
+    m' = m theta_scale / u_scale and c' = (c + theta_offset - u_offset / m) / theta_scale, where u and theta stand for
+    what goes in and out. A dead zone is one of the input.
+    """
+    s = scaling
+    if isinstance(operator, InverseBacklash):
+        lines = [
+            (m * s.theta_scale / s.u_scale, (c + s.theta_offset - s.u_offset / m) / s.theta_scale)
+            for m, c in ((operator.m_lo, operator.c_lo), (operator.m_up, operator.c_up))
+        ]
+        (m_lo, c_lo), (m_up, c_up) = lines
+        return InverseBacklash(m_lo, m_up, c_lo, c_up, operator.dead_zone / s.u_scale)
+    assert isinstance(operator, Backlash)  # there are these two
+    lines = [
+        (m * s.u_scale / s.theta_scale, (s.u_offset + c) / s.u_scale - s.theta_offset / (m * s.u_scale))
+        for m, c in ((operator.m_lo, operator.c_lo), (operator.m_up, operator.c_up))
+    ]
+    (m_lo, c_lo), (m_up, c_up) = lines
+    return Backlash(m_lo, m_up, c_lo, c_up)

@@ -1,0 +1,314 @@
+"""Training in PyTorch: on short windows as in both papers, and on streams of whole trials."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import cast, final
+
+import numpy as np
+import torch
+
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.types import Vec
+
+from ..fit.windows import draw_windows
+from ..networks.network_ import Network, numbers
+from .runs import Rng, Run, Streams, arrange, pause, stretch
+from .settings import NetworkSettings, StreamTraining, WindowTraining
+
+_EPSILON = 1e-4  # of S2 (RA-L 2024) eq. (12)
+
+
+@dataclass(frozen=True)
+class Check:
+    """The state of training at one look.
+
+    Attributes:
+        step: epochs or updates done.
+        training: root mean square error since the last look, scaled.
+        judged: root mean square error of `net` on what is held out, scaled.
+        rounding: largest difference between `net` in single and in double precision on what is held out, scaled.
+        net: the network that was judged; it goes on changing.
+    """
+
+    step: int
+    training: float
+    judged: float
+    rounding: float
+    net: Network
+
+
+@contextmanager
+def torch_session(seed: int, threads: int) -> Iterator[None]:
+    """Seeded, on a fixed number of threads; both go back to what they were."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def update(
+    optimisers: Sequence[torch.optim.Optimizer], net: Network, loss: torch.Tensor, clip_norm: float, step: int
+) -> None:
+    """One step down the gradient.
+
+    Raises:
+        FitError: if the loss is not finite.
+    """
+    if not math.isfinite(loss.item()):
+        raise FitError(f"training diverged: the loss is {loss.item()} at step {step}; lower learning_rate")
+    net.zero_grad()
+    loss.backward()
+    torch.nn.utils.clip_grad_norm_(net.parameters(), clip_norm)
+    for optimiser in optimisers:
+        optimiser.step()
+
+
+def weighted_error(output: torch.Tensor, angle: torch.Tensor, weight: torch.Tensor) -> tuple[torch.Tensor, int]:
+    """Weighted mean square error over the samples that count, and their number."""
+    used = int(torch.count_nonzero(weight))
+    return (weight * (output - angle) ** 2).sum() / max(used, 1), used
+
+
+def constancy(output: torch.Tensor, command: torch.Tensor) -> torch.Tensor:
+    """Constant in, constant out, S2 eq. (12): mean over windows of std(output) / (std(command) + eps)."""
+    return (output.std(dim=1) / (command.std(dim=1) + _EPSILON)).mean()
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What is held out, as one batch.
+
+    Attributes:
+        start: what the states start from (N,).
+        past: inputs before it that the network sees (N, context).
+        command, angle, weight: (N, T).
+    """
+
+    start: torch.Tensor
+    past: torch.Tensor
+    command: torch.Tensor
+    angle: torch.Tensor
+    weight: torch.Tensor
+
+    def head(self, rows: int) -> Judged:
+        """The first `rows` of it."""
+        return Judged(*(part[:rows] for part in (self.start, self.past, self.command, self.angle, self.weight)))
+
+    def output(self, net: Network) -> torch.Tensor:
+        """Outputs (N, T), in the precision of the network."""
+        exact = next(net.parameters()).dtype
+        start, past, command = (part.to(exact) for part in (self.start, self.past, self.command))
+        with torch.no_grad():
+            state = net.begin(past, start) if past.shape[1] else net.start(start)
+            return net(command, state)[0]
+
+
+def whole_runs(runs: Sequence[Run], warmup: int) -> Judged:
+    """Whole runs as one piece, filled up to the longest, for free runs from their start."""
+    longest = warmup + max(run.command.size for run in runs)
+    streams = arrange(runs, len(runs), longest, warmup, np.random.default_rng(0))
+    command, angle, weight = (torch.from_numpy(part[0]) for part in (streams.command, streams.angle, streams.weight))
+    return Judged(angle[:, 0], command[:, :0], command, angle, weight)
+
+
+def rounding_error(net: Network, judged: Judged, output: torch.Tensor) -> float:
+    """What single precision does to a free run. A network that amplifies it is chaotic and cannot be exported."""
+    exact = judged.output(copy.deepcopy(net).double())
+    return float((exact - output).abs().max())
+
+
+_ROUNDED = 64  # windows that are run in double precision as well, which has no fused LSTM and is slow
+
+
+@final
+@dataclass
+class WindowUpdate:
+    """One update on a batch of windows; `net` and `optimiser` change."""
+
+    net: Network
+    optimiser: torch.optim.Optimizer
+    way: WindowTraining
+
+    def __call__(self, batch: Judged, step: int) -> tuple[float, int]:
+        """Mean square error before the update, and the samples behind it."""
+        output, _ = self.net(batch.command, self.net.begin(batch.past, batch.start))
+        error, used = weighted_error(output, batch.angle, batch.weight)
+        loss = error
+        if self.way.constancy_weight:
+            loss = error + self.way.constancy_weight * constancy(output, batch.command)
+        update([self.optimiser], self.net, loss, math.inf, step)
+        return float(error.item()), used
+
+
+def window_update(net: Network, settings: NetworkSettings, way: WindowTraining) -> WindowUpdate:
+    """An update by Adam."""
+    return WindowUpdate(net, torch.optim.Adam(_trained(net), lr=settings.learning_rate), way)
+
+
+def window_checks(
+    net: Network, training: Sequence[Run], held_out: Sequence[Run], settings: NetworkSettings, way: WindowTraining
+) -> Iterator[Check]:
+    """One look after every epoch, at windows of the held-out trials, a fifth as many as in an epoch."""
+    rng = np.random.default_rng(settings.seed)
+    improve = window_update(net, settings, way)
+    count = way.windows_per_epoch or sum(run.command.size for run in training)
+    length = net.context + way.length
+    signals = [_signals(net, run) for run in training]
+    judged = cut(net, draw_windows([_signals(net, run) for run in held_out], -(-count // 5), length, rng))
+    for epoch in range(1, way.epochs + 1):
+        parts = draw_windows(signals, count, length, rng)
+        squares = samples = 0.0
+        for first in range(0, count, way.batch):
+            error, used = improve(cut(net, tuple(part[first : first + way.batch] for part in parts)), epoch)
+            squares, samples = squares + used * error, samples + used
+        output = judged.output(net)
+        error_now, _ = weighted_error(output, judged.angle, judged.weight)
+        rounding = rounding_error(net, judged.head(_ROUNDED), output[:_ROUNDED])
+        yield Check(epoch, math.sqrt(squares / max(samples, 1)), math.sqrt(error_now.item()), rounding, net)
+
+
+def cut(net: Network, parts: Sequence[np.ndarray]) -> Judged:
+    """A batch of windows (N, context + length) of command, angle, weight and what the state starts from."""
+    command, angle, weight, shown = (torch.from_numpy(part) for part in parts)
+    at = net.context
+    return Judged(shown[:, at], command[:, :at], command[:, at:], angle[:, at:], weight[:, at:])
+
+
+def _signals(net: Network, run: Run) -> tuple[Vec, ...]:
+    with torch.no_grad():
+        shown = net.shown(*(torch.tensor(part, dtype=torch.float32)[None] for part in (run.command, run.angle)))
+    return run.command, run.angle, run.weight, numbers(shown)[0]
+
+
+def _trained(net: Network) -> list[torch.nn.Parameter]:
+    return [p for p in net.parameters() if p.requires_grad]
+
+
+_RAMP_UPDATES = 50  # in which the learning rate rises from zero: Adam's first steps know no curvature
+
+TeacherRuns = Callable[[float, Rng], list[Run]]
+"""Scaled runs of a teacher, drawn anew at every call; the first argument is the share of training that is done."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Pieces of N streams: command, angle and weight (N, L); fresh (N, 1), whether a run begins with it."""
+
+    command: torch.Tensor
+    angle: torch.Tensor
+    weight: torch.Tensor
+    fresh: torch.Tensor
+
+
+@final
+@dataclass
+class StreamUpdate:
+    """One update on a piece of every stream; `net`, optimisers, schedules and the running mean change."""
+
+    net: Network
+    optimisers: list[torch.optim.Optimizer]
+    schedules: Sequence[torch.optim.lr_scheduler.LRScheduler]
+    averaged: torch.optim.swa_utils.AveragedModel
+    way: StreamTraining
+
+    def __call__(self, piece: Piece, state: torch.Tensor | None, step: int) -> tuple[torch.Tensor, float, int]:
+        """State after the piece, mean square error before the update, and the samples behind it; 0 for none."""
+        start = self.net.start(piece.angle[:, 0])
+        state = start if state is None else torch.where(piece.fresh, start, state.detach())
+        output, following = self.net(piece.command, state)
+        error, used = weighted_error(output, piece.angle, piece.weight)
+        if used:
+            loss = error
+            if self.way.constancy_weight:
+                loss = error + self.way.constancy_weight * constancy(output, piece.command)
+            update(self.optimisers, self.net, loss, self.way.clip_norm, step)
+            for schedule in self.schedules:
+                schedule.step()
+            self.averaged.update_parameters(self.net)
+        return following, float(error.item()), used
+
+
+def stream_update(net: Network, settings: NetworkSettings, way: StreamTraining) -> StreamUpdate:
+    """An update by Muon and Adam."""
+    optimisers = _muon_and_adam(net, way.matrix_learning_rate, settings.learning_rate)
+    schedules = [torch.optim.lr_scheduler.LambdaLR(o, lambda k: _rate(k, way.updates)) for o in optimisers]
+    averaged = torch.optim.swa_utils.AveragedModel(
+        net, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(way.averaging)
+    )
+    return StreamUpdate(net, optimisers, schedules, averaged, way)
+
+
+def stream_checks(
+    net: Network,
+    training: Sequence[Run],
+    held_out: Sequence[Run],
+    teacher: TeacherRuns,
+    settings: NetworkSettings,
+    way: StreamTraining,
+) -> Iterator[Check]:
+    """A look after every few rounds, at free runs over whole held-out trials by the averaged weights."""
+    rng = np.random.default_rng(settings.seed)
+    improve = stream_update(net, settings, way)
+    judged = whole_runs(held_out, settings.warmup_samples)
+    step = rounds = 0
+    squares = samples = 0.0
+    while step < way.updates:
+        runs = stretch([run for run in training for _ in range(way.copies)], way.time_scaling, rng)
+        runs = pause(runs, way.longest_pause, rng)
+        runs += teacher(step / way.updates, rng)
+        state = None
+        for piece in pieces(arrange(runs, way.streams, way.length, settings.warmup_samples, rng)):
+            state, error, used = improve(piece, state, step)
+            step, squares, samples = step + (used > 0), squares + used * error, samples + used
+            if step == way.updates:
+                break
+        rounds += 1
+        if rounds % way.rounds_between_checks == 0 or step == way.updates:
+            yield _look(step, math.sqrt(squares / samples), cast(Network, improve.averaged.module), judged)
+            squares = samples = 0.0
+
+
+def pieces(streams: Streams) -> Iterator[Piece]:
+    """One after the other, as tensors."""
+    for k in range(len(streams.command)):
+        parts = (streams.command[k], streams.angle[k], streams.weight[k], streams.fresh[k][:, None])
+        yield Piece(*(torch.from_numpy(np.ascontiguousarray(part)) for part in parts))
+
+
+def _look(step: int, training: float, mean: Network, judged: Judged) -> Check:
+    output = judged.output(mean)
+    return Check(step, training, _mean_run_error(output, judged), rounding_error(mean, judged, output), mean)
+
+
+def _muon_and_adam(net: Network, matrix_rate: float, rate: float) -> list[torch.optim.Optimizer]:
+    """Muon (Jordan et al., 2024) for the matrices between layers, Adam for the rest: biases, input weights, head.
+
+    Orthogonalised steps move all directions of a matrix alike. On hysteresis they reach half of Adam's error in the
+    same number of updates; supposedly, since the directions that tell loading from unloading have small gradients.
+    """
+    matrices = net.matrices
+    others = [p for p in net.parameters() if p.requires_grad and all(p is not matrix for matrix in matrices)]
+    adam = torch.optim.Adam(others, lr=rate)
+    if not matrices:
+        return [adam]
+    return [torch.optim.Muon(matrices, lr=matrix_rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw"), adam]
+
+
+def _rate(step: int, updates: int) -> float:
+    """Factor on the learning rate: a short ramp up, then half a cosine down to zero."""
+    return min(1.0, (step + 1) / _RAMP_UPDATES) * 0.5 * (1.0 + math.cos(math.pi * min(1.0, step / updates)))
+
+
+def _mean_run_error(output: torch.Tensor, batch: Judged) -> float:
+    """Root of the mean over runs of their mean square errors, so that a long trial counts as much as a short one."""
+    each = (batch.weight * (output - batch.angle) ** 2).sum(dim=1) / torch.count_nonzero(batch.weight, dim=1)
+    return math.sqrt(each.mean().item())
