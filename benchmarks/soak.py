@@ -38,8 +38,8 @@ from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.rig.campaign.processes import end, start, start_device
 from hystmpc.rig.campaign.setup import DEVICE, RUN
+from hystmpc.rig.commission.review import judged, review
 from hystmpc.rig.config import RunSettings
-from hystmpc.rig.review import judged, review
 from hystmpc.sim.plant import at_sample_time
 from hystmpc.sim.studies.control_rivals import CONTROLLERS, NETWORKS
 from hystmpc.trials.config import dump_yaml

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from .command import Command, Source, Timing
 from .limits import CommandLimits
-from .protocols import Controller, Plant
+from .loop import Controller, Plant
 
 if TYPE_CHECKING:
-    from .tip_controller import TipController
+    from .planner.tip_controller import TipController
 
 __all__ = ["Command", "CommandLimits", "Controller", "Plant", "Source", "Timing", "TipController"]
 
@@ -21,7 +21,7 @@ __all__ = ["Command", "CommandLimits", "Controller", "Plant", "Source", "Timing"
 def __getattr__(name: str) -> Any:
     """`TipController`, imported when first asked for: its settings need pydantic, which a control law does not."""
     if name == "TipController":
-        from .tip_controller import TipController
+        from .planner.tip_controller import TipController
 
         return TipController
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

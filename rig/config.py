@@ -8,21 +8,20 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.config import LimitsSettings, ModelledLimitsSettings
-from hystmpc.ctrl.tip.settings import TipSettings
+from hystmpc.ctrl.limits import LimitsSettings, ModelledLimitsSettings, NotNegative, Positive
+from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.library import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
 from hystmpc.trials.config import Settings, load_settings
 
-from .excitation import Excitation, MotionFileSettings
-from .intake import SensorSettings
-from .plausibility import PlausibilitySettings
-from .prepare import PrepareStep
-from .ramp import RampSettings
-from .realtime_ import RealtimeSettings
-from .settings_types import NotNegative, Positive
-from .transports.settings import ReplaySettings, TransportSettings
-from .transports.units import WireUnits
+from .commission.excitation import Excitation, MotionFileSettings
+from .commission.phases import PrepareStep
+from .realtime import RealtimeSettings
+from .safety.intake import SensorSettings
+from .safety.plausibility import PlausibilitySettings
+from .safety.ramp import RampSettings
+from .transports.config import ReplaySettings, TransportSettings
+from .transports.transport import WireUnits
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
 

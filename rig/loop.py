@@ -5,20 +5,45 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import final
 
-from .anchor import Anchor
-from .clock import Clock
-from .gate import Gate
+from .commission.phases import Decision, Now, Past, Phase, SafeStop
 from .histogram import Timings
-from .intake import Intake, Seen
-from .outcome import Outcome
-from .phases.motion import SafeStop
-from .phases.phase import Decision, Now, Past, Phase
-from .sample import Sample, Sink
-from .stop_flag import StopFlag
-from .transports.reading import Reading, Transport
+from .realtime import Clock
+from .recording.sample import Sample, Sink
+from .safety.gate import Anchor, Gate
+from .safety.intake import Intake, Seen
+from .safety.stop import StopFlag
+from .transports.transport import Reading, Transport
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the loop says of a run when it is over.
+
+    Attributes:
+        cause: why it was stopped; empty after a run that came to its end.
+        samples: samples with a command, and those skipped.
+        stop_s, safe_s: monotonic time since the start at which the stop began, and at which the safe command had been
+            sent and, where `confirmed`, was held [s]; NaN without a stop, or where nothing could be sent any more.
+        confirmed: whether the device has said that it holds the safe command.
+        clipped: commands that the last line has limited.
+        unsent: commands that the transport did not take.
+        refused: samples on which the sink raised, which it should not.
+        faults: samples by fault.
+    """
+
+    cause: str
+    samples: int
+    stop_s: float
+    safe_s: float
+    confirmed: bool
+    clipped: int
+    unsent: int
+    refused: int
+    faults: dict[str, int]
+
 
 _S = 1e-9
 _READINGS = 64  # taken at most in one sample; a flood must not cost the deadline

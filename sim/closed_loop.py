@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.loop import LoopLog, Sample, run_loop
-from hystmpc.ctrl.protocols import Controller
+from hystmpc.ctrl.loop import Controller, LoopLog, Sample, run_loop
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.types import Vec
 

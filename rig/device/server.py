@@ -9,17 +9,14 @@ from dataclasses import dataclass
 from typing import TextIO, final
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.protocols import Plant
+from hystmpc.ctrl.loop import Plant
 from hystmpc.trials.errors import ConfigError
 
-from ..clock import MonotonicClock
-from ..realtime_ import scheduled
-from ..signals_ import stopping_on_signals
-from ..stop_flag import StopFlag
-from ..transports.build import require_dds
-from ..transports.link import DeviceLink, Outgoing
+from ..realtime import MonotonicClock, scheduled
+from ..safety.stop import StopFlag, stopping_on_signals
+from ..transports.config import require_dds
+from ..transports.transport import Conversion, DeviceLink, Outgoing
 from ..transports.udp import UdpLink
-from ..transports.units import Conversion
 from .config import DeviceSettings, UdpListenSettings
 from .faulty_wire import FaultyDatagrams, FaultyReadings
 

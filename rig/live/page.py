@@ -13,9 +13,8 @@ from typing import Any, final
 
 from hystmpc.trials.errors import ConfigError
 
-from ..sample import Sample, Sink
-from .state import Snapshot
-from .view import Watched
+from ..recording.sample import Sample, Sink
+from .state import Snapshot, Watched
 
 PERIOD_S = 0.125
 _MOST_CLIENTS = 16  # more are turned away: a page is for the people at the bench

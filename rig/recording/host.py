@@ -15,11 +15,10 @@ from hystmpc.trials.run_folder import RunFolder
 
 from ..live.page import LivePage
 from ..live.terminal import TerminalView
-from ..sample import Sink
-from ..signals_ import STOPPING
-from .fan import Fan
+from ..safety.stop import STOPPING
+from .recorder_process import unpack
 from .recording import Recording, RecordingMeta
-from .wire import unpack
+from .sample import Sink, Tee
 
 _lock = Lock()
 
@@ -61,7 +60,7 @@ def _sinks(order: dict[str, Any]) -> tuple[Sink, str]:
     run = RunFolder.open(order["folder"])
     recording = Recording(run, meta, order["rate_hz"], tell, lambda count: _say(on_disk=count), report=order["report"])
     views: list[Sink] = [view for view in (page, terminal) if view is not None]
-    return Fan(recording, *views), page.address if page else ""
+    return Tee(recording, *views), page.address if page else ""
 
 
 def _say(**answer: object) -> None:

@@ -16,9 +16,8 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.presets import COMMAND_UNITS
 from hystmpc.trials.run_folder import RunFolder
 
-from ..sample import Sample, Sink
 from .csv_log import CsvLog
-from .waiting import Waiting
+from .sample import Sample, SampleQueue, Sink
 
 FLUSH_S = 0.5
 """Time between flushes [s]: what a kill may cost at most, beside what was waiting."""
@@ -134,7 +133,7 @@ class Recording(Sink):
         self._tell = tell or _logger.warning
         self._wants_report = report
         self._on_flush = flushed or (lambda count: None)
-        self._waiting = Waiting(max(round(_QUEUE_S * rate_hz), 10))
+        self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
         self._unit = meta.unit
         try:
             self._logs = _open_logs(run.path, meta)

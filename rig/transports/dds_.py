@@ -17,12 +17,10 @@ from cyclonedds.topic import Topic
 
 from hystmpc.trials.errors import ConfigError
 
-from .admission import Admission
+from .config import DdsSettings
 from .dds_types_ import Float64, Float64Stamped, Header, Time
-from .link import Incoming, Outgoing
-from .reading import Reading
-from .settings import DdsSettings
-from .units import Conversion
+from .sessions import Admission
+from .transport import Conversion, Incoming, Outgoing, Reading
 
 _NS = 1_000_000_000
 # What a controller says by frame_id beside commands; a device says there which session it listens to.

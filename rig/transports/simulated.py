@@ -8,12 +8,12 @@ from typing import final
 
 import numpy as np
 
-from hystmpc.ctrl.protocols import Plant
+from hystmpc.ctrl.loop import Plant
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Vec
 
-from .reading import Reading
+from .transport import Reading
 
 
 @final

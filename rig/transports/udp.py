@@ -5,20 +5,83 @@ from __future__ import annotations
 import math
 import secrets
 import socket
+import struct
 import time
+import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, Protocol, final
 
 from hystmpc.trials.errors import ConfigError
 
-from .admission import Admission
-from .datagram import SIZE, Datagram, Kind, decode, encode
-from .link import Incoming, Outgoing
-from .reading import Reading
-from .settings import UdpSettings
-from .units import Conversion
+from .config import UdpSettings
+from .sessions import Admission
+from .transport import Conversion, Incoming, Outgoing, Reading
+
+MAGIC, VERSION = b"HMPC", 1
+_BODY = struct.Struct("<4sBBHIIQdd")
+_CRC = struct.Struct("<I")
+SIZE = _BODY.size + _CRC.size
+
+
+class Kind(IntEnum):
+    """What a datagram says."""
+
+    READING = 1
+    COMMAND = 2
+    STOP = 3
+    HELLO = 4
+
+
+KINDS = {int(kind): kind for kind in Kind}
+
+
+@dataclass(frozen=True, slots=True)
+class Datagram:
+    """The fields of one datagram; see the module."""
+
+    kind: Kind
+    session: int
+    sequence: int
+    stamp_ns: int
+    value: float = 0.0
+    held: float = 0.0
+
+
+def encode(message: Datagram) -> bytes:
+    """The bytes of a datagram (44,); sequence and session wrap at 2^32."""
+    body = _BODY.pack(
+        MAGIC,
+        VERSION,
+        message.kind,
+        0,
+        message.session & 0xFFFFFFFF,
+        message.sequence & 0xFFFFFFFF,
+        message.stamp_ns & 0xFFFFFFFFFFFFFFFF,
+        message.value,
+        message.held,
+    )
+    return body + _CRC.pack(zlib.crc32(body))
+
+
+def decode(data: bytes) -> Datagram | str:
+    """The datagram, or in a word why these bytes are none; never raises on bytes of any content or length."""
+    if len(data) != SIZE:
+        return "wrong size"
+    body = data[: _BODY.size]
+    if zlib.crc32(body) != _CRC.unpack_from(data, _BODY.size)[0]:
+        return "wrong checksum"
+    magic, version, kind, zero, session, sequence, stamp_ns, value, held = _BODY.unpack(body)
+    if magic != MAGIC or version != VERSION or zero:
+        return "wrong version"
+    known = KINDS.get(kind)
+    if known is None:
+        return "unknown kind"
+    return Datagram(known, session, sequence, stamp_ns, value, held)
+
 
 _TRIES = 64  # datagrams looked at in one call; a flood of rubbish must not cost the deadline
 _HELLO_NS = 100_000_000

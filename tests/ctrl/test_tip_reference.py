@@ -9,10 +9,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.tip.reference import Motion, Reference, rest_at, waypoints
-from hystmpc.ctrl.tip.reference import given as preview
-from hystmpc.ctrl.tip.ruckig_ import Kinematics, move_to_rest
-from hystmpc.ctrl.tip.settings import MotionSettings
+from hystmpc.ctrl.planner.reference import Motion, Reference, rest_at, waypoints
+from hystmpc.ctrl.planner.reference import given as preview
+from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
+from hystmpc.ctrl.planner.settings import MotionSettings
 from hystmpc.trials.errors import ControllerError
 
 LIMITS = MotionSettings(velocity_deg_s=30.0, acceleration_deg_s2=200.0, jerk_deg_s3=3000.0)

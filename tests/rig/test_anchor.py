@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.rig.gate import Gate
-from hystmpc.rig.phases.phase import Decision, Now, Past
-from hystmpc.rig.plausibility import ModelWatch, MotionWatch, PlausibilitySettings
-from hystmpc.rig.ramp import RampSettings, stop_commands
+from hystmpc.rig.commission.phases import Decision, Now, Past
+from hystmpc.rig.safety.gate import Gate
+from hystmpc.rig.safety.plausibility import ModelWatch, MotionWatch, PlausibilitySettings
+from hystmpc.rig.safety.ramp import RampSettings, stop_commands
 
 from .bench_parts import DT, LIMITS, NS, OVERSHOOT, RAMPS, Rig, following, travel
 

@@ -12,18 +12,16 @@ from typing import Any
 import pytest
 
 from hystmpc.cli.at_bench import _end_of
-from hystmpc.ctrl.protocols import Plant
-from hystmpc.rig.bench import BenchResult, run_bench
+from hystmpc.ctrl.loop import Plant
+from hystmpc.rig.bench import BenchResult, first_contact, run_bench
+from hystmpc.rig.commission.experiment import run_experiment
+from hystmpc.rig.commission.phases import CommandMotion, Decision, Now, Past, Phase
 from hystmpc.rig.config import BenchSettings
-from hystmpc.rig.connect import first_contact
-from hystmpc.rig.experiment import run_experiment
-from hystmpc.rig.outcome import Outcome
-from hystmpc.rig.phases.motion import CommandMotion
-from hystmpc.rig.phases.phase import Decision, Now, Past, Phase
-from hystmpc.rig.ramp import way_commands
-from hystmpc.rig.stop_flag import StopFlag
-from hystmpc.rig.transports.reading import Reading
-from hystmpc.rig.transports.settings import SimulatedSettings
+from hystmpc.rig.loop import Outcome
+from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.safety.stop import StopFlag
+from hystmpc.rig.transports.config import SimulatedSettings
+from hystmpc.rig.transports.transport import Reading
 from hystmpc.trials.errors import ConfigError
 
 from .bench_parts import RAMPS, FakeClock, ListSink

@@ -11,10 +11,9 @@ from typing import Any
 
 import pytest
 
-from hystmpc.rig.transports import build
-from hystmpc.rig.transports.link import Incoming, Outgoing
-from hystmpc.rig.transports.settings import DdsSettings
-from hystmpc.rig.transports.units import Conversion
+from hystmpc.rig.transports import config
+from hystmpc.rig.transports.config import DdsSettings
+from hystmpc.rig.transports.transport import Conversion, Incoming, Outgoing
 from hystmpc.trials.errors import ConfigError
 
 HAS_DDS = importlib.util.find_spec("cyclonedds") is not None
@@ -83,6 +82,6 @@ def test_a_measurement_and_a_command_cross(message: str) -> None:
 
 
 def test_without_the_package_dds_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(build.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(config.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install hystmpc\[rig\]"):
-        build.require_dds()
+        config.require_dds()

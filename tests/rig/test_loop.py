@@ -11,9 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.phases.motion import CommandMotion, PretensionCheck
-from hystmpc.rig.phases.phase import Decision, Now, Past
-from hystmpc.rig.ramp import ramp_commands, way_commands
+from hystmpc.rig.commission.phases import CommandMotion, Decision, Now, Past, PretensionCheck
+from hystmpc.rig.safety.ramp import ramp_commands, way_commands
 
 from .bench_parts import DT, LIMITS, RAMPS, Rig, following, travel
 

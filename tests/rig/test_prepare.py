@@ -9,9 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.rig.phases.phase import Decision, Now, Past
-from hystmpc.rig.prepare import FlexureSettings, MoveSettings, PretensionSettings, RelaxationSettings
-from hystmpc.rig.ramp import RampSettings
+from hystmpc.rig.commission.phases import (
+    Decision,
+    FlexureSettings,
+    MoveSettings,
+    Now,
+    Past,
+    PretensionSettings,
+    RelaxationSettings,
+)
+from hystmpc.rig.safety.ramp import RampSettings
 from hystmpc.trials.errors import ConfigError
 
 DT = 0.04

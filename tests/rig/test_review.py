@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.rig.review import Judged, review
+from hystmpc.rig.commission.review import Judged, review
 from hystmpc.trials.errors import LogError
 
 T = 0.04 * np.arange(500)

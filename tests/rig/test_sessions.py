@@ -17,11 +17,10 @@ from hypothesis import strategies as st
 
 from hystmpc.rig.device.config import DeviceSettings
 from hystmpc.rig.device.server import Device
-from hystmpc.rig.transports.admission import ANOTHER, NO_GREETING, OLD, Admission
-from hystmpc.rig.transports.link import Incoming, Outgoing
-from hystmpc.rig.transports.settings import DdsSettings, UdpSettings
+from hystmpc.rig.transports.config import DdsSettings, UdpSettings
+from hystmpc.rig.transports.sessions import ANOTHER, NO_GREETING, OLD, Admission
+from hystmpc.rig.transports.transport import Conversion, Incoming, Outgoing
 from hystmpc.rig.transports.udp import UdpLink, UdpTransport
-from hystmpc.rig.transports.units import Conversion
 
 SAME = Conversion(1.0, 0.0, 1.0)
 S = 1_000_000_000
