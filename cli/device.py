@@ -10,7 +10,7 @@ import typer
 
 from hystmpc.ctrl.loop import Plant
 from hystmpc.rig.device.config import DeviceSettings
-from hystmpc.rig.transports.config import SimulatedSettings
+from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import DeviceLink
 from hystmpc.trials.config import load_settings
 from hystmpc.trials.errors import ConfigError

@@ -97,6 +97,7 @@ class TrackingQp(PlanProgram):
 
     def __init__(self, weights: WeightsSettings, limits: CommandLimits, horizon: int, dt: float) -> None:
         self._weights, self._limits, self._horizon = weights, limits, horizon
+        self._soft = weights.limits_angle
         self._reach = limits.rate * dt
         self._tracking = weights.over(horizon)
         self._factors = np.array((weights.rate, weights.effort))
@@ -119,7 +120,7 @@ class TrackingQp(PlanProgram):
             None,
             np.concatenate([none, rate_multipliers(gradient, moves, self._reach)]),
         )
-        return self._softened(hard, problem, around, jacobian) if self._weights.limits_angle else hard
+        return self._softened(hard, problem, around, jacobian) if self._soft else hard
 
     def deviation(self, primal: Vec) -> Vec:
         return primal[: self._horizon]
@@ -144,7 +145,7 @@ class TrackingQp(PlanProgram):
         hessian = sparse.csc_matrix(np.triu(np.ones((horizon, horizon))))
         difference = np.eye(horizon) - np.eye(horizon, k=-1)
         rows = [sparse.eye(horizon), sparse.csc_matrix(difference)]
-        if not self._weights.limits_angle:
+        if not self._soft:
             return QpPattern(
                 hessian, sparse.csc_matrix(sparse.vstack(rows, format="csc")), np.empty(0, dtype=np.intp), horizon
             )
@@ -302,6 +303,7 @@ class BlockedQp(PlanProgram):
 
     def __init__(self, weights: WeightsSettings, limits: CommandLimits, blocking: MoveBlocking, dt: float) -> None:
         self._weights, self._limits, self._reach = weights, limits, limits.rate * dt
+        self._soft = weights.limits_angle
         self._matrix, self._starts, self._ends = blocking.matrix, blocking.starts, blocking.ends
         horizon = blocking.horizon
         self._between = np.setdiff1d(np.arange(horizon), self._ends)
@@ -333,7 +335,7 @@ class BlockedQp(PlanProgram):
                 [np.zeros(count), rate_multipliers(gradient, extreme, self._reach), np.zeros(self._between.size)]
             ),
         )
-        return self._softened(hard, problem, around, columns) if self._weights.limits_angle else hard
+        return self._softened(hard, problem, around, columns) if self._soft else hard
 
     def deviation(self, primal: Vec) -> Vec:
         deviation: Vec = self._matrix @ primal[: self._starts.size]
@@ -358,7 +360,7 @@ class BlockedQp(PlanProgram):
         horizon, count = self._matrix.shape
         hessian = sparse.csc_matrix(np.triu(np.ones((count, count))))
         rows = np.vstack([np.eye(count), np.eye(count) - np.eye(count, k=-1), self._matrix[self._between]])
-        if not self._weights.limits_angle:
+        if not self._soft:
             return QpPattern(hessian, sparse.csc_matrix(rows), np.empty(0, dtype=np.intp), count)
         marker = 2.0  # told apart from the other blocks, whose entries are at most one
         angles = np.full((horizon, count), marker)

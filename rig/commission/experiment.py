@@ -28,7 +28,7 @@ from ..bench import BenchResult, Note, run_bench
 from ..config import RunSettings
 from ..recording.sample import Sink
 from ..safety.plausibility import ModelWatch
-from ..transports.config import PlantFactory
+from ..transports.transport import PlantFactory
 from .phases import Decision, Now, Past, Phase
 
 

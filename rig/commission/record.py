@@ -20,7 +20,7 @@ from ..bench import BenchResult, Note, run_bench
 from ..config import RecordSettings
 from ..recording.sample import Sink
 from ..safety.ramp import way_commands
-from ..transports.config import PlantFactory
+from ..transports.transport import PlantFactory
 from .phases import CommandMotion, Decision, Now, Past, Phase
 
 _ROUNDING = 1e-9

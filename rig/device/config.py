@@ -7,12 +7,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.limits import LimitsSettings, NotNegative, Port, Positive
+from hystmpc.ctrl.limits import LimitsSettings, NotNegative, Positive
 from hystmpc.trials.config import Settings
 
 from ..realtime import SchedulingSettings
-from ..transports.config import DdsSettings, require_local
+from ..transports.dds import DdsSettings
 from ..transports.transport import WireUnits
+from ..transports.udp import UdpListenSettings
 
 Direction = Literal["readings", "commands"]
 FaultName = Literal[
@@ -73,20 +74,6 @@ class FaultSettings(Settings):
     def of_datagrams(self) -> bool:
         """Whether it needs to get at the datagrams themselves."""
         return self.of == "commands" or self.fault == "corrupt"
-
-
-class UdpListenSettings(Settings):
-    """`kind: udp`: where the device listens; port 0 takes a free one and says which."""
-
-    kind: Literal["udp"]
-    bind_host: str = "127.0.0.1"
-    bind_port: Port = 47001
-    allow_network: bool = False
-
-    @model_validator(mode="after")
-    def _local(self) -> UdpListenSettings:
-        require_local("bind_host", self.bind_host, self.allow_network)
-        return self
 
 
 class DeviceSettings(Settings):

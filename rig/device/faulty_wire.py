@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Generic, TypeVar, final
 
-from ..transports.transport import Outgoing
-from ..transports.udp import Datagram, Datagrams, Kind, Peer, decode
+from ..transports.transport import Datagrams, Outgoing, Peer
+from ..transports.udp import Datagram, Kind, decode
 from .config import FaultSettings
 
 M = TypeVar("M")

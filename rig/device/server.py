@@ -8,16 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TextIO, final
 
-from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import Plant
 from hystmpc.trials.errors import ConfigError
 
 from ..realtime import MonotonicClock, scheduled
 from ..safety.stop import StopFlag, stopping_on_signals
-from ..transports.config import require_dds
 from ..transports.transport import Conversion, DeviceLink, Outgoing
-from ..transports.udp import UdpLink
-from .config import DeviceSettings, UdpListenSettings
+from .config import DeviceSettings
 from .faulty_wire import FaultyDatagrams, FaultyReadings
 
 _MESSAGES = 64  # taken at most in one sample
@@ -52,15 +49,11 @@ def open_link(settings: DeviceSettings) -> DeviceLink:
     Raises:
         ConfigError: if it cannot be opened, or a package is missing for it.
     """
-    if isinstance(settings.link, UdpListenSettings):
-        faults, seed = settings.faults, settings.seed
-        faulty = any(fault.of_datagrams for fault in faults)
-        through = (lambda wire: FaultyDatagrams(wire, faults, seed)) if faulty else None
-        return UdpLink(settings.link.bind_host, settings.link.bind_port, settings.watchdog_s, through)
-    require_dds()
-    from ..transports.dds_ import DdsLink
-
-    return DdsLink(settings.link, settings.watchdog_s)
+    faults, seed = settings.faults, settings.seed
+    faulty = any(fault.of_datagrams for fault in faults)
+    return settings.link.listen(
+        settings.watchdog_s, (lambda wire: FaultyDatagrams(wire, faults, seed)) if faulty else None
+    )
 
 
 @final
@@ -88,8 +81,7 @@ class Device:
     ) -> None:
         if abs(plant.dt * settings.rate_hz - 1) > 1e-6:
             raise ConfigError(f"device: got a plant at {1 / plant.dt:g} Hz, expected rate_hz {settings.rate_hz:g}")
-        limits = settings.limits
-        self._limits = CommandLimits(limits.lower, limits.upper, limits.rate_per_s)
+        self._limits = settings.limits.build()
         self._settings, self._plant, self._link, self._log = settings, plant, link, log
         self._conversion = Conversion.of(settings.wire, settings.command_unit)
         self._wire = FaultyReadings(settings.faults, settings.seed)

@@ -17,7 +17,7 @@ from cyclonedds.topic import Topic
 
 from hystmpc.trials.errors import ConfigError
 
-from .config import DdsSettings
+from .dds import DdsSettings
 from .dds_types_ import Float64, Float64Stamped, Header, Time
 from .sessions import Admission
 from .transport import Conversion, Incoming, Outgoing, Reading

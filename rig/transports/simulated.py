@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import final
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self, final
 
 import numpy as np
+from pydantic import Field
 
 from hystmpc.ctrl.loop import Plant
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Vec
 
-from .transport import Reading
+from .transport import Reading, RunContext, Transport, TransportBase
 
 
 @final
@@ -109,3 +111,41 @@ def recorded_plant(run: RunFolder, dt_s: float) -> tuple[RecordedPlant, float]:
     if not angles.size:
         raise LogError(f"{run.path}: got a run in which nothing was sent, expected commands")
     return RecordedPlant(angles, dt_s), float(commands[0])
+
+
+class SimulatedSettings(TransportBase):
+    """`kind: simulated`: a device computed in this process; `plant` as in a simulation file."""
+
+    in_process: ClassVar[bool] = True
+
+    kind: Literal["simulated"]
+    plant: dict[str, Any]
+    seed: int = Field(default=0, ge=0)
+
+    @property
+    def place(self) -> str:
+        return self.kind
+
+    def open(self, run: RunContext) -> Transport:
+        plant, held = run.plants(self, run.dt_s)
+        return SimulatedTransport(plant, run.dt_s, held, run.now_ns)
+
+
+class ReplaySettings(TransportBase):
+    """`kind: replay`: the angles of a recorded run, one a sample, whatever is commanded."""
+
+    in_process: ClassVar[bool] = True
+
+    kind: Literal["replay"]
+    run: Path
+
+    @property
+    def place(self) -> str:
+        return self.kind
+
+    def resolved(self, folder: Path) -> Self:
+        return self.model_copy(update={"run": folder / self.run})
+
+    def open(self, run: RunContext) -> Transport:
+        plant, held = recorded_plant(RunFolder.open(self.run), run.dt_s)
+        return SimulatedTransport(plant, run.dt_s, held, run.now_ns)

@@ -1,12 +1,15 @@
-"""What a transport is: the only thing that a new device has to bring."""
+"""A transport and the device's end of it: what a new device has to bring; units are converted here and nowhere else."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Protocol, Self
 
+from hystmpc.ctrl.loop import Plant
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError
 
@@ -170,3 +173,76 @@ class Conversion:
     def raw_command(self, command: float) -> float:
         """Raw number of a command in the run's unit."""
         return command / self.command_factor
+
+
+Peer = tuple[str, int]
+
+
+class Datagrams(Protocol):
+    """What the device's end needs of a socket, so that faults can be put before it."""
+
+    def recvfrom(self, size: int, /) -> tuple[bytes, Any]:
+        """The oldest datagram and its sender; `BlockingIOError` where there is none."""
+        ...
+
+    def sendto(self, data: bytes, peer: Peer, /) -> int:
+        """Send a datagram."""
+        ...
+
+    def getsockname(self) -> Any:
+        """Own address."""
+        ...
+
+    def close(self) -> None:
+        """Free the port."""
+        ...
+
+
+# Puts faults before a socket.
+Through = Callable[[Datagrams], Datagrams]
+
+# Makes the device of `kind: simulated`: its settings and the sample time to a plant and the command that it holds.
+# Given by the program, since this room knows no simulator.
+PlantFactory = Callable[[Any, float], tuple[Plant, float]]
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """What a transport may need of the run that opens it.
+
+    Attributes:
+        conversion: of the wire's units.
+        dt_s: sample time of the loop [s].
+        now_ns: monotonic clock.
+        plants: makes simulated devices.
+    """
+
+    conversion: Conversion
+    dt_s: float
+    now_ns: Callable[[], int]
+    plants: PlantFactory
+
+
+class TransportBase(Settings):
+    """Base of the settings of every transport: they open it."""
+
+    in_process: ClassVar[bool] = False  # the device answers at once, from this process
+
+    @property
+    @abstractmethod
+    def place(self) -> str:
+        """Where the device is, as messages name it."""
+
+    def resolved(self, folder: Path) -> Self:
+        """The same settings with file names that start at `folder`."""
+        del folder
+        return self
+
+    @abstractmethod
+    def open(self, run: RunContext) -> Transport:
+        """The transport, open.
+
+        Raises:
+            ConfigError: if the wire cannot be opened, or a package is missing for it.
+            LogError: if a run to replay cannot be read.
+        """

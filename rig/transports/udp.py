@@ -1,7 +1,24 @@
-"""Datagrams between controller and device; what arrives is hostile until checksum, order and number say otherwise."""
+"""Datagrams between controller and device; what arrives is hostile until checksum, order and number say otherwise.
+
+A datagram has 44 bytes, little-endian:
+
+| offset | type | field |
+|---|---|---|
+| 0 | 4 bytes | magic `HMPC` |
+| 4 | u8 | version, 1 |
+| 5 | u8 | kind: 1 reading, 2 command, 3 stop, 4 hello |
+| 6 | u16 | zero |
+| 8 | u32 | session, chosen by the sender at its start |
+| 12 | u32 | sequence |
+| 16 | u64 | sender's monotonic clock [ns] |
+| 24 | f64 | reading: angle; command: command; else 0 |
+| 32 | f64 | reading: command that the device holds; else 0 |
+| 40 | u32 | CRC-32 (zlib) of the 40 bytes before |
+"""
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import secrets
 import socket
@@ -9,17 +26,32 @@ import struct
 import time
 import zlib
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol, final
+from typing import Literal, final
 
+from pydantic import model_validator
+
+from hystmpc.ctrl.limits import Port
+from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError
 
-from .config import UdpSettings
 from .sessions import Admission
-from .transport import Conversion, Incoming, Outgoing, Reading
+from .transport import (
+    Conversion,
+    Datagrams,
+    DeviceLink,
+    Incoming,
+    Outgoing,
+    Peer,
+    Reading,
+    RunContext,
+    Through,
+    Transport,
+    TransportBase,
+)
 
 MAGIC, VERSION = b"HMPC", 1
 _BODY = struct.Struct("<4sBBHIIQdd")
@@ -86,28 +118,6 @@ def decode(data: bytes) -> Datagram | str:
 _TRIES = 64  # datagrams looked at in one call; a flood of rubbish must not cost the deadline
 _HELLO_NS = 100_000_000
 _GOODBYES = 3
-
-Peer = tuple[str, int]
-
-
-class Datagrams(Protocol):
-    """What the device's end needs of a socket, so that faults can be put before it."""
-
-    def recvfrom(self, size: int, /) -> tuple[bytes, Any]:
-        """The oldest datagram and its sender; `BlockingIOError` where there is none."""
-        ...
-
-    def sendto(self, data: bytes, peer: Peer, /) -> int:
-        """Send a datagram."""
-        ...
-
-    def getsockname(self) -> Any:
-        """Own address."""
-        ...
-
-    def close(self) -> None:
-        """Free the port."""
-        ...
 
 
 def _open(host: str, port: int, what: str) -> socket.socket:
@@ -223,9 +233,7 @@ class UdpLink:
 
     greeted = True
 
-    def __init__(
-        self, host: str, port: int, silence_s: float, through: Callable[[Datagrams], Datagrams] | None = None
-    ) -> None:
+    def __init__(self, host: str, port: int, silence_s: float, through: Through | None = None) -> None:
         wire = _open(host, port, "the device")
         self._wire: Datagrams = wire if through is None else through(wire)
         self._session, self._admission = secrets.randbits(32), Admission(silence_s)
@@ -290,3 +298,69 @@ class UdpLink:
         if reason := self._admission.command(*come):
             return reason
         return Incoming(message.value) if math.isfinite(message.value) else "not-a-number"
+
+
+class UdpSettings(TransportBase):
+    """`kind: udp`: datagrams to a device and back.
+
+    Attributes:
+        host, port: of the device.
+        bind_host, bind_port: of this end; port 0 takes a free one.
+        allow_network: needed for every address beyond the loopback.
+    """
+
+    kind: Literal["udp"]
+    host: str = "127.0.0.1"
+    port: Port = 47001
+    bind_host: str = "127.0.0.1"
+    bind_port: Port = 0
+    allow_network: bool = False
+
+    @model_validator(mode="after")
+    def _local(self) -> UdpSettings:
+        for name in ("host", "bind_host"):
+            _require_local(name, getattr(self, name), self.allow_network)
+        return self
+
+    @property
+    def place(self) -> str:
+        return f"udp {self.host} port {self.port}"
+
+    def open(self, run: RunContext) -> Transport:
+        return UdpTransport(self, run.conversion)
+
+
+class UdpListenSettings(Settings):
+    """`kind: udp`: where the device listens; port 0 takes a free one and says which."""
+
+    kind: Literal["udp"]
+    bind_host: str = "127.0.0.1"
+    bind_port: Port = 47001
+    allow_network: bool = False
+
+    @model_validator(mode="after")
+    def _local(self) -> UdpListenSettings:
+        _require_local("bind_host", self.bind_host, self.allow_network)
+        return self
+
+    def listen(self, silence_s: float, through: Through | None) -> DeviceLink:
+        """The device's end of the wire, behind the faults that `through` puts before the socket.
+
+        Raises:
+            ConfigError: if the address cannot be had.
+        """
+        return UdpLink(self.bind_host, self.bind_port, silence_s, through)
+
+
+def _require_local(name: str, host: str, allow_network: bool) -> None:
+    """Refuse addresses beyond the loopback unless they were allowed.
+
+    Raises:
+        ValueError: for pydantic, with the key and what to do.
+    """
+    try:
+        local = host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        local = False
+    if not (local or allow_network):
+        raise ValueError(f"got {name} {host!r}, expected a loopback address, or `allow_network: true`")

@@ -20,7 +20,7 @@ from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.loop import Outcome
 from hystmpc.rig.safety.ramp import way_commands
 from hystmpc.rig.safety.stop import StopFlag
-from hystmpc.rig.transports.config import SimulatedSettings
+from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import Reading
 from hystmpc.trials.errors import ConfigError
 

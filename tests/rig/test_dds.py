@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from hystmpc.rig.transports import config
-from hystmpc.rig.transports.config import DdsSettings
+from hystmpc.rig.transports import dds
+from hystmpc.rig.transports.dds import DdsSettings
 from hystmpc.rig.transports.transport import Conversion, Incoming, Outgoing
 from hystmpc.trials.errors import ConfigError
 
@@ -82,6 +82,6 @@ def test_a_measurement_and_a_command_cross(message: str) -> None:
 
 
 def test_without_the_package_dds_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(config.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(dds.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install hystmpc\[rig\]"):
-        config.require_dds()
+        dds.require_dds()

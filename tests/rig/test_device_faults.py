@@ -10,9 +10,8 @@ import pytest
 
 from hystmpc.rig.device.config import DeviceSettings, FaultSettings
 from hystmpc.rig.device.faulty_wire import FaultyDatagrams
-from hystmpc.rig.transports.config import UdpSettings
 from hystmpc.rig.transports.transport import Conversion, Outgoing
-from hystmpc.rig.transports.udp import UdpLink, UdpTransport
+from hystmpc.rig.transports.udp import UdpLink, UdpSettings, UdpTransport
 from hystmpc.trials.errors import ConfigError
 
 SENT = [0.1 * k for k in range(40)]

@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 
 from hystmpc.rig.device.config import DeviceSettings
 from hystmpc.rig.device.server import Device
-from hystmpc.rig.transports.config import DdsSettings, UdpSettings
+from hystmpc.rig.transports.dds import DdsSettings
 from hystmpc.rig.transports.sessions import ANOTHER, NO_GREETING, OLD, Admission
 from hystmpc.rig.transports.transport import Conversion, Incoming, Outgoing
-from hystmpc.rig.transports.udp import UdpLink, UdpTransport
+from hystmpc.rig.transports.udp import UdpLink, UdpSettings, UdpTransport
 
 SAME = Conversion(1.0, 0.0, 1.0)
 S = 1_000_000_000

@@ -14,9 +14,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.transports.config import UdpSettings
 from hystmpc.rig.transports.transport import Conversion, Incoming, Outgoing, Reading
-from hystmpc.rig.transports.udp import KINDS, SIZE, Datagram, Kind, UdpLink, UdpTransport, decode, encode
+from hystmpc.rig.transports.udp import KINDS, SIZE, Datagram, Kind, UdpLink, UdpSettings, UdpTransport, decode, encode
 from hystmpc.trials.errors import ConfigError
 
 SAME = Conversion(1.0, 0.0, 1.0)
