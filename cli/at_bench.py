@@ -14,7 +14,7 @@ import typer
 from hystmpc.rig.bench import BenchResult, reset_latch
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.histogram import TimingSummary
-from hystmpc.rig.loop import Outcome
+from hystmpc.rig.loop import RunOutcome
 from hystmpc.trials.run_folder import require_vacant
 
 from .console import errors, out, table
@@ -82,7 +82,7 @@ def finish(settings: BenchSettings, result: BenchResult) -> None:
         )
 
 
-def _end_of(settings: BenchSettings, outcome: Outcome) -> str:
+def _end_of(settings: BenchSettings, outcome: RunOutcome) -> str:
     """What became of the safe command, in words that claim no more than the device has said."""
     safe = f"safe command {settings.safe_command:g} {settings.command_unit}"
     if math.isnan(outcome.safe_s):

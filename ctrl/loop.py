@@ -67,7 +67,7 @@ class Plant(Protocol):
 
 
 @dataclass(frozen=True)
-class Sample:
+class LoopSample:
     """One closed-loop sample; all angles belong to its end.
 
     Attributes:
@@ -121,7 +121,7 @@ def run_loop(
     steps: int,
     *,
     u_start: float = 0.0,
-    on_sample: Callable[[Sample], None] | None = None,
+    on_sample: Callable[[LoopSample], None] | None = None,
 ) -> LoopLog:
     """Run `steps` samples as fast as they come and leave the plant stopped, whatever happens.
 
@@ -141,7 +141,7 @@ def run_loop(
     """
     if abs(controller.dt - plant.dt) > 1e-9 * plant.dt:
         raise ControllerError(f"loop: got a controller at {controller.dt} s and a plant at {plant.dt} s, expected one")
-    samples: list[Sample] = []
+    samples: list[LoopSample] = []
     interrupted = False
     with threadpool_limits(limits=1):  # a second BLAS thread only adds latency to matrices this small
         try:
@@ -151,7 +151,7 @@ def run_loop(
                 preview = reference(k)
                 command, state = controller.step(state, y, preview)
                 y = plant.apply(command.u)
-                samples.append(Sample((k + 1) * plant.dt, float(preview[0]), y, command))
+                samples.append(LoopSample((k + 1) * plant.dt, float(preview[0]), y, command))
                 if on_sample is not None:
                     on_sample(samples[-1])
         except KeyboardInterrupt:
@@ -161,7 +161,7 @@ def run_loop(
     return _log(samples, interrupted)
 
 
-def _log(samples: list[Sample], interrupted: bool) -> LoopLog:
+def _log(samples: list[LoopSample], interrupted: bool) -> LoopLog:
     commands = [sample.command for sample in samples]
     stages = dict.fromkeys(stage for command in commands for stage in command.timing.stages)
     return LoopLog(

@@ -22,7 +22,7 @@ from .planning import (
     HOLD,
     INVERSE,
     Candidates,
-    Plan,
+    CommandPlan,
     PlanCost,
     Planner,
     PlanningError,
@@ -172,10 +172,10 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         plan, status, planner = self._planner.improve(problem, start, memory.planner, watch)
         commands = self._hold.gentle(hold, plan.commands, given.u_last, self._hold.error(hold, held), self._slope)
         if commands is not plan.commands:
-            plan = Plan(commands, self._predictor.rollout(given.state, commands[None])[0], plan.cost)
+            plan = CommandPlan(commands, self._predictor.rollout(given.state, commands[None])[0], plan.cost)
         return self._proposal(plan, status, PredictiveMemory(planner, hold))
 
-    def _start(self, problem: PlanningProblem, plans: Vec, angles: Vec, holding: bool) -> Plan:
+    def _start(self, problem: PlanningProblem, plans: Vec, angles: Vec, holding: bool) -> CommandPlan:
         """The held command in a hold, else the cheapest candidate; `angles` are known of the first few."""
         known = HOLD + 1 if holding else len(angles)
         best = self._cost.best(plans[:known], angles[:known], problem)
@@ -186,5 +186,5 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         return found if found.cost < best.cost else best
 
     @staticmethod
-    def _proposal(plan: Plan, status: str, memory: PredictiveMemory[P]) -> Proposal[PredictiveMemory[P]]:
+    def _proposal(plan: CommandPlan, status: str, memory: PredictiveMemory[P]) -> Proposal[PredictiveMemory[P]]:
         return Proposal(float(plan.commands[0]), memory, plan.commands, plan.angles, status)

@@ -123,7 +123,7 @@ class PlanningProblem:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class CommandPlan:
     """Admissible commands (H,), the model's angles along them (H,) [deg], and their cost."""
 
     commands: Vec
@@ -153,11 +153,11 @@ class PlanCost:
         )
         return found
 
-    def best(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> Plan:
+    def best(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> CommandPlan:
         """The cheapest of the plans; its cost is infinite where no prediction is finite."""
         found = self(plans, angles, problem)
         row = int(np.argmin(found))
-        return Plan(plans[row], angles[row], float(found[row]))
+        return CommandPlan(plans[row], angles[row], float(found[row]))
 
 
 class Planner(ABC, Generic[P]):
@@ -168,7 +168,9 @@ class Planner(ABC, Generic[P]):
         """The planner's memory before its first plan (dual variables, random counter)."""
 
     @abstractmethod
-    def improve(self, problem: PlanningProblem, start: Plan, memory: P, watch: Stopwatch) -> tuple[Plan, str, P]:
+    def improve(
+        self, problem: PlanningProblem, start: CommandPlan, memory: P, watch: Stopwatch
+    ) -> tuple[CommandPlan, str, P]:
         """The better plan, `ok` or one line on what was unusual, and the next memory.
 
         Raises:

@@ -16,7 +16,7 @@ from hystmpc.trials.files import write_atomically
 from .commission.phases import Phase, SafeStop
 from .config import BenchSettings
 from .histogram import Timings
-from .loop import ControlLoop, Outcome
+from .loop import ControlLoop, RunOutcome
 from .realtime import Clock, MonotonicClock, control_process
 from .recording.sample import Sink
 from .safety.gate import Anchor, Gate
@@ -50,7 +50,7 @@ class BenchResult:
         notes: what the system did not permit.
     """
 
-    outcome: Outcome
+    outcome: RunOutcome
     timings: Timings
     wire: Mapping[str, int]
     lost: int
@@ -112,7 +112,7 @@ def _loop(
     settings: BenchSettings,
     transport: Transport,
     clock: Clock,
-    contact: Contact,
+    contact: DeviceContact,
     flag: StopFlag,
     work: Sequence[Phase],
     samples: Sink,
@@ -189,7 +189,7 @@ def reset_latch(settings: BenchSettings) -> None:
 
 
 @dataclass(frozen=True)
-class Contact:
+class DeviceContact:
     """What is known of a device that has answered.
 
     Attributes:
@@ -203,7 +203,7 @@ class Contact:
     received_ns: int
 
 
-def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, flag: StopFlag) -> Contact:
+def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, flag: StopFlag) -> DeviceContact:
     """Wait until the device answers and listens to this controller; it is not moved.
 
     Raises:
@@ -241,7 +241,7 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
             greeted = received
             transport.greet()
         seen += listens and sensor.lower_deg <= angle <= sensor.upper_deg
-    return Contact(_start(settings, held), math.isfinite(held), received)
+    return DeviceContact(_start(settings, held), math.isfinite(held), received)
 
 
 def _start(settings: BenchSettings, held: float) -> float:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
-from .commission.phases import Decision, Now, Past, Phase, SafeStop
+from .commission.phases import Decision, Past, Phase, PhaseInput, SafeStop
 from .histogram import Timings
 from .realtime import Clock
 from .recording.sample import Sample, Sink
@@ -19,7 +19,7 @@ from .transports.transport import Reading, Transport
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """What the loop says of a run when it is over.
 
     Attributes:
@@ -112,7 +112,7 @@ class ControlLoop:
         self._newest: Reading | None = None
         self._cause, self._stop_s, self._safe_s, self._confirmed = "", math.nan, math.nan, False
 
-    def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> Outcome:
+    def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> RunOutcome:
         """Go through the phases and lead the device to the safe command; whatever happens, the transport is closed.
 
         Args:
@@ -135,7 +135,7 @@ class ControlLoop:
         except Exception:  # noqa: BLE001 - the run is over; there is nobody left to tell
             self._unsent += 1
         counts = self._gate.clipped, self._unsent, self._refused
-        return Outcome(
+        return RunOutcome(
             self._cause, self._sequence, self._stop_s, self._safe_s, self._confirmed, *counts, dict(self.faults)
         )
 
@@ -151,7 +151,7 @@ class ControlLoop:
         if not sure:
             return self._wait(woke, deadline, seen, stop)
         skipped = self._skipped + (self._waited if self._commands else 0)
-        now = Now(seen.angle_deg, self._gate.last, self._late, skipped, seen.held, self._gate.velocity)
+        now = PhaseInput(seen.angle_deg, self._gate.last, self._late, skipped, seen.held, self._gate.velocity)
         if self._waited and isinstance(self._phase, SafeStop):
             self._phase.begin(now, Past([], []))  # the way out starts where the device was found
         self._waited = 0
@@ -241,7 +241,7 @@ class ControlLoop:
         seen = self._intake.judge(readings, woke, self._gate.last)
         return replace(seen, faults=(*seen.faults, fault)) if fault else seen
 
-    def _decide(self, now: Now) -> Decision:
+    def _decide(self, now: PhaseInput) -> Decision:
         """What the present phase wants; the stop's way out where it fails."""
         for _ in range(3):
             try:
@@ -259,7 +259,7 @@ class ControlLoop:
             self._halt(decision.fault, now)
         return Decision(now.held, "stop", "safe stop: held")  # out of reach: SafeStop never raises
 
-    def _halt(self, cause: str, now: Now) -> None:
+    def _halt(self, cause: str, now: PhaseInput) -> None:
         """Turn to the safe stop, once."""
         if isinstance(self._phase, SafeStop) and self._phase.cause:
             return

@@ -13,7 +13,7 @@ from hystmpc.trials.types import Vec
 from ..command import Stopwatch
 from ..limits import CommandLimits
 from ..mpc_settings import LinearisedMpcSettings
-from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem
+from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
 from .daqp_ import DaqpOptions, DaqpSolver
 from .osqp_ import OsqpOptions, OsqpSolver
 from .program import BlockedQp, MoveBlocking, PlanProgram, QpSolver, TrackingQp
@@ -62,14 +62,16 @@ class LinearisedPlanner(Planner[None]):
     def init(self) -> None:
         return None
 
-    def improve(self, problem: PlanningProblem, start: Plan, memory: None, watch: Stopwatch) -> tuple[Plan, str, None]:
+    def improve(
+        self, problem: PlanningProblem, start: CommandPlan, memory: None, watch: Stopwatch
+    ) -> tuple[CommandPlan, str, None]:
         del memory
         status = "ok"
         for _ in range(self._iterations):
             start, status = self._iterate(problem, start, watch)
         return start, status, None
 
-    def _iterate(self, problem: PlanningProblem, start: Plan, watch: Stopwatch) -> tuple[Plan, str]:
+    def _iterate(self, problem: PlanningProblem, start: CommandPlan, watch: Stopwatch) -> tuple[CommandPlan, str]:
         _, jacobian = self._predictor.linearise(problem.state, start.commands)
         watch.lap("linearise")
         if not math.isfinite(jacobian.sum()):
@@ -85,7 +87,7 @@ class LinearisedPlanner(Planner[None]):
         watch.lap("search")
         return plan, f"{self._solver.name}: {solution.status}, its best step used" if solution.unfinished else "ok"
 
-    def _search(self, problem: PlanningProblem, start: Plan, jacobian: Vec, step: Vec) -> Plan:
+    def _search(self, problem: PlanningProblem, start: CommandPlan, jacobian: Vec, step: Vec) -> CommandPlan:
         """The cheapest of the start plan and parts of the step, by nonlinear cost."""
         # the solver overshoots limits within its tolerance: clip the whole step, parts of it are then admissible
         whole = self._limits.clip_plans(start.commands + step, problem.u_last, self._predictor.dt)
@@ -97,5 +99,5 @@ class LinearisedPlanner(Planner[None]):
             found = part if part.cost < found.cost else found
         return found if found.cost < start.cost else start
 
-    def _cheapest(self, plans: Vec, problem: PlanningProblem) -> Plan:
+    def _cheapest(self, plans: Vec, problem: PlanningProblem) -> CommandPlan:
         return self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)

@@ -16,7 +16,7 @@ from hystmpc.trials.types import Mat, Vec
 
 from ..limits import CommandLimits
 from ..mpc_settings import WeightsSettings
-from ..planning import Plan, PlanningProblem
+from ..planning import CommandPlan, PlanningProblem
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class PlanProgram(ABC):
     pattern: QpPattern
 
     @abstractmethod
-    def data(self, problem: PlanningProblem, around: Plan, jacobian: Mat) -> QpData:
+    def data(self, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
         """The program around the plan `around` with Jacobian (H, H), lower triangular [deg per command unit]."""
 
     @abstractmethod
@@ -105,7 +105,7 @@ class TrackingQp(PlanProgram):
         self._columns = np.triu_indices(horizon)
         self.pattern = self._build_pattern()
 
-    def data(self, problem: PlanningProblem, around: Plan, jacobian: Mat) -> QpData:
+    def data(self, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
         plan = around.commands
         moves = moves_of(plan, problem.u_last)
         error, off = around.angles - problem.reference, plan - problem.feedforward
@@ -125,7 +125,7 @@ class TrackingQp(PlanProgram):
     def deviation(self, primal: Vec) -> Vec:
         return primal[: self._horizon]
 
-    def _softened(self, hard: QpData, problem: PlanningProblem, around: Plan, jacobian: Mat) -> QpData:
+    def _softened(self, hard: QpData, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
         """The program with soft angle limits beside the hard limits."""
         low, high = problem.angle_limits
         none = np.zeros(self._horizon)
@@ -314,7 +314,7 @@ class BlockedQp(PlanProgram):
         self._constant = (difference @ self._matrix).T @ self._by_move + self._matrix.T @ self._by_command
         self.pattern = self._build_pattern()
 
-    def data(self, problem: PlanningProblem, around: Plan, jacobian: Mat) -> QpData:
+    def data(self, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
         plan, count = around.commands, self._starts.size
         moves, off = moves_of(plan, problem.u_last), plan - problem.feedforward
         columns = np.empty(self._matrix.shape)
@@ -341,7 +341,7 @@ class BlockedQp(PlanProgram):
         deviation: Vec = self._matrix @ primal[: self._starts.size]
         return deviation
 
-    def _softened(self, hard: QpData, problem: PlanningProblem, around: Plan, columns: Mat) -> QpData:
+    def _softened(self, hard: QpData, problem: PlanningProblem, around: CommandPlan, columns: Mat) -> QpData:
         """The program with soft angle limits beside the hard limits."""
         low, high = problem.angle_limits
         none = np.zeros(around.angles.size)

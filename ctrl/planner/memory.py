@@ -19,7 +19,7 @@ from ..estimation.observer import Estimate, usable_angle
 from ..fallback import attempt
 from ..guarded import GuardedController, GuardedState
 from ..limits import CommandLimits
-from .reference import Reference, Wish, rest_at
+from .reference import Reference, ReferenceRequest, rest_reference
 from .ruckig_ import Kinematics
 
 _SAME_COMMAND = 1e-6  # of the command's range: two records of one command may differ by it
@@ -46,7 +46,7 @@ class Snapshot:
     steps: int = 0
     control: GuardedState[Any] | None = None
     reference: Reference | None = None
-    wish: Wish | None = None
+    wish: ReferenceRequest | None = None
     halted: bool = False
 
     @property
@@ -77,12 +77,12 @@ class Snapshot:
         return found if found is not None and math.isfinite(found.theta_deg) else Kinematics(math.nan)
 
 
-def fresh(origin: str, command: float, sent: bool = False) -> Snapshot:
+def initial_snapshot(origin: str, command: float, sent: bool = False) -> Snapshot:
     """Before the start, the device holding `command`."""
     return Snapshot(origin, Command(command, Source.HOLD, "not started"), sent)
 
 
-def started(memory: Snapshot, controller: GuardedController[Any], y: float) -> Snapshot:
+def start_control(memory: Snapshot, controller: GuardedController[Any], y: float) -> Snapshot:
     """At rest at the measured angle `y` [deg], with the wish, if there is one, turned into a reference.
 
     Raises:
@@ -92,11 +92,11 @@ def started(memory: Snapshot, controller: GuardedController[Any], y: float) -> S
     if memory.halted:
         control = controller.stop(control, "by stop()")
     wish, start = memory.wish, Kinematics(float(y))
-    reference = rest_at(float(y), 0.0) if wish is None else wish(start, 0.0)
+    reference = rest_reference(float(y), 0.0) if wish is None else wish(start, 0.0)
     return replace(memory, steps=0, control=control, reference=reference, wish=None)
 
 
-def replayed(origin: str, controller: GuardedController[Any], commands: Vec, angles: Vec) -> Snapshot:
+def replay_recording(origin: str, controller: GuardedController[Any], commands: Vec, angles: Vec) -> Snapshot:
     """At time 0 after a recording of commands and angles, with a reference that stays at the last measured angle.
 
     Raises:
@@ -104,19 +104,19 @@ def replayed(origin: str, controller: GuardedController[Any], commands: Vec, ang
     """
     control = controller.replay(commands, angles)
     held = Command(control.estimate.command, Source.HOLD, "replayed")
-    return Snapshot(origin, held, control=control, reference=rest_at(control.due, 0.0))
+    return Snapshot(origin, held, control=control, reference=rest_reference(control.due, 0.0))
 
 
-def tried_to_start(memory: Snapshot, controller: GuardedController[Any], y: object) -> Snapshot:
+def try_to_start(memory: Snapshot, controller: GuardedController[Any], y: object) -> Snapshot:
     """Started where `y` allows it; otherwise the command is held, and its status says why."""
     angle = usable_angle(y)
-    after, reason = attempt(lambda: started(memory, controller, angle))
+    after, reason = attempt(lambda: start_control(memory, controller, angle))
     if math.isnan(angle):
         reason = "no usable measurement yet"
     return after or replace(memory, command=Command(memory.command.u, Source.HOLD, f"not started: {reason}"))
 
 
-def wished(memory: Snapshot, wish: Wish, dt: float, start: Kinematics) -> Snapshot:
+def set_request(memory: Snapshot, wish: ReferenceRequest, dt: float, start: Kinematics) -> Snapshot:
     """With the reference that the wish makes of the state of motion `start`; kept for later before the start.
 
     Raises:
@@ -138,7 +138,7 @@ def halted(memory: Snapshot, controller: GuardedController[Any], cause: str = "b
     return replace(memory, control=control, halted=True)
 
 
-def taken_up(memory: Snapshot, present: Snapshot, controller: GuardedController[Any], held: float) -> Snapshot:
+def take_up(memory: Snapshot, present: Snapshot, controller: GuardedController[Any], held: float) -> Snapshot:
     """What a memory of the past becomes: the command that the device holds is `held`, and a latched stop stays.
 
     Args:
@@ -156,7 +156,7 @@ def taken_up(memory: Snapshot, present: Snapshot, controller: GuardedController[
     return halted(memory, controller, present.stop_cause) if present.stopped else memory
 
 
-def recorded_end(memory: Snapshot, present: Snapshot, limits: CommandLimits) -> float:
+def held_after_replay(memory: Snapshot, present: Snapshot, limits: CommandLimits) -> float:
     """The command that the device holds after a recording: its newest, which has to be the one that was sent last.
 
     Raises:
@@ -173,7 +173,7 @@ def recorded_end(memory: Snapshot, present: Snapshot, limits: CommandLimits) -> 
     return sent
 
 
-def within(command: object, limits: CommandLimits, what: str) -> float:
+def require_within(command: object, limits: CommandLimits, what: str) -> float:
     """A command that the device is said to hold.
 
     Raises:
@@ -259,7 +259,7 @@ class TipPlan:
     reference_deg: Vec
 
 
-def state_of(memory: Snapshot, dt: float, tolerance_deg: float) -> TipState:
+def tip_state(memory: Snapshot, dt: float, tolerance_deg: float) -> TipState:
     """The state that a snapshot means."""
     now, command = memory.steps * dt, memory.command
     motion, measured = memory.motion(now), memory.measured_deg
@@ -280,7 +280,7 @@ def state_of(memory: Snapshot, dt: float, tolerance_deg: float) -> TipState:
     )
 
 
-def plan_of(memory: Snapshot, dt: float) -> TipPlan:
+def tip_plan(memory: Snapshot, dt: float) -> TipPlan:
     """The plan that a snapshot holds."""
     command, reference = memory.command, memory.reference
     planned = command.plan if command.plan.size else np.array([command.u])

@@ -15,7 +15,7 @@ from hystmpc.trials.types import Vec
 
 from ..estimation.observer import ANGLE_BOUND_DEG
 from .ruckig_ import Kinematics, Segments, move_to_rest
-from .settings import MotionSettings
+from .settings import TargetMotionSettings
 
 
 class Reference(ABC):
@@ -37,7 +37,7 @@ class Reference(ABC):
 
 
 @final
-class Motion(Reference):
+class PiecewiseReference(Reference):
     """theta(t) = p + v s + a s^2/2 + j s^3/6 piece by piece; at rest at `target_deg` after the last.
 
     Args:
@@ -69,7 +69,7 @@ class Motion(Reference):
 
 
 @final
-class Given(Reference):
+class GivenReference(Reference):
     """A reference from outside: any function of the seconds since it was set.
 
     Velocity and acceleration are backward differences over one sample, cut at the limits of motion: what is left
@@ -90,7 +90,7 @@ class Given(Reference):
         start_s: float,
         duration_s: float,
         dt: float,
-        limits: MotionSettings,
+        limits: TargetMotionSettings,
         foreign: bool,
     ) -> None:
         self.foreign = foreign
@@ -110,7 +110,7 @@ class Given(Reference):
 
 
 @dataclass(frozen=True, eq=False)
-class Wish:
+class ReferenceRequest:
     """What is wished for, before it is known when it starts and from which state of motion.
 
     Attributes:
@@ -126,12 +126,14 @@ class Wish:
         return self.plan(start, start_s)
 
 
-def rest_at(theta_deg: float, start_s: float) -> Motion:
+def rest_reference(theta_deg: float, start_s: float) -> PiecewiseReference:
     """The reference that stays where it is."""
-    return Motion(np.empty((0, 5)), theta_deg, start_s)
+    return PiecewiseReference(np.empty((0, 5)), theta_deg, start_s)
 
 
-def waypoints(angles_deg: Sequence[float], holds_s: Sequence[float], limits: MotionSettings) -> Wish:
+def waypoint_request(
+    angles_deg: Sequence[float], holds_s: Sequence[float], limits: TargetMotionSettings
+) -> ReferenceRequest:
     """Moves from angle to angle, each as fast as the limits allow and each followed by its hold.
 
     Raises:
@@ -151,12 +153,12 @@ def waypoints(angles_deg: Sequence[float], holds_s: Sequence[float], limits: Mot
             pieces += [move_to_rest(start, angle, limits), np.array([[hold, angle, 0.0, 0.0, 0.0]])]
             start = Kinematics(angle)
         segments = np.vstack(pieces)
-        return Motion(segments[segments[:, 0] > 0], angles[-1], t)
+        return PiecewiseReference(segments[segments[:, 0] > 0], angles[-1], t)
 
-    return Wish(plan, from_motion=True)
+    return ReferenceRequest(plan, from_motion=True)
 
 
-def given(source: Any, dt: float, limits: MotionSettings) -> Wish:
+def given_request(source: Any, dt: float, limits: TargetMotionSettings) -> ReferenceRequest:
     """A callable of the seconds since it was set, or angles (T,) [deg] at the ends of the coming samples.
 
     A callable gets an array of times where it takes one, else one number at a time; with an attribute `duration_s`, as
@@ -171,7 +173,9 @@ def given(source: Any, dt: float, limits: MotionSettings) -> Wish:
         function = _vectorised(source, dt)
     else:
         function, duration = _sampled(source, dt)
-    return Wish(lambda start, t: Given(function, t, duration, dt, limits, foreign), from_motion=False)
+    return ReferenceRequest(
+        lambda start, t: GivenReference(function, t, duration, dt, limits, foreign), from_motion=False
+    )
 
 
 def _sampled(source: Any, dt: float) -> tuple[Callable[[Vec], Vec], float]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.errors import TrajectoryError
 
-from .settings import MotionSettings
+from .settings import TargetMotionSettings
 
 # One row per piece: duration [s], then theta, velocity, acceleration at its start, and its jerk.
 Segments = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Kinematics:
     acceleration_deg_s2: float = 0.0
 
 
-def move_to_rest(start: Kinematics, target_deg: float, limits: MotionSettings) -> Segments:
+def move_to_rest(start: Kinematics, target_deg: float, limits: TargetMotionSettings) -> Segments:
     """Fastest motion from `start` to rest at `target_deg`; where `start` exceeds a limit, it is braked first.
 
     ruckig's tolerances are absolute; so it plans in units of the move's own length L and time (L / jerk)^(1/3), with
@@ -69,7 +69,7 @@ def move_to_rest(start: Kinematics, target_deg: float, limits: MotionSettings) -
     return segments
 
 
-def _planned(start: Kinematics, distance: float, limits: MotionSettings, scale: NDArray[np.float64]) -> Segments:
+def _planned(start: Kinematics, distance: float, limits: TargetMotionSettings, scale: NDArray[np.float64]) -> Segments:
     """The motion from angle 0 in units of `scale`, the piece that brakes into the limits included."""
     _, angle, velocity, acceleration, jerk = scale
     wanted = ruckig.InputParameter(1)

@@ -16,7 +16,7 @@ from ..limits import ModelledLimitsSettings, NotNegative, Positive
 from ..mpc_settings import LinearisedMpcSettings
 
 
-class MotionSettings(Settings):
+class TargetMotionSettings(Settings):
     """How fast `set_target` and `set_waypoints` let the reference move."""
 
     velocity_deg_s: Positive = 60.0
@@ -57,7 +57,7 @@ class TipSettings(Settings):
         LinearisedMpcSettings()
     )
     limits: ModelledLimitsSettings | None = None
-    motion: MotionSettings = MotionSettings()
+    motion: TargetMotionSettings = TargetMotionSettings()
     start_command: float | None = None
     tolerance_deg: Positive = 0.5
 

@@ -21,22 +21,22 @@ from .memory import (
     Snapshot,
     TipPlan,
     TipState,
-    fresh,
     halted,
-    plan_of,
+    held_after_replay,
+    initial_snapshot,
     predicted_angles,
-    recorded_end,
-    replayed,
+    replay_recording,
     require_usable,
-    started,
-    state_of,
-    taken_up,
-    tried_to_start,
-    wished,
-    within,
+    require_within,
+    set_request,
+    start_control,
+    take_up,
+    tip_plan,
+    tip_state,
+    try_to_start,
 )
 from .reach import Reach
-from .reference import Wish, given, waypoints
+from .reference import ReferenceRequest, given_request, waypoint_request
 from .ruckig_ import Kinematics
 from .settings import TipSettings, read_settings
 
@@ -81,7 +81,7 @@ class TipController:
         self._nothing = np.empty(0)  # a reference that is too short: the controller holds
         self._ahead: Vec = assembly.controller.dt * np.arange(1, assembly.controller.horizon + 1, dtype=np.float64)
         self._origin = assembly.origin(settings)
-        self._memory = fresh(self._origin, start)
+        self._memory = initial_snapshot(self._origin, start)
 
     @classmethod
     def from_config(cls, source: Path | str | Mapping[str, Any] | TipSettings) -> Self:
@@ -118,7 +118,7 @@ class TipController:
             with self._lock:
                 memory = self._memory
                 if memory.control is None:
-                    memory = tried_to_start(memory, self._assembly.controller, measured_theta_deg)
+                    memory = try_to_start(memory, self._assembly.controller, measured_theta_deg)
                     self._memory = memory
                 reference = memory.reference
                 if reference is None or memory.stopped:
@@ -159,7 +159,7 @@ class TipController:
         Raises:
             ControllerError: if it is not a finite angle, or the stop is latched.
         """
-        self._wish(waypoints([theta_deg], [0.0], self._settings.motion))
+        self._wish(waypoint_request([theta_deg], [0.0], self._settings.motion))
         return self.reachable(theta_deg)
 
     def set_waypoints(self, angles_deg: Sequence[float], holds_s: Sequence[float]) -> None:
@@ -168,7 +168,7 @@ class TipController:
         Raises:
             ControllerError: if the counts differ, a number makes no sense, or the stop is latched.
         """
-        self._wish(waypoints(angles_deg, holds_s, self._settings.motion))
+        self._wish(waypoint_request(angles_deg, holds_s, self._settings.motion))
 
     def set_reference(self, source: Callable[[Any], Any] | ArrayLike) -> None:
         """Follow a preview exactly as given, from the next sample on.
@@ -180,15 +180,15 @@ class TipController:
         Raises:
             ControllerError: if it is neither or does not answer with finite angles, or the stop is latched.
         """
-        self._wish(given(source, self.dt, self._settings.motion))
+        self._wish(given_request(source, self.dt, self._settings.motion))
 
     def state(self) -> TipState:
         """Where the controller is."""
-        return state_of(self._memory, self.dt, self._settings.tolerance_deg)
+        return tip_state(self._memory, self.dt, self._settings.tolerance_deg)
 
     def plan(self) -> TipPlan:
         """What the last step means to do over its horizon."""
-        return plan_of(self._memory, self.dt)
+        return tip_plan(self._memory, self.dt)
 
     def predict(self, commands: ArrayLike) -> Vec:
         """Angles [deg] at the ends of the coming samples under `commands`, disturbance included; nothing is sent.
@@ -229,10 +229,10 @@ class TipController:
         with self._lock:
             held = self._memory.command.u
             if command is not None:
-                held = within(command, self._assembly.limits, "reset: got command")
-            memory = fresh(self._origin, held, command is None and self._memory.sent)
+                held = require_within(command, self._assembly.limits, "reset: got command")
+            memory = initial_snapshot(self._origin, held, command is None and self._memory.sent)
             if measured_theta_deg is not None:
-                memory = started(memory, self._assembly.controller, measured_theta_deg)
+                memory = start_control(memory, self._assembly.controller, measured_theta_deg)
             self._memory = memory
 
     def replay(self, commands: ArrayLike, angles_deg: ArrayLike, held: float | None = None) -> None:
@@ -250,12 +250,12 @@ class TipController:
                 ends at another command than this controller sent last.
         """
         sent, seen = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in (commands, angles_deg))
-        memory = replayed(self._origin, self._assembly.controller, sent, seen)  # takes longer than a sample
-        said = None if held is None else within(held, self._assembly.limits, "replay: got held")
+        memory = replay_recording(self._origin, self._assembly.controller, sent, seen)  # takes longer than a sample
+        said = None if held is None else require_within(held, self._assembly.limits, "replay: got held")
         with self._lock:
             present = self._memory
-            holds = recorded_end(memory, present, self._assembly.limits) if said is None else said
-            self._memory = taken_up(memory, present, self._assembly.controller, holds)
+            holds = held_after_replay(memory, present, self._assembly.limits) if said is None else said
+            self._memory = take_up(memory, present, self._assembly.controller, holds)
 
     def snapshot(self) -> Snapshot:
         """Everything remembered; equal futures follow from it."""
@@ -275,13 +275,13 @@ class TipController:
             ControllerError: if it is no snapshot, one of another controller, or a command is beyond the limits.
         """
         usable = require_usable(snapshot, self._origin, self._assembly.limits)
-        said = None if held is None else within(held, self._assembly.limits, "restore: got held")
+        said = None if held is None else require_within(held, self._assembly.limits, "restore: got held")
         with self._lock:
             present = self._memory
             holds = present.command.u if said is None else said
-            self._memory = taken_up(usable, present, self._assembly.controller, holds)
+            self._memory = take_up(usable, present, self._assembly.controller, holds)
 
-    def _wish(self, wish: Wish) -> None:
+    def _wish(self, wish: ReferenceRequest) -> None:
         """Take up a wish; where it starts from a user's reference, that is asked outside the lock."""
         while True:
             with self._lock:
@@ -289,7 +289,7 @@ class TipController:
                 reference, now_s = memory.reference, memory.steps * self.dt
                 if reference is None or memory.stopped or not (wish.from_motion and reference.foreign):
                     start = memory.motion(now_s) if wish.from_motion else Kinematics(memory.measured_deg)
-                    self._memory = wished(memory, wish, self.dt, start)
+                    self._memory = set_request(memory, wish, self.dt, start)
                     return
             start = memory.motion(now_s)
             with self._lock:
@@ -297,5 +297,5 @@ class TipController:
                 if now.reference is reference and now.control is not None:
                     if now.steps != memory.steps:  # it has gone on meanwhile: the angle that is wanted now is known
                         start = replace(start, theta_deg=now.control.due)
-                    self._memory = wished(now, wish, self.dt, start)
+                    self._memory = set_request(now, wish, self.dt, start)
                     return

@@ -15,7 +15,7 @@ from hystmpc.trials.types import Mat, Vec
 from ..command import Stopwatch
 from ..limits import CommandLimits
 from ..mpc_settings import SamplingMpcSettings
-from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem
+from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
 from .noise import random_numbers
 
 _KEPT = 0.3  # share of the elites that take part in the next iteration again (Pinneri et al. 2020)
@@ -46,13 +46,15 @@ class SamplingPlanner(Planner[SampleCounter]):
         return SampleCounter(0)
 
     def improve(
-        self, problem: PlanningProblem, start: Plan, memory: SampleCounter, watch: Stopwatch
-    ) -> tuple[Plan, str, SampleCounter]:
+        self, problem: PlanningProblem, start: CommandPlan, memory: SampleCounter, watch: Stopwatch
+    ) -> tuple[CommandPlan, str, SampleCounter]:
         generator = random_numbers(self._settings.seed, memory.step)
         return self._best(problem, start, generator, watch), "ok", SampleCounter(memory.step + 1)
 
     @abstractmethod
-    def _best(self, problem: PlanningProblem, start: Plan, generator: np.random.Generator, watch: Stopwatch) -> Plan:
+    def _best(
+        self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
+    ) -> CommandPlan:
         """The best plan of all iterations, no worse than `start`."""
 
     def _perturbations(self, generator: np.random.Generator) -> Mat:
@@ -62,7 +64,7 @@ class SamplingPlanner(Planner[SampleCounter]):
     def _admissible(self, plans: Mat, problem: PlanningProblem) -> Mat:
         return self._limits.clip_plans(plans, problem.u_last, self._predictor.dt)
 
-    def _rolled_out(self, plan: Vec, problem: PlanningProblem) -> Plan:
+    def _rolled_out(self, plan: Vec, problem: PlanningProblem) -> CommandPlan:
         """One plan (H,), made admissible."""
         plans = self._admissible(plan[None, :], problem)
         return self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)
@@ -80,12 +82,16 @@ class PathIntegralPlanner(SamplingPlanner):
         super().__init__(predictor, settings, limits)
         self._sigmas = settings.sigma * np.geomspace(1.0, settings.finest, settings.samples)[:, None]
 
-    def _best(self, problem: PlanningProblem, start: Plan, generator: np.random.Generator, watch: Stopwatch) -> Plan:
+    def _best(
+        self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
+    ) -> CommandPlan:
         for _ in range(self._settings.iterations):
             start = self._iterate(problem, start, generator, watch)
         return start
 
-    def _iterate(self, problem: PlanningProblem, start: Plan, generator: np.random.Generator, watch: Stopwatch) -> Plan:
+    def _iterate(
+        self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
+    ) -> CommandPlan:
         plans = self._admissible(start.commands + self._sigmas * self._perturbations(generator), problem)
         watch.lap("sample")
         angles = self._predictor.rollout(problem.state, plans)
@@ -97,7 +103,7 @@ class PathIntegralPlanner(SamplingPlanner):
         averaged = self._rolled_out(self._weighted(plans[usable], costs[usable]), problem)
         best = int(np.argmin(costs))
         watch.lap("weigh")
-        return min((start, averaged, Plan(plans[best], angles[best], float(costs[best]))), key=lambda p: p.cost)
+        return min((start, averaged, CommandPlan(plans[best], angles[best], float(costs[best]))), key=lambda p: p.cost)
 
     def _weighted(self, plans: Mat, costs: Vec) -> Vec:
         lowest = costs.min()
@@ -112,7 +118,7 @@ class _Search(NamedTuple):
     mean: Vec
     deviation: Vec
     elites: Mat
-    best: Plan
+    best: CommandPlan
 
 
 @final
@@ -131,7 +137,9 @@ class CrossEntropyPlanner(SamplingPlanner):
         self._elites = min(max(2, math.ceil(settings.elites * settings.samples)), settings.samples)
         self._kept = math.ceil(_KEPT * self._elites)
 
-    def _best(self, problem: PlanningProblem, start: Plan, generator: np.random.Generator, watch: Stopwatch) -> Plan:
+    def _best(
+        self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
+    ) -> CommandPlan:
         horizon = start.commands.size
         search = _Search(start.commands, np.full(horizon, self._settings.sigma), np.empty((0, horizon)), start)
         for _ in range(self._settings.iterations):
@@ -154,7 +162,7 @@ class CrossEntropyPlanner(SamplingPlanner):
         if not order.size:
             raise PlanningError(f"none of {len(plans)} samples has a finite prediction")
         elites, first = plans[order], int(order[0])
-        found = Plan(plans[first], angles[first], float(costs[first]))
+        found = CommandPlan(plans[first], angles[first], float(costs[first]))
         deviation = np.maximum(elites.std(axis=0), self._settings.finest * self._settings.sigma)
         watch.lap("weigh")
         best = found if found.cost < search.best.cost else search.best

@@ -29,7 +29,7 @@ from ..config import RunSettings
 from ..recording.sample import Sink
 from ..safety.plausibility import ModelWatch
 from ..transports.transport import PlantFactory
-from .phases import Decision, Now, Past, Phase
+from .phases import Decision, Past, Phase, PhaseInput
 
 
 class NoTimeError(Exception):
@@ -60,7 +60,7 @@ class TimelyLaw(Law[Any]):
         return self._law.propose(memory, situation, watch)
 
 
-def timely(controller: GuardedController[Any]) -> tuple[GuardedController[Any], TimelyLaw]:
+def make_timely(controller: GuardedController[Any]) -> tuple[GuardedController[Any], TimelyLaw]:
     """The same controller around a law that can be told to fail, and that law: only failing leads to the ladder."""
     law = TimelyLaw(controller.law)
     return controller.with_law(law), law
@@ -105,12 +105,12 @@ class Tracking:
         self._due_deg = math.nan
         self._k = 0
 
-    def begin(self, now: Now, past: Past) -> None:
+    def begin(self, now: PhaseInput, past: Past) -> None:
         """Take up what was done so far."""
         del now
         self._past = past
 
-    def step(self, now: Now) -> Decision:
+    def step(self, now: PhaseInput) -> Decision:
         """Hold while the hand-over lasts, then one step of the controller."""
         if self._waits(now):
             return Decision(now.held, "hold", "hand-over to the controller")
@@ -125,7 +125,7 @@ class Tracking:
         self._k += 1 + now.skipped
         return self._decision(command)
 
-    def _waits(self, now: Now) -> bool:
+    def _waits(self, now: PhaseInput) -> bool:
         """Whether the hand-over lasts; it starts with the first usable angle."""
         past = self._past
         if past is not None:
@@ -155,7 +155,7 @@ class Tracking:
         self._due_deg = float(angles[0])
         return angles
 
-    def _refusal(self, now: Now) -> str:
+    def _refusal(self, now: PhaseInput) -> str:
         if now.late or now.skipped:
             return "late: no time for a plan"
         t = self._k * self._tip.dt
@@ -182,7 +182,7 @@ class Tracking:
         )
 
 
-class LedIn:
+class LeadInTrajectory:
     """A reference behind a motion that leads from where the tip is to where it starts.
 
     Args:
@@ -225,14 +225,14 @@ def tracking_phase(settings: RunSettings) -> Tracking:
     )
     assembly = assemble(tip_settings, Path())
     _fits(settings, assembly)
-    controller, law_of_it = timely(assembly.controller)
+    controller, law_of_it = make_timely(assembly.controller)
     tip = TipController(replace(assembly, controller=controller), tip_settings)
     reference = settings.reference.build()
     motion = tip_settings.motion
 
     def lead_in(angle_deg: float) -> Trajectory:
         segments = move_to_rest(Kinematics(angle_deg), float(reference(0.0)), motion)
-        return LedIn(PiecewiseCubic(segments) if segments.size else None, reference)
+        return LeadInTrajectory(PiecewiseCubic(segments) if segments.size else None, reference)
 
     drill = settings.drill
     fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)

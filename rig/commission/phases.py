@@ -17,7 +17,7 @@ from ..safety.ramp import RampSettings, ramp_commands, way_commands
 
 
 @dataclass(frozen=True, slots=True)
-class Now:
+class PhaseInput:
     """What a phase may look at.
 
     Attributes:
@@ -76,11 +76,11 @@ class Phase(Protocol):
         """One word, as logs show it."""
         ...
 
-    def begin(self, now: Now, past: Past) -> None:
+    def begin(self, now: PhaseInput, past: Past) -> None:
         """Start from rest at the command held."""
         ...
 
-    def step(self, now: Now) -> Decision:
+    def step(self, now: PhaseInput) -> Decision:
         """One sample."""
         ...
 
@@ -99,12 +99,12 @@ class CommandMotion:
         self._commands: list[float] = []
         self._k = 0
 
-    def begin(self, now: Now, past: Past) -> None:
+    def begin(self, now: PhaseInput, past: Past) -> None:
         """Work the commands out."""
         del past
         self._commands, self._k = self._plan(now.held).tolist(), 0
 
-    def step(self, now: Now) -> Decision:
+    def step(self, now: PhaseInput) -> Decision:
         """The next command; samples that were skipped are not left out, the motion is late by them."""
         del now
         u = self._commands[self._k]
@@ -129,14 +129,14 @@ class PretensionCheck:
         self._k, self._top = 0, 0
         self._before = self._angle = math.nan
 
-    def begin(self, now: Now, past: Past) -> None:
+    def begin(self, now: PhaseInput, past: Past) -> None:
         """Work the way out; the angle at rest is that of the moments before."""
         del past
         up, back = self._plan(now.held)
         self._commands, self._top, self._k = [*up.tolist(), *back.tolist()], up.size, 0
         self._before = self._angle = now.angle_deg
 
-    def step(self, now: Now) -> Decision:
+    def step(self, now: PhaseInput) -> Decision:
         """The next command; at the top the verdict."""
         if math.isfinite(now.angle_deg):
             self._angle = now.angle_deg
@@ -193,7 +193,7 @@ class SafeStop:
         self._k, self._rested = 0, 0
         self.sent = self.confirmed = False
 
-    def begin(self, now: Now, past: Past) -> None:
+    def begin(self, now: PhaseInput, past: Past) -> None:
         """Work the way out, also anew from where the device was found; never raises."""
         del past
         self._attempts -= 1
@@ -203,7 +203,7 @@ class SafeStop:
             self._commands = []
         self._k = self._rested = 0
 
-    def step(self, now: Now) -> Decision:
+    def step(self, now: PhaseInput) -> Decision:
         """The next command; finished once the safe one is held, or where no attempt is left."""
         if self._attempts < 0:
             return Decision(now.held, self.name, f"{self._status}; given up", finished=True)

@@ -21,7 +21,7 @@ from ..config import RecordSettings
 from ..recording.sample import Sink
 from ..safety.ramp import way_commands
 from ..transports.transport import PlantFactory
-from .phases import CommandMotion, Decision, Now, Past, Phase
+from .phases import CommandMotion, Decision, Past, Phase, PhaseInput
 
 _ROUNDING = 1e-9
 _LEAST = 2  # samples that make a trial
@@ -47,12 +47,12 @@ class Recorded:
         self.times = [math.nan] * commands.size
         self._k, self._skipped = 0, 0
 
-    def begin(self, now: Now, past: Past) -> None:
+    def begin(self, now: PhaseInput, past: Past) -> None:
         """Start."""
         del now, past
         self._k = self._skipped = 0
 
-    def step(self, now: Now) -> Decision:
+    def step(self, now: PhaseInput) -> Decision:
         """The next command; keeps the angle that the last one has led to."""
         k = self._k
         self._skipped += now.skipped

@@ -28,7 +28,7 @@ _PREPARATION = ("move", "flexure")  # the first flexure differs from all later o
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class ReviewedRun:
     """A run, one row a sample (N,): the command of the sample and everything else at its end.
 
     Attributes:
@@ -70,7 +70,7 @@ class Review:
     corrected_deg: float
 
 
-def judged(run: RunFolder, settings: RunSettings) -> Judged:
+def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
     """The run's log against its model.
 
     Raises:
@@ -90,7 +90,7 @@ def judged(run: RunFolder, settings: RunSettings) -> Judged:
     measured = _numbers(log, "angle_deg")[follows + 1]
     sources = [str(text) for text in log["source"]]
     past = max((k for k, name in enumerate(sources) if name in _PREPARATION), default=-1)
-    return Judged(
+    return ReviewedRun(
         t=_numbers(log, "time_s")[follows] + settings.dt_s,
         command=command[follows],
         measured_deg=measured,
@@ -101,7 +101,7 @@ def judged(run: RunFolder, settings: RunSettings) -> Judged:
     )
 
 
-def review(found: Judged, due_above_deg: float) -> Review:
+def review(found: ReviewedRun, due_above_deg: float) -> Review:
     """Figures and advice.
 
     The free run r over the commands sent is compared with the measured angle y. Up to `due_above_deg` nothing is due.
@@ -147,7 +147,7 @@ def review_run(folder: Path) -> Review:
     settings = RunSettings.parse(run.config(), str(folder / "config.yaml"))
     found = None
     try:
-        found = judged(run, settings)
+        found = compare_with_model(run, settings)
         verdict = review(found, settings.review.due_above_deg)
         usable = np.isfinite(found.measured_deg)
         trial = Trial(

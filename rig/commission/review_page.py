@@ -17,12 +17,12 @@ from hystmpc.trials.types import Vec
 
 from ..config import RunSettings
 from ..recording.report import Log, causes, numbers, timing_table, tracking_figure
-from .review import Judged, Review
+from .review import Review, ReviewedRun
 
 _MOST_POINTS = 4000  # of a curve; more are not seen and make the page heavy
 
 
-def write_page(run: RunFolder, settings: RunSettings, found: Judged | None, verdict: Review) -> Path:
+def write_page(run: RunFolder, settings: RunSettings, found: ReviewedRun | None, verdict: Review) -> Path:
     """Write the page.
 
     Args:
@@ -96,7 +96,7 @@ def _thin(values: Vec) -> Vec:
     return values[:: max(values.size // _MOST_POINTS, 1)]
 
 
-def _prediction(found: Judged) -> Figure:
+def _prediction(found: ReviewedRun) -> Figure:
     t = _thin(found.t)
     with style():
         figure = Figure(figsize=(8, 3), layout="constrained")

@@ -22,7 +22,7 @@ _AT_REST = 1e-3  # of the range
 
 
 @dataclass(frozen=True)
-class Served:
+class ServerCounts:
     """What a device has seen.
 
     Attributes:
@@ -57,7 +57,7 @@ def open_link(settings: DeviceSettings) -> DeviceLink:
 
 
 @final
-class Device:
+class SimulatedDevice:
     """One simulated device.
 
     Its watchdog leads the drive back to rest once the controller has been silent for `watchdog_s`. From then on no
@@ -91,7 +91,7 @@ class Device:
         self._samples = self._commands = self._beyond = self._bites = self._unheard = 0
         self._angle = plant.reset()
 
-    def serve(self, flag: StopFlag, duration_s: float = math.inf) -> Served:
+    def serve(self, flag: StopFlag, duration_s: float = math.inf) -> ServerCounts:
         """Compute and send until the flag is set or the time is over."""
         clock = MonotonicClock(0.0)
         start = deadline = clock.now_ns()
@@ -103,7 +103,7 @@ class Device:
             deadline += max(0, behind // dt_ns) * dt_ns  # a stalled machine: samples are left out, not crowded
             self.sample(1e-9 * (clock.now_ns() - start))
         counts = self._samples, self._commands, self._beyond, self._bites, self._unheard
-        return Served(*counts, dict(self._link.counters))
+        return ServerCounts(*counts, dict(self._link.counters))
 
     def sample(self, t_s: float) -> None:
         """Take commands, move for one sample, measure, send what the faults leave."""
@@ -177,7 +177,7 @@ def serve(
     ready: Callable[[DeviceLink], None],
     duration_s: float = math.inf,
     note: Callable[[str], None] = lambda text: None,
-) -> Served:
+) -> ServerCounts:
     """Open the wire and serve until SIGINT, SIGTERM or the end of the time.
 
     Args:
@@ -196,7 +196,7 @@ def serve(
     try:
         if settings.log is not None:
             log = _open_log(settings)
-        device = Device(settings, plant, held, link, log)
+        device = SimulatedDevice(settings, plant, held, link, log)
         with stopping_on_signals(flag), scheduled(settings.realtime) as notes:
             ready(link)
             for text in notes:

@@ -14,7 +14,7 @@ from typing import Any, final
 from hystmpc.trials.errors import ConfigError
 
 from ..recording.sample import Sample, Sink
-from .state import Snapshot, Watched
+from .state import LiveSnapshot, LiveView
 
 PERIOD_S = 0.125
 _MOST_CLIENTS = 16  # more are turned away: a page is for the people at the bench
@@ -47,7 +47,7 @@ class LivePage(Sink):
     def __init__(self, unit: str, rate_hz: float, host: str = "127.0.0.1", port: int = 8765) -> None:
         self._unit, self._rate_hz = unit, rate_hz
         self._latest = _Latest()
-        self._watched = Watched(rate_hz, self._show, PERIOD_S)
+        self._watched = LiveView(rate_hz, self._show, PERIOD_S)
         try:
             self._server = _Server((host, port), self._latest)
         except (OSError, OverflowError) as error:
@@ -82,11 +82,11 @@ class LivePage(Sink):
         self._server.shutdown()
         self._server.server_close()
 
-    def _show(self, snapshot: Snapshot) -> None:
+    def _show(self, snapshot: LiveSnapshot) -> None:
         self._latest.publish(json.dumps(message(snapshot, self._unit, self._rate_hz), allow_nan=False).encode())
 
 
-def message(snapshot: Snapshot, unit: str, rate_hz: float) -> dict[str, Any]:
+def message(snapshot: LiveSnapshot, unit: str, rate_hz: float) -> dict[str, Any]:
     """What a browser gets: figures, and the curves of the last 20 s."""
     last = snapshot.last
     timings = {}

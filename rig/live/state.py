@@ -24,7 +24,7 @@ _POINTS_PER_S = 50.0  # of the plots; the figures are made of all samples
 
 
 @dataclass(frozen=True, eq=False)
-class Snapshot:
+class LiveSnapshot:
     """What the views show.
 
     Attributes:
@@ -90,7 +90,7 @@ class LiveState:
             self._last = sample
             self._count += 1
 
-    def snapshot(self) -> Snapshot | None:
+    def snapshot(self) -> LiveSnapshot | None:
         """What there is to show, None before the first sample."""
         if self._last is None:
             return None
@@ -100,7 +100,7 @@ class LiveState:
         span = float(rows[-1, 0] - rows[0, 0])
         # Counted from the start, so that a point that was shown stays where it was.
         shown = rows[(self._stride - 1 - (self._count - len(rows))) % self._stride :: self._stride]
-        return Snapshot(
+        return LiveSnapshot(
             last=self._last,
             t=shown[:, 0],
             reference=shown[:, 1],
@@ -122,7 +122,7 @@ _CLOSE_S = 5.0
 
 
 @final
-class Watched(Sink):
+class LiveView(Sink):
     """Calls `show` with a snapshot at a steady rate, as long as there is one.
 
     Args:
@@ -134,7 +134,7 @@ class Watched(Sink):
         ConfigError: if the rate is not positive.
     """
 
-    def __init__(self, rate_hz: float, show: Callable[[Snapshot], None], period_s: float) -> None:
+    def __init__(self, rate_hz: float, show: Callable[[LiveSnapshot], None], period_s: float) -> None:
         self._state = LiveState(rate_hz)
         self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
         self._show = show

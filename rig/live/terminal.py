@@ -16,7 +16,7 @@ from rich.text import Text
 from hystmpc.trials.types import Vec
 
 from ..recording.sample import Sample, Sink
-from .state import WINDOW_S, Snapshot, Watched
+from .state import WINDOW_S, LiveSnapshot, LiveView
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 _EMPTY = 0x2800
@@ -120,7 +120,7 @@ class TerminalView(Sink):
         if self._console.is_terminal:
             self._live = Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
             self._live.start()
-        self._watched = Watched(rate_hz, self._show, PERIOD_S)
+        self._watched = LiveView(rate_hz, self._show, PERIOD_S)
 
     def put(self, sample: Sample) -> None:
         """Take a sample; never blocks, never raises, counts what it has to drop."""
@@ -136,14 +136,14 @@ class TerminalView(Sink):
         if self._live is not None:
             self._live.stop()
 
-    def _show(self, snapshot: Snapshot) -> None:
+    def _show(self, snapshot: LiveSnapshot) -> None:
         self._calls += 1
         if self._live is not None:
             self._live.update(self.render(snapshot), refresh=True)
         elif self._calls % _LINE_EVERY == 1:
             self._console.print(headline(snapshot, self._unit), soft_wrap=True)
 
-    def render(self, snapshot: Snapshot) -> Panel:
+    def render(self, snapshot: LiveSnapshot) -> Panel:
         """The whole view."""
         width = max(min(self._console.width, 110) - 14, 20)
         parts: list[RenderableType] = [headline(snapshot, self._unit), Text(), _plot(snapshot, width), Text()]
@@ -152,7 +152,7 @@ class TerminalView(Sink):
         return Panel(Group(*parts), title="hystmpc", subtitle=self._page or None, expand=False)
 
 
-def headline(snapshot: Snapshot, unit: str) -> Text:
+def headline(snapshot: LiveSnapshot, unit: str) -> Text:
     """Where the run is: time, source, angle, reference, error, command; one line."""
     last = snapshot.last
     error = last.reference_deg - last.measured_deg
@@ -168,7 +168,7 @@ def headline(snapshot: Snapshot, unit: str) -> Text:
     return text
 
 
-def _plot(snapshot: Snapshot, width: int) -> Table:
+def _plot(snapshot: LiveSnapshot, width: int) -> Table:
     low, high = limits_of(snapshot.reference, snapshot.angle, least_span=2.0)
     shape = low, high, width, _PLOT_ROWS
     fields = [
@@ -182,7 +182,7 @@ def _plot(snapshot: Snapshot, width: int) -> Table:
     return grid
 
 
-def _command(snapshot: Snapshot, unit: str, width: int) -> Text:
+def _command(snapshot: LiveSnapshot, unit: str, width: int) -> Text:
     low, high = limits_of(snapshot.command, least_span=1e-3)
     text = Text("command ", no_wrap=True)
     text.append(bar(snapshot.last.command, low, high, max(width - 24, 8)), "magenta")
@@ -190,7 +190,7 @@ def _command(snapshot: Snapshot, unit: str, width: int) -> Text:
     return text
 
 
-def _timing(snapshot: Snapshot, rate_hz: float, width: int) -> list[Text]:
+def _timing(snapshot: LiveSnapshot, rate_hz: float, width: int) -> list[Text]:
     lines = []
     half = max(width // 2, 12)
     for name, histogram in (("late   ", snapshot.late), ("work   ", snapshot.total)):
@@ -205,7 +205,7 @@ def _timing(snapshot: Snapshot, rate_hz: float, width: int) -> list[Text]:
     return [*lines, missed]
 
 
-def _faults(snapshot: Snapshot) -> list[Text]:
+def _faults(snapshot: LiveSnapshot) -> list[Text]:
     if not snapshot.faults:
         return [Text("faults  none", style="green")]
     line = Text("faults  ")

@@ -11,7 +11,7 @@ from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
 from hystmpc.ctrl.linearised.program import QpData, TrackingQp
 from hystmpc.ctrl.mpc_settings import WeightsSettings
-from hystmpc.ctrl.planning import Plan
+from hystmpc.ctrl.planning import CommandPlan
 
 from .linearised import linearised_controller
 from .report import Reads, Row
@@ -52,5 +52,5 @@ def recorded_programs(
         shifted = np.append(before.command.plan[1:], before.command.plan[-1])
         plan = limits.clip_plans(shifted, problem.u_last, dt)
         angles, jacobian = subject.predictor.linearise(problem.state, plan)
-        programs.append(qp.data(problem, Plan(plan, angles, 0.0), jacobian))
+        programs.append(qp.data(problem, CommandPlan(plan, angles, 0.0), jacobian))
     return qp, programs

@@ -16,7 +16,7 @@ from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner
 from hystmpc.ctrl.linearised.program import QpData, TrackingQp
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, WeightsSettings
-from hystmpc.ctrl.planning import Plan, PlanCost, PlanningError, PlanningProblem
+from hystmpc.ctrl.planning import CommandPlan, PlanCost, PlanningError, PlanningProblem
 from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, Lag, not_a_number
@@ -27,7 +27,7 @@ SOFT = HARD.model_copy(update={"soft_limit": 50.0, "angle_lower_deg": 25.0, "ang
 H = 5
 
 
-def posed(case: Case, horizon: int = H, seed: int = 0) -> tuple[PlanningProblem, Plan]:
+def posed(case: Case, horizon: int = H, seed: int = 0) -> tuple[PlanningProblem, CommandPlan]:
     """A random problem and an admissible plan that starts it."""
     random = np.random.default_rng(seed)
     state, u_last = case.predictor.initial(40.0, 2.0), 2.0
@@ -35,7 +35,7 @@ def posed(case: Case, horizon: int = H, seed: int = 0) -> tuple[PlanningProblem,
     problem = PlanningProblem(
         state, u_last, 40.0 + np.cumsum(random.normal(0, 3.0, horizon)), commands - 0.05, SOFT.angle_limits_deg
     )
-    return problem, Plan(commands, case.predictor.rollout(state, commands[None])[0], math.inf)
+    return problem, CommandPlan(commands, case.predictor.rollout(state, commands[None])[0], math.inf)
 
 
 def mpc(weights: WeightsSettings, horizon: int = 20, **changes: Any) -> LinearisedMpcSettings:

@@ -12,7 +12,7 @@ from hystmpc.ctrl.command import Stopwatch
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
-from hystmpc.ctrl.planning import Plan, PlanCost, Planner, PlanningError
+from hystmpc.ctrl.planning import CommandPlan, PlanCost, Planner, PlanningError
 from hystmpc.ctrl.sampling.noise import ColouredNoiseSettings, SplineNoiseSettings
 from hystmpc.ctrl.sampling.planner import CrossEntropyPlanner, PathIntegralPlanner, SampleCounter
 from hystmpc.trials.errors import ConfigError, ControllerError
@@ -37,7 +37,7 @@ def planner_for(case: Case, noise: str = "spline", method: str = "mppi", **optio
     return METHODS[method](case.predictor, settings, LIMITS)
 
 
-def started(case: Case, seed: int) -> tuple[Any, Plan]:
+def started(case: Case, seed: int) -> tuple[Any, CommandPlan]:
     problem, plan = posed(case, H, seed)
     return problem, PlanCost(WEIGHTS, H).best(plan.commands[None], plan.angles[None], problem)
 

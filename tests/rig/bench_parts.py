@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.rig.commission.phases import CommandMotion, Phase, SafeStop
-from hystmpc.rig.loop import ControlLoop, Outcome
+from hystmpc.rig.loop import ControlLoop, RunOutcome
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.safety.gate import Anchor, Gate
 from hystmpc.rig.safety.intake import Intake, SensorSettings
@@ -174,7 +174,7 @@ class Rig:
         self.intake = Intake(self.sensor, self.clock.ns, watch)
         self.anchor = Anchor(self.gate, 0.1, 3 * DT, 0.5)
 
-    def run(self, phases: Sequence[Phase]) -> Outcome:
+    def run(self, phases: Sequence[Phase]) -> RunOutcome:
         def to_safe(cause: str) -> SafeStop:
             return SafeStop(
                 lambda held, velocity: stop_commands(held, velocity, self.safe, RAMPS, OVERSHOOT, DT),

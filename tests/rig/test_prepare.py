@@ -13,8 +13,8 @@ from hystmpc.rig.commission.phases import (
     Decision,
     FlexureSettings,
     MoveSettings,
-    Now,
     Past,
+    PhaseInput,
     PretensionSettings,
     RelaxationSettings,
 )
@@ -28,10 +28,10 @@ RAMPS = RampSettings()
 def played(step: Any, held: float, gain: float = 10.0) -> list[Decision]:
     """A step's decisions on a device whose angle is 30 deg + gain * command."""
     phase, decisions = step.phase(RAMPS, DT), []
-    phase.begin(Now(30.0 + gain * held, held), Past([], []))
+    phase.begin(PhaseInput(30.0 + gain * held, held), Past([], []))
     while not decisions or not (decisions[-1].finished or decisions[-1].fault):
         held = decisions[-1].u if decisions else held
-        decisions.append(phase.step(Now(30.0 + gain * held, held)))
+        decisions.append(phase.step(PhaseInput(30.0 + gain * held, held)))
     return decisions
 
 
