@@ -1,4 +1,4 @@
-"""From settings to a controller; everything that can be wrong is found here, before the first sample."""
+"""From settings and a model to a controller; everything that can be wrong is found here, before the first sample."""
 
 from __future__ import annotations
 

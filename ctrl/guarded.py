@@ -1,4 +1,4 @@
-"""Every controller of hystmpc: a law inside an estimator, a fallback and hard limits."""
+"""Every controller of hystmpc: a law inside an estimator, a chain of fallbacks and hard limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The closed loop on a simulated clock: a controller, a plant, a reference, and a log."""
+"""The closed loop on a simulated clock: protocols of controller and plant, the loop, its log."""
 
 from __future__ import annotations
 

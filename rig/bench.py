@@ -1,4 +1,4 @@
-"""One run on a device: transport, contact, loop, stop, latch. What is done in it is given as phases."""
+"""One run on a device: transport, first contact, loop, stop, latch. What is done in it is given as phases."""
 
 from __future__ import annotations
 
@@ -27,14 +27,17 @@ from .safety.stop import RUNNING, Latch, StopFlag, latch_text, stopping_on_signa
 from .transports.transport import Conversion, PlantFactory, RunContext, Transport
 
 _PAUSE_NS = 1_000_000
-_GREET_NS = 100_000_000
-_ENOUGH = 3  # plausible angles before anything is believed
 
+_GREET_NS = 100_000_000
+
+_ENOUGH = 3  # plausible angles before anything is believed
 
 Note = Callable[[str], None]
 
 _REPEATS = 5  # of the safe command
+
 _PATIENCE_S = 1.0  # how long it is sent to a device that does not say that it holds it
+
 _TOLERANCE = 0.01  # of the range: how far what a device says it holds may lie beside what was sent, where none is set
 
 

@@ -1,1 +1,1 @@
-"""TODO: ctrl/estimation."""
+"""Estimation: model state and output disturbance, and the learned part of a model."""

@@ -1,4 +1,4 @@
-"""Compiled arithmetic of the learned part: plays on the travel, their weights, and derivatives by active branch."""
+"""A learned Prandtl-Ishlinskii part on top of a model: predictor, inverse, and the Kalman filter of its weights."""
 
 from __future__ import annotations
 
@@ -19,62 +19,9 @@ from .observer import Estimate, EstimatorSettings, Observer, OutputEstimator, us
 
 _EDGE = 1e-12
 
+_ROUNDS = 2
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def add_learned(
-    plays: Any, radii: Any, weights: Any, travel: float, start: Any, gain: float, pace: float, plans: Any, angles: Any
-) -> None:
-    """angles (N, H) += w_0 (v - v_0) + sum_i w_i (p_i - p_i0) + w_v d theta / dt along the plans (N, H), in place.
-
-    start: v_0, the side s of p_i0 = v_0 + s r_i, and the model's angle before the plans; pace: samples per second.
-    """
-    count = radii.size
-    now = np.empty(count)
-    for n in range(plans.shape[0]):
-        v, before = travel, start[2]
-        now[:] = plays
-        for k in range(plans.shape[1]):
-            v += gain * (plans[n, k] - v)
-            total = weights[0] * (v - start[0])
-            for i in range(count):
-                now[i] = min(max(now[i], v - radii[i]), v + radii[i])
-                total += weights[1 + i] * (now[i] - start[0] - start[1] * radii[i])
-            theta = angles[n, k]
-            angles[n, k] = theta + total + weights[1 + count] * (theta - before) * pace
-            before = theta
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def add_slopes(
-    plays: Any, radii: Any, weights: Any, travel: float, gain: float, pace: float, plan: Any, jacobian: Any
-) -> None:
-    """The derivative of `add_learned` along one plan (H,), added to that of the model (H, H) in place.
-
-    Both are lower triangular.
-
-    A play at its edge counts as driven: that is the branch on which a motion goes on.
-    """
-    count, size = radii.size, plan.size
-    now, by_v, by_p, slope = plays.copy(), np.zeros(size), np.zeros((count, size)), np.zeros(size)
-    v, before, on_rate = travel, np.zeros(size), weights[1 + count] * pace
-    for k in range(size):
-        v += gain * (plan[k] - v)
-        for j in range(k):
-            by_v[j] *= 1.0 - gain
-        by_v[k] = gain
-        for j in range(k + 1):
-            slope[j] = weights[0] * by_v[j]
-        for i in range(count):
-            if v - radii[i] >= now[i] - _EDGE or v + radii[i] <= now[i] + _EDGE:
-                now[i] = min(max(now[i], v - radii[i]), v + radii[i])
-                for j in range(k + 1):
-                    by_p[i, j] = by_v[j]
-            for j in range(k + 1):
-                slope[j] += weights[1 + i] * by_p[i, j]
-        for j in range(k + 1):
-            own = jacobian[k, j]
-            jacobian[k, j] = own + (slope[j] + on_rate * (own - before[j]))
-            before[j] = own
+_BOUND_SIGMAS = 4.0
 
 
 @final
@@ -186,9 +133,6 @@ class LearnedInverse(Inverse):
         return self.inverse.command(self.predictor.below(state), theta - self.predictor.rest(state), u_last)
 
 
-_ROUNDS = 2
-
-
 @final
 class LearnedFollower(Follower):
     """The model's inverse followed at the angles less the learned part, first as it is at present, then as along the
@@ -207,9 +151,6 @@ class LearnedFollower(Follower):
             plan = targets[1:]
             targets = self._inner.follow(below, wanted - predictor.learned(state, plan)[0], u_last, bounds)
         return targets
-
-
-_BOUND_SIGMAS = 4.0
 
 
 @final
@@ -320,3 +261,60 @@ def _variance(covariance: Vec, phi: Vec) -> float:
     """Variance of disturbance and learned part together at rest [deg^2]."""
     along = np.concatenate([[1.0], phi[:-1], [0.0]])
     return max(float(along @ covariance @ along), 0.0)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def add_learned(
+    plays: Any, radii: Any, weights: Any, travel: float, start: Any, gain: float, pace: float, plans: Any, angles: Any
+) -> None:
+    """angles (N, H) += w_0 (v - v_0) + sum_i w_i (p_i - p_i0) + w_v d theta / dt along the plans (N, H), in place.
+
+    start: v_0, the side s of p_i0 = v_0 + s r_i, and the model's angle before the plans; pace: samples per second.
+    """
+    count = radii.size
+    now = np.empty(count)
+    for n in range(plans.shape[0]):
+        v, before = travel, start[2]
+        now[:] = plays
+        for k in range(plans.shape[1]):
+            v += gain * (plans[n, k] - v)
+            total = weights[0] * (v - start[0])
+            for i in range(count):
+                now[i] = min(max(now[i], v - radii[i]), v + radii[i])
+                total += weights[1 + i] * (now[i] - start[0] - start[1] * radii[i])
+            theta = angles[n, k]
+            angles[n, k] = theta + total + weights[1 + count] * (theta - before) * pace
+            before = theta
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def add_slopes(
+    plays: Any, radii: Any, weights: Any, travel: float, gain: float, pace: float, plan: Any, jacobian: Any
+) -> None:
+    """The derivative of `add_learned` along one plan (H,), added to that of the model (H, H) in place.
+
+    Both are lower triangular.
+
+    A play at its edge counts as driven: that is the branch on which a motion goes on.
+    """
+    count, size = radii.size, plan.size
+    now, by_v, by_p, slope = plays.copy(), np.zeros(size), np.zeros((count, size)), np.zeros(size)
+    v, before, on_rate = travel, np.zeros(size), weights[1 + count] * pace
+    for k in range(size):
+        v += gain * (plan[k] - v)
+        for j in range(k):
+            by_v[j] *= 1.0 - gain
+        by_v[k] = gain
+        for j in range(k + 1):
+            slope[j] = weights[0] * by_v[j]
+        for i in range(count):
+            if v - radii[i] >= now[i] - _EDGE or v + radii[i] <= now[i] + _EDGE:
+                now[i] = min(max(now[i], v - radii[i]), v + radii[i])
+                for j in range(k + 1):
+                    by_p[i, j] = by_v[j]
+            for j in range(k + 1):
+                slope[j] += weights[1 + i] * by_p[i, j]
+        for j in range(k + 1):
+            own = jacobian[k, j]
+            jacobian[k, j] = own + (slope[j] + on_rate * (own - before[j]))
+            before[j] = own

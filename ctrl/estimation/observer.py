@@ -1,4 +1,4 @@
-"""What is known about the device between two samples: model state, command really sent, output disturbance."""
+"""Observers: model state from the commands really sent, output disturbance from the measurements."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ from hystmpc.trials.types import Vec
 
 from ..command import EMPTY
 from ..limits import NotNegative, Positive
+
+ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
+
+_RESOLUTION = 1e-9  # command changes below this share of the command range count as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,60 +76,6 @@ class Observer(ABC):
     @abstractmethod
     def coast(self, estimate: Estimate, u: float) -> Estimate:
         """One sample later where `advance` failed: the model state stands still. Never raises."""
-
-
-@final
-class WithoutModel(Observer):
-    """The observer of a controller that has no model: keeps the last usable measurement."""
-
-    delay_samples = 0
-
-    def init(self, y: float, u: float) -> Estimate:
-        return Estimate(EMPTY, u, (), (), (), 0.0, 0.0, y)
-
-    def correct(self, estimate: Estimate, y: float) -> Estimate:
-        angle = usable_angle(y)
-        if math.isnan(angle):
-            return replace(estimate, missing=estimate.missing + 1)
-        return replace(estimate, measured=angle, missing=0)
-
-    def advance(self, estimate: Estimate, u: float) -> Estimate:
-        return replace(estimate, command=u)
-
-    def coast(self, estimate: Estimate, u: float) -> Estimate:
-        return replace(estimate, command=u)
-
-
-ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
-
-
-def usable_angle(y: object) -> float:
-    """The measured angle [deg], or not-a-number where it is missing, not a number or absurdly large."""
-    try:
-        angle = float(y)  # type: ignore[arg-type]  # anything may come from a device; what is no number is caught
-    except (TypeError, ValueError, OverflowError):
-        return math.nan
-    return angle if abs(angle) <= ANGLE_BOUND_DEG else math.nan
-
-
-_RESOLUTION = 1e-9  # command changes below this share of the command range count as none
-
-
-def kalman_gain(sensor_sigma_deg: float, drift_sigma_deg: float, dt_s: float) -> float:
-    """Steady-state gain for a disturbance that walks at random: d+ = d + w, e = d + v.
-
-    The Riccati equation P = P - P^2 / (P + r) + q with r = sensor_sigma^2 [deg^2] and q = drift_sigma^2 dt [deg^2]
-    is the quadratic P^2 - q P - q r = 0; the gain is P / (P + r). A test holds it against `control.dlqe`, whose import
-    alone costs a control process a second and 60 MB.
-
-    Args:
-        sensor_sigma_deg: standard deviation of the angle sensor [deg].
-        drift_sigma_deg: standard deviation of the disturbance's change over one second [deg / sqrt(s)].
-        dt_s: sample time [s].
-    """
-    r, q = sensor_sigma_deg**2, drift_sigma_deg**2 * dt_s
-    covariance = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r))
-    return covariance / (covariance + r)
 
 
 class EstimatorSettings(Settings):
@@ -241,3 +191,51 @@ class OutputEstimator(Observer):
     def _bounded(self, disturbance: float) -> float:
         limit = self._settings.disturbance_limit_deg
         return min(max(disturbance, -limit), limit)
+
+
+@final
+class WithoutModel(Observer):
+    """The observer of a controller that has no model: keeps the last usable measurement."""
+
+    delay_samples = 0
+
+    def init(self, y: float, u: float) -> Estimate:
+        return Estimate(EMPTY, u, (), (), (), 0.0, 0.0, y)
+
+    def correct(self, estimate: Estimate, y: float) -> Estimate:
+        angle = usable_angle(y)
+        if math.isnan(angle):
+            return replace(estimate, missing=estimate.missing + 1)
+        return replace(estimate, measured=angle, missing=0)
+
+    def advance(self, estimate: Estimate, u: float) -> Estimate:
+        return replace(estimate, command=u)
+
+    def coast(self, estimate: Estimate, u: float) -> Estimate:
+        return replace(estimate, command=u)
+
+
+def usable_angle(y: object) -> float:
+    """The measured angle [deg], or not-a-number where it is missing, not a number or absurdly large."""
+    try:
+        angle = float(y)  # type: ignore[arg-type]  # anything may come from a device; what is no number is caught
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+    return angle if abs(angle) <= ANGLE_BOUND_DEG else math.nan
+
+
+def kalman_gain(sensor_sigma_deg: float, drift_sigma_deg: float, dt_s: float) -> float:
+    """Steady-state gain for a disturbance that walks at random: d+ = d + w, e = d + v.
+
+    The Riccati equation P = P - P^2 / (P + r) + q with r = sensor_sigma^2 [deg^2] and q = drift_sigma^2 dt [deg^2]
+    is the quadratic P^2 - q P - q r = 0; the gain is P / (P + r). A test holds it against `control.dlqe`, whose import
+    alone costs a control process a second and 60 MB.
+
+    Args:
+        sensor_sigma_deg: standard deviation of the angle sensor [deg].
+        drift_sigma_deg: standard deviation of the disturbance's change over one second [deg / sqrt(s)].
+        dt_s: sample time [s].
+    """
+    r, q = sensor_sigma_deg**2, drift_sigma_deg**2 * dt_s
+    covariance = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r))
+    return covariance / (covariance + r)

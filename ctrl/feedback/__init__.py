@@ -1,1 +1,1 @@
-"""TODO: ctrl/feedback."""
+"""Laws without a horizon: PID feedback, inverse feedforward, both together."""

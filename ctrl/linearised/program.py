@@ -1,4 +1,4 @@
-"""The condensed quadratic program of the linearised controller, built apart from any solver."""
+"""The condensed quadratic program of the linearised controller, with and without move blocking; what a solver is."""
 
 from __future__ import annotations
 
@@ -63,6 +63,35 @@ class QpData:
     upper: Vec
     constraint_data: Vec | None
     dual: Vec
+
+
+@dataclass(frozen=True, eq=False)
+class QpSolution:
+    """What the solver found.
+
+    Attributes:
+        primal: z, shape (n,).
+        usable: whether `primal` is a step worth trying: solved, or finite when the iterations ran out.
+        status: the solver's own words.
+        iterations: taken.
+        unfinished: whether the iterations ran out.
+    """
+
+    primal: Vec
+    usable: bool
+    status: str
+    iterations: int
+    unfinished: bool = False
+
+
+class QpSolver(ABC):
+    """Solves the quadratic programs of one pattern; equal data give equal answers, to the last bit."""
+
+    name: str  # in messages
+
+    @abstractmethod
+    def solve(self, data: QpData) -> QpSolution:
+        """Solve one program of the family; a failure shows in the solution, not as an exception."""
 
 
 class PlanProgram(ABC):
@@ -155,85 +184,6 @@ class TrackingQp(PlanProgram):
         constraints = sparse.csc_matrix(sparse.bmat(blocks, format="csc"))
         hessian = sparse.csc_matrix(sparse.block_diag([hessian, sparse.eye(horizon)], format="csc"))
         return QpPattern(hessian, constraints, np.flatnonzero(constraints.data == marker), horizon)
-
-
-def moves_of(plan: Vec, u_last: float) -> Vec:
-    """D p - e_1 u_last (H,); `np.diff` with a prefix takes ten times as long."""
-    moves = plan.copy()
-    moves[0] -= u_last
-    moves[1:] -= plan[:-1]
-    return moves
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def condense(jacobian: Any, error: Any, tracking: Any, moves: Any, off: Any, weights: Any, hessian: Any) -> Any:
-    """The gradient (H,) and, in place, the upper triangle (H (H + 1) / 2,), column by column, of `TrackingQp`.
-
-    jacobian (H, H) is lower triangular; moves = D p - e_1 u_last and off = p - f, each (H,); weights: rate, effort.
-    """
-    size, at = error.size, 0
-    rate, effort = 2.0 * weights[0], 2.0 * weights[1]
-    gradient = np.empty(size)
-    for i in range(size):
-        total = effort * off[i] + rate * moves[i]
-        if i + 1 < size:
-            total -= rate * moves[i + 1]
-        for j in range(i + 1):
-            hessian[at + j] = 0.0
-        for k in range(i, size):
-            weighted = 2.0 * tracking[k] * jacobian[k, i]
-            total += weighted * error[k]
-            for j in range(i + 1):
-                hessian[at + j] += weighted * jacobian[k, j]
-        hessian[at + i] += effort + (2.0 * rate if i + 1 < size else rate)
-        if i:
-            hessian[at + i - 1] -= rate
-        gradient[i] = total
-        at += i + 1
-    return gradient
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def rate_multipliers(gradient: Any, moves: Any, reach: float) -> Any:
-    """Multipliers (H,) that hold a plan where it already moves at the greatest rate; see `TrackingQp`."""
-    found = np.zeros(gradient.size)
-    balance, touching = 0.0, reach * (1.0 - 1e-6)
-    for k in range(gradient.size - 1, -1, -1):
-        balance -= gradient[k]
-        if moves[k] >= touching:
-            found[k] = max(balance, 0.0)
-        elif moves[k] <= -touching:
-            found[k] = min(balance, 0.0)
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class QpSolution:
-    """What the solver found.
-
-    Attributes:
-        primal: z, shape (n,).
-        usable: whether `primal` is a step worth trying: solved, or finite when the iterations ran out.
-        status: the solver's own words.
-        iterations: taken.
-        unfinished: whether the iterations ran out.
-    """
-
-    primal: Vec
-    usable: bool
-    status: str
-    iterations: int
-    unfinished: bool = False
-
-
-class QpSolver(ABC):
-    """Solves the quadratic programs of one pattern; equal data give equal answers, to the last bit."""
-
-    name: str  # in messages
-
-    @abstractmethod
-    def solve(self, data: QpData) -> QpSolution:
-        """Solve one program of the family; a failure shows in the solution, not as an exception."""
 
 
 @dataclass(frozen=True)
@@ -368,6 +318,56 @@ class BlockedQp(PlanProgram):
         constraints = sparse.csc_matrix(sparse.bmat(blocks, format="csc"))
         hessian = sparse.csc_matrix(sparse.block_diag([hessian, sparse.eye(horizon)], format="csc"))
         return QpPattern(hessian, constraints, np.flatnonzero(constraints.data == marker), count)
+
+
+def moves_of(plan: Vec, u_last: float) -> Vec:
+    """D p - e_1 u_last (H,); `np.diff` with a prefix takes ten times as long."""
+    moves = plan.copy()
+    moves[0] -= u_last
+    moves[1:] -= plan[:-1]
+    return moves
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def condense(jacobian: Any, error: Any, tracking: Any, moves: Any, off: Any, weights: Any, hessian: Any) -> Any:
+    """The gradient (H,) and, in place, the upper triangle (H (H + 1) / 2,), column by column, of `TrackingQp`.
+
+    jacobian (H, H) is lower triangular; moves = D p - e_1 u_last and off = p - f, each (H,); weights: rate, effort.
+    """
+    size, at = error.size, 0
+    rate, effort = 2.0 * weights[0], 2.0 * weights[1]
+    gradient = np.empty(size)
+    for i in range(size):
+        total = effort * off[i] + rate * moves[i]
+        if i + 1 < size:
+            total -= rate * moves[i + 1]
+        for j in range(i + 1):
+            hessian[at + j] = 0.0
+        for k in range(i, size):
+            weighted = 2.0 * tracking[k] * jacobian[k, i]
+            total += weighted * error[k]
+            for j in range(i + 1):
+                hessian[at + j] += weighted * jacobian[k, j]
+        hessian[at + i] += effort + (2.0 * rate if i + 1 < size else rate)
+        if i:
+            hessian[at + i - 1] -= rate
+        gradient[i] = total
+        at += i + 1
+    return gradient
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def rate_multipliers(gradient: Any, moves: Any, reach: float) -> Any:
+    """Multipliers (H,) that hold a plan where it already moves at the greatest rate; see `TrackingQp`."""
+    found = np.zeros(gradient.size)
+    balance, touching = 0.0, reach * (1.0 - 1e-6)
+    for k in range(gradient.size - 1, -1, -1):
+        balance -= gradient[k]
+        if moves[k] >= touching:
+            found[k] = max(balance, 0.0)
+        elif moves[k] <= -touching:
+            found[k] = min(balance, 0.0)
+    return found
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

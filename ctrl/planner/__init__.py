@@ -1,1 +1,1 @@
-"""What `TipController` is made of: its settings, references that can be changed in motion, reach, and assembly."""
+"""The planner's side: `TipController`, its settings, references, reach and memory."""

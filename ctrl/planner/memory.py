@@ -1,4 +1,4 @@
-"""The memory of a `TipController` and how it changes: pure functions from one snapshot to the next."""
+"""The memory of a `TipController`: a snapshot, its transitions as pure functions, and what a planner sees of it."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ from .reference import Reference, ReferenceRequest, rest_reference
 from .ruckig_ import Kinematics
 
 _SAME_COMMAND = 1e-6  # of the command's range: two records of one command may differ by it
+
+_ROUNDING = 1e-9  # of a limit or a time, that passes
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,9 +208,6 @@ def require_usable(snapshot: object, origin: str, limits: CommandLimits) -> Snap
             f"restore: got a snapshot with command {snapshot.command.u}, expected {limits.lower} to {limits.upper}"
         )
     return snapshot
-
-
-_ROUNDING = 1e-9  # of a limit or a time, that passes
 
 
 @dataclass(frozen=True)

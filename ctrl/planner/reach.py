@@ -14,7 +14,6 @@ from ..limits import CommandLimits
 
 _SETTLING_S = 2.0  # at either end: many times the lag of any catheter drive
 
-
 _MOST_SAMPLES = 4000  # of one ramp
 
 

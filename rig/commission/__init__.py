@@ -1,1 +1,1 @@
-"""TODO: rig/commission."""
+"""Work at a bench: phases of a run, experiments, recordings for identification, the review after a run."""

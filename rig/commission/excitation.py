@@ -1,9 +1,13 @@
-"""What `record` can play: the papers' identification commands, ruckig motions, and files."""
+"""What `record` can play: the papers' identification commands, ruckig motions, and files.
+
+S1 is Wu et al., RA-L 2021 (DOI 10.1109/LRA.2021.3061069), S2 RA-L 2024, PMC11633443.
+"""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -27,63 +31,65 @@ from hystmpc.trials.types import Vec
 from ..safety.ramp import RampSettings, way_commands
 
 
-class S1SinusoidSettings(Settings):
+class TrajectoryExcitation(Settings):
+    """An excitation that is a trajectory of commands in one unit."""
+
+    unit: ClassVar[str]
+
+    @abstractmethod
+    def trajectory(self) -> Trajectory:
+        """Commands over time."""
+
+    def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
+        """Commands (N,)."""
+        del ramps
+        return sample(self.trajectory(), rate_hz)[1]
+
+
+class S1SinusoidSettings(TrajectoryExcitation):
     """`kind: s1_sinusoid`: a decaying sinusoid of pressure, S1 eq. (5) (`zero`) or (6) (`raised`) [bar]."""
+
+    unit: ClassVar[str] = "bar"
 
     kind: Literal["s1_sinusoid"]
     baseline: Literal["zero", "raised"] = "zero"
     frequency_hz: Positive
 
-    @property
-    def unit(self) -> str | None:
-        """Unit of the commands."""
-        return "bar"
-
-    def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
-        """Commands (N,)."""
-        del ramps
+    def trajectory(self) -> Trajectory:
         wave = s1_zero_baseline if self.baseline == "zero" else s1_raised_baseline
-        return _sampled(wave(self.frequency_hz), rate_hz)
+        return wave(self.frequency_hz)
 
 
-class S2SinusoidSettings(Settings):
+class S2SinusoidSettings(TrajectoryExcitation):
     """`kind: s2_sinusoid`: seven decaying periods of tendon travel, S2 eq. (9), (10) [mm]."""
+
+    unit: ClassVar[str] = "mm"
 
     kind: Literal["s2_sinusoid"]
     frequency_hz: Positive
     offset: Offset
 
-    @property
-    def unit(self) -> str | None:
-        """Unit of the commands."""
-        return "mm"
-
-    def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
-        """Commands (N,)."""
-        del ramps
-        return _sampled(s2_sinusoid(self.frequency_hz, self.offset), rate_hz)
+    def trajectory(self) -> Trajectory:
+        return s2_sinusoid(self.frequency_hz, self.offset)
 
 
-class S2PointToPointSettings(Settings):
+class S2PointToPointSettings(TrajectoryExcitation):
     """`kind: s2_point_to_point`: ten moves and holds drawn from a seed, S2 eq. (11) [mm]."""
+
+    unit: ClassVar[str] = "mm"
 
     kind: Literal["s2_point_to_point"]
     seed: int = Field(ge=0)
     split: Split = "train"
 
-    @property
-    def unit(self) -> str | None:
-        """Unit of the commands."""
-        return "mm"
-
-    def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
-        """Commands (N,)."""
-        del ramps
-        return _sampled(s2_point_to_point(self.seed, self.split), rate_hz)
+    def trajectory(self) -> Trajectory:
+        return s2_point_to_point(self.seed, self.split)
 
 
 class StopsSettings(Settings):
     """`kind: ramps`: jerk-limited ramps to commands, each with its hold; the first starts at `start`."""
+
+    unit: ClassVar[str | None] = None  # the numbers are in that of the bench
 
     kind: Literal["ramps"]
     start: float
@@ -95,11 +101,6 @@ class StopsSettings(Settings):
         if len(self.stops) != len(self.holds_s):
             raise ValueError(f"got {len(self.stops)} stops and {len(self.holds_s)} holds_s, expected as many")
         return self
-
-    @property
-    def unit(self) -> str | None:
-        """None: the numbers are in the bench's unit."""
-        return None
 
     def commands(self, rate_hz: float, ramps: RampSettings) -> Vec:
         """Commands (N,)."""
@@ -160,7 +161,3 @@ def _motion_table(path: Path | str) -> tuple[Table, str]:
             f"{path}: got columns {', '.join(table.header)}, expected time_s and one of {', '.join(CANONICAL.command)}"
         )
     return table, names[0]
-
-
-def _sampled(wave: Trajectory, rate_hz: float) -> Vec:
-    return sample(wave, rate_hz)[1]

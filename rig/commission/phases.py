@@ -1,4 +1,4 @@
-"""What the loop does sample by sample: one phase after another, each of them deciding on commands."""
+"""Phases, the parts of a run: command motions, checks, the safe stop; and the preparation steps of the settings."""
 
 from __future__ import annotations
 
@@ -71,10 +71,7 @@ class Past:
 class Phase(Protocol):
     """One part of a run. It may raise: the loop then stops safely and says what was raised."""
 
-    @property
-    def name(self) -> str:
-        """One word, as logs show it."""
-        ...
+    name: str  # as logs show it
 
     def begin(self, now: PhaseInput, past: Past) -> None:
         """Start from rest at the command held."""
@@ -86,7 +83,7 @@ class Phase(Protocol):
 
 
 @final
-class CommandMotion:
+class CommandMotion(Phase):
     """Plays commands that are worked out when it begins, from the command held then.
 
     Args:
@@ -100,7 +97,6 @@ class CommandMotion:
         self._k = 0
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """Work the commands out."""
         del past
         self._commands, self._k = self._plan(now.held).tolist(), 0
 
@@ -113,7 +109,7 @@ class CommandMotion:
 
 
 @final
-class PretensionCheck:
+class PretensionCheck(Phase):
     """Ramps the command up and back and checks that the angle is there and moves with it.
 
     Args:
@@ -137,7 +133,6 @@ class PretensionCheck:
         self._before = self._angle = now.angle_deg
 
     def step(self, now: PhaseInput) -> Decision:
-        """The next command; at the top the verdict."""
         if math.isfinite(now.angle_deg):
             self._angle = now.angle_deg
             self._before = self._angle if math.isnan(self._before) else self._before
@@ -158,7 +153,7 @@ class PretensionCheck:
 
 
 @final
-class SafeStop:
+class SafeStop(Phase):
     """Leads the command to rest at the safe one and ends where the device has said that it holds it.
 
     Every run ends with it: after its last phase, and after a stop. The safe command is sent `repeats` times at least,

@@ -28,7 +28,7 @@ _LEAST = 2  # samples that make a trial
 
 
 @final
-class Recorded:
+class Recorded(Phase):
     """A phase that plays commands (N,) and keeps what was sent and measured.
 
     An angle belongs to the end of its sample: it is read at the beginning of the next one, so one sample more is
@@ -48,7 +48,6 @@ class Recorded:
         self._k, self._skipped = 0, 0
 
     def begin(self, now: PhaseInput, past: Past) -> None:
-        """Start."""
         del now, past
         self._k = self._skipped = 0
 

@@ -1,4 +1,4 @@
-"""Settings of a device server."""
+"""Settings of a device server, and of the faults between it and a controller."""
 
 from __future__ import annotations
 

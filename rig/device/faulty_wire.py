@@ -16,7 +16,14 @@ from ..transports.udp import Datagram, Kind, decode
 from .config import FaultSettings
 
 M = TypeVar("M")
+
 _REMEMBERED = 50  # messages that may be replayed
+
+_NS = 1e9
+
+_STANDING = ("freeze", "blocked", "dislodged")  # faults in which the angle is that of the moment before
+
+_TAKEN = 64  # datagrams taken off the socket in one call
 
 
 @final
@@ -83,11 +90,6 @@ class FaultyLine(Generic[M]):
         return [self._spoil(fault, message)]
 
 
-_NS = 1e9
-_STANDING = ("freeze", "blocked", "dislodged")  # faults in which the angle is that of the moment before
-_TAKEN = 64  # datagrams taken off the socket in one call
-
-
 @final
 class FaultyReadings:
     """Readings in, readings out: what is left of them, and when.
@@ -108,7 +110,6 @@ class FaultyReadings:
             self._last = message.angle
 
     def due(self, t_s: float) -> list[Outgoing]:
-        """What arrives until `t_s` [s]."""
         return self._line.due(t_s)
 
     def _spoilt(self, fault: FaultSettings, message: Outgoing) -> Outgoing:

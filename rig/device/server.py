@@ -18,6 +18,7 @@ from .config import DeviceSettings
 from .faulty_wire import FaultyDatagrams, FaultyReadings
 
 _MESSAGES = 64  # taken at most in one sample
+
 _AT_REST = 1e-3  # of the range
 
 

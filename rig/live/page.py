@@ -68,7 +68,6 @@ class LivePage(Sink):
         return f"http://{host!s}:{port}/"
 
     def put(self, sample: Sample) -> None:
-        """Take a sample; never blocks, never raises, counts what it has to drop."""
         self._watched.put(sample)
 
     def tell(self, text: str) -> None:

@@ -1,4 +1,4 @@
-"""The last seconds of a run, and what has happened since its start."""
+"""The last seconds of a run as views show them, and the thread that updates a view."""
 
 from __future__ import annotations
 
@@ -21,6 +21,10 @@ WINDOW_S = 20.0
 """How much of the run is plotted [s]."""
 
 _POINTS_PER_S = 50.0  # of the plots; the figures are made of all samples
+
+_QUEUE_S = 30.0
+
+_CLOSE_S = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,10 +121,6 @@ class LiveState:
         )
 
 
-_QUEUE_S = 30.0
-_CLOSE_S = 5.0
-
-
 @final
 class LiveView(Sink):
     """Calls `show` with a snapshot at a steady rate, as long as there is one.
@@ -150,7 +150,6 @@ class LiveView(Sink):
         return self._waiting.dropped
 
     def put(self, sample: Sample) -> None:
-        """Take a sample; never blocks, never raises, counts what it has to drop."""
         self._waiting.put(sample)
 
     def tell(self, text: str) -> None:

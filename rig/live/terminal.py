@@ -19,7 +19,24 @@ from ..recording.sample import Sample, Sink
 from .state import WINDOW_S, LiveSnapshot, LiveView
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+
 _EMPTY = 0x2800
+
+PERIOD_S = 0.125
+
+_LINE_EVERY = 80  # of the periods, where there is no terminal to draw on
+
+_PLOT_ROWS = 9
+
+_RECENT_S = 3.0  # a fault younger than this is shown as present
+
+_STATE_COLOURS = {
+    "mpc": "green",
+    "stop": "white on red",
+    "hold": "yellow",
+    "inverse": "yellow",
+    "shifted plan": "yellow",
+}
 
 
 def limits_of(*curves: Vec, least_span: float) -> tuple[float, float]:
@@ -83,19 +100,6 @@ def columns_of(counts: NDArray[np.int64], width: int) -> str:
     return "".join(" ▁▂▃▄▅▆▇█"[level] for level in levels)
 
 
-PERIOD_S = 0.125
-_LINE_EVERY = 80  # of the periods, where there is no terminal to draw on
-_PLOT_ROWS = 9
-_RECENT_S = 3.0  # a fault younger than this is shown as present
-_STATE_COLOURS = {
-    "mpc": "green",
-    "stop": "white on red",
-    "hold": "yellow",
-    "inverse": "yellow",
-    "shifted plan": "yellow",
-}
-
-
 @final
 class TerminalView(Sink):
     """Draws the state of the run 8 times a second; on an output that is no terminal a line every 10 s.
@@ -123,7 +127,6 @@ class TerminalView(Sink):
         self._watched = LiveView(rate_hz, self._show, PERIOD_S)
 
     def put(self, sample: Sample) -> None:
-        """Take a sample; never blocks, never raises, counts what it has to drop."""
         self._watched.put(sample)
 
     def tell(self, text: str) -> None:

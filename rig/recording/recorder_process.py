@@ -1,4 +1,4 @@
-"""Samples on a pipe between two processes of one run: a length, then plain tuples."""
+"""Recording and live view in a process of their own, so that the control thread has its interpreter to itself."""
 
 from __future__ import annotations
 
@@ -22,6 +22,14 @@ from .recording import RecordingMeta, Tell, create_folder
 from .sample import Sample, SampleQueue, Sink
 
 _LENGTH = struct.Struct("<I")
+
+_FEED_S = 0.05
+
+_QUEUE_S = 30.0
+
+_CLOSE_S = 20.0
+
+_logger = logging.getLogger(__name__)
 
 
 def pack(samples: Iterable[Sample]) -> bytes:
@@ -65,12 +73,6 @@ def _plain(s: Sample) -> tuple[object, ...]:
         tuple(map(str, s.faults)),
         int(s.sequence),
     )
-
-
-_FEED_S = 0.05
-_QUEUE_S = 30.0
-_CLOSE_S = 20.0
-_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,6 @@ class RecorderProcess(Sink):
         return self._process.pid
 
     def put(self, sample: Sample) -> None:
-        """Take a sample; never blocks, never raises, counts what it has to drop."""
         self._waiting.put(sample)
 
     def close(self) -> None:

@@ -156,7 +156,6 @@ class Recording(Sink):
         return self._on_disk
 
     def put(self, sample: Sample) -> None:
-        """Take a sample; never blocks, never raises, counts what it has to drop."""
         self._waiting.put(sample)
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What one sample at the bench leaves behind, and where it goes: the border between control thread and recording."""
+"""One sample at the bench and the sinks that take it: the border between control thread and recording."""
 
 from __future__ import annotations
 
@@ -103,7 +103,6 @@ class Tee(Sink):
         self.broken = 0  # puts that raised in spite of the promise
 
     def put(self, sample: Sample) -> None:
-        """Give the sample to every sink."""
         for sink in self._sinks:
             try:
                 sink.put(sample)

@@ -1,4 +1,4 @@
-"""The last line before the device: hard limits on value and rate, measured from what the device holds."""
+"""What may be sent: only while it is known what the device holds, within hard limits on value and rate from there."""
 
 from __future__ import annotations
 
@@ -11,8 +11,16 @@ from hystmpc.ctrl.limits import CommandLimits
 from .intake import Seen
 
 _S = 1e-9
+
 _SHORTEST = 0.1  # of a sample: time that two commands count as apart at least
+
 _ROUNDING = 1e-9  # of the range: a conversion of units
+
+_STILL_NS = 80_000_000  # how long the held command has to stand still before it is believed
+
+_STILL = 0.25  # of the tolerance: how far it may wander meanwhile
+
+_LONGEST_NS = 60_000_000_000  # how long a device may go on to move by itself
 
 
 @final
@@ -66,11 +74,6 @@ class Gate:
         if self._sent_ns is None:
             return self._dt
         return min(max(_S * (now_ns - self._sent_ns), _SHORTEST * self._dt), self._dt)
-
-
-_STILL_NS = 80_000_000  # how long the held command has to stand still before it is believed
-_STILL = 0.25  # of the tolerance: how far it may wander meanwhile
-_LONGEST_NS = 60_000_000_000  # how long a device may go on to move by itself
 
 
 @final

@@ -1,4 +1,4 @@
-"""Whether commanded and measured motion agree: a blocked tip or a dislodged sensor shows in nothing else."""
+"""Whether commands, drive and angle agree: a blocked tip, a dislodged sensor, a drive that does not follow."""
 
 from __future__ import annotations
 

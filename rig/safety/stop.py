@@ -1,4 +1,4 @@
-"""How a run is asked from outside to end."""
+"""Stops: asked for by a signal or another thread, remembered on disk by a latch until somebody resets it."""
 
 from __future__ import annotations
 
@@ -18,6 +18,11 @@ from platformdirs import user_state_path
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
 
+STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
+"""Signals that stop a run; a closed terminal sends SIGHUP to all its processes."""
+
+RUNNING = "the program was killed while it controlled the device"
+
 
 @final
 class StopFlag:
@@ -29,10 +34,6 @@ class StopFlag:
     def set(self, cause: str) -> None:
         """Ask for a safe stop."""
         self.cause = self.cause or cause
-
-
-STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
-"""Signals that stop a run; a closed terminal sends SIGHUP to all its processes."""
 
 
 @contextmanager
@@ -56,9 +57,6 @@ def stopping_on_signals(flag: StopFlag) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-RUNNING = "the program was killed while it controlled the device"
 
 
 @final

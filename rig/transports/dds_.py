@@ -20,7 +20,7 @@ from hystmpc.trials.errors import ConfigError
 from .dds import DdsSettings
 from .dds_types_ import Float64, Float64Stamped, Header, Time
 from .sessions import Admission
-from .transport import Conversion, Incoming, Outgoing, Reading
+from .transport import Conversion, DeviceLink, Incoming, Outgoing, Reading, Transport
 
 _NS = 1_000_000_000
 # What a controller says by frame_id beside commands; a device says there which session it listens to.
@@ -92,7 +92,7 @@ def _qos(settings: DdsSettings) -> Qos:
 
 
 @final
-class DdsTransport:
+class DdsTransport(Transport):
     """The controller's end: reads the angle's topic, writes the command's.
 
     Plain Float64 carries neither sequence nor session: DDS keeps the order, age counts from the sender's DDS stamp, and
@@ -114,11 +114,9 @@ class DdsTransport:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Messages rejected, by cause."""
         return self._counters
 
     def read(self) -> Reading | None:
-        """The oldest measurement that has not been read yet."""
         message = None if self._wire is None else self._wire.take()
         if message is None:
             return None
@@ -135,7 +133,6 @@ class DdsTransport:
         return Reading(angle, self._count, 0, sent - time.time_ns() + now, now, math.nan)
 
     def write(self, command: float) -> None:
-        """Send a command."""
         if self._wire is not None:
             self._wire.write(self._conversion.raw_command(command), 0.0)
 
@@ -155,7 +152,7 @@ class DdsTransport:
 
 
 @final
-class DdsLink:
+class DdsLink(DeviceLink):
     """The device's end: reads the command's topic, writes the angle's. One controller at a time, see `Admission`.
 
     Plain Float64 has no sessions: every command is taken.
@@ -176,11 +173,9 @@ class DdsLink:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Messages rejected, by cause."""
         return self._counters
 
     def receive(self) -> Incoming | None:
-        """The oldest message of the controller that has the device."""
         while (message := self._wire.take()) is not None:
             said = self._said(message) if self._wire.stamped else _command(message.data)
             if isinstance(said, Incoming):
@@ -196,7 +191,6 @@ class DdsLink:
         self._wire.write(message.angle, message.held, message.sequence, stamp_ns, note)
 
     def close(self) -> None:
-        """Leave the domain."""
         self._wire.close()
 
     def _said(self, message: Any) -> Incoming | str:

@@ -1,4 +1,4 @@
-"""Which messages of a sender are new: sessions and sequence numbers."""
+"""Sessions and sequence numbers: which messages are new, and which controller a device listens to."""
 
 from __future__ import annotations
 

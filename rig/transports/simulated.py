@@ -19,7 +19,7 @@ from .transport import Reading, RunContext, Transport, TransportBase
 
 
 @final
-class SimulatedTransport:
+class SimulatedTransport(Transport):
     """A `Plant` behind the wire's interface; its time is the number of commands, so it never lags.
 
     Args:
@@ -41,7 +41,6 @@ class SimulatedTransport:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Nothing is lost on this wire."""
         return {}
 
     def read(self) -> Reading | None:
@@ -53,14 +52,12 @@ class SimulatedTransport:
         return Reading(self._angle, self._sequence, 0, now, now, self._held)
 
     def write(self, command: float) -> None:
-        """Let one sample pass under the command."""
         self._angle, self._held, self._read_ns = self._plant.apply(command), command, None
 
     def greet(self) -> None:
         """Nothing to do: it always listens."""
 
     def stop(self, goodbye: bool = False) -> None:
-        """Leave the plant in its safe state."""
         del goodbye
         self._plant.stop()
 

@@ -139,7 +139,7 @@ def _open(host: str, port: int, what: str) -> socket.socket:
 
 
 @final
-class UdpTransport:
+class UdpTransport(Transport):
     """The controller's end. Only the configured device is heard; until it answers it is greeted ten times a second.
 
     Args:
@@ -164,11 +164,9 @@ class UdpTransport:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Datagrams rejected, by cause."""
         return self._counters
 
     def read(self) -> Reading | None:
-        """The oldest measurement that has not been read yet."""
         if not self._answered and time.monotonic_ns() - self._greeted_ns >= _HELLO_NS:
             self.greet()
         for _ in range(_TRIES):
@@ -192,7 +190,6 @@ class UdpTransport:
         return None
 
     def write(self, command: float) -> None:
-        """Send a command."""
         self._send(Kind.COMMAND, self._conversion.raw_command(command))
 
     def greet(self) -> None:
@@ -219,7 +216,7 @@ class UdpTransport:
 
 
 @final
-class UdpLink:
+class UdpLink(DeviceLink):
     """The device's end: one controller at a time, see `Admission`.
 
     Args:
@@ -247,11 +244,9 @@ class UdpLink:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Datagrams rejected, by cause."""
         return self._counters
 
     def receive(self) -> Incoming | None:
-        """The oldest message of the controller that has the device."""
         for _ in range(_TRIES):
             try:
                 data, peer = self._wire.recvfrom(SIZE + 1)
@@ -267,7 +262,6 @@ class UdpLink:
         return None
 
     def send(self, message: Outgoing) -> None:
-        """Send a measurement to the controller that has the device."""
         if self._peer is None:
             return
         data = Datagram(Kind.READING, self._session, message.sequence, message.stamp_ns, message.angle, message.held)
@@ -277,7 +271,6 @@ class UdpLink:
             self._counters["not sent"] += 1
 
     def close(self) -> None:
-        """Free the port."""
         self._wire.close()
 
     def _said(self, message: Datagram, peer: Peer) -> Incoming | str:
