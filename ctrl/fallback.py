@@ -80,8 +80,6 @@ class FallbackChain:
     """Chooses the level of fallback: shifted plan, inverse, hold, stop.
 
     Args:
-        limits: the safe command has to lie within them.
-        settings: of the fallbacks.
         inverse: of the model; None where there is none.
 
     Raises:
@@ -111,9 +109,6 @@ class FallbackChain:
         """The best level left after a failure.
 
         Args:
-            state: counters and remaining plan.
-            given: what the controller saw.
-            reason: one line on what failed.
             blind: the measurement has been missing for too long; plans are no longer to be trusted: hold.
         """
         state = replace(state, failures=state.failures + 1)

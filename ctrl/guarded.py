@@ -47,10 +47,6 @@ class GuardedController(Generic[M]):
     the proposal or a level of the fallback, limit from the command really sent, advance the model with the result.
 
     Args:
-        law: what the controller wants.
-        observer: state and disturbance estimate.
-        fallback: what to do on failure.
-        limits: hard limits on command and command rate.
         dt: sample time [s].
         max_missing_samples: consecutive samples without usable measurement that are bridged by prediction.
 

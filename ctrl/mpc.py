@@ -149,8 +149,6 @@ class HoldRule:
         """Whether to hold now.
 
         Args:
-            before: the last answer.
-            reference: preview (H,) [deg].
             held: angles (H,) that the held command is expected to lead to [deg].
             sigma: standard deviation of the disturbance estimate's error [deg].
         """
@@ -177,9 +175,6 @@ class HoldRule:
         the measurement before it is too far, and a true dead band is crossed all the same, within some samples more.
 
         Args:
-            hold: the present answer of `judge`.
-            plan: commands.
-            u_last: the command really sent last.
             error: greatest error of the held command [deg].
             slope: static gain of the model [deg per command unit].
         """

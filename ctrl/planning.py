@@ -116,12 +116,6 @@ class Candidates:
     a dead band is crossed before the reference turns; inverse half ahead, so that the crossing has its middle at
     the turn; the last plan, shifted; reversals: m = 2, 4, ... samples at the greatest rate in either direction and
     then rest; and where the reference rests, small steps: a share of a sample at the greatest rate, either way.
-
-    Args:
-        predictor: the model, with the sample time.
-        inverse: its inverse.
-        limits: hard limits.
-        horizon: H.
     """
 
     def __init__(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits, horizon: int) -> None:
@@ -140,9 +134,6 @@ class Candidates:
         """The plans that may follow `u_last` for the model angles `reference` (H,) [deg].
 
         Args:
-            state: predictor state (S,).
-            u_last: the command really sent last.
-            reference: wanted angles without disturbance [deg], shape (H,).
             remaining: what is left of the last plan, shape (0..H,).
             resting: whether small steps are among them.
         """

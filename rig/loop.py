@@ -66,15 +66,7 @@ class ControlLoop:
     device has said that it holds the safe command.
 
     Args:
-        clock: time.
-        transport: the device.
-        intake: judge of what it measures.
-        gate: hard limits.
-        anchor: judge of whether anything may be sent.
-        dt_s: sample time [s].
-        sink: takes every sample.
         to_safe: makes the last phase of every run.
-        flag: asks for a stop from outside.
         stall_s: greatest time between two samples [s].
     """
 

@@ -34,10 +34,6 @@ class LearnedPredictor(Predictor):
     them. Where all are zero, this is the model.
 
     The state is [model state, p (K), v, model angle, v_0, side, w (K + 2)].
-
-    Args:
-        model: what is nearly right.
-        settings: the shape of the learned part.
     """
 
     def __init__(self, model: Predictor, settings: AdaptationSettings) -> None:
@@ -163,11 +159,6 @@ class LearningEstimator(Observer):
     n_k is that of the plain estimator; m_k grows with the command's travel alone, so that in a hold, where one sum of
     weights is seen and no single one, nothing is forgotten. Weights stay within four standard deviations of zero.
     Outliers count as missing, and the disturbance is not corrected inside the model's dead band, as there.
-
-    Args:
-        predictor: model and learned part.
-        settings: of the plain estimator.
-        adaptation: of the weights.
     """
 
     def __init__(

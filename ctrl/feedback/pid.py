@@ -67,9 +67,7 @@ class Pid:
         """Command and next memory.
 
         Args:
-            memory: what the last call returned.
             error: wanted minus measured angle [deg].
-            y: measured angle [deg].
             u_last: the command really sent last.
             feedforward: added to the feedback.
         """

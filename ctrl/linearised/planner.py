@@ -30,9 +30,6 @@ class LinearisedPlanner(Planner[None]):
     parts too, in one batched roll-out; the start plan wins where none is better, as across a kink of the play.
 
     Args:
-        predictor: the model.
-        settings: cost, horizon, iterations, solver and move blocking.
-        limits: hard limits.
         options: of the solver, which their class chooses; those of the settings where left out.
 
     Raises:

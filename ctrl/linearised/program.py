@@ -98,6 +98,7 @@ class PlanProgram(ABC):
     """The quadratic program around a plan, and what its answer means."""
 
     pattern: QpPattern
+    _weights: WeightsSettings
 
     @abstractmethod
     def data(self, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
@@ -106,6 +107,21 @@ class PlanProgram(ABC):
     @abstractmethod
     def deviation(self, primal: Vec) -> Vec:
         """What z = `primal` adds to the commands of the plan (H,)."""
+
+    def _softened(self, hard: QpData, problem: PlanningProblem, around: CommandPlan, entries: Vec) -> QpData:
+        """The program with soft angle limits beside the hard limits; `entries` of their rows, column by column."""
+        low, high = problem.angle_limits
+        none = np.zeros(around.angles.size)
+        constraint_data = np.array(self.pattern.constraints.data, dtype=np.float64)
+        constraint_data[self.pattern.moving] = entries
+        return QpData(
+            np.concatenate([hard.hessian_data, none + 2.0 * self._weights.soft_limit]),
+            np.concatenate([hard.gradient, none]),
+            np.concatenate([hard.lower, low - around.angles]),
+            np.concatenate([hard.upper, high - around.angles]),
+            constraint_data,
+            np.concatenate([hard.dual, none]),
+        )
 
 
 @final
@@ -132,7 +148,8 @@ class TrackingQp(PlanProgram):
         self._factors = np.array((weights.rate, weights.effort))
         # the Jacobian is lower triangular; column by column its entries are those of the transpose, row by row
         self._columns = np.triu_indices(horizon)
-        self.pattern = self._build_pattern()
+        rows = np.vstack([np.eye(horizon), np.eye(horizon) - np.eye(horizon, k=-1)])
+        self.pattern = _pattern(rows, np.tril(np.ones((horizon, horizon))) if self._soft else None)
 
     def data(self, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
         plan = around.commands
@@ -149,41 +166,10 @@ class TrackingQp(PlanProgram):
             None,
             np.concatenate([none, rate_multipliers(gradient, moves, self._reach)]),
         )
-        return self._softened(hard, problem, around, jacobian) if self._soft else hard
+        return self._softened(hard, problem, around, jacobian.T[self._columns]) if self._soft else hard
 
     def deviation(self, primal: Vec) -> Vec:
         return primal[: self._horizon]
-
-    def _softened(self, hard: QpData, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
-        """The program with soft angle limits beside the hard limits."""
-        low, high = problem.angle_limits
-        none = np.zeros(self._horizon)
-        constraint_data = np.array(self.pattern.constraints.data, dtype=np.float64)
-        constraint_data[self.pattern.moving] = jacobian.T[self._columns]
-        return QpData(
-            np.concatenate([hard.hessian_data, none + 2.0 * self._weights.soft_limit]),
-            np.concatenate([hard.gradient, none]),
-            np.concatenate([hard.lower, low - around.angles]),
-            np.concatenate([hard.upper, high - around.angles]),
-            constraint_data,
-            np.concatenate([hard.dual, none]),
-        )
-
-    def _build_pattern(self) -> QpPattern:
-        horizon = self._horizon
-        hessian = sparse.csc_matrix(np.triu(np.ones((horizon, horizon))))
-        difference = np.eye(horizon) - np.eye(horizon, k=-1)
-        rows = [sparse.eye(horizon), sparse.csc_matrix(difference)]
-        if not self._soft:
-            return QpPattern(
-                hessian, sparse.csc_matrix(sparse.vstack(rows, format="csc")), np.empty(0, dtype=np.intp), horizon
-            )
-        marker = 2.0  # told apart from the ones of the other blocks
-        triangle = sparse.csc_matrix(marker * np.tril(np.ones((horizon, horizon))))
-        blocks = [[rows[0], None], [rows[1], None], [triangle, sparse.eye(horizon)]]
-        constraints = sparse.csc_matrix(sparse.bmat(blocks, format="csc"))
-        hessian = sparse.csc_matrix(sparse.block_diag([hessian, sparse.eye(horizon)], format="csc"))
-        return QpPattern(hessian, constraints, np.flatnonzero(constraints.data == marker), horizon)
 
 
 @dataclass(frozen=True)
@@ -262,7 +248,9 @@ class BlockedQp(PlanProgram):
         self._by_move = 2.0 * weights.rate * (difference @ self._matrix)
         self._by_command = 2.0 * weights.effort * self._matrix
         self._constant = (difference @ self._matrix).T @ self._by_move + self._matrix.T @ self._by_command
-        self.pattern = self._build_pattern()
+        count = self._starts.size
+        rows = np.vstack([np.eye(count), np.eye(count) - np.eye(count, k=-1), self._matrix[self._between]])
+        self.pattern = _pattern(rows, np.ones((horizon, count)) if self._soft else None)
 
     def data(self, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
         plan, count = around.commands, self._starts.size
@@ -285,39 +273,24 @@ class BlockedQp(PlanProgram):
                 [np.zeros(count), rate_multipliers(gradient, extreme, self._reach), np.zeros(self._between.size)]
             ),
         )
-        return self._softened(hard, problem, around, columns) if self._soft else hard
+        return self._softened(hard, problem, around, columns.T.ravel()) if self._soft else hard
 
     def deviation(self, primal: Vec) -> Vec:
         deviation: Vec = self._matrix @ primal[: self._starts.size]
         return deviation
 
-    def _softened(self, hard: QpData, problem: PlanningProblem, around: CommandPlan, columns: Mat) -> QpData:
-        """The program with soft angle limits beside the hard limits."""
-        low, high = problem.angle_limits
-        none = np.zeros(around.angles.size)
-        constraint_data = np.array(self.pattern.constraints.data, dtype=np.float64)
-        constraint_data[self.pattern.moving] = columns.T.ravel()
-        return QpData(
-            np.concatenate([hard.hessian_data, none + 2.0 * self._weights.soft_limit]),
-            np.concatenate([hard.gradient, none]),
-            np.concatenate([hard.lower, low - around.angles]),
-            np.concatenate([hard.upper, high - around.angles]),
-            constraint_data,
-            np.concatenate([hard.dual, none]),
-        )
 
-    def _build_pattern(self) -> QpPattern:
-        horizon, count = self._matrix.shape
-        hessian = sparse.csc_matrix(np.triu(np.ones((count, count))))
-        rows = np.vstack([np.eye(count), np.eye(count) - np.eye(count, k=-1), self._matrix[self._between]])
-        if not self._soft:
-            return QpPattern(hessian, sparse.csc_matrix(rows), np.empty(0, dtype=np.intp), count)
-        marker = 2.0  # told apart from the other blocks, whose entries are at most one
-        angles = np.full((horizon, count), marker)
-        blocks = [[sparse.csc_matrix(rows), None], [sparse.csc_matrix(angles), sparse.eye(horizon)]]
-        constraints = sparse.csc_matrix(sparse.bmat(blocks, format="csc"))
-        hessian = sparse.csc_matrix(sparse.block_diag([hessian, sparse.eye(horizon)], format="csc"))
-        return QpPattern(hessian, constraints, np.flatnonzero(constraints.data == marker), count)
+def _pattern(rows: Mat, angles: Mat | None) -> QpPattern:
+    """Sparsity from the rows of the hard limits (N, n), and ones (H, n) where the rows of soft limits have entries."""
+    count = rows.shape[1]
+    hessian = sparse.csc_matrix(np.triu(np.ones((count, count))))
+    if angles is None:
+        return QpPattern(hessian, sparse.csc_matrix(rows), np.empty(0, dtype=np.intp), count)
+    marker, slacks = 2.0, sparse.eye(len(angles))  # told apart from the other entries, which are at most one
+    blocks = [[sparse.csc_matrix(rows), None], [sparse.csc_matrix(marker * angles), slacks]]
+    constraints = sparse.csc_matrix(sparse.bmat(blocks, format="csc"))
+    hessian = sparse.csc_matrix(sparse.block_diag([hessian, slacks], format="csc"))
+    return QpPattern(hessian, constraints, np.flatnonzero(constraints.data == marker), count)
 
 
 def moves_of(plan: Vec, u_last: float) -> Vec:

@@ -146,7 +146,6 @@ def take_up(memory: Snapshot, present: Snapshot, controller: GuardedController[A
     Args:
         memory: restored or replayed.
         present: the memory that it replaces.
-        controller: of both.
         held: the command from which the next one is limited.
     """
     command, control = memory.command, memory.control

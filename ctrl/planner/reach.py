@@ -72,8 +72,6 @@ def angles_at_rest(predictor: Predictor, limits: CommandLimits, start_deg: float
     """The model's angles at rest at both ends of the command, after one slow excursion through all of it [deg].
 
     Args:
-        predictor: the model.
-        limits: hard limits of the command.
         start_deg: an angle that it may start from.
 
     Raises:

@@ -64,10 +64,6 @@ class TipController:
     All memory is one frozen `Snapshot`. A latched stop survives everything but `reset`. Whatever is restored, replayed
     or reset, the next command is limited from the last one sent, unless the caller says that the device holds another.
 
-    Args:
-        assembly: controller, model and limits.
-        settings: limits of motion, start command and tolerance.
-
     Raises:
         ControllerError: if the start command is beyond the limits.
     """

@@ -29,13 +29,7 @@ class SampleCounter:
 
 
 class SamplingPlanner(Planner[SampleCounter]):
-    """Smooth random plans, clipped into the limits before they are rolled out.
-
-    Args:
-        predictor: the model.
-        settings: cost, horizon, number and spread of the samples.
-        limits: hard limits.
-    """
+    """Smooth random plans, clipped into the limits before they are rolled out."""
 
     def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
         self._predictor, self._limits, self._settings = predictor, limits, settings

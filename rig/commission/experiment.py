@@ -43,14 +43,7 @@ def run_experiment(
     folder: Path | None = None,
     note: Note = lambda text: None,
 ) -> BenchResult:
-    """Do the experiment; everything that can be wrong is found before anything moves.
-
-    Args:
-        settings: of the experiment.
-        sink: opens where samples go.
-        plants: makes the device of `kind: simulated`.
-        folder: run folder.
-        note: told what goes on, outside the loop.
+    """Do the experiment; everything that can be wrong is found before anything moves. Arguments as of `run_bench`.
 
     Raises:
         HystmpcError: of any kind, see `tracking_phase` and `run_bench`.
@@ -117,7 +110,6 @@ class LeadInTrajectory:
 
     Args:
         lead: the motion, None where the tip is there already.
-        reference: what follows.
     """
 
     def __init__(self, lead: PiecewiseCubic | None, reference: Trajectory) -> None:
@@ -143,10 +135,7 @@ class Tracking(Phase):
     the ladder (shifted plan, inverse, hold); samples in which nothing was sent are told to the controller as holds.
 
     Args:
-        tip: the controller.
-        law: its law, to be told that there is no time.
         lead_in: measured angle to the reference to follow.
-        watch: finds a model that the device does not obey.
         drill_s: from when until when the law is made to fail, as an exercise [s]; None for never.
     """
 
@@ -251,11 +240,7 @@ class NoTimeError(Exception):
 
 @final
 class TimelyLaw(Law[Any]):
-    """The same law, but failing at once where `refusal` says why: shifted plan, inverse, hold, stop are next.
-
-    Args:
-        law: what the controller wants.
-    """
+    """The same law, but failing at once where `refusal` says why: shifted plan, inverse, hold, stop are next."""
 
     def __init__(self, law: Law[Any]) -> None:
         self._law = law

@@ -87,7 +87,6 @@ class CommandMotion(Phase):
     """Plays commands that are worked out when it begins, from the command held then.
 
     Args:
-        name: of the phase.
         commands: held command to the commands (N,) to send.
     """
 

@@ -35,7 +35,6 @@ class Recorded(Phase):
     spent at the last command.
 
     Args:
-        name: of the trial.
         commands: to play, from the command held on (N,).
     """
 
@@ -94,14 +93,7 @@ def record(
     *,
     note: Note = lambda text: None,
 ) -> RecordResult:
-    """Play every excitation and write `trials/NAME.csv` in canonical columns.
-
-    Args:
-        settings: of the recording.
-        sink: opens where samples go.
-        plants: makes the device of `kind: simulated`.
-        folder: run folder.
-        note: told what goes on.
+    """Play every excitation and write `trials/NAME.csv` in canonical columns. Arguments as of `run_bench`.
 
     Raises:
         HystmpcError: of any kind, before anything moves; `ConfigError` if an excitation is in another unit or

@@ -108,10 +108,6 @@ def review(found: ReviewedRun, due_above_deg: float) -> Review:
     Beyond it, the line y = offset + gain r decides: where it takes the error below the bar the model has the right
     shape and wants new numbers, otherwise something is missing in it.
 
-    Args:
-        found: the run.
-        due_above_deg: the bar [deg].
-
     Raises:
         LogError: if too few samples can be judged.
     """

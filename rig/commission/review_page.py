@@ -26,10 +26,7 @@ def write_page(run: RunFolder, settings: RunSettings, found: ReviewedRun | None,
     """Write the page.
 
     Args:
-        run: folder with a log, and `timing.json` where the run came to its end.
-        settings: of the run.
         found: samples; None where there are too few.
-        verdict: what they say.
 
     Raises:
         LogError: if the log cannot be read.

@@ -31,8 +31,6 @@ class FaultyLine(Generic[M]):
     """Messages in, messages out: what is left of them, and when.
 
     Args:
-        faults: what goes wrong.
-        draws: random numbers.
         spoil: a fault and a message to the message with another content.
     """
 
@@ -92,12 +90,7 @@ class FaultyLine(Generic[M]):
 
 @final
 class FaultyReadings:
-    """Readings in, readings out: what is left of them, and when.
-
-    Args:
-        faults: what goes wrong; those that need datagrams are not for here.
-        seed: of the draws.
-    """
+    """Readings in, readings out: what is left of them, and when."""
 
     def __init__(self, faults: Sequence[FaultSettings], seed: int) -> None:
         self._random, self._last = random.Random(seed), math.nan
@@ -110,6 +103,7 @@ class FaultyReadings:
             self._last = message.angle
 
     def due(self, t_s: float) -> list[Outgoing]:
+        """What arrives until `t_s` [s]."""
         return self._line.due(t_s)
 
     def _spoilt(self, fault: FaultSettings, message: Outgoing) -> Outgoing:
@@ -132,11 +126,6 @@ class FaultyDatagrams:
     """A socket on which commands are lost, late, out of order, repeated or spoiled before the device sees them.
 
     Readings can be spoiled on their way out. Time counts from the first command that comes.
-
-    Args:
-        wire: the socket.
-        faults: what goes wrong; those that need no datagrams are not for here.
-        seed: of the draws.
     """
 
     def __init__(self, wire: Datagrams, faults: Sequence[FaultSettings], seed: int) -> None:

@@ -67,10 +67,7 @@ class SimulatedDevice:
     drive is at rest.
 
     Args:
-        settings: of the server.
-        plant: what moves; it is reset.
         held: the command that it holds after its reset, and returns to.
-        link: its wire.
         log: gets a line a sample: time since the start, command received (NaN for none), command applied, angle.
 
     Raises:
@@ -182,12 +179,9 @@ def serve(
     """Open the wire and serve until SIGINT, SIGTERM or the end of the time.
 
     Args:
-        settings: of the server.
-        plant: what moves.
         held: the command that it holds after its reset.
         ready: called once the wire is open.
         duration_s: how long at most [s].
-        note: told what the system did not permit.
 
     Raises:
         ConfigError: if the wire or the log cannot be opened, or the plant does not fit.

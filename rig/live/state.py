@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import threading
+from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import final
 
@@ -22,6 +23,7 @@ WINDOW_S = 20.0
 
 _POINTS_PER_S = 50.0  # of the plots; the figures are made of all samples
 
+_PERIOD_S = 0.125  # between two snapshots shown
 _QUEUE_S = 30.0
 
 _CLOSE_S = 5.0
@@ -61,9 +63,6 @@ class LiveSnapshot:
 @final
 class LiveState:
     """Gathers samples for the views; used by one thread.
-
-    Args:
-        rate_hz: rate of the loop [Hz].
 
     Raises:
         ConfigError: if the rate is not positive.
@@ -121,24 +120,16 @@ class LiveState:
         )
 
 
-@final
-class LiveView(Sink):
-    """Calls `show` with a snapshot at a steady rate, as long as there is one.
-
-    Args:
-        rate_hz: rate of the loop [Hz].
-        show: draws or publishes; what it raises ends the view, never the run.
-        period_s: time between calls [s].
+class LiveView(Sink, ABC):
+    """Shows a snapshot 8 times a second by a thread of its own; what that raises ends the view, never the run.
 
     Raises:
-        ConfigError: if the rate is not positive.
+        ConfigError: if the rate of the loop [Hz] is not positive.
     """
 
-    def __init__(self, rate_hz: float, show: Callable[[LiveSnapshot], None], period_s: float) -> None:
+    def __init__(self, rate_hz: float) -> None:
         self._state = LiveState(rate_hz)
         self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
-        self._show = show
-        self._period_s = period_s
         self.problem = ""
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._work, name="hystmpc-live", daemon=True)
@@ -162,10 +153,14 @@ class LiveView(Sink):
         self._end.set()
         self._thread.join(_CLOSE_S)
 
+    @abstractmethod
+    def _show(self, snapshot: LiveSnapshot) -> None:
+        """Draw or publish."""
+
     def _work(self) -> None:
         ending = False
         while not ending:
-            ending = self._end.wait(self._period_s)
+            ending = self._end.wait(_PERIOD_S)
             try:
                 self._state.update(self._waiting.take())
                 if (snapshot := self._state.snapshot()) is not None:

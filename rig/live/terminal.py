@@ -15,14 +15,12 @@ from rich.text import Text
 
 from hystmpc.trials.types import Vec
 
-from ..recording.sample import Sample, Sink
 from .state import WINDOW_S, LiveSnapshot, LiveView
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 
 _EMPTY = 0x2800
 
-PERIOD_S = 0.125
 
 _LINE_EVERY = 80  # of the periods, where there is no terminal to draw on
 
@@ -101,14 +99,12 @@ def columns_of(counts: NDArray[np.int64], width: int) -> str:
 
 
 @final
-class TerminalView(Sink):
+class TerminalView(LiveView):
     """Draws the state of the run 8 times a second; on an output that is no terminal a line every 10 s.
 
     Drawing takes 10 to 30 ms of Python each time, so it belongs into another process than the loop; see `open_apart`.
 
     Args:
-        unit: of the command.
-        rate_hz: rate of the loop [Hz].
         page: address of the local page, to be named; empty without one.
         console: where to draw; standard error where None.
 
@@ -124,18 +120,11 @@ class TerminalView(Sink):
         if self._console.is_terminal:
             self._live = Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
             self._live.start()
-        self._watched = LiveView(rate_hz, self._show, PERIOD_S)
-
-    def put(self, sample: Sample) -> None:
-        self._watched.put(sample)
-
-    def tell(self, text: str) -> None:
-        """Show a line, such as that recording has stopped."""
-        self._watched.tell(text)
+        super().__init__(rate_hz)
 
     def close(self) -> None:
         """Leave the last state on the screen."""
-        self._watched.close()
+        super().close()
         if self._live is not None:
             self._live.stop()
 

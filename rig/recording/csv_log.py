@@ -20,7 +20,6 @@ class CsvLog:
     The last column is one character wide: a row that was cut off by a kill lacks it, and readers leave that row out.
 
     Args:
-        path: a new file.
         command: name of the command's column, such as `command_mm`.
         stages: names of the stages that get a column; the first sample's where empty.
 
@@ -94,9 +93,6 @@ class GrowingFile:
 
     After a commit the operating system holds the data: it survives the death of the process (kill -9), though not a
     power cut until the system writes it out or `close` does.
-
-    Args:
-        path: a new file.
 
     Raises:
         OSError: if the file exists or cannot be made.

@@ -25,7 +25,6 @@ class McapLog:
     that jumps does not tear the plot; the wall clock itself is the publish time.
 
     Args:
-        path: a new file.
         command: name of the command's field, such as `command_mm`.
 
     Raises:

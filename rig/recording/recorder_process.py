@@ -101,15 +101,11 @@ def open_recorder_process(
     tell: Tell | None = None,
     report: bool = True,
 ) -> RecorderProcess:
-    """Start a recording, and the views asked for, in a process of their own.
+    """Start a recording, and the views asked for, in a process of their own. Arguments as of `open_recording`.
 
     Why a process: writing and drawing are Python code that holds the interpreter's lock for milliseconds at a time,
     up to a whole period of a loop at 250 Hz. Here the control process only packs tuples and writes them to a pipe. It
     also means that the log is ended properly when the controller is killed.
-
-    Args:
-        folder, config, meta, rate_hz, tell, report: as for `open_recording`.
-        views: what to show.
 
     Raises:
         ConfigError: on a folder that is not new or empty, a missing model file, or a process that does not start (a
@@ -137,11 +133,6 @@ def _take_back(folder: Path, made: bool) -> None:
 @final
 class RecorderProcess(Sink):
     """Hands samples to a process; see `open_recorder_process`.
-
-    Args:
-        order: what the process is to do.
-        rate_hz: rate of the loop [Hz].
-        tell: takes one line of what the user should know.
 
     Raises:
         ConfigError: if the process does not start.

@@ -107,12 +107,8 @@ class Recording(Sink):
     keep what was flushed, the user is told once, and the run goes on.
 
     Args:
-        run: the folder, without logs.
-        meta: unit and stages.
-        rate_hz: rate of the loop [Hz]; 30 s of samples may wait.
         tell: see `open_recording`.
         flushed: called after every flush with the number of samples on the disk.
-        report: whether to write report.html at the end.
 
     Raises:
         ConfigError: if the logs cannot be made.

@@ -23,8 +23,6 @@ def write_report(run: RunFolder, dropped: int = 0, problem: str = "") -> Path:
     """Write report.html from the folder's log.csv.
 
     Args:
-        run: a folder with a log.
-        dropped: samples that are missing in the log.
         problem: why recording ended early; empty if it did not.
 
     Raises:

@@ -63,9 +63,6 @@ class SampleQueue:
 
     `deque.append` and `popleft` are single steps of the interpreter, so no lock is taken that the control thread could
     have to wait for. A full queue refuses the newest sample: what is recorded has no hole before the one at its end.
-
-    Args:
-        most: samples that may wait.
     """
 
     def __init__(self, most: int) -> None:
@@ -92,11 +89,7 @@ class SampleQueue:
 
 @final
 class Tee(Sink):
-    """Gives every sample to every sink.
-
-    Args:
-        sinks: each keeps the promise of `Sink`; one that breaks it does not keep the sample from the others.
-    """
+    """Gives every sample to every sink."""
 
     def __init__(self, *sinks: Sink) -> None:
         self._sinks = sinks

@@ -30,10 +30,6 @@ class Gate:
         u_k in [lower, upper],   |u_k - u_(k-1)| <= rate * min(max(t_k - t_(k-1), dt / 10), dt)
 
     u_(k-1) is the last command that really left, or, after `anchor`, the command that the device says it holds.
-
-    Args:
-        limits: of the device.
-        dt_s: sample time dt [s].
     """
 
     def __init__(self, limits: CommandLimits, dt_s: float) -> None:

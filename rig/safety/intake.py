@@ -82,7 +82,6 @@ class Intake:
     sender's clock that jumps back as age, which is the safe side.
 
     Args:
-        settings: the limits.
         start_ns: monotonic time from which silence counts [ns].
         watch: compares commanded with measured motion; None does not.
     """

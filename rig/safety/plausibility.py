@@ -50,9 +50,7 @@ class MotionWatch:
     value; a distance between them of `travel` or more for `travel_s` is implausible, or of 1.5 `travel` at once.
 
     Args:
-        settings: the thresholds.
         command_range: greatest less least command of the limits [mm or bar].
-        angle_range_deg: greatest less least plausible angle [deg].
     """
 
     def __init__(self, settings: PlausibilitySettings, command_range: float, angle_range_deg: float) -> None:
@@ -64,13 +62,7 @@ class MotionWatch:
         self._since_ns: int | None = None
 
     def judge(self, angle_deg: float, command: float, now_ns: int) -> str:
-        """Why the run has to stop, empty while it has not.
-
-        Args:
-            angle_deg: accepted angle of this sample [deg], NaN where there is none.
-            command: sent last, NaN before the first.
-            now_ns: monotonic time now [ns].
-        """
+        """Why the run has to stop, empty while it has not."""
         if not self._on or math.isnan(command) or math.isnan(angle_deg):
             return ""
         angle = self._smoothed(angle_deg, now_ns)
@@ -104,9 +96,7 @@ class ModelWatch:
     """Finds a model that the device does not obey any more: a disturbance that is too large for too long.
 
     Args:
-        settings: the thresholds.
         limit_deg: bound of the estimator's disturbance; infinite without an estimator [deg].
-        dt_s: sample time [s].
     """
 
     def __init__(self, settings: PlausibilitySettings, limit_deg: float, dt_s: float) -> None:
@@ -145,13 +135,7 @@ class DriveFollowing:
         self._off_ns: int | None = None
 
     def judge(self, held: float, sent: float, now_ns: int) -> tuple[bool, str]:
-        """Whether the device follows, and why the run has to stop, empty while it has not.
-
-        Args:
-            held: what the device says it holds; NaN where it does not tell.
-            sent: command sent last; NaN before the first.
-            now_ns: monotonic time now [ns].
-        """
+        """Whether the device follows, and why the run has to stop, empty while it has not."""
         if math.isnan(sent):
             return True, ""
         window = self._sent

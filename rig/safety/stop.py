@@ -65,9 +65,6 @@ class Latch:
 
     Beside it lies a lock of the operating system. A run holds it from before it looks at the latch until after it has
     released it: two programs never share a device, and the lock of one that was killed is free.
-
-    Args:
-        file: where it is; the folder is made.
     """
 
     def __init__(self, file: Path) -> None:

@@ -98,10 +98,6 @@ class DdsTransport(Transport):
     Plain Float64 carries neither sequence nor session: DDS keeps the order, age counts from the sender's DDS stamp, and
     a restarted device is not noticed.
 
-    Args:
-        settings: topics, message, domain, quality of service.
-        conversion: of the wire's units.
-
     Raises:
         ConfigError: if the domain cannot be joined.
     """
@@ -158,7 +154,6 @@ class DdsLink(DeviceLink):
     Plain Float64 has no sessions: every command is taken.
 
     Args:
-        settings: topics, message, domain, quality of service.
         silence_s: how long a controller has to be silent before another may take its place [s].
 
     Raises:

@@ -23,10 +23,7 @@ class SimulatedTransport(Transport):
     """A `Plant` behind the wire's interface; its time is the number of commands, so it never lags.
 
     Args:
-        plant: the device, which is reset.
-        dt_s: sample time of the loop [s].
         held: the command that the plant holds after its reset.
-        now_ns: monotonic clock.
 
     Raises:
         ConfigError: if the plant has another sample time.
@@ -64,12 +61,7 @@ class SimulatedTransport(Transport):
 
 @final
 class RecordedPlant:
-    """The angles of a recorded run, one for every command, whatever that is; not-a-number after its end.
-
-    Args:
-        angles_deg: recorded angles (T,) [deg].
-        dt_s: sample time [s].
-    """
+    """The angles of a recorded run, one for every command, whatever that is; not-a-number after its end."""
 
     def __init__(self, angles_deg: Vec, dt_s: float) -> None:
         self._angles, self.dt, self._k = angles_deg.tolist(), dt_s, 0

@@ -142,10 +142,6 @@ def _open(host: str, port: int, what: str) -> socket.socket:
 class UdpTransport(Transport):
     """The controller's end. Only the configured device is heard; until it answers it is greeted ten times a second.
 
-    Args:
-        settings: addresses.
-        conversion: of the wire's units.
-
     Raises:
         ConfigError: if the own address cannot be had or the device's is none.
     """
@@ -220,7 +216,6 @@ class UdpLink(DeviceLink):
     """The device's end: one controller at a time, see `Admission`.
 
     Args:
-        host, port: where to listen; port 0 takes a free one.
         silence_s: how long a controller has to be silent before another may take its place [s].
         through: puts faults before the socket; None for none.
 
