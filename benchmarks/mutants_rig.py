@@ -26,7 +26,7 @@ _server = mutated_file("rig", "device/server.py", "test_sessions.py")
 _latch = mutated_file("rig", "safety/stop.py", "test_parts.py", "test_bench.py")
 _bench = mutated_file("rig", "bench.py", "test_bench.py")
 _connect = mutated_file("rig", "bench.py", "test_bench.py")
-_host = mutated_file("rig", "recording/host.py", "test_recording_faults.py")
+_host = mutated_file("rig", "recording/recorder_process.py", "test_recording_faults.py")
 _at_bench = Mutated("cli", "cli/at_bench.py", ("tests/rig/test_bench.py",))
 
 MUTANTS: tuple[Mutant, ...] = (

@@ -48,17 +48,11 @@ class LimitCycle:
 
 @dataclass(frozen=True)
 class LoopAnalysis:
-    """What the describing function says about a loop.
+    """What the describing function says about a loop."""
 
-    Attributes:
-        cycle: the stable limit cycle of greatest amplitude; None where there is none.
-        gain: greatest loop gain at a phase of -180 degrees over all amplitudes; below 1 nothing can oscillate.
-        diverges: whether the gain is still above 1 at the greatest amplitude: the oscillation grows to the limits.
-    """
-
-    cycle: LimitCycle | None
-    gain: float
-    diverges: bool
+    cycle: LimitCycle | None  # the stable limit cycle of greatest amplitude; None where there is none
+    gain: float  # greatest loop gain at a phase of -180 degrees over all amplitudes; below 1 nothing can oscillate
+    diverges: bool  # whether the gain is still above 1 at the greatest amplitude: the oscillation grows to the limits
 
     def __str__(self) -> str:
         if self.cycle is not None:

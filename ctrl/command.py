@@ -65,29 +65,17 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class ControlInput:
-    """What a law may look at.
+    """What a law may look at."""
 
-    Attributes:
-        state: predictor state (S,) at the instant at which the next command starts to act.
-        disturbance: estimated output disturbance [deg].
-        disturbance_sigma: standard deviation of its error [deg].
-        measured: last accepted measurement [deg].
-        u_last: the command really sent last [mm or bar].
-        due: reference angle now [deg].
-        setpoint: reference angle at the end of this sample [deg].
-        reference: reference angles at the ends of the samples that the next commands act in, shape (H,).
-        remaining_plan: what is left of the last good plan, up to H - 1 entries.
-    """
-
-    state: Vec
-    disturbance: float
-    disturbance_sigma: float
-    measured: float
-    u_last: float
-    due: float
-    setpoint: float
-    reference: Vec
-    remaining_plan: Vec
+    state: Vec  # predictor state (S,) at the instant at which the next command starts to act
+    disturbance: float  # estimated output disturbance [deg]
+    disturbance_sigma: float  # standard deviation of its error [deg]
+    measured: float  # last accepted measurement [deg]
+    u_last: float  # the command really sent last [mm or bar]
+    due: float  # reference angle now [deg]
+    setpoint: float  # reference angle at the end of this sample [deg]
+    reference: Vec  # reference angles at the ends of the samples that the next commands act in, shape (H,)
+    remaining_plan: Vec  # what is left of the last good plan, up to H - 1 entries
 
 
 @final

@@ -47,21 +47,13 @@ class FallbackSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class FallbackState:
-    """Counters and what is left of the last good plan.
+    """Counters and what is left of the last good plan."""
 
-    Attributes:
-        failures: consecutive failed samples.
-        stopped: whether the stop is latched; only a new `init` releases it.
-        plan: remaining planned commands.
-        predicted: the angles that belong to them [deg], without disturbance.
-        cause: why the stop is latched.
-    """
-
-    failures: int = 0
-    stopped: bool = False
-    plan: Vec = field(default_factory=lambda: EMPTY)
-    predicted: Vec = field(default_factory=lambda: EMPTY)
-    cause: str = "after repeated failures"
+    failures: int = 0  # consecutive failed samples
+    stopped: bool = False  # whether the stop is latched; only a new `init` releases it
+    plan: Vec = field(default_factory=lambda: EMPTY)  # remaining planned commands
+    predicted: Vec = field(default_factory=lambda: EMPTY)  # the angles that belong to them [deg], without disturbance
+    cause: str = "after repeated failures"  # why the stop is latched
 
 
 @dataclass(frozen=True, eq=False)

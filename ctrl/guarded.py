@@ -24,19 +24,12 @@ N = TypeVar("N")
 
 @dataclass(frozen=True, eq=False)
 class GuardedState(Generic[M]):
-    """Everything a controller remembers: the state is its own snapshot.
+    """Everything a controller remembers: the state is its own snapshot."""
 
-    Attributes:
-        estimate: observer snapshot, with the command really sent last.
-        memory: the law's own memory.
-        fallback: failure counters and remaining plan.
-        due: the angle that was wanted at the present instant [deg].
-    """
-
-    estimate: Estimate
-    memory: M
-    fallback: FallbackState
-    due: float
+    estimate: Estimate  # observer snapshot, with the command really sent last
+    memory: M  # the law's own memory
+    fallback: FallbackState  # failure counters and remaining plan
+    due: float  # the angle that was wanted at the present instant [deg]
 
 
 @final

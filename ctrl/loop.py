@@ -68,19 +68,12 @@ class Plant(Protocol):
 
 @dataclass(frozen=True)
 class LoopSample:
-    """One closed-loop sample; all angles belong to its end.
+    """One closed-loop sample; all angles belong to its end."""
 
-    Attributes:
-        time_s: end of the sample.
-        reference_deg: wanted angle.
-        measured_deg: measured angle.
-        command: what was sent at the beginning of the sample.
-    """
-
-    time_s: float
-    reference_deg: float
-    measured_deg: float
-    command: Command
+    time_s: float  # end of the sample
+    reference_deg: float  # wanted angle
+    measured_deg: float  # measured angle
+    command: Command  # what was sent at the beginning of the sample
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,21 +35,13 @@ class PlanningError(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
-    """One planning problem; every angle in it is the model's, that is without the output disturbance.
+    """One planning problem; every angle in it is the model's, that is without the output disturbance."""
 
-    Attributes:
-        state: predictor state (S,) at which the plan starts to act.
-        u_last: the command really sent last.
-        reference: wanted angles [deg], shape (H,).
-        feedforward: the inverse plan, from which effort is measured, shape (H,).
-        angle_limits: soft limits of the angle [deg], lower and upper.
-    """
-
-    state: Vec
-    u_last: float
-    reference: Vec
-    feedforward: Vec
-    angle_limits: tuple[float, float]
+    state: Vec  # predictor state (S,) at which the plan starts to act
+    u_last: float  # the command really sent last
+    reference: Vec  # wanted angles [deg], shape (H,)
+    feedforward: Vec  # the inverse plan, from which effort is measured, shape (H,)
+    angle_limits: tuple[float, float]  # soft limits of the angle [deg], lower and upper
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,21 +43,13 @@ _TOLERANCE = 0.01  # of the range: how far what a device says it holds may lie b
 
 @dataclass(frozen=True)
 class BenchResult:
-    """What a run left behind.
+    """What a run left behind."""
 
-    Attributes:
-        outcome: how it ended.
-        timings: period, execution, jitter, misses.
-        wire: messages rejected by the transport, by cause.
-        lost: measurements that were sent and never came.
-        notes: what the system did not permit.
-    """
-
-    outcome: RunOutcome
-    timings: Timings
-    wire: Mapping[str, int]
-    lost: int
-    notes: tuple[str, ...]
+    outcome: RunOutcome  # how it ended
+    timings: Timings  # period, execution, jitter, misses
+    wire: Mapping[str, int]  # messages rejected by the transport, by cause
+    lost: int  # measurements that were sent and never came
+    notes: tuple[str, ...]  # what the system did not permit
 
     def as_dict(self) -> dict[str, object]:
         """Plain data for `timing.json`."""
@@ -193,17 +185,11 @@ def reset_latch(settings: BenchSettings) -> None:
 
 @dataclass(frozen=True)
 class DeviceContact:
-    """What is known of a device that has answered.
+    """What is known of a device that has answered."""
 
-    Attributes:
-        held: the command that it holds, as it says or as `start_command` does.
-        tells: whether it says so itself.
-        received_ns: monotonic time at which its last angle came [ns]; the loop keeps half a sample's distance.
-    """
-
-    held: float
-    tells: bool
-    received_ns: int
+    held: float  # the command that it holds, as it says or as `start_command` does
+    tells: bool  # whether it says so itself
+    received_ns: int  # monotonic time at which its last angle came [ns]; the loop keeps half a sample's distance
 
 
 def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, flag: StopFlag) -> DeviceContact:

@@ -67,21 +67,13 @@ class QpData:
 
 @dataclass(frozen=True, eq=False)
 class QpSolution:
-    """What the solver found.
+    """What the solver found."""
 
-    Attributes:
-        primal: z, shape (n,).
-        usable: whether `primal` is a step worth trying: solved, or finite when the iterations ran out.
-        status: the solver's own words.
-        iterations: taken.
-        unfinished: whether the iterations ran out.
-    """
-
-    primal: Vec
-    usable: bool
-    status: str
-    iterations: int
-    unfinished: bool = False
+    primal: Vec  # z, shape (n,)
+    usable: bool  # whether `primal` is a step worth trying: solved, or finite when the iterations ran out
+    status: str  # the solver's own words
+    iterations: int  # taken
+    unfinished: bool = False  # whether the iterations ran out
 
 
 class QpSolver(ABC):
@@ -183,16 +175,12 @@ class MoveBlocking:
     block of held commands would have to make its whole move in one sample, whose rate is limited; here a block of L
     samples moves by up to L times as much. The plan itself, the best candidate, may do what it likes in every sample.
 
-    Attributes:
-        lengths: L, samples in each block, the first one first.
-        horizon: H.
-
     Raises:
         ControllerError: if there is no block, one is shorter than a sample, or they are longer than the horizon.
     """
 
-    lengths: tuple[int, ...]
-    horizon: int
+    lengths: tuple[int, ...]  # L, samples in each block, the first one first
+    horizon: int  # H
 
     def __post_init__(self) -> None:
         if not self.lengths or min(self.lengths) < 1 or sum(self.lengths) > self.horizon:

@@ -38,17 +38,11 @@ class Reach:
 
 @dataclass(frozen=True)
 class Workspace:
-    """What bounds the angle [deg].
+    """What bounds the angle [deg]."""
 
-    Attributes:
-        model: the model's angles at rest at both ends of the command.
-        soft: soft angle limits of the controller, infinite for none.
-        trained: angles that the model was identified on; beyond them it extrapolates.
-    """
-
-    model: tuple[float, float]
-    soft: tuple[float, float]
-    trained: tuple[float, float]
+    model: tuple[float, float]  # the model's angles at rest at both ends of the command
+    soft: tuple[float, float]  # soft angle limits of the controller, infinite for none
+    trained: tuple[float, float]  # angles that the model was identified on; beyond them it extrapolates
 
     def judge(self, theta_deg: float, disturbance_deg: float) -> Reach:
         """Whether `theta_deg` can be reached where the device is off the model by `disturbance_deg` [deg]."""

@@ -111,15 +111,10 @@ class GivenReference(Reference):
 
 @dataclass(frozen=True, eq=False)
 class ReferenceRequest:
-    """What is wished for, before it is known when it starts and from which state of motion.
+    """What is wished for, before it is known when it starts and from which state of motion."""
 
-    Attributes:
-        plan: state of motion and time [s] of the start, to the reference.
-        from_motion: whether the state of motion counts; False where the reference is followed as given.
-    """
-
-    plan: Callable[[Kinematics, float], Reference]
-    from_motion: bool
+    plan: Callable[[Kinematics, float], Reference]  # state of motion and time [s] of the start, to the reference
+    from_motion: bool  # whether the state of motion counts; False where the reference is followed as given
 
     def __call__(self, start: Kinematics, start_s: float) -> Reference:
         """The reference from the state of motion `start` at `start_s` [s] on."""

@@ -16,7 +16,6 @@ from ..command import Stopwatch
 from ..limits import CommandLimits
 from ..mpc_settings import SamplingMpcSettings
 from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
-from .noise import random_numbers
 
 _KEPT = 0.3  # share of the elites that take part in the next iteration again (Pinneri et al. 2020)
 
@@ -161,3 +160,9 @@ class CrossEntropyPlanner(SamplingPlanner):
         watch.lap("weigh")
         best = found if found.cost < search.best.cost else search.best
         return _Search(elites.mean(axis=0), deviation, elites[: self._kept], best)
+
+
+def random_numbers(seed: int, step: int) -> np.random.Generator:
+    """The generator of one step, fixed by seed and step alone."""
+    # a counter-based generator: the third word counts steps, the lower two what one step draws
+    return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, step, 0]))

@@ -18,23 +18,14 @@ from ..safety.ramp import RampSettings, ramp_commands, way_commands
 
 @dataclass(frozen=True, slots=True)
 class PhaseInput:
-    """What a phase may look at.
+    """What a phase may look at."""
 
-    Attributes:
-        angle_deg: measured angle, NaN where none is usable [deg].
-        held: the command sent last, or the one that the device was found to hold.
-        late: whether the previous sample missed its deadline, so that there is no time for a plan.
-        skipped: whole samples since the previous one in which nothing was sent and the device held `held`.
-        told: the command that the device says it holds, NaN where it does not tell.
-        velocity: of the command between the last two samples; 0 where the device was found at rest [unit/s].
-    """
-
-    angle_deg: float
-    held: float
-    late: bool = False
-    skipped: int = 0
-    told: float = math.nan
-    velocity: float = 0.0
+    angle_deg: float  # measured angle, NaN where none is usable [deg]
+    held: float  # the command sent last, or the one that the device was found to hold
+    late: bool = False  # whether the previous sample missed its deadline, so that there is no time for a plan
+    skipped: int = 0  # whole samples since the previous one in which nothing was sent and the device held `held`
+    told: float = math.nan  # the command that the device says it holds, NaN where it does not tell
+    velocity: float = 0.0  # of the command between the last two samples; 0 where the device was found at rest [unit/s]
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,17 +72,11 @@ class Recorded(Phase):
 
 @dataclass(frozen=True)
 class RecordResult:
-    """What a recording left behind.
+    """What a recording left behind."""
 
-    Attributes:
-        bench: how it went.
-        trials: files written, complete ones.
-        partial: file of a trial that was cut short, not to be taken for a whole one; None where none was.
-    """
-
-    bench: BenchResult
-    trials: tuple[Path, ...]
-    partial: Path | None
+    bench: BenchResult  # how it went
+    trials: tuple[Path, ...]  # files written, complete ones
+    partial: Path | None  # file of a trial that was cut short, not to be taken for a whole one; None where none was
 
 
 def record(

@@ -1,10 +1,15 @@
-"""Recording and live view in a process of their own, so that the control thread has its interpreter to itself."""
+"""Recording and live view in a process of their own, so that the control thread has its interpreter to itself.
+
+Both ends are here: `RecorderProcess` in the control process, `serve` in the one that it starts.
+"""
 
 from __future__ import annotations
 
 import json
 import logging
 import marshal
+import os
+import signal
 import struct
 import subprocess
 import sys
@@ -13,13 +18,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from threading import Lock
 from typing import Any, BinaryIO, final
 
 from hystmpc.trials.config import Settings
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, HystmpcError
+from hystmpc.trials.run_folder import RunFolder
 
-from .recording import RecordingMeta, Tell, create_folder
-from .sample import Sample, SampleQueue, Sink
+from ..safety.stop import STOPPING
+from .recording import Recording, RecordingMeta, Tell, create_folder
+from .sample import Sample, SampleQueue, Sink, Tee
 
 _LENGTH = struct.Struct("<I")
 
@@ -30,6 +38,7 @@ _QUEUE_S = 30.0
 _CLOSE_S = 20.0
 
 _logger = logging.getLogger(__name__)
+_lock = Lock()  # of the process's standard output
 
 
 def pack(samples: Iterable[Sample]) -> bytes:
@@ -142,7 +151,7 @@ class RecorderProcess(Sink):
         self._tell = tell or _logger.warning
         self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
         self._folder = str(order["folder"])
-        command = [sys.executable, "-m", "hystmpc.rig.recording.host"]
+        command = [sys.executable, "-m", "hystmpc.rig.recording.recorder_process"]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -247,3 +256,60 @@ def _line(raw: bytes) -> dict[str, Any]:
     except ValueError:
         return {}
     return answer if isinstance(answer, dict) else {}
+
+
+def serve() -> int:
+    """The process: read the order, then samples until the pipe closes, as a killed controller leaves it too."""
+    for name in STOPPING:  # meant for the controller; this process ends after it
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    order = json.loads(sys.stdin.buffer.readline() or b"{}")
+    try:
+        sink, page = _sinks(order)
+    except HystmpcError as error:
+        _say(error=str(error))
+        return 1
+    _say(ready=page)
+    for samples in unpack(sys.stdin.buffer):
+        for sample in samples:
+            sink.put(sample)
+    sink.close()
+    return 0
+
+
+def _sinks(order: dict[str, Any]) -> tuple[Sink, str]:
+    """Recording and views, and the address of the page."""
+    from ..live.page import LivePage
+    from ..live.terminal import TerminalView
+
+    wanted = order["views"]
+    page = LivePage(order["unit"], order["rate_hz"], wanted["host"], wanted["port"]) if wanted["page"] else None
+    terminal = (
+        TerminalView(order["unit"], order["rate_hz"], page.address if page else "") if wanted["terminal"] else None
+    )
+
+    def tell(text: str) -> None:
+        for view in (page, terminal):
+            if view is not None:
+                view.tell(text)
+        _say(tell=text)
+
+    meta = RecordingMeta(order["unit"], stages=tuple(order["stages"]))
+    run = RunFolder.open(order["folder"])
+    recording = Recording(run, meta, order["rate_hz"], tell, lambda count: _say(on_disk=count), report=order["report"])
+    views: list[Sink] = [view for view in (page, terminal) if view is not None]
+    return Tee(recording, *views), page.address if page else ""
+
+
+def _say(**answer: object) -> None:
+    """One line to the controller; one that has died is told nothing."""
+    with _lock, suppress(OSError):
+        sys.stdout.write(json.dumps(answer) + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    code = serve()
+    with suppress(OSError):
+        sys.stdout.flush()
+    os._exit(code)  # a controller that was killed left a closed pipe: the interpreter's own end would complain of it

@@ -1,16 +1,18 @@
 """Two DDS topics that ROS 2 nodes understand, by Eclipse Cyclone DDS (extra `rig`); ROS itself is not needed."""
 
-from __future__ import annotations
-
+# No `from __future__ import annotations` here: cyclonedds reads the annotations as types.
 import math
 import secrets
 import time
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, final
 
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import float64, int32, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -18,7 +20,6 @@ from cyclonedds.topic import Topic
 from hystmpc.trials.errors import ConfigError
 
 from .dds import DdsSettings
-from .dds_types_ import Float64, Float64Stamped, Header, Time
 from .sessions import Admission
 from .transport import Conversion, DeviceLink, Incoming, Outgoing, Reading, Transport
 
@@ -31,6 +32,41 @@ _XML = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{name
 <AllowMulticast>{multicast}</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
 <MaxAutoParticipantIndex>60</MaxAutoParticipantIndex>{peers}</Discovery></Domain></CycloneDDS>"""
 _PEERS = '<Peers><Peer address="127.0.0.1"/></Peers>'
+
+
+# Messages as ROS 2 lays them out; it names types package::msg::dds_::Name_.
+@dataclass
+class Float64(IdlStruct, typename="std_msgs::msg::dds_::Float64_"):  # type: ignore[call-arg]  # the base takes it
+    """std_msgs/msg/Float64."""
+
+    data: float64
+
+
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):  # type: ignore[call-arg]  # the base takes it
+    """builtin_interfaces/msg/Time."""
+
+    sec: int32
+    nanosec: uint32
+
+
+@dataclass
+class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):  # type: ignore[call-arg]  # the base takes it
+    """std_msgs/msg/Header."""
+
+    stamp: Time
+    frame_id: str
+
+
+@dataclass
+class Float64Stamped(IdlStruct, typename="hystmpc_msgs::msg::dds_::Float64Stamped_"):  # type: ignore[call-arg]  # the base takes it
+    """hystmpc_msgs/msg/Float64Stamped: header, uint32 session, uint32 sequence, float64 data, float64 held."""
+
+    header: Header
+    session: uint32
+    sequence: uint32
+    data: float64
+    held: float64
 
 
 class _Wire:

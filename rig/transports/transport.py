@@ -208,19 +208,12 @@ PlantFactory = Callable[[Any, float], tuple[Plant, float]]
 
 @dataclass(frozen=True)
 class RunContext:
-    """What a transport may need of the run that opens it.
+    """What a transport may need of the run that opens it."""
 
-    Attributes:
-        conversion: of the wire's units.
-        dt_s: sample time of the loop [s].
-        now_ns: monotonic clock.
-        plants: makes simulated devices.
-    """
-
-    conversion: Conversion
-    dt_s: float
-    now_ns: Callable[[], int]
-    plants: PlantFactory
+    conversion: Conversion  # of the wire's units
+    dt_s: float  # sample time of the loop [s]
+    now_ns: Callable[[], int]  # monotonic clock
+    plants: PlantFactory  # makes simulated devices
 
 
 class TransportBase(Settings):

@@ -11,9 +11,14 @@ import pytest
 from hystmpc.ctrl.command import Stopwatch
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
+from hystmpc.ctrl.mpc_settings import (
+    ColouredNoiseSettings,
+    LinearisedMpcSettings,
+    SamplingMpcSettings,
+    SplineNoiseSettings,
+    WeightsSettings,
+)
 from hystmpc.ctrl.planning import CommandPlan, PlanCost, Planner, PlanningError
-from hystmpc.ctrl.sampling.noise import ColouredNoiseSettings, SplineNoiseSettings
 from hystmpc.ctrl.sampling.planner import CrossEntropyPlanner, PathIntegralPlanner, SampleCounter
 from hystmpc.trials.errors import ConfigError, ControllerError
 

@@ -33,7 +33,7 @@ def until(get: Callable[[], Any], seconds: float = 5.0) -> Any:
 @needs_dds
 def test_messages_have_the_bytes_of_ros() -> None:
     """CDR, little-endian: a four-byte header, then the fields, aligned from there; strings with length and NUL."""
-    from hystmpc.rig.transports.dds_types_ import Float64, Float64Stamped, Header, Time
+    from hystmpc.rig.transports.dds_ import Float64, Float64Stamped, Header, Time
 
     assert Float64(data=1.5).serialize() == b"\x00\x01\x00\x00" + struct.pack("<d", 1.5)
     assert Float64.__idl_typename__ == "std_msgs::msg::dds_::Float64_"
