@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,18 +124,11 @@ def analyse_pid(
 
 def _controller(gains: PidSettings, dt: float, frequencies: Vec, errors: Vec, delay_samples: int) -> Complex:
     """C z^-(1 + D) at the frequencies (F,) for error amplitudes (F, A) [deg]."""
-    import control  # takes over a second to import
-
+    z = np.exp(2j * np.pi * frequencies * dt)[:, None]
     share = dt / (gains.filter_s + dt)
-    linear: Any = control.tf([gains.kp_per_deg], [1.0], dt)
-    if gains.kd_s_per_deg > 0:
-        kd = gains.kd_s_per_deg * share / dt
-        linear = linear + control.tf([kd, -kd], [1.0, share - 1.0], dt)
-    integral: Any = control.tf([gains.ki_per_deg_s * dt], [1.0, -1.0], dt)
-    delay: Any = control.tf([1.0], [1.0, *[0.0] * (1 + delay_samples)], dt)
-    z = np.exp(2j * np.pi * frequencies * dt)
-    fixed, integrated, late = (np.atleast_1d(part(z))[:, None] for part in (linear, integral, delay))
-    return np.asarray((fixed + integrated * _dead_zone(errors, gains.dead_zone_deg)) * late, dtype=np.complex128)
+    derivative = gains.kd_s_per_deg * share / dt * (z - 1.0) / (z + share - 1.0)
+    integral = gains.ki_per_deg_s * dt / (z - 1.0) * _dead_zone(errors, gains.dead_zone_deg)
+    return np.asarray((gains.kp_per_deg + derivative + integral) * z ** -(1 + delay_samples), dtype=np.complex128)
 
 
 def _dead_zone(amplitudes: Vec, width: float) -> Vec:
