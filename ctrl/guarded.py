@@ -34,10 +34,10 @@ class GuardedState(Generic[M]):
 
 @final
 class GuardedController(Generic[M]):
-    """Wraps a law so that a step never raises and never leaves the limits (architecture, section 4).
+    """Wraps a law so that a step never raises and never leaves the limits.
 
-    Order of one step: correct the estimate with the measurement, check the reference, let the law propose, take
-    the proposal or a level of the fallback, limit from the command really sent, advance the model with the result.
+    Order of one step: correct the estimate with the measurement, check the reference, let the law propose, take the
+    proposal or a fallback, limit from the command really sent, advance the model with the result.
 
     Args:
         dt: sample time [s].
@@ -66,11 +66,11 @@ class GuardedController(Generic[M]):
 
     @property
     def law(self) -> Law[M]:
-        """What the controller wants, before fallback and limits."""
+        """The law inside."""
         return self._law
 
     def with_law(self, law: Law[N]) -> GuardedController[N]:
-        """The same estimator, fallback and limits around another law, one that wraps its own for example."""
+        """The same estimator, fallbacks and limits around another law, such as one that wraps its own."""
         return GuardedController(law, self._observer, self._fallback, self._limits, self._dt, self._max_missing)
 
     @property
@@ -158,7 +158,7 @@ class GuardedController(Generic[M]):
         return command, GuardedState(after, decided.memory, decided.fallback, decided.due)
 
     def _decide(self, state: GuardedState[M], reference: object, watch: Stopwatch) -> tuple[Level, GuardedState[M]]:
-        """The level to stand on; the state with the law's memory, the fallback and the next due angle renewed."""
+        """The level of fallback to take, and the state with the law's memory, the fallback and the next due angle renewed."""
         fallback, missing = state.fallback, state.estimate.missing
         waiting = self._input(state, np.full(self.horizon, state.due))
         if fallback.stopped:

@@ -118,16 +118,13 @@ def run_loop(
 ) -> LoopLog:
     """Run `steps` samples as fast as they come and leave the plant stopped, whatever happens.
 
+    After a keyboard interrupt the log holds what there is.
+
     Args:
-        controller: what decides.
-        plant: what moves.
+        controller, plant: of equal sample time.
         reference: preview (H,) [deg] from the end of sample k on, for k = 0, 1, ...
-        steps: number of samples.
         u_start: the command that the plant holds after its reset.
         on_sample: called after every sample, for progress and live logs.
-
-    Returns:
-        The log; after a keyboard interrupt what there is of it.
 
     Raises:
         ControllerError: if the sample times of controller and plant differ.

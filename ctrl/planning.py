@@ -137,10 +137,6 @@ class Candidates:
         clip_plans(plans, low, high, reach, u_last)
         return plans
 
-    def inverse_plan(self, state: Vec, u_last: float, reference: Vec) -> Vec:
-        """The inverse followed sample by sample within all limits, shape (H,)."""
-        return self._follower.follow(state, reference, u_last, self._bounds)[1]
-
 
 def _reversals(reach: float, horizon: int) -> Vec:
     """Offsets (M, H) from the last command: m = 2, 4, ... samples at the greatest rate, up and down."""

@@ -84,14 +84,8 @@ class ControlLoop:
         stall_s: float = 0.5,
     ) -> None:
         self._clock, self._transport, self._intake, self._gate = clock, transport, intake, gate
-        self._anchor, self._dt_ns, self._sink, self._to_safe, self._flag = (
-            anchor,
-            round(1e9 * dt_s),
-            sink,
-            to_safe,
-            flag,
-        )
-        self._stall_ns = round(1e9 * stall_s)
+        self._anchor, self._sink, self._to_safe, self._flag = anchor, sink, to_safe, flag
+        self._dt_ns, self._stall_ns = round(1e9 * dt_s), round(1e9 * stall_s)
         self.timings = Timings(dt_s)
         self.faults: Counter[str] = Counter()
         self._phase: Phase | None = None

@@ -57,7 +57,7 @@ class Estimate:
 
 
 class Observer(ABC):
-    """Estimate in, estimate out: `correct` with a measurement, `advance` with the command really sent."""
+    """Estimate in, estimate out: `correct` with a measurement, `advance` by one sample."""
 
     delay_samples: int  # transport delay between command and angle, beyond the one sample of every discrete loop
 

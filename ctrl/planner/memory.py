@@ -29,7 +29,7 @@ _ROUNDING = 1e-9  # of a limit or a time, that passes
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """Everything a `TipController` remembers; restoring it restores the future.
+    """Everything that a `TipController` remembers: from equal snapshots follow equal futures.
 
     Attributes:
         origin: kind and fingerprint of the controller that it belongs to.
@@ -38,7 +38,7 @@ class Snapshot:
         steps: steps taken since the start.
         control: the controller's own state; None before the first usable measurement.
         reference: what is followed; None before that.
-        wish: what will be followed from the first usable measurement on.
+        request: what will be followed from the first usable measurement on.
         halted: whether `stop` was called.
     """
 
@@ -48,7 +48,7 @@ class Snapshot:
     steps: int = 0
     control: GuardedState[Any] | None = None
     reference: Reference | None = None
-    wish: ReferenceRequest | None = None
+    request: ReferenceRequest | None = None
     halted: bool = False
 
     @property
@@ -85,7 +85,7 @@ def initial_snapshot(origin: str, command: float, sent: bool = False) -> Snapsho
 
 
 def start_control(memory: Snapshot, controller: GuardedController[Any], y: float) -> Snapshot:
-    """At rest at the measured angle `y` [deg], with the wish, if there is one, turned into a reference.
+    """At rest at the measured angle `y` [deg], with the request, if there is one, turned into a reference.
 
     Raises:
         ControllerError: if the controller cannot start from there.
@@ -93,13 +93,13 @@ def start_control(memory: Snapshot, controller: GuardedController[Any], y: float
     control = controller.init(y, memory.command.u)
     if memory.halted:
         control = controller.stop(control, "by stop()")
-    wish, start = memory.wish, Kinematics(float(y))
-    reference = rest_reference(float(y), 0.0) if wish is None else wish(start, 0.0)
-    return replace(memory, steps=0, control=control, reference=reference, wish=None)
+    request, start = memory.request, Kinematics(float(y))
+    reference = rest_reference(float(y), 0.0) if request is None else request(start, 0.0)
+    return replace(memory, steps=0, control=control, reference=reference, request=None)
 
 
 def replay_recording(origin: str, controller: GuardedController[Any], commands: Vec, angles: Vec) -> Snapshot:
-    """At time 0 after a recording of commands and angles, with a reference that stays at the last measured angle.
+    """The state at time 0 after a recording of commands and angles, at rest at the last measured angle.
 
     Raises:
         ControllerError: if the recording cannot be used.
@@ -110,7 +110,7 @@ def replay_recording(origin: str, controller: GuardedController[Any], commands: 
 
 
 def try_to_start(memory: Snapshot, controller: GuardedController[Any], y: object) -> Snapshot:
-    """Started where `y` allows it; otherwise the command is held, and its status says why."""
+    """The started controller where `y` allows it; otherwise the command is held, and its status says why."""
     angle = usable_angle(y)
     after, reason = attempt(lambda: start_control(memory, controller, angle))
     if math.isnan(angle):
@@ -118,8 +118,8 @@ def try_to_start(memory: Snapshot, controller: GuardedController[Any], y: object
     return after or replace(memory, command=Command(memory.command.u, Source.HOLD, f"not started: {reason}"))
 
 
-def set_request(memory: Snapshot, wish: ReferenceRequest, dt: float, start: Kinematics) -> Snapshot:
-    """With the reference that the wish makes of the state of motion `start`; kept for later before the start.
+def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: Kinematics) -> Snapshot:
+    """With the requested reference from the state of motion `start` on; before the start the request is kept.
 
     Raises:
         ControllerError: if the stop is latched.
@@ -128,10 +128,10 @@ def set_request(memory: Snapshot, wish: ReferenceRequest, dt: float, start: Kine
     if memory.stopped:
         raise ControllerError("the stop is latched: got a new reference, expected reset() first")
     if memory.control is None:
-        return replace(memory, wish=wish)
+        return replace(memory, request=request)
     if math.isnan(start.theta_deg):  # the reference so far fails: start from where the tip is
         start = Kinematics(memory.measured_deg)
-    return replace(memory, reference=wish(start, memory.steps * dt))
+    return replace(memory, reference=request(start, memory.steps * dt))
 
 
 def halted(memory: Snapshot, controller: GuardedController[Any], cause: str = "by stop()") -> Snapshot:
@@ -141,7 +141,7 @@ def halted(memory: Snapshot, controller: GuardedController[Any], cause: str = "b
 
 
 def take_up(memory: Snapshot, present: Snapshot, controller: GuardedController[Any], held: float) -> Snapshot:
-    """What a memory of the past becomes: the command that the device holds is `held`, and a latched stop stays.
+    """A restored or replayed memory, with the command that the device holds now; a latched stop stays latched.
 
     Args:
         memory: restored or replayed.
@@ -158,7 +158,7 @@ def take_up(memory: Snapshot, present: Snapshot, controller: GuardedController[A
 
 
 def held_after_replay(memory: Snapshot, present: Snapshot, limits: CommandLimits) -> float:
-    """The command that the device holds after a recording: its newest, which has to be the one that was sent last.
+    """The command that the device holds after a recording: its newest, which must be the one sent last.
 
     Raises:
         ControllerError: if this controller has sent another one.
@@ -175,10 +175,10 @@ def held_after_replay(memory: Snapshot, present: Snapshot, limits: CommandLimits
 
 
 def require_within(command: object, limits: CommandLimits, what: str) -> float:
-    """A command that the device is said to hold.
+    """`command` as a number within the limits.
 
     Raises:
-        ControllerError: if it is no number within the limits.
+        ControllerError: if it is none.
     """
     number = attempt(partial(float, command))[0]  # type: ignore[arg-type]  # anything may come from outside
     if number is None or not limits.lower <= number <= limits.upper:
@@ -258,7 +258,7 @@ class TipPlan:
 
 
 def tip_state(memory: Snapshot, dt: float, tolerance_deg: float) -> TipState:
-    """The state that a snapshot means."""
+    """What a planner sees of a snapshot."""
     now, command = memory.steps * dt, memory.command
     motion, measured = memory.motion(now), memory.measured_deg
     done = memory.reference is not None and now >= memory.reference.end_s - _ROUNDING
@@ -279,7 +279,7 @@ def tip_state(memory: Snapshot, dt: float, tolerance_deg: float) -> TipState:
 
 
 def tip_plan(memory: Snapshot, dt: float) -> TipPlan:
-    """The plan that a snapshot holds."""
+    """The plan of the last step, in a snapshot."""
     command, reference = memory.command, memory.reference
     planned = command.plan if command.plan.size else np.array([command.u])
     times = dt * (memory.steps + np.arange(max(planned.size, command.predicted.size), dtype=np.float64))

@@ -111,7 +111,7 @@ class GivenReference(Reference):
 
 @dataclass(frozen=True, eq=False)
 class ReferenceRequest:
-    """What is wished for, before it is known when it starts and from which state of motion."""
+    """A requested reference, before it is known when it starts and from which state of motion."""
 
     plan: Callable[[Kinematics, float], Reference]  # state of motion and time [s] of the start, to the reference
     from_motion: bool  # whether the state of motion counts; False where the reference is followed as given

@@ -147,15 +147,13 @@ class TipController:
     def set_target(self, theta_deg: float) -> Reach:
         """Move to `theta_deg` [deg] and stay: the fastest motion within the limits, from the present state of motion.
 
-        Position, velocity and acceleration of the reference are continuous, in the middle of another motion too.
-
-        Returns:
-            Whether the target can be reached; out of reach, the controller goes as far as it can.
+        Position, velocity and acceleration of the reference are continuous, in the middle of another motion too. The
+        answer says whether the target can be reached; out of reach, the controller goes as far as it can.
 
         Raises:
             ControllerError: if it is not a finite angle, or the stop is latched.
         """
-        self._wish(waypoint_request([theta_deg], [0.0], self._settings.motion))
+        self._request(waypoint_request([theta_deg], [0.0], self._settings.motion))
         return self.reachable(theta_deg)
 
     def set_waypoints(self, angles_deg: Sequence[float], holds_s: Sequence[float]) -> None:
@@ -164,7 +162,7 @@ class TipController:
         Raises:
             ControllerError: if the counts differ, a number makes no sense, or the stop is latched.
         """
-        self._wish(waypoint_request(angles_deg, holds_s, self._settings.motion))
+        self._request(waypoint_request(angles_deg, holds_s, self._settings.motion))
 
     def set_reference(self, source: Callable[[Any], Any] | ArrayLike) -> None:
         """Follow a preview exactly as given, from the next sample on.
@@ -176,7 +174,7 @@ class TipController:
         Raises:
             ControllerError: if it is neither or does not answer with finite angles, or the stop is latched.
         """
-        self._wish(given_request(source, self.dt, self._settings.motion))
+        self._request(given_request(source, self.dt, self._settings.motion))
 
     def state(self) -> TipState:
         """Where the controller is."""
@@ -190,10 +188,7 @@ class TipController:
         """Angles [deg] at the ends of the coming samples under `commands`, disturbance included; nothing is sent.
 
         Args:
-            commands: one plan (N,) or several (K, N) [mm or bar], the first to be sent next.
-
-        Returns:
-            Angles of the same shape.
+            commands: one plan (N,) or several (K, N) [mm or bar], the first to be sent next; angles have its shape.
 
         Raises:
             ControllerError: if the controller has not started or has no model, or a plan is not finite or beyond
@@ -277,15 +272,15 @@ class TipController:
             holds = present.command.u if said is None else said
             self._memory = take_up(usable, present, self._assembly.controller, holds)
 
-    def _wish(self, wish: ReferenceRequest) -> None:
-        """Take up a wish; where it starts from a user's reference, that is asked outside the lock."""
+    def _request(self, request: ReferenceRequest) -> None:
+        """Take up a request; where it starts from a user's reference, that is asked outside the lock."""
         while True:
             with self._lock:
                 memory = self._memory
                 reference, now_s = memory.reference, memory.steps * self.dt
-                if reference is None or memory.stopped or not (wish.from_motion and reference.foreign):
-                    start = memory.motion(now_s) if wish.from_motion else Kinematics(memory.measured_deg)
-                    self._memory = set_request(memory, wish, self.dt, start)
+                if reference is None or memory.stopped or not (request.from_motion and reference.foreign):
+                    start = memory.motion(now_s) if request.from_motion else Kinematics(memory.measured_deg)
+                    self._memory = set_request(memory, request, self.dt, start)
                     return
             start = memory.motion(now_s)
             with self._lock:
@@ -293,5 +288,5 @@ class TipController:
                 if now.reference is reference and now.control is not None:
                     if now.steps != memory.steps:  # it has gone on meanwhile: the angle that is wanted now is known
                         start = replace(start, theta_deg=now.control.due)
-                    self._memory = set_request(now, wish, self.dt, start)
+                    self._memory = set_request(now, request, self.dt, start)
                     return

@@ -31,7 +31,7 @@ from ..safety.plausibility import ModelWatch
 from ..transports.transport import PlantFactory
 from .phases import Decision, Past, Phase, PhaseInput
 
-# Where the reference starts: measured angle [deg] to a trajectory that leads in to it.
+# From the measured angle [deg] to the trajectory that starts there.
 LeadIn = Callable[[float], Trajectory]
 
 
@@ -106,11 +106,7 @@ def _fits(settings: RunSettings, assembly: Assembly) -> None:
 
 
 class LeadInTrajectory:
-    """A reference behind a motion that leads from where the tip is to where it starts.
-
-    Args:
-        lead: the motion, None where the tip is there already.
-    """
+    """A reference behind a motion (None where the tip is there already) that leads to where it starts."""
 
     def __init__(self, lead: PiecewiseCubic | None, reference: Trajectory) -> None:
         self._lead, self._reference = lead, reference
@@ -132,7 +128,7 @@ class Tracking(Phase):
 
     The controller takes up what was sent and measured so far, hysteresis included. That takes longer than a sample, so
     it is done beside the loop while the command is held. A sample that follows a missed deadline is answered from
-    the ladder (shifted plan, inverse, hold); samples in which nothing was sent are told to the controller as holds.
+    the fallbacks (shifted plan, inverse, hold); samples in which nothing was sent are told to the controller as holds.
 
     Args:
         lead_in: measured angle to the reference to follow.
@@ -257,6 +253,6 @@ class TimelyLaw(Law[Any]):
 
 
 def make_timely(controller: GuardedController[Any]) -> tuple[GuardedController[Any], TimelyLaw]:
-    """The same controller around a law that can be told to fail, and that law: only failing leads to the ladder."""
+    """The same controller around a law that can be told to fail, and that law: only failing leads to the fallbacks."""
     law = TimelyLaw(controller.law)
     return controller.with_law(law), law

@@ -13,13 +13,10 @@ from matplotlib.figure import Figure
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 from hystmpc.trials.plot_style import style
 from hystmpc.trials.run_folder import RunFolder
-from hystmpc.trials.types import Vec
 
 from ..config import RunSettings
-from ..recording.report import Log, causes, numbers, timing_table, tracking_figure
+from ..recording.report import Log, causes, numbers, thinned, timing_table, tracking_figure
 from .review import Review, ReviewedRun
-
-_MOST_POINTS = 4000  # of a curve; more are not seen and make the page heavy
 
 
 def write_page(run: RunFolder, settings: RunSettings, found: ReviewedRun | None, verdict: Review) -> Path:
@@ -89,17 +86,13 @@ def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[s
     }
 
 
-def _thin(values: Vec) -> Vec:
-    return values[:: max(values.size // _MOST_POINTS, 1)]
-
-
 def _prediction(found: ReviewedRun) -> Figure:
-    t = _thin(found.t)
+    t = thinned(found.t)
     with style():
         figure = Figure(figsize=(8, 3), layout="constrained")
         axes = figure.subplots()
-        axes.plot(t, _thin(found.measured_deg - found.free_deg), label="free run", color="C1")
-        axes.plot(t, _thin(found.measured_deg - found.predicted_deg), label="one sample ahead", color="C0")
+        axes.plot(t, thinned(found.measured_deg - found.free_deg), label="free run", color="C1")
+        axes.plot(t, thinned(found.measured_deg - found.predicted_deg), label="one sample ahead", color="C0")
         axes.axhline(0.0, color="0.6", linewidth=0.8)
         axes.set_xlabel("time [s]")
         axes.set_ylabel("measured less predicted [deg]")

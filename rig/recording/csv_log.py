@@ -40,24 +40,12 @@ class CsvLog:
         if not self._begun:
             self._begin(sample)
         spent = dict(sample.stages_s)
-        self._rows.writerow(
-            (
-                repr(float(sample.t_s)),
-                repr(float(sample.command)),
-                repr(float(sample.measured_deg)),
-                repr(float(sample.reference_deg)),
-                repr(float(sample.predicted_deg)),
-                repr(float(sample.period_s)),
-                repr(float(sample.lateness_s)),
-                int(sample.sequence),
-                int(sample.wall_ns),
-                *(repr(float(spent[name])) if name in spent else "" for name in self._stages),
-                _cell(sample.source),
-                _cell(sample.status),
-                _cell(" ".join(sample.faults)),
-                int(bool(sample.missed)),
-            )
-        )
+        s = sample
+        numbers = s.t_s, s.command, s.measured_deg, s.reference_deg, s.predicted_deg, s.period_s, s.lateness_s
+        stages = (repr(float(spent[name])) if name in spent else "" for name in self._stages)
+        texts = _cell(s.source), _cell(s.status), _cell(" ".join(s.faults))
+        counts = int(s.sequence), int(s.wall_ns)
+        self._rows.writerow((*(repr(float(x)) for x in numbers), *counts, *stages, *texts, int(bool(s.missed))))
 
     def flush(self) -> None:
         """Put whole rows on the disk.

@@ -66,22 +66,11 @@ def unpack(pipe: BinaryIO) -> Iterator[list[Sample]]:
 
 def _plain(s: Sample) -> tuple[object, ...]:
     """The fields in order, as types that `marshal` knows: a controller may hand over numpy's."""
-    return (
-        float(s.t_s),
-        int(s.wall_ns),
-        float(s.reference_deg),
-        float(s.measured_deg),
-        float(s.command),
-        str(s.source),
-        str(s.status),
-        float(s.predicted_deg),
-        tuple((str(name), float(spent)) for name, spent in s.stages_s),
-        float(s.period_s),
-        float(s.lateness_s),
-        bool(s.missed),
-        tuple(map(str, s.faults)),
-        int(s.sequence),
-    )
+    angles = float(s.reference_deg), float(s.measured_deg)
+    stages = tuple((str(name), float(spent)) for name, spent in s.stages_s)
+    chosen = float(s.command), str(s.source), str(s.status), float(s.predicted_deg), stages
+    timing = float(s.period_s), float(s.lateness_s), bool(s.missed)
+    return (float(s.t_s), int(s.wall_ns), *angles, *chosen, *timing, tuple(map(str, s.faults)), int(s.sequence))
 
 
 @dataclass(frozen=True)

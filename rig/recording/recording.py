@@ -22,9 +22,7 @@ from .sample import Sample, SampleQueue, Sink
 FLUSH_S = 0.5
 """Time between flushes [s]: what a kill may cost at most, beside what was waiting."""
 
-_DRAIN_S = (
-    0.02  # little and often: a long turn of this thread would hold the interpreter's lock against the control one
-)
+_DRAIN_S = 0.02  # little and often: in a long turn the control thread would wait for the interpreter's lock
 _QUEUE_S = 30.0  # how long a disk may be stuck before samples are dropped
 _CLOSE_S = 10.0
 
@@ -193,12 +191,7 @@ class Recording(Sink):
                 for log in self._logs:
                     log.add(sample)
                 self._written += 1
-            except (
-                ArithmeticError,
-                AttributeError,
-                TypeError,
-                ValueError,
-            ):  # a sample of wrong types ends no recording
+            except (ArithmeticError, AttributeError, TypeError, ValueError):  # of wrong types; ends no recording
                 self.unwritable += 1
 
     def _flush(self) -> None:
