@@ -158,7 +158,7 @@ class GuardedController(Generic[M]):
         return command, GuardedState(after, decided.memory, decided.fallback, decided.due)
 
     def _decide(self, state: GuardedState[M], reference: object, watch: Stopwatch) -> tuple[Level, GuardedState[M]]:
-        """The level of fallback to take, and the state with the law's memory, the fallback and the next due angle renewed."""
+        """The level to take, and the state with the law's memory, the fallbacks and the next due angle renewed."""
         fallback, missing = state.fallback, state.estimate.missing
         waiting = self._input(state, np.full(self.horizon, state.due))
         if fallback.stopped:

@@ -246,10 +246,10 @@ class TimelyLaw(Law[Any]):
     def init(self, y: float, u: float) -> Any:
         return self._law.init(y, u)
 
-    def propose(self, memory: Any, situation: ControlInput, watch: Stopwatch) -> Proposal[Any]:
+    def propose(self, memory: Any, given: ControlInput, watch: Stopwatch) -> Proposal[Any]:
         if self.refusal:
             raise NoTimeError(self.refusal)
-        return self._law.propose(memory, situation, watch)
+        return self._law.propose(memory, given, watch)
 
 
 def make_timely(controller: GuardedController[Any]) -> tuple[GuardedController[Any], TimelyLaw]:
