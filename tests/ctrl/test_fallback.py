@@ -174,8 +174,8 @@ class Answering(Law[int]):
         del y, u
         return 0
 
-    def propose(self, memory: int, situation: ControlInput, watch: Stopwatch) -> Proposal[int]:
-        del situation, watch
+    def propose(self, memory: int, given: ControlInput, watch: Stopwatch) -> Proposal[int]:
+        del given, watch
         return Proposal(self.answer, memory + 1)
 
 
