@@ -27,7 +27,7 @@ class Assembly:
     """What a `TipController` runs on.
 
     Attributes:
-        controller: law, estimator, ladder and limits.
+        controller: law, estimator, fallbacks and limits.
         predictor: the model, for predictions asked for by a planner.
         limits: hard limits that the controller keeps.
         workspace: what bounds the angle.

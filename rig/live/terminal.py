@@ -102,7 +102,7 @@ def columns_of(counts: NDArray[np.int64], width: int) -> str:
 class TerminalView(LiveView):
     """Draws the state of the run 8 times a second; on an output that is no terminal a line every 10 s.
 
-    Drawing takes 10 to 30 ms of Python each time, so it belongs into another process than the loop; see `open_apart`.
+    Drawing takes 10 to 30 ms of Python each time, so it belongs into another process than the loop; see `open_recorder_process`.
 
     Args:
         page: address of the local page, to be named; empty without one.

@@ -149,8 +149,8 @@ class RecorderProcess(Sink):
         self.problem = self.page = ""
         self._end = threading.Event()
         self._start(order)
-        self._reader = threading.Thread(target=self._listen, name="hystmpc-apart-answers", daemon=True)
-        self._feeder = threading.Thread(target=self._feed, name="hystmpc-apart-feed", daemon=True)
+        self._reader = threading.Thread(target=self._listen, name="hystmpc-recorder-answers", daemon=True)
+        self._feeder = threading.Thread(target=self._feed, name="hystmpc-recorder-feed", daemon=True)
         self._reader.start()
         self._feeder.start()
 

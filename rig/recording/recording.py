@@ -81,7 +81,7 @@ def open_recording(
 ) -> Recording:
     """Start a recording by a thread of this process.
 
-    For fast loops see `open_apart`, whose process leaves the interpreter to the control thread.
+    For fast loops see `open_recorder_process`, whose process leaves the interpreter to the control thread.
 
     Args:
         folder: a new or empty folder.

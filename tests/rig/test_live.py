@@ -253,11 +253,11 @@ def test_clients_that_say_nothing_do_not_pile_up(page: LivePage) -> None:
 
 IN_A_TERMINAL = """
 import sys
-from hystmpc.rig.recording import RecordingMeta, open_apart
-from hystmpc.rig.recording.recorder_process import Views
+from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
+from hystmpc.rig.recording.recording import RecordingMeta
 from tests.rig.recording_samples import sample
 
-sink = open_apart(sys.argv[1], {}, RecordingMeta("mm"), 100.0, Views(terminal=True, page=True, port=0))
+sink = open_recorder_process(sys.argv[1], {}, RecordingMeta("mm"), 100.0, Views(terminal=True, page=True, port=0))
 for k in range(200):
     sink.put(sample(k))
 sink.close()
