@@ -140,11 +140,7 @@ class FaultyDatagrams:
         self._arrived: deque[tuple[bytes, Peer]] = deque()
 
     def recvfrom(self, size: int) -> tuple[bytes, Peer]:
-        """The oldest datagram that has arrived, and where it came from.
-
-        Raises:
-            BlockingIOError: where none has.
-        """
+        """The oldest datagram that has arrived and its sender; `BlockingIOError` where there is none."""
         for _ in range(_TAKEN):
             try:
                 data, peer = self._wire.recvfrom(size)

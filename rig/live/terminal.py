@@ -50,10 +50,7 @@ def limits_of(*curves: Vec, least_span: float) -> tuple[float, float]:
 def raster(t: Vec, y: Vec, low: float, high: float, width: int, height: int) -> NDArray[np.int64]:
     """Dots of one curve as character codes, (height, width); 0 where there is none.
 
-    Args:
-        t, y: the curve, (T,); values that are not finite leave a hole.
-        low, high: of the vertical axis.
-        width, height: of the field [characters].
+    The curve is y (T,) over t (T,); values that are not finite leave a hole. `low` and `high` bound the vertical axis.
     """
     cells = np.zeros((height, width), dtype=np.int64)
     known = np.isfinite(y) & np.isfinite(t)
@@ -102,7 +99,8 @@ def columns_of(counts: NDArray[np.int64], width: int) -> str:
 class TerminalView(LiveView):
     """Draws the state of the run 8 times a second; on an output that is no terminal a line every 10 s.
 
-    Drawing takes 10 to 30 ms of Python each time, so it belongs into another process than the loop; see `open_recorder_process`.
+    Drawing takes 10 to 30 ms of Python each time, so it belongs into another process than the loop: see
+    `open_recorder_process`.
 
     Args:
         page: address of the local page, to be named; empty without one.

@@ -65,12 +65,8 @@ def stop_commands(
         a = max(acceleration_per_s2, v^2 / (2 overshoot)), or brake_per_s2
 
     Args:
-        start: command held now.
         velocity: of the command [unit/s].
-        safe: where the stop leads.
-        ramps: limits of the motion.
         overshoot: how far the command may go beyond the way from `start` to `safe`, at either end.
-        dt_s: sample time [s].
 
     Raises:
         TrajectoryError: if ruckig finds no motion.

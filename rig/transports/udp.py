@@ -121,11 +121,7 @@ _GOODBYES = 3
 
 
 def _open(host: str, port: int, what: str) -> socket.socket:
-    """A socket that is bound and does not block.
-
-    Raises:
-        ConfigError: if the address cannot be had.
-    """
+    """A socket that is bound and does not block."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     wire = socket.socket(family, socket.SOCK_DGRAM)
     try:
@@ -341,11 +337,7 @@ class UdpListenSettings(Settings):
 
 
 def _require_local(name: str, host: str, allow_network: bool) -> None:
-    """Refuse addresses beyond the loopback unless they were allowed.
-
-    Raises:
-        ValueError: for pydantic, with the key and what to do.
-    """
+    """Refuse addresses beyond the loopback unless they were allowed; the error is pydantic's to report."""
     try:
         local = host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
