@@ -19,10 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hystmpc.rig.clock import MonotonicClock
-from hystmpc.rig.realtime_ import SchedulingSettings, scheduled
-from hystmpc.rig.signals_ import stopping_on_signals
-from hystmpc.rig.stop_flag import StopFlag
+from hystmpc.rig.realtime import MonotonicClock, SchedulingSettings, scheduled
+from hystmpc.rig.safety.stop import StopFlag, stopping_on_signals
 from hystmpc.trials.types import Vec
 
 

@@ -26,9 +26,9 @@ from threadpoolctl import threadpool_limits
 
 from hystmpc.ctrl import CommandLimits, TipController
 from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.tip.assemble import Assembly
-from hystmpc.ctrl.tip.reach import Workspace, angles_at_rest
-from hystmpc.ctrl.tip.settings import TipSettings
+from hystmpc.ctrl.planner.assembly import Assembly
+from hystmpc.ctrl.planner.reach import Workspace, angles_at_rest
+from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.library import library_file
 from hystmpc.models.load import load_model
 from hystmpc.models.model import Inverse, Predictor

@@ -25,8 +25,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hystmpc.rig.recording import Apart, Recording, RecordingMeta, open_apart, open_recording
-from hystmpc.rig.sample import Sample
+from hystmpc.rig.recording.recorder_process import RecorderProcess, open_recorder_process
+from hystmpc.rig.recording.recording import Recording, RecordingMeta, open_recording
+from hystmpc.rig.recording.sample import Sample
 from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.mcap_records_ import MAGIC
 from hystmpc.trials.read import read_log
@@ -64,8 +65,8 @@ def made_up(k: int, rate_hz: float) -> Sample:
 def record(folder: Path, way: str, rate_hz: float) -> None:
     """The process that is killed: record until then, and say what is on the disk."""
     meta = RecordingMeta("mm", command_line=("kill_recording",))
-    sink: Recording | Apart
-    opening = open_recording if way == THREAD else open_apart
+    sink: Recording | RecorderProcess
+    opening = open_recording if way == THREAD else open_recorder_process
     sink = opening(folder, {"rate_hz": rate_hz}, meta, rate_hz)
     said, start, k = -1, time.perf_counter(), 0
     while True:

@@ -6,10 +6,10 @@ from mutant import Mutant, mutated_file  # isort: skip
 
 _limits = mutated_file("ctrl", "limits.py", "test_limits.py", "test_contract.py")
 _guarded = mutated_file(
-    "ctrl", "guarded.py", "test_ladder.py", "test_contract.py", "test_tip_controller.py", "test_tip_replay.py"
+    "ctrl", "guarded.py", "test_fallback.py", "test_contract.py", "test_tip_controller.py", "test_tip_replay.py"
 )
-_ladder = mutated_file("ctrl", "ladder.py", "test_ladder.py", "test_contract.py")
-_estimator = mutated_file("ctrl", "estimator.py", "test_estimator.py", "test_ladder.py")
+_fallback = mutated_file("ctrl", "fallback.py", "test_fallback.py", "test_contract.py")
+_estimator = mutated_file("ctrl", "estimation/observer.py", "test_estimator.py", "test_fallback.py")
 
 MUTANTS: tuple[Mutant, ...] = (
     _limits(
@@ -42,15 +42,15 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _guarded(
         "the command is not limited",
-        "u = self._limits.clip(rung.u, estimate.command, self._dt)",
-        "u = rung.u",
+        "u = self._limits.clip(level.u, estimate.command, self._dt)",
+        "u = level.u",
     ),
     _guarded(
         "the command is limited from itself",
-        "u = self._limits.clip(rung.u, estimate.command, self._dt)",
-        "u = self._limits.clip(rung.u, rung.u, self._dt)",
+        "u = self._limits.clip(level.u, estimate.command, self._dt)",
+        "u = self._limits.clip(level.u, level.u, self._dt)",
     ),
-    _guarded("a latched stop is released", "if ladder.stopped:", "if ladder.stopped and ladder.failures < 0:"),
+    _guarded("a latched stop is released", "if fallback.stopped:", "if fallback.stopped and fallback.failures < 0:"),
     _guarded("missing measurements are bridged for ever", "if missing > self._max_missing:", "if missing < 0:"),
     _guarded(
         "a proposal that is not finite is taken",
@@ -61,53 +61,53 @@ MUTANTS: tuple[Mutant, ...] = (
     _guarded(
         "the model gets the command that was wanted, not the one sent",
         "attempt(lambda: self._observer.advance(estimate, u))",
-        "attempt(lambda: self._observer.advance(estimate, rung.u))",
+        "attempt(lambda: self._observer.advance(estimate, level.u))",
     ),
     _guarded(
         "a start beyond the limits is accepted",
         "if not (math.isfinite(usable_angle(y)) and low <= u <= high):",
         "if not math.isfinite(usable_angle(y)):",
     ),
-    _guarded("a stop that is asked for is forgotten", "ladder=self._ladder.halt(cause))", "ladder=state.ladder)"),
+    _guarded(
+        "a stop that is asked for is forgotten", "fallback=self._fallback.halt(cause))", "fallback=state.fallback)"
+    ),
     _guarded(
         "recorded commands beyond the limits are replayed",
         "np.all((commands >= low) & (commands <= high))",
         "np.all(np.isfinite(commands))",
     ),
-    _ladder(
+    _fallback(
         "the stop is never latched", "state = replace(state, stopped=True)", "state = replace(state, stopped=False)"
     ),
-    _ladder("the shifted plan is skipped", "if state.plan.size:", "if state.plan.size and state.failures < 0:"),
-    _ladder(
+    _fallback("the shifted plan is skipped", "if state.plan.size:", "if state.plan.size and state.failures < 0:"),
+    _fallback(
         "the shifted plan is not shifted",
-        "return rung, replace(state, plan=state.plan[1:], predicted=state.predicted[1:])",
-        "return rung, state",
+        "return level, replace(state, plan=state.plan[1:], predicted=state.predicted[1:])",
+        "return level, state",
     ),
-    _ladder("the inverse is skipped", "if self._inverse is None:", "if self._inverse is not None:"),
-    _ladder(
+    _fallback("the inverse is skipped", "if self._inverse is None:", "if self._inverse is not None:"),
+    _fallback(
         "an inverse that is not finite is taken",
         'return (u, "") if math.isfinite(u) else (None, f"the inverse answers {u}")',
         'return u, ""',
     ),
-    _ladder(
-        "the stop does not go to the safe command", "situation.u_last if safe is None else safe", "situation.u_last"
-    ),
-    _ladder("failures are not counted", "failures=state.failures + 1", "failures=state.failures"),
-    _ladder(
+    _fallback("the stop does not go to the safe command", "given.u_last if safe is None else safe", "given.u_last"),
+    _fallback("failures are not counted", "failures=state.failures + 1", "failures=state.failures"),
+    _fallback(
         "the stop comes one sample late",
-        "state.failures >= self._options.stop_after_failures",
-        "state.failures > self._options.stop_after_failures",
+        "state.failures >= self._settings.stop_after_failures",
+        "state.failures > self._settings.stop_after_failures",
     ),
-    _ladder(
+    _fallback(
         "a safe command beyond the limits is accepted",
         "if safe is not None and not limits.lower <= safe <= limits.upper:",
         "if safe is not None and not math.isfinite(safe):",
     ),
-    _ladder("a plan is trusted without measurements", "if blind:", "if blind and state.failures < 0:"),
-    _ladder(
+    _fallback("a plan is trusted without measurements", "if blind:", "if blind and state.failures < 0:"),
+    _fallback(
         "a success does not shift the plan",
-        "LadderState(plan=plan[1:], predicted=predicted[1:])",
-        "LadderState(plan=plan)",
+        "FallbackState(plan=plan[1:], predicted=predicted[1:])",
+        "FallbackState(plan=plan)",
     ),
     _estimator(
         "the bound of the disturbance is removed", "return min(max(disturbance, -limit), limit)", "return disturbance"
@@ -119,23 +119,27 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _estimator(
         "outliers are taken",
-        "if not abs(innovation) <= self._options.outlier_deg:",
+        "if not abs(innovation) <= self._settings.outlier_deg:",
         "if math.isnan(innovation):",
     ),
     _estimator(
         "not-a-number is taken for a measurement",
-        "if not abs(innovation) <= self._options.outlier_deg:",
-        "if abs(innovation) > self._options.outlier_deg:",
+        "if not abs(innovation) <= self._settings.outlier_deg:",
+        "if abs(innovation) > self._settings.outlier_deg:",
     ),
     _estimator(
         "the innovation has the wrong sign",
         "self._bounded(estimate.disturbance + gain * innovation)",
         "self._bounded(estimate.disturbance - gain * innovation)",
     ),
-    _estimator("missing measurements are not counted", "missing=estimate.missing + 1)", "missing=0)"),
+    _estimator(
+        "missing measurements are not counted",
+        "estimate, missing=estimate.missing + 1)\n        prior",
+        "estimate, missing=0)\n        prior",
+    ),
     _estimator(
         "a start far from the model is accepted",
-        "if abs(y - angle) > self._options.disturbance_limit_deg:",
+        "if abs(y - angle) > self._settings.disturbance_limit_deg:",
         "if math.isnan(y - angle):",
     ),
     _estimator(

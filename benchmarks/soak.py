@@ -38,8 +38,8 @@ from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.rig.campaign.processes import end, start, start_device
 from hystmpc.rig.campaign.setup import DEVICE, RUN
+from hystmpc.rig.commission.review import compare_with_model, review
 from hystmpc.rig.config import RunSettings
-from hystmpc.rig.review import judged, review
 from hystmpc.sim.plant import at_sample_time
 from hystmpc.sim.studies.control_rivals import CONTROLLERS, NETWORKS
 from hystmpc.trials.config import dump_yaml
@@ -195,7 +195,7 @@ def _measured(folder: Path, transport: str, rate_hz: float, ended: str, taken_s:
         skipped=int(timing["skipped"]),
         execution={"least_s": float(np.nanmin(planned, initial=math.inf)), **timing["execution"]["summary"]},
         jitter=timing["jitter"]["summary"],
-        tracking_deg=review(judged(run, settings), settings.review.due_above_deg).tracking_deg,
+        tracking_deg=review(compare_with_model(run, settings), settings.review.due_above_deg).tracking_deg,
         sources=dict(Counter(str(s) for s, r in zip(log["source"], reference, strict=True) if math.isfinite(r))),
         floor=floor(wake_ups, rate_hz),
         beside_stall=int(np.count_nonzero(beside)),

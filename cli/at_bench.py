@@ -14,14 +14,14 @@ import typer
 from hystmpc.rig.bench import BenchResult, reset_latch
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.histogram import TimingSummary
-from hystmpc.rig.outcome import Outcome
+from hystmpc.rig.loop import RunOutcome
 from hystmpc.trials.run_folder import require_vacant
 
 from .console import errors, out, table
 
 if TYPE_CHECKING:
-    from hystmpc.rig.recording import Apart, RecordingMeta
-    from hystmpc.rig.recording.apart import Views
+    from hystmpc.rig.recording.recorder_process import RecorderProcess, Views
+    from hystmpc.rig.recording.recording import RecordingMeta
 
 STOPPED = 3
 
@@ -45,11 +45,11 @@ def begin(settings: BenchSettings, folder: Path, reset: bool) -> None:
 
 def recording_in(
     folder: Path, settings: BenchSettings, meta: RecordingMeta, views: Views, report: bool = True
-) -> Callable[[], Apart]:
+) -> Callable[[], RecorderProcess]:
     """Opens the recording when the device has answered, not before."""
-    from hystmpc.rig.recording import open_apart
+    from hystmpc.rig.recording.recorder_process import open_recorder_process
 
-    return lambda: open_apart(folder, settings, meta, settings.rate_hz, views, tell, report)
+    return lambda: open_recorder_process(folder, settings, meta, settings.rate_hz, views, tell, report)
 
 
 def tell(text: str) -> None:
@@ -82,7 +82,7 @@ def finish(settings: BenchSettings, result: BenchResult) -> None:
         )
 
 
-def _end_of(settings: BenchSettings, outcome: Outcome) -> str:
+def _end_of(settings: BenchSettings, outcome: RunOutcome) -> str:
     """What became of the safe command, in words that claim no more than the device has said."""
     safe = f"safe command {settings.safe_command:g} {settings.command_unit}"
     if math.isnan(outcome.safe_s):

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from hystmpc.ctrl.protocols import Plant
+from hystmpc.ctrl.loop import Plant
 from hystmpc.rig.device.config import DeviceSettings
-from hystmpc.rig.transports.link import DeviceLink
-from hystmpc.rig.transports.settings import SimulatedSettings
+from hystmpc.rig.transports.simulated import SimulatedSettings
+from hystmpc.rig.transports.transport import DeviceLink
 from hystmpc.trials.config import load_settings
 from hystmpc.trials.errors import ConfigError
 

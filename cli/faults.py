@@ -75,7 +75,7 @@ def _chosen(folder: Path, only: list[str], transport: str) -> list[_Play]:
         ConfigError: on an unknown case, a wire whose package is missing, or a folder that is not empty.
     """
     from hystmpc.rig.campaign.setup import KINDS, Link
-    from hystmpc.rig.transports.build import require_dds
+    from hystmpc.rig.transports.dds import require_dds
 
     kinds: list[Kind] = [kind for kind in KINDS if transport in (kind, "both")]
     if "dds" in kinds:

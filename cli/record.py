@@ -23,9 +23,9 @@ def record(
     page: OnPage = False,
 ) -> None:
     """Play every excitation and write trials that `check`, `fit` and `diagnose` read. Exit code 3 after a stop."""
-    from hystmpc.rig.record import record as play
-    from hystmpc.rig.recording import RecordingMeta
-    from hystmpc.rig.recording.apart import Views
+    from hystmpc.rig.commission.record import record as play
+    from hystmpc.rig.recording.recorder_process import Views
+    from hystmpc.rig.recording.recording import RecordingMeta
 
     settings = load_record(config, overrides or ())
     begin(settings, folder, reset)

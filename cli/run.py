@@ -23,10 +23,10 @@ def run(
     page: OnPage = False,
 ) -> None:
     """Prepare the device, track the reference, return to the safe command; exit code 3 after a safe stop."""
-    from hystmpc.rig.experiment import run_experiment
-    from hystmpc.rig.recording import RecordingMeta
-    from hystmpc.rig.recording.apart import Views
-    from hystmpc.rig.review import review_run
+    from hystmpc.rig.commission.experiment import run_experiment
+    from hystmpc.rig.commission.review import review_run
+    from hystmpc.rig.recording.recorder_process import Views
+    from hystmpc.rig.recording.recording import RecordingMeta
 
     settings = load_run(config, overrides or ())
     begin(settings, folder, reset)

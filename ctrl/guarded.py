@@ -1,4 +1,4 @@
-"""Every controller of hystmpc: a law inside an estimator, a ladder and hard limits."""
+"""Every controller of hystmpc: a law inside an estimator, a chain of fallbacks and hard limits."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ import numpy as np
 from hystmpc.trials.errors import ControllerError, HystmpcError
 from hystmpc.trials.types import Vec
 
-from .command import EMPTY, Command, Timing
-from .inputs import ANGLE_BOUND_DEG, UnusableReferenceError, usable_angle, usable_reference
-from .ladder import Ladder, LadderState, Rung, attempt
-from .law import Law, Proposal, Situation
+from .command import EMPTY, Command, ControlInput, Stopwatch, Timing
+from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, usable_angle
+from .fallback import FallbackChain, FallbackState, Level, attempt
+from .law import Law, Proposal
 from .limits import CommandLimits
-from .observer import Estimate, Observer
-from .stopwatch import Stopwatch
 
 M = TypeVar("M")
 N = TypeVar("N")
@@ -26,33 +24,22 @@ N = TypeVar("N")
 
 @dataclass(frozen=True, eq=False)
 class GuardedState(Generic[M]):
-    """Everything a controller remembers: the state is its own snapshot.
+    """Everything a controller remembers: the state is its own snapshot."""
 
-    Attributes:
-        estimate: observer snapshot, with the command really sent last.
-        memory: the law's own memory.
-        ladder: failure counters and remaining plan.
-        due: the angle that was wanted at the present instant [deg].
-    """
-
-    estimate: Estimate
-    memory: M
-    ladder: LadderState
-    due: float
+    estimate: Estimate  # observer snapshot, with the command really sent last
+    memory: M  # the law's own memory
+    fallback: FallbackState  # failure counters and remaining plan
+    due: float  # the angle that was wanted at the present instant [deg]
 
 
 @final
 class GuardedController(Generic[M]):
-    """Wraps a law so that a step never raises and never leaves the limits (architecture, section 4).
+    """Wraps a law so that a step never raises and never leaves the limits.
 
-    Order of one step: correct the estimate with the measurement, check the reference, let the law propose, take
-    the proposal or a rung of the ladder, limit from the command really sent, advance the model with the result.
+    Order of one step: correct the estimate with the measurement, check the reference, let the law propose, take the
+    proposal or a fallback, limit from the command really sent, advance the model with the result.
 
     Args:
-        law: what the controller wants.
-        observer: state and disturbance estimate.
-        ladder: what to do on failure.
-        limits: hard limits on command and command rate.
         dt: sample time [s].
         max_missing_samples: consecutive samples without usable measurement that are bridged by prediction.
 
@@ -64,7 +51,7 @@ class GuardedController(Generic[M]):
         self,
         law: Law[M],
         observer: Observer,
-        ladder: Ladder,
+        fallback: FallbackChain,
         limits: CommandLimits,
         dt: float,
         max_missing_samples: int = 25,
@@ -73,18 +60,18 @@ class GuardedController(Generic[M]):
             raise ControllerError(
                 f"controller: got dt {dt}, max_missing_samples {max_missing_samples}, expected > 0 s and >= 0"
             )
-        self._law, self._observer, self._ladder, self._limits = law, observer, ladder, limits
+        self._law, self._observer, self._fallback, self._limits = law, observer, fallback, limits
         self._dt = dt
         self._max_missing = max_missing_samples
 
     @property
     def law(self) -> Law[M]:
-        """What the controller wants, before ladder and limits."""
+        """The law inside."""
         return self._law
 
     def with_law(self, law: Law[N]) -> GuardedController[N]:
-        """The same estimator, ladder and limits around another law, one that wraps its own for example."""
-        return GuardedController(law, self._observer, self._ladder, self._limits, self._dt, self._max_missing)
+        """The same estimator, fallbacks and limits around another law, such as one that wraps its own."""
+        return GuardedController(law, self._observer, self._fallback, self._limits, self._dt, self._max_missing)
 
     @property
     def dt(self) -> float:
@@ -109,7 +96,7 @@ class GuardedController(Generic[M]):
                 f"{ANGLE_BOUND_DEG:.0f} deg and a command within {low} to {high}"
             )
         try:
-            return GuardedState(self._observer.init(y, u), self._law.init(y, u), LadderState(), float(y))
+            return GuardedState(self._observer.init(y, u), self._law.init(y, u), FallbackState(), float(y))
         except HystmpcError:
             raise
         except Exception as error:
@@ -145,72 +132,72 @@ class GuardedController(Generic[M]):
 
     def stop(self, state: GuardedState[M], cause: str) -> GuardedState[M]:
         """The state after which every step stops: towards the safe command, or stay; only a new `init` releases it."""
-        return replace(state, ladder=self._ladder.halt(cause))
+        return replace(state, fallback=self._fallback.halt(cause))
 
     def step(self, state: GuardedState[M], y: float, reference: Vec) -> tuple[Command, GuardedState[M]]:
         """One sample; see `Controller.step`. Any `y` and any `reference` are answered."""
         watch = Stopwatch()
         estimate = self._observer.correct(state.estimate, y)
         watch.lap("estimate")
-        present = GuardedState(estimate, state.memory, state.ladder, state.due)  # `replace` takes ten times as long
-        rung, decided = self._decide(present, reference, watch)
-        u = self._limits.clip(rung.u, estimate.command, self._dt)
+        present = GuardedState(estimate, state.memory, state.fallback, state.due)  # `replace` takes ten times as long
+        level, decided = self._decide(present, reference, watch)
+        u = self._limits.clip(level.u, estimate.command, self._dt)
         after, fault = attempt(lambda: self._observer.advance(estimate, u))
         if after is None:
             after = self._observer.coast(estimate, u)
         watch.lap("advance")
         command = Command(
             u=u,
-            source=rung.source,
-            status=self._status(rung.status, estimate, fault),
-            plan=rung.plan,
-            predicted=self._predicted(after, rung),
+            source=level.source,
+            status=self._status(level.status, estimate, fault),
+            plan=level.plan,
+            predicted=self._predicted(after, level),
             disturbance=after.disturbance,
             timing=Timing(watch.stages),
         )
-        return command, GuardedState(after, decided.memory, decided.ladder, decided.due)
+        return command, GuardedState(after, decided.memory, decided.fallback, decided.due)
 
-    def _decide(self, state: GuardedState[M], reference: object, watch: Stopwatch) -> tuple[Rung, GuardedState[M]]:
-        """The rung to stand on; the state with the law's memory, the ladder and the next due angle renewed."""
-        ladder, missing = state.ladder, state.estimate.missing
-        waiting = self._situation(state, np.full(self.horizon, state.due))
-        if ladder.stopped:
-            return self._ladder.stop(waiting, f"latched {ladder.cause}"), state
+    def _decide(self, state: GuardedState[M], reference: object, watch: Stopwatch) -> tuple[Level, GuardedState[M]]:
+        """The level to take, and the state with the law's memory, the fallbacks and the next due angle renewed."""
+        fallback, missing = state.fallback, state.estimate.missing
+        waiting = self._input(state, np.full(self.horizon, state.due))
+        if fallback.stopped:
+            return self._fallback.stop(waiting, f"latched {fallback.cause}"), state
         try:
             wanted = usable_reference(reference, self.horizon)
         except UnusableReferenceError as error:
-            rung, ladder = self._ladder.pause(ladder, waiting, str(error))
-            return rung, replace(state, ladder=ladder)
-        situation = self._situation(state, wanted)
-        state = GuardedState(state.estimate, state.memory, ladder, situation.setpoint)
+            level, fallback = self._fallback.pause(fallback, waiting, str(error))
+            return level, replace(state, fallback=fallback)
+        given = self._input(state, wanted)
+        state = GuardedState(state.estimate, state.memory, fallback, given.setpoint)
         if missing > self._max_missing:
             reason = f"no usable measurement for {missing} samples"
-            rung, ladder = self._ladder.descend(ladder, situation, reason, blind=True)
-            return rung, replace(state, ladder=ladder)
-        proposal, reason = self._proposal(state, situation, watch)
+            level, fallback = self._fallback.on_failure(fallback, given, reason, blind=True)
+            return level, replace(state, fallback=fallback)
+        proposal, reason = self._proposal(state, given, watch)
         if proposal is None:
-            rung, ladder = self._ladder.descend(ladder, situation, reason)
+            level, fallback = self._fallback.on_failure(fallback, given, reason)
             watch.lap("fallback")
-            return rung, replace(state, ladder=ladder)
-        rung = Rung(proposal.u, self._law.source, proposal.status, proposal.plan, proposal.predicted)
-        ladder = self._ladder.rise(proposal.plan, proposal.predicted)
-        return rung, GuardedState(state.estimate, proposal.memory, ladder, state.due)
+            return level, replace(state, fallback=fallback)
+        level = Level(proposal.u, self._law.source, proposal.status, proposal.plan, proposal.predicted)
+        fallback = self._fallback.on_success(proposal.plan, proposal.predicted)
+        return level, GuardedState(state.estimate, proposal.memory, fallback, state.due)
 
     def _proposal(
-        self, state: GuardedState[M], situation: Situation, watch: Stopwatch
+        self, state: GuardedState[M], given: ControlInput, watch: Stopwatch
     ) -> tuple[Proposal[M] | None, str]:
         """The law's proposal, or None and why there is none."""
         if state.estimate.stalled:
             return None, f"the model state is {state.estimate.stalled} samples old"
-        proposal, reason = attempt(lambda: self._law.propose(state.memory, situation, watch))
+        proposal, reason = attempt(lambda: self._law.propose(state.memory, given, watch))
         watch.lap("law")
         if proposal is not None and not math.isfinite(proposal.u):
             return None, f"the law answers {proposal.u}"
         return proposal, reason
 
-    def _situation(self, state: GuardedState[M], wanted: Vec) -> Situation:
+    def _input(self, state: GuardedState[M], wanted: Vec) -> ControlInput:
         estimate = state.estimate
-        return Situation(
+        return ControlInput(
             state=estimate.state,
             disturbance=estimate.disturbance,
             disturbance_sigma=math.sqrt(estimate.variance),
@@ -219,18 +206,18 @@ class GuardedController(Generic[M]):
             due=state.due,
             setpoint=float(wanted[0]),
             reference=wanted[self._observer.delay_samples :],
-            remaining_plan=state.ladder.plan,
+            remaining_plan=state.fallback.plan,
         )
 
     @staticmethod
-    def _predicted(after: Estimate, rung: Rung) -> Vec:
+    def _predicted(after: Estimate, level: Level) -> Vec:
         """Angles at the ends of this and the next samples: those under way, then those of the plan."""
         if not after.angles:
             return EMPTY
         under_way = np.asarray(after.angles)
-        if not rung.predicted.size:
+        if not level.predicted.size:
             return under_way + after.disturbance
-        return np.concatenate([under_way[:-1], rung.predicted])[: rung.predicted.size] + after.disturbance
+        return np.concatenate([under_way[:-1], level.predicted])[: level.predicted.size] + after.disturbance
 
     @staticmethod
     def _status(status: str, estimate: Estimate, fault: str) -> str:
@@ -240,3 +227,25 @@ class GuardedController(Generic[M]):
         if fault:
             notes.append(f"model state not advanced: {fault}")
         return "; ".join(notes) or "ok"
+
+
+class UnusableReferenceError(ValueError):
+    """A reference that cannot be followed; never leaves the step."""
+
+
+def usable_reference(reference: object, horizon: int) -> Vec:
+    """The first `horizon` wanted angles [deg].
+
+    Raises:
+        UnusableReferenceError: if it is not a vector of numbers, is too short, or holds a NaN or an absurd angle.
+    """
+    try:
+        wanted = np.asarray(reference, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise UnusableReferenceError(f"reference: got {type(reference).__name__}, expected numbers") from None
+    if wanted.ndim != 1 or wanted.shape[0] < horizon:
+        raise UnusableReferenceError(f"reference: got shape {wanted.shape}, expected ({horizon},)")
+    wanted = wanted[:horizon]
+    if not bool(np.all(np.abs(wanted) <= ANGLE_BOUND_DEG)):
+        raise UnusableReferenceError(f"reference: not finite or beyond {ANGLE_BOUND_DEG:.0f} deg")
+    return wanted

@@ -1,44 +1,21 @@
-"""A control law: what a controller wants, before limits and fallbacks."""
+"""A control law: what a controller wants, before limits and fallbacks; and the settings that build one."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
+from hystmpc.models.model import Inverse, Predictor
+from hystmpc.trials.config import Settings
 from hystmpc.trials.types import Vec
 
-from .command import EMPTY, Source
-from .stopwatch import Stopwatch
+from .command import EMPTY, ControlInput, Source, Stopwatch
+from .estimation.observer import Observer
+from .fallback import FallbackSettings
+from .limits import CommandLimits, LimitsSettings
 
 M = TypeVar("M")
-
-
-@dataclass(frozen=True, eq=False)
-class Situation:
-    """What a law may look at.
-
-    Attributes:
-        state: predictor state (S,) at the instant at which the next command starts to act.
-        disturbance: estimated output disturbance [deg].
-        disturbance_sigma: standard deviation of its error [deg].
-        measured: last accepted measurement [deg].
-        u_last: the command really sent last [mm or bar].
-        due: the angle that was wanted now [deg].
-        setpoint: the angle wanted at the end of this sample [deg].
-        reference: the angles wanted at the ends of the samples that the next commands act in, shape (H,).
-        remaining_plan: what is left of the last good plan, up to H - 1 entries.
-    """
-
-    state: Vec
-    disturbance: float
-    disturbance_sigma: float
-    measured: float
-    u_last: float
-    due: float
-    setpoint: float
-    reference: Vec
-    remaining_plan: Vec
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,5 +40,34 @@ class Law(ABC, Generic[M]):
         """Memory at rest with measured angle `y` [deg] and held command `u`."""
 
     @abstractmethod
-    def propose(self, memory: M, situation: Situation, watch: Stopwatch) -> Proposal[M]:
+    def propose(self, memory: M, given: ControlInput, watch: Stopwatch) -> Proposal[M]:
         """The wanted command; stages worth telling apart are booked on `watch`."""
+
+
+class LawSettings(Settings):
+    """Base of the settings of every kind of controller: they build its law and its observer.
+
+    Attributes:
+        limits: may only narrow those of the device; null takes them as they are.
+        ladder: when prediction, fallback and stop set in.
+    """
+
+    falls_back_on_inverse: ClassVar[bool] = True
+
+    limits: LimitsSettings | None = None
+    ladder: FallbackSettings = FallbackSettings()
+
+    def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
+        """The model and its inverse as the controller uses them, with a learned part where the settings ask for one.
+
+        Who predicts from a controller's own state, as `TipController.predict` does, needs this predictor.
+        """
+        return predictor, inverse
+
+    @abstractmethod
+    def observer(self, predictor: Predictor) -> Observer:
+        """The estimator of state and disturbance."""
+
+    @abstractmethod
+    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
+        """The control law."""

@@ -1,14 +1,23 @@
-"""Hard limits on command and command rate, measured from the command really sent."""
+"""Hard limits on command and command rate, measured from the command really sent; their settings."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field, model_validator
 
+from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
+
+# Bounded numbers of all settings of controllers and benches.
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=1)]
+Port = Annotated[int, Field(ge=0, le=65535)]
 
 _ROUNDING = 1e-9  # relative; a limit that was written with fewer digits
 
@@ -61,9 +70,38 @@ class CommandLimits:
 
         Not-a-number stays what it is, and what follows it too; callers pass finite plans.
         """
-        from .plan_kernels import clip_plans  # numba takes longer to import than a planner's first call may
+        from .planning import clip_plans  # numba takes longer to import than a planner's first call may
 
         admissible: Vec = np.array(plans, dtype=np.float64, order="C")
         rows = admissible.reshape(-1, admissible.shape[-1])
         clip_plans(rows, self.lower, self.upper, self.rate * dt, last)
         return admissible
+
+
+class LimitsSettings(Settings):
+    """Hard limits of the command [mm or bar] and of its rate [mm/s or bar/s]."""
+
+    lower: float
+    upper: float
+    rate_per_s: Positive
+
+    @model_validator(mode="after")
+    def _ordered(self) -> LimitsSettings:
+        if not self.lower < self.upper:
+            raise ValueError(f"got lower {self.lower} and upper {self.upper}, expected lower < upper")
+        return self
+
+    def build(self) -> CommandLimits:
+        """The limits that the settings name."""
+        return CommandLimits(self.lower, self.upper, self.rate_per_s)
+
+
+class ModelledLimitsSettings(LimitsSettings):
+    """Hard limits where a model is known: those of the model may be narrowed, and exceeded only where it is said.
+
+    Attributes:
+        beyond_model: whether the limits may be wider than the command limits and rate that the model was made for; its
+            predictions there are extrapolated, and the device may not be made for them either.
+    """
+
+    beyond_model: Annotated[bool, Field(strict=True)] = False

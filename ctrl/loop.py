@@ -1,10 +1,10 @@
-"""The closed loop on a simulated clock: a controller, a plant, a reference, and a log."""
+"""The closed loop on a simulated clock: protocols of controller and plant, the loop, its log."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -13,26 +13,67 @@ from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
 from .command import Command
-from .protocols import Controller, Plant
 
 S = TypeVar("S")
 
 
+class Controller(Protocol[S]):
+    """State in, state out: `step` never raises and never returns a command beyond the limits."""
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        ...
+
+    @property
+    def horizon(self) -> int:
+        """Number of reference samples that `step` looks at, at least 1."""
+        ...
+
+    def init(self, y: float, u: float) -> S:
+        """State at rest, with measured angle `y` [deg] and the command `u` that the device holds."""
+        ...
+
+    def step(self, state: S, y: float, reference: Vec) -> tuple[Command, S]:
+        """One sample.
+
+        Args:
+            state: what `init` or the last `step` returned.
+            y: measured tip angle [deg]; not-a-number where the measurement is missing.
+            reference: wanted tip angles [deg] at the ends of this and the next samples, shape (H,).
+        """
+        ...
+
+
+class Plant(Protocol):
+    """A device, simulated or real; the only place where state may be hidden."""
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        ...
+
+    def reset(self) -> float:
+        """Bring the device to rest and return the measured tip angle [deg]."""
+        ...
+
+    def apply(self, u: float) -> float:
+        """Apply command `u` [mm or bar] for one sample and return the tip angle measured at its end [deg]."""
+        ...
+
+    def stop(self) -> None:
+        """Leave the device in its safe state."""
+        ...
+
+
 @dataclass(frozen=True)
-class Sample:
-    """One closed-loop sample; all angles belong to its end.
+class LoopSample:
+    """One closed-loop sample; all angles belong to its end."""
 
-    Attributes:
-        time_s: end of the sample.
-        reference_deg: wanted angle.
-        measured_deg: measured angle.
-        command: what was sent at the beginning of the sample.
-    """
-
-    time_s: float
-    reference_deg: float
-    measured_deg: float
-    command: Command
+    time_s: float  # end of the sample
+    reference_deg: float  # wanted angle
+    measured_deg: float  # measured angle
+    command: Command  # what was sent at the beginning of the sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,27 +114,24 @@ def run_loop(
     steps: int,
     *,
     u_start: float = 0.0,
-    on_sample: Callable[[Sample], None] | None = None,
+    on_sample: Callable[[LoopSample], None] | None = None,
 ) -> LoopLog:
     """Run `steps` samples as fast as they come and leave the plant stopped, whatever happens.
 
+    After a keyboard interrupt the log holds what there is.
+
     Args:
-        controller: what decides.
-        plant: what moves.
+        controller, plant: of equal sample time.
         reference: preview (H,) [deg] from the end of sample k on, for k = 0, 1, ...
-        steps: number of samples.
         u_start: the command that the plant holds after its reset.
         on_sample: called after every sample, for progress and live logs.
-
-    Returns:
-        The log; after a keyboard interrupt what there is of it.
 
     Raises:
         ControllerError: if the sample times of controller and plant differ.
     """
     if abs(controller.dt - plant.dt) > 1e-9 * plant.dt:
         raise ControllerError(f"loop: got a controller at {controller.dt} s and a plant at {plant.dt} s, expected one")
-    samples: list[Sample] = []
+    samples: list[LoopSample] = []
     interrupted = False
     with threadpool_limits(limits=1):  # a second BLAS thread only adds latency to matrices this small
         try:
@@ -103,7 +141,7 @@ def run_loop(
                 preview = reference(k)
                 command, state = controller.step(state, y, preview)
                 y = plant.apply(command.u)
-                samples.append(Sample((k + 1) * plant.dt, float(preview[0]), y, command))
+                samples.append(LoopSample((k + 1) * plant.dt, float(preview[0]), y, command))
                 if on_sample is not None:
                     on_sample(samples[-1])
         except KeyboardInterrupt:
@@ -113,7 +151,7 @@ def run_loop(
     return _log(samples, interrupted)
 
 
-def _log(samples: list[Sample], interrupted: bool) -> LoopLog:
+def _log(samples: list[LoopSample], interrupted: bool) -> LoopLog:
     commands = [sample.command for sample in samples]
     stages = dict.fromkeys(stage for command in commands for stage in command.timing.stages)
     return LoopLog(

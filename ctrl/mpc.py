@@ -1,4 +1,4 @@
-"""The predictive law: candidates, their roll-out, a planner that improves the best of them, and holds that hold."""
+"""The predictive law: candidate plans, a planner that improves the best of them, the hold at a constant reference."""
 
 from __future__ import annotations
 
@@ -6,17 +6,30 @@ import math
 from dataclasses import dataclass
 from typing import Generic, TypeVar, final
 
-from hystmpc.models.model import Predictor
+import numpy as np
+
+from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
-from .candidates import FOLLOWING, HOLD, INVERSE, Candidates
-from .command import Source
-from .hold import Hold, HoldRule
-from .ladder import attempt
-from .law import Law, Proposal, Situation
-from .planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
-from .slope import mean_slope
-from .stopwatch import Stopwatch
+from .analysis import static_gain
+from .command import ControlInput, Source, Stopwatch
+from .fallback import attempt
+from .law import Law, Proposal
+from .limits import CommandLimits
+from .mpc_settings import HoldSettings, PredictiveSettings
+from .planning import (
+    FOLLOWING,
+    HOLD,
+    INVERSE,
+    Candidates,
+    CommandPlan,
+    PlanCost,
+    Planner,
+    PlanningError,
+    PlanningProblem,
+)
+
+_LEAVE_SIGMAS = 5.0  # two independent estimates of one disturbance differ by more than this once in 10^4 samples
 
 P = TypeVar("P")
 
@@ -31,7 +44,7 @@ class PredictiveMemory(Generic[P]):
 
 @final
 class PredictiveLaw(Law[PredictiveMemory[P]]):
-    """Model-predictive control with any planner (architecture, section 4, steps 3 and 4).
+    """Model-predictive control with any planner.
 
     The disturbance d is constant over the horizon, so the plan makes the model follow theta_ref - d. While a
     constant reference is reached, the command does not move at all: otherwise noise in d would ratchet the play
@@ -43,41 +56,41 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
     def __init__(
         self,
         predictor: Predictor,
-        candidates: Candidates,
+        inverse: Inverse,
+        limits: CommandLimits,
         planner: Planner[P],
-        weights: Weights,
-        horizon: int,
-        hold: HoldRule,
+        settings: PredictiveSettings,
     ) -> None:
-        self.horizon = horizon
-        self._predictor, self._candidates, self._planner = predictor, candidates, planner
-        self._angle_limits = weights.angle_limits_deg
-        self._cost = PlanCost(weights, horizon)
-        self._hold = hold
-        self._slope = attempt(lambda: mean_slope(predictor))[0] or 0.0  # a model may fail where no plan ever is
+        self.horizon = settings.horizon
+        self._predictor, self._planner = predictor, planner
+        self._candidates = Candidates(predictor, inverse, limits, settings.horizon)
+        self._angle_limits = settings.weights.angle_limits_deg
+        self._cost = PlanCost(settings.weights, settings.horizon)
+        self._hold = HoldRule(settings.hold, predictor.dt)
+        self._slope = attempt(lambda: static_gain(predictor))[0] or 0.0  # a model may fail where no plan ever is
 
     def init(self, y: float, u: float) -> PredictiveMemory[P]:
         del y, u
         return PredictiveMemory(self._planner.init(), Hold())
 
     def propose(
-        self, memory: PredictiveMemory[P], situation: Situation, watch: Stopwatch
+        self, memory: PredictiveMemory[P], given: ControlInput, watch: Stopwatch
     ) -> Proposal[PredictiveMemory[P]]:
-        wanted, resting = situation.reference - situation.disturbance, memory.hold.constant > 0
-        plans = self._candidates.build(situation.state, situation.u_last, wanted, situation.remaining_plan, resting)
+        wanted, resting = given.reference - given.disturbance, memory.hold.constant > 0
+        plans = self._candidates.build(given.state, given.u_last, wanted, given.remaining_plan, resting)
         watch.lap("candidates")
         low, high = self._angle_limits
         problem = PlanningProblem(
-            state=situation.state,
-            u_last=situation.u_last,
+            state=given.state,
+            u_last=given.u_last,
             reference=wanted,
             feedforward=plans[INVERSE],
-            angle_limits=(low - situation.disturbance, high - situation.disturbance),
+            angle_limits=(low - given.disturbance, high - given.disturbance),
         )
         first = plans[:FOLLOWING] if resting else plans  # at rest most steps hold, and look no further
-        angles = self._predictor.rollout(situation.state, first)
-        held = angles[HOLD] + situation.disturbance
-        hold = self._hold.judge(memory.hold, situation.reference, held, situation.disturbance_sigma)
+        angles = self._predictor.rollout(given.state, first)
+        held = angles[HOLD] + given.disturbance
+        hold = self._hold.judge(memory.hold, given.reference, held, given.disturbance_sigma)
         start = self._start(problem, plans, angles, hold.holding)
         watch.lap("rollout")
         if not math.isfinite(start.cost):
@@ -85,12 +98,12 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         if hold.holding:
             return self._proposal(start, "ok", PredictiveMemory(memory.planner, hold))
         plan, status, planner = self._planner.improve(problem, start, memory.planner, watch)
-        commands = self._hold.gentle(hold, plan.commands, situation.u_last, self._hold.error(hold, held), self._slope)
+        commands = self._hold.gentle(hold, plan.commands, given.u_last, self._hold.error(hold, held), self._slope)
         if commands is not plan.commands:
-            plan = Plan(commands, self._predictor.rollout(situation.state, commands[None])[0], plan.cost)
+            plan = CommandPlan(commands, self._predictor.rollout(given.state, commands[None])[0], plan.cost)
         return self._proposal(plan, status, PredictiveMemory(planner, hold))
 
-    def _start(self, problem: PlanningProblem, plans: Vec, angles: Vec, holding: bool) -> Plan:
+    def _start(self, problem: PlanningProblem, plans: Vec, angles: Vec, holding: bool) -> CommandPlan:
         """The held command in a hold, else the cheapest candidate; `angles` are known of the first few."""
         known = HOLD + 1 if holding else len(angles)
         best = self._cost.best(plans[:known], angles[:known], problem)
@@ -101,5 +114,71 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         return found if found.cost < best.cost else best
 
     @staticmethod
-    def _proposal(plan: Plan, status: str, memory: PredictiveMemory[P]) -> Proposal[PredictiveMemory[P]]:
+    def _proposal(plan: CommandPlan, status: str, memory: PredictiveMemory[P]) -> Proposal[PredictiveMemory[P]]:
         return Proposal(float(plan.commands[0]), memory, plan.commands, plan.angles, status)
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Whether the command is held on purpose, at which reference, and for how many samples that has been constant."""
+
+    holding: bool = False
+    constant: int = 0
+    target: float = math.nan
+
+
+@final
+class HoldRule:
+    """When a constant reference counts as reached, and how an error that is left over is worked off.
+
+    A reference is constant while it and what the preview shows of the next `lead` samples stay within `tolerance_deg`
+    of the angle at which they came to rest. Reached it is where the held command keeps the angle close: within
+    `tolerance_deg` at first; and with every `patience` that passes one standard deviation of the disturbance estimate
+    more, up to five, since noise may never let it come closer and a command has to come to rest; once held, five.
+
+    A longer lead would let the command cross the dead band before the reference turns. On a dead band as flat as the
+    model's that is free; on a device that answers there, it moves the tip in a hold.
+    """
+
+    def __init__(self, settings: HoldSettings, dt: float) -> None:
+        self._tolerance = settings.tolerance_deg
+        self._patience, self._lead = round(settings.patience_s / dt), max(round(settings.lead_s / dt), 1)
+        self._settle_after, self._settle = round(settings.settle_after_s / dt), round(settings.settle_s / dt)
+
+    def judge(self, before: Hold, reference: Vec, held: Vec, sigma: float) -> Hold:
+        """Whether to hold now.
+
+        Args:
+            held: angles (H,) that the held command is expected to lead to [deg].
+            sigma: standard deviation of the disturbance estimate's error [deg].
+        """
+        now = float(reference[0])
+        if not abs(now - before.target) <= self._tolerance:  # not-a-number: none yet
+            return Hold(target=now)
+        if self._lead > 1 and self.error(before, reference[: self._lead]) > self._tolerance:
+            return Hold(target=now)
+        constant = before.constant + 1
+        waited = min(float(constant // max(self._patience, 1)), _LEAVE_SIGMAS)
+        sigmas = _LEAVE_SIGMAS if before.holding else waited
+        return Hold(self.error(before, held) <= self._tolerance + sigmas * sigma, constant, before.target)
+
+    @staticmethod
+    def error(hold: Hold, held: Vec) -> float:
+        """Greatest distance of angles (H,) from the angle to be held [deg]."""
+        return float(np.max(np.abs(held - hold.target)))
+
+    def gentle(self, hold: Hold, plan: Vec, u_last: float, error: float, slope: float) -> Vec:
+        """The plan (H,), in a hold within u_last -+ k error / (slope settle), k = 1, 2, ... samples.
+
+        Inside what a model has for a dead band and a device does not, a plan takes a whole dead band for free, and the
+        plan after it takes it back: a limit cycle. A correction as small as the error asks for outside dead bands meets
+        the measurement before it is too far, and a true dead band is crossed all the same, within some samples more.
+
+        Args:
+            error: greatest error of the held command [deg].
+            slope: static gain of the model [deg per command unit].
+        """
+        if not (self._settle > 0 and hold.constant > self._settle_after and slope > 0):
+            return plan
+        most = error / (slope * self._settle) * np.arange(1, plan.size + 1)
+        return np.clip(plan, u_last - most, u_last + most)

@@ -1,63 +1,55 @@
-"""One run on a device: transport, contact, loop, stop, latch. What is done in it is given as phases."""
+"""One run on a device: transport, first contact, loop, stop, latch. What is done in it is given as phases."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
 
-from .anchor import Anchor
-from .clock import Clock, MonotonicClock
+from .commission.phases import Phase, SafeStop
 from .config import BenchSettings
-from .connect import Contact, first_contact
-from .gate import Gate
 from .histogram import Timings
-from .intake import Intake
-from .latch import RUNNING, Latch, latch_text
-from .loop import ControlLoop
-from .outcome import Outcome
-from .phases.motion import SafeStop
-from .phases.phase import Phase
-from .plausibility import MotionWatch
-from .ramp import ramp_commands, stop_commands
-from .realtime_ import control_process
-from .sample import Sink
-from .signals_ import stopping_on_signals
-from .stop_flag import StopFlag
-from .transports.build import PlantFactory, build_transport
-from .transports.reading import Transport
-from .transports.units import Conversion
+from .loop import ControlLoop, RunOutcome
+from .realtime import Clock, MonotonicClock, control_process
+from .recording.sample import Sink
+from .safety.gate import Anchor, Gate
+from .safety.intake import Intake
+from .safety.plausibility import MotionWatch
+from .safety.ramp import ramp_commands, stop_commands
+from .safety.stop import RUNNING, Latch, StopFlag, latch_text, stopping_on_signals
+from .transports.transport import Conversion, PlantFactory, RunContext, Transport
+
+_PAUSE_NS = 1_000_000
+
+_GREET_NS = 100_000_000
+
+_ENOUGH = 3  # plausible angles before anything is believed
 
 Note = Callable[[str], None]
 
 _REPEATS = 5  # of the safe command
+
 _PATIENCE_S = 1.0  # how long it is sent to a device that does not say that it holds it
+
 _TOLERANCE = 0.01  # of the range: how far what a device says it holds may lie beside what was sent, where none is set
 
 
 @dataclass(frozen=True)
 class BenchResult:
-    """What a run left behind.
+    """What a run left behind."""
 
-    Attributes:
-        outcome: how it ended.
-        timings: period, execution, jitter, misses.
-        wire: messages rejected by the transport, by cause.
-        lost: measurements that were sent and never came.
-        notes: what the system did not permit.
-    """
-
-    outcome: Outcome
-    timings: Timings
-    wire: Mapping[str, int]
-    lost: int
-    notes: tuple[str, ...]
+    outcome: RunOutcome  # how it ended
+    timings: Timings  # period, execution, jitter, misses
+    wire: Mapping[str, int]  # messages rejected by the transport, by cause
+    lost: int  # measurements that were sent and never came
+    notes: tuple[str, ...]  # what the system did not permit
 
     def as_dict(self) -> dict[str, object]:
         """Plain data for `timing.json`."""
@@ -91,9 +83,8 @@ def run_bench(
     clock, flag = MonotonicClock(settings.realtime.spin_s), StopFlag()
     with Latch.of(settings.name, settings.latch_file).held() as latch, stopping_on_signals(flag):
         latch.require_released()
-        transport = build_transport(
-            settings.transport, Conversion.of(settings.wire, settings.command_unit), settings.dt_s, clock.now_ns, plants
-        )
+        conversion = Conversion.of(settings.wire, settings.command_unit)
+        transport = settings.transport.open(RunContext(conversion, settings.dt_s, clock.now_ns, plants))
         try:
             contact = first_contact(settings, transport, clock, flag)
             work = [*(step.phase(settings.ramps, settings.dt_s) for step in settings.prepare), *phases()]
@@ -116,14 +107,14 @@ def _loop(
     settings: BenchSettings,
     transport: Transport,
     clock: Clock,
-    contact: Contact,
+    contact: DeviceContact,
     flag: StopFlag,
     work: Sequence[Phase],
     samples: Sink,
     note: Note,
 ) -> BenchResult:
     ramps, dt_s, safe, sensor = settings.ramps, settings.dt_s, settings.safe_command, settings.sensor
-    limits, overshoot = _limits(settings), settings.overshoot
+    limits, overshoot = settings.limits.build(), settings.overshoot
     span = limits.upper - limits.lower
     tolerance = sensor.held_tolerance or _TOLERANCE * span
 
@@ -182,11 +173,6 @@ def _leave_files(result: BenchResult, folder: Path) -> None:
         return
 
 
-def _limits(settings: BenchSettings) -> CommandLimits:
-    limits = settings.limits
-    return CommandLimits(limits.lower, limits.upper, limits.rate_per_s)
-
-
 def reset_latch(settings: BenchSettings) -> None:
     """Release the latch, as somebody who has looked at the device asks for.
 
@@ -195,3 +181,71 @@ def reset_latch(settings: BenchSettings) -> None:
     """
     with Latch.of(settings.name, settings.latch_file).held() as latch:
         latch.release()
+
+
+@dataclass(frozen=True)
+class DeviceContact:
+    """What is known of a device that has answered."""
+
+    held: float  # the command that it holds, as it says or as `start_command` does
+    tells: bool  # whether it says so itself
+    received_ns: int  # monotonic time at which its last angle came [ns]; the loop keeps half a sample's distance
+
+
+def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, flag: StopFlag) -> DeviceContact:
+    """Wait until the device answers and listens to this controller; it is not moved.
+
+    Raises:
+        ConfigError: if no plausible angle comes in time, the device listens to another controller, device and
+            `start_command` disagree, neither tells what is held, that is beyond the limits, or a signal has ended the
+            wait.
+    """
+    sensor, held, seen, angle, received = settings.sensor, math.nan, 0, math.nan, clock.now_ns()
+    enough = 1 if settings.transport.in_process else _ENOUGH
+    deadline = clock.now_ns() + round(1e9 * settings.connect_timeout_s)
+    listens, greeted = True, 0
+    while seen < enough:
+        if flag.cause:
+            raise ConfigError(f"{settings.name}: {flag.cause} before the device answered; nothing was sent")
+        if clock.now_ns() > deadline:
+            if not listens:
+                raise ConfigError(
+                    f"{settings.name}: the device listens to another controller, expected that one to have ended"
+                )
+            got = "no angle" if math.isnan(angle) else f"angle {angle:.3f} deg"
+            rejected = "".join(f"; {cause}, {n} times" for cause, n in transport.counters.items())
+            raise ConfigError(
+                f"{settings.name}: got {got} from {settings.transport.place} within {settings.connect_timeout_s:g} s"
+                f"{rejected}, expected one within {sensor.lower_deg} to {sensor.upper_deg} deg; is the device on?"
+            )
+        try:
+            reading = transport.read()
+        except OSError:  # nobody listens yet
+            reading = None
+        if reading is None:
+            clock.wait_until(clock.now_ns() + _PAUSE_NS)
+            continue
+        angle, held, received, listens = reading.angle_deg, reading.held, reading.received_ns, reading.listens
+        if not listens and received - greeted > _GREET_NS:
+            greeted = received
+            transport.greet()
+        seen += listens and sensor.lower_deg <= angle <= sensor.upper_deg
+    return DeviceContact(_start(settings, held), math.isfinite(held), received)
+
+
+def _start(settings: BenchSettings, held: float) -> float:
+    wanted = settings.start_command
+    if not math.isfinite(held):
+        if wanted is None:
+            raise ConfigError(f"{settings.name}: the device does not tell its command, expected the key start_command")
+        return wanted
+    if wanted is not None and abs(held - wanted) > 1e-3 * (settings.limits.upper - settings.limits.lower):
+        raise ConfigError(f"{settings.name}: the device holds command {held:.6g}, expected start_command {wanted:.6g}")
+    low, high = settings.limits.lower, settings.limits.upper
+    slack = 1e-9 * (high - low)  # of a conversion of units
+    if not low - slack <= held <= high + slack:
+        raise ConfigError(
+            f"start: the device holds command {held:.6g}, expected one within {low} to {high}; move it there by hand "
+            "or correct the limits"
+        )
+    return min(max(held, low), high)

@@ -8,23 +8,30 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.config import LimitsSettings, ModelledLimitsSettings
-from hystmpc.ctrl.tip.settings import TipSettings
+from hystmpc.ctrl.limits import LimitsSettings, ModelledLimitsSettings, NotNegative, Positive
+from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.library import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
 from hystmpc.trials.config import Settings, load_settings
 
-from .excitation import Excitation, MotionFileSettings
-from .intake import SensorSettings
-from .plausibility import PlausibilitySettings
-from .prepare import PrepareStep
-from .ramp import RampSettings
-from .realtime_ import RealtimeSettings
-from .settings_types import NotNegative, Positive
-from .transports.settings import ReplaySettings, TransportSettings
-from .transports.units import WireUnits
+from .commission.excitation import Excitation, MotionFileSettings
+from .commission.phases import PrepareStep
+from .realtime import RealtimeSettings
+from .safety.intake import SensorSettings
+from .safety.plausibility import PlausibilitySettings
+from .safety.ramp import RampSettings
+from .transports.dds import DdsSettings
+from .transports.simulated import ReplaySettings, SimulatedSettings
+from .transports.transport import WireUnits
+from .transports.udp import UdpSettings
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
+
+
+# The table of transports: a new one is one file and one line here.
+TransportSettings = Annotated[
+    SimulatedSettings | ReplaySettings | UdpSettings | DdsSettings, Field(discriminator="kind")
+]
 
 
 class BenchSettings(Settings):
@@ -169,9 +176,7 @@ def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettin
 
 
 def _common(settings: BenchSettings, folder: Path) -> dict[str, Any]:
-    changes: dict[str, Any] = {}
-    if isinstance(settings.transport, ReplaySettings):
-        changes["transport"] = settings.transport.model_copy(update={"run": folder / settings.transport.run})
+    changes: dict[str, Any] = {"transport": settings.transport.resolved(folder)}
     if settings.latch_file is not None:
         changes["latch_file"] = folder / settings.latch_file
     return changes

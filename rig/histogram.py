@@ -36,9 +36,6 @@ class TimingSummary:
 class Histogram:
     """Counts of times from 0 to `span_s` in equal bins; what lies beyond goes to the last one.
 
-    Args:
-        span_s: upper end of the last bin [s].
-
     Raises:
         ConfigError: if the span is not positive.
     """
@@ -85,9 +82,6 @@ class Histogram:
 @final
 class Timings:
     """Period, execution time and wake-up jitter of a loop, with its deadline misses.
-
-    Args:
-        dt_s: sample time [s].
 
     Raises:
         ConfigError: if it is not positive.

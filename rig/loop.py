@@ -5,20 +5,45 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import final
 
-from .anchor import Anchor
-from .clock import Clock
-from .gate import Gate
+from .commission.phases import Decision, Past, Phase, PhaseInput, SafeStop
 from .histogram import Timings
-from .intake import Intake, Seen
-from .outcome import Outcome
-from .phases.motion import SafeStop
-from .phases.phase import Decision, Now, Past, Phase
-from .sample import Sample, Sink
-from .stop_flag import StopFlag
-from .transports.reading import Reading, Transport
+from .realtime import Clock
+from .recording.sample import Sample, Sink
+from .safety.gate import Anchor, Gate
+from .safety.intake import Intake, Seen
+from .safety.stop import StopFlag
+from .transports.transport import Reading, Transport
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """What the loop says of a run when it is over.
+
+    Attributes:
+        cause: why it was stopped; empty after a run that came to its end.
+        samples: samples with a command, and those skipped.
+        stop_s, safe_s: monotonic time since the start at which the stop began, and at which the safe command had been
+            sent and, where `confirmed`, was held [s]; NaN without a stop, or where nothing could be sent any more.
+        confirmed: whether the device has said that it holds the safe command.
+        clipped: commands that the last line has limited.
+        unsent: commands that the transport did not take.
+        refused: samples on which the sink raised, which it should not.
+        faults: samples by fault.
+    """
+
+    cause: str
+    samples: int
+    stop_s: float
+    safe_s: float
+    confirmed: bool
+    clipped: int
+    unsent: int
+    refused: int
+    faults: dict[str, int]
+
 
 _S = 1e-9
 _READINGS = 64  # taken at most in one sample; a flood must not cost the deadline
@@ -41,15 +66,7 @@ class ControlLoop:
     device has said that it holds the safe command.
 
     Args:
-        clock: time.
-        transport: the device.
-        intake: judge of what it measures.
-        gate: hard limits.
-        anchor: judge of whether anything may be sent.
-        dt_s: sample time [s].
-        sink: takes every sample.
         to_safe: makes the last phase of every run.
-        flag: asks for a stop from outside.
         stall_s: greatest time between two samples [s].
     """
 
@@ -67,14 +84,8 @@ class ControlLoop:
         stall_s: float = 0.5,
     ) -> None:
         self._clock, self._transport, self._intake, self._gate = clock, transport, intake, gate
-        self._anchor, self._dt_ns, self._sink, self._to_safe, self._flag = (
-            anchor,
-            round(1e9 * dt_s),
-            sink,
-            to_safe,
-            flag,
-        )
-        self._stall_ns = round(1e9 * stall_s)
+        self._anchor, self._sink, self._to_safe, self._flag = anchor, sink, to_safe, flag
+        self._dt_ns, self._stall_ns = round(1e9 * dt_s), round(1e9 * stall_s)
         self.timings = Timings(dt_s)
         self.faults: Counter[str] = Counter()
         self._phase: Phase | None = None
@@ -87,7 +98,7 @@ class ControlLoop:
         self._newest: Reading | None = None
         self._cause, self._stop_s, self._safe_s, self._confirmed = "", math.nan, math.nan, False
 
-    def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> Outcome:
+    def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> RunOutcome:
         """Go through the phases and lead the device to the safe command; whatever happens, the transport is closed.
 
         Args:
@@ -110,7 +121,7 @@ class ControlLoop:
         except Exception:  # noqa: BLE001 - the run is over; there is nobody left to tell
             self._unsent += 1
         counts = self._gate.clipped, self._unsent, self._refused
-        return Outcome(
+        return RunOutcome(
             self._cause, self._sequence, self._stop_s, self._safe_s, self._confirmed, *counts, dict(self.faults)
         )
 
@@ -126,7 +137,7 @@ class ControlLoop:
         if not sure:
             return self._wait(woke, deadline, seen, stop)
         skipped = self._skipped + (self._waited if self._commands else 0)
-        now = Now(seen.angle_deg, self._gate.last, self._late, skipped, seen.held, self._gate.velocity)
+        now = PhaseInput(seen.angle_deg, self._gate.last, self._late, skipped, seen.held, self._gate.velocity)
         if self._waited and isinstance(self._phase, SafeStop):
             self._phase.begin(now, Past([], []))  # the way out starts where the device was found
         self._waited = 0
@@ -216,7 +227,7 @@ class ControlLoop:
         seen = self._intake.judge(readings, woke, self._gate.last)
         return replace(seen, faults=(*seen.faults, fault)) if fault else seen
 
-    def _decide(self, now: Now) -> Decision:
+    def _decide(self, now: PhaseInput) -> Decision:
         """What the present phase wants; the stop's way out where it fails."""
         for _ in range(3):
             try:
@@ -234,7 +245,7 @@ class ControlLoop:
             self._halt(decision.fault, now)
         return Decision(now.held, "stop", "safe stop: held")  # out of reach: SafeStop never raises
 
-    def _halt(self, cause: str, now: Now) -> None:
+    def _halt(self, cause: str, now: PhaseInput) -> None:
         """Turn to the safe stop, once."""
         if isinstance(self._phase, SafeStop) and self._phase.cause:
             return

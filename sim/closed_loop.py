@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.loop import LoopLog, Sample, run_loop
-from hystmpc.ctrl.protocols import Controller
+from hystmpc.ctrl.loop import Controller, LoopLog, LoopSample, run_loop
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.types import Vec
 
@@ -44,7 +43,7 @@ def run_closed_loop(
     controller: Controller[Any],
     plant: ComputedPlant,
     motion: Trajectory,
-    on_sample: Callable[[Sample], None] | None = None,
+    on_sample: Callable[[LoopSample], None] | None = None,
 ) -> ClosedLoopRun:
     """Follow a motion once from the plant's rest, as fast as it computes.
 
@@ -54,7 +53,7 @@ def run_closed_loop(
     preview = PreviewTable(motion, plant.dt, controller.horizon)
     angles: list[float] = []
 
-    def note(sample: Sample) -> None:
+    def note(sample: LoopSample) -> None:
         angles.append(plant.true_angle)
         if on_sample is not None:
             on_sample(sample)

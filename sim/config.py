@@ -8,7 +8,8 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from hystmpc.ctrl.config import CONTROLLERS, ControllerSettings, ModelledLimitsSettings
+from hystmpc.ctrl.config import CONTROLLERS, ControllerSettings
+from hystmpc.ctrl.limits import ModelledLimitsSettings
 from hystmpc.models.effects.place import EffectError, effect_from
 from hystmpc.models.library import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings

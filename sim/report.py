@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from hystmpc.ctrl.build import pid_gains
-from hystmpc.ctrl.config import InversePidControllerSettings, PidControllerSettings
-from hystmpc.ctrl.describing import LoopAnalysis, analyse_pid
+from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid
+from hystmpc.ctrl.feedback.inverse import InversePidControllerSettings
+from hystmpc.ctrl.feedback.pid import PidControllerSettings
 from hystmpc.models.library import model_path
 from hystmpc.models.load import load_model
 from hystmpc.models.model import Predictor
@@ -139,9 +139,7 @@ def _stability(result: StudyResult) -> Iterator[Piece]:
     except ModelError as error:
         yield Paragraph(f"Not analysed: {error}")
         return
-    found = [
-        (name, analyse_pid(model, pid_gains(s.gains), limits_of(config, name), delay)) for name, s in with_gains.items()
-    ]
+    found = [(name, analyse_pid(model, s.gains, limits_of(config, name), delay)) for name, s in with_gains.items()]
     columns = ("controller", "prediction", "frequency [Hz]", "angle [deg]", f"command [{unit}]", "greatest loop gain")
     caption = (
         "By harmonic balance of the controller with the describing function of the identified model, the lag and delay "

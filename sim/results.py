@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hystmpc.ctrl.config import LimitsSettings
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.limits import CommandLimits, LimitsSettings
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.run_folder import RunFolder
 

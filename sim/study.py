@@ -9,16 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.build import build_controller, limits_of_model, modelled_limits
-from hystmpc.ctrl.config import (
-    AnyControllerSettings,
-    LinearisedMpcSettings,
-    ModelledLimitsSettings,
-    SamplingMpcSettings,
-)
+from hystmpc.ctrl.build import build_controller, known_model, limits_of_model, modelled_limits
+from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.ctrl.guarded import GuardedController
-from hystmpc.ctrl.known import known_model
-from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.limits import CommandLimits, ModelledLimitsSettings
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.contract.metadata import ModelMetadata, Range
 from hystmpc.models.library import model_path
 from hystmpc.models.load import load_model

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import OptimizeResult, differential_evolution
 
-from hystmpc.ctrl.config import AnyControllerSettings, InversePidControllerSettings, PidControllerSettings
+from hystmpc.ctrl.config import AnyControllerSettings
+from hystmpc.ctrl.feedback.inverse import InversePidControllerSettings
+from hystmpc.ctrl.feedback.pid import PidControllerSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.types import Vec
 
-from .problem import QpData, QpPattern
-from .solver import QpSolution, QpSolver
+from .program import QpData, QpPattern, QpSolution, QpSolver
 
 _STATUS = {
     1: "solved",

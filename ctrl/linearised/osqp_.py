@@ -8,8 +8,7 @@ from typing import Any, final
 import numpy as np
 import osqp
 
-from .problem import QpData, QpPattern
-from .solver import QpSolution, QpSolver
+from .program import QpData, QpPattern, QpSolution, QpSolver
 
 _UNFINISHED = "maximum iterations reached"
 _USABLE = ("solved", "solved inaccurate", _UNFINISHED)  # inaccurate: within ten times the tolerance

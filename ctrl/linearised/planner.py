@@ -8,18 +8,15 @@ from typing import final
 import numpy as np
 
 from hystmpc.models.model import Predictor
-from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
+from ..command import Stopwatch
 from ..limits import CommandLimits
-from ..planning import Plan, PlanCost, Planner, PlanningError, PlanningProblem, Weights
-from ..stopwatch import Stopwatch
-from .blocked import BlockedQp
-from .blocking import MoveBlocking
+from ..mpc_settings import LinearisedMpcSettings
+from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
 from .daqp_ import DaqpOptions, DaqpSolver
 from .osqp_ import OsqpOptions, OsqpSolver
-from .problem import PlanProgram, QpPattern, TrackingQp
-from .solver import QpSolver
+from .program import BlockedQp, MoveBlocking, PlanProgram, QpSolver, TrackingQp
 
 _PARTS = np.array([0.5, 0.25, 0.125])
 _KEPT = 0.9  # share of the promised decrease from which on no part of the step is worth a roll-out
@@ -33,48 +30,45 @@ class LinearisedPlanner(Planner[None]):
     parts too, in one batched roll-out; the start plan wins where none is better, as across a kink of the play.
 
     Args:
-        predictor: the model.
-        weights: weights of the cost.
-        limits: hard limits.
-        horizon: H.
-        iterations: linearisations per step.
-        options: of the solver, which their class chooses; DAQP where left out.
-        move_blocking: samples in each block of moves, see `MoveBlocking`; every sample on its own where left out.
+        options: of the solver, which their class chooses; those of the settings where left out.
 
     Raises:
-        ControllerError: if `iterations` is less than 1, or the blocks do not fit the horizon.
+        ControllerError: if the blocks do not fit the horizon.
     """
 
     def __init__(
         self,
         predictor: Predictor,
-        weights: Weights,
+        settings: LinearisedMpcSettings,
         limits: CommandLimits,
-        horizon: int,
-        iterations: int = 1,
         options: OsqpOptions | DaqpOptions | None = None,
-        move_blocking: tuple[int, ...] | None = None,
     ) -> None:
-        if iterations < 1:
-            raise ControllerError(f"linearised MPC: got iterations {iterations}, expected at least 1")
-        self._predictor, self._limits, self._iterations = predictor, limits, iterations
+        self._predictor, self._limits, self._iterations = predictor, limits, settings.iterations
+        weights, horizon, blocks = settings.weights, settings.horizon, settings.move_blocking
         self._cost = PlanCost(weights, horizon)
         self._qp: PlanProgram = TrackingQp(weights, limits, horizon, predictor.dt)
-        if move_blocking is not None:
-            self._qp = BlockedQp(weights, limits, MoveBlocking(move_blocking, horizon), predictor.dt)
-        self._solver = _solver(self._qp.pattern, options)
+        if blocks is not None:
+            self._qp = BlockedQp(weights, limits, MoveBlocking(blocks, horizon), predictor.dt)
+        if options is None:
+            options = DaqpOptions() if settings.solver == "daqp" else OsqpOptions(eps=settings.solver_eps)
+        pattern = self._qp.pattern
+        self._solver: QpSolver = (
+            OsqpSolver(pattern, options) if isinstance(options, OsqpOptions) else DaqpSolver(pattern, options)
+        )
 
     def init(self) -> None:
         return None
 
-    def improve(self, problem: PlanningProblem, start: Plan, memory: None, watch: Stopwatch) -> tuple[Plan, str, None]:
+    def improve(
+        self, problem: PlanningProblem, start: CommandPlan, memory: None, watch: Stopwatch
+    ) -> tuple[CommandPlan, str, None]:
         del memory
         status = "ok"
         for _ in range(self._iterations):
             start, status = self._iterate(problem, start, watch)
         return start, status, None
 
-    def _iterate(self, problem: PlanningProblem, start: Plan, watch: Stopwatch) -> tuple[Plan, str]:
+    def _iterate(self, problem: PlanningProblem, start: CommandPlan, watch: Stopwatch) -> tuple[CommandPlan, str]:
         _, jacobian = self._predictor.linearise(problem.state, start.commands)
         watch.lap("linearise")
         if not math.isfinite(jacobian.sum()):
@@ -90,7 +84,7 @@ class LinearisedPlanner(Planner[None]):
         watch.lap("search")
         return plan, f"{self._solver.name}: {solution.status}, its best step used" if solution.unfinished else "ok"
 
-    def _search(self, problem: PlanningProblem, start: Plan, jacobian: Vec, step: Vec) -> Plan:
+    def _search(self, problem: PlanningProblem, start: CommandPlan, jacobian: Vec, step: Vec) -> CommandPlan:
         """The cheapest of the start plan and parts of the step, by nonlinear cost."""
         # the solver overshoots limits within its tolerance: clip the whole step, parts of it are then admissible
         whole = self._limits.clip_plans(start.commands + step, problem.u_last, self._predictor.dt)
@@ -102,11 +96,5 @@ class LinearisedPlanner(Planner[None]):
             found = part if part.cost < found.cost else found
         return found if found.cost < start.cost else start
 
-    def _cheapest(self, plans: Vec, problem: PlanningProblem) -> Plan:
+    def _cheapest(self, plans: Vec, problem: PlanningProblem) -> CommandPlan:
         return self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)
-
-
-def _solver(pattern: QpPattern, options: OsqpOptions | DaqpOptions | None) -> QpSolver:
-    if isinstance(options, OsqpOptions):
-        return OsqpSolver(pattern, options)
-    return DaqpSolver(pattern, options or DaqpOptions())

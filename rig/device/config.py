@@ -1,4 +1,4 @@
-"""Settings of a device server."""
+"""Settings of a device server, and of the faults between it and a controller."""
 
 from __future__ import annotations
 
@@ -7,28 +7,73 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from hystmpc.ctrl.config import LimitsSettings
+from hystmpc.ctrl.limits import LimitsSettings, NotNegative, Positive
 from hystmpc.trials.config import Settings
 
-from ..realtime_ import SchedulingSettings
-from ..settings_types import Port, Positive
-from ..transports.settings import DdsSettings, require_local
-from ..transports.units import WireUnits
-from .faults import FaultSettings
+from ..realtime import SchedulingSettings
+from ..transports.dds import DdsSettings
+from ..transports.transport import WireUnits
+from ..transports.udp import UdpListenSettings
+
+Direction = Literal["readings", "commands"]
+FaultName = Literal[
+    "freeze",
+    "blocked",
+    "dislodged",
+    "nan",
+    "outlier",
+    "dropout",
+    "delay",
+    "jitter",
+    "reorder",
+    "duplicate",
+    "replay",
+    "stamp_jump",
+    "out_of_range",
+    "corrupt",
+]
+_SENSOR = ("freeze", "blocked", "dislodged", "nan", "outlier", "stamp_jump", "out_of_range")
 
 
-class UdpListenSettings(Settings):
-    """`kind: udp`: where the device listens; port 0 takes a free one and says which."""
+class FaultSettings(Settings):
+    """One fault of the readings, or of the commands on their way to the device.
 
-    kind: Literal["udp"]
-    bind_host: str = "127.0.0.1"
-    bind_port: Port = 47001
-    allow_network: bool = False
+    Attributes:
+        fault: `dropout` sends nothing; `delay` sends `delay_s` late; `jitter` up to `delay_s` late; `reorder` holds a
+            message back behind the next; `duplicate` sends it twice; `replay` sends an old one again; `corrupt` spoils
+            one byte of a datagram. Of readings only: `freeze` repeats the last angle; `blocked` sends the last angle
+            plus noise, as of a tip that cannot move; `dislodged` the same shifted by `size_deg`, as of a sensor that
+            has come off; `nan`; `outlier` adds `size_deg` with a random sign; `stamp_jump` shifts the sender's clock by
+            `delay_s`, of either sign; `out_of_range` sends 10 000 deg.
+        of: which way the messages go that it hits.
+        start_s: when it begins, counted from the first command.
+        duration_s: how long it lasts.
+        share: of the messages that it hits.
+        size_deg: of an outlier, or of the shift of a dislodged sensor.
+        noise_deg: standard deviation of the angle of a blocked tip or a dislodged sensor.
+        delay_s: see `fault`.
+    """
+
+    fault: FaultName
+    of: Direction = "readings"
+    start_s: NotNegative = 0.0
+    duration_s: NotNegative = 1e9
+    share: float = Field(default=1.0, gt=0, le=1)
+    size_deg: NotNegative = 40.0
+    noise_deg: NotNegative = 0.05
+    delay_s: float = 0.2
 
     @model_validator(mode="after")
-    def _local(self) -> UdpListenSettings:
-        require_local("bind_host", self.bind_host, self.allow_network)
+    def _possible(self) -> FaultSettings:
+        if self.of == "commands" and self.fault in _SENSOR:
+            known = "dropout, delay, jitter, reorder, duplicate, replay, corrupt"
+            raise ValueError(f"got fault {self.fault} of commands, available for them: {known}")
         return self
+
+    @property
+    def of_datagrams(self) -> bool:
+        """Whether it needs to get at the datagrams themselves."""
+        return self.of == "commands" or self.fault == "corrupt"
 
 
 class DeviceSettings(Settings):

@@ -2,33 +2,95 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 import random
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import final
+from typing import Generic, TypeVar, final
 
-from ..transports.datagram import Datagram, Kind, decode
-from ..transports.link import Outgoing
-from ..transports.udp import Datagrams, Peer
-from .faults import FaultSettings
-from .faulty_line import FaultyLine
+from ..transports.transport import Datagrams, Outgoing, Peer
+from ..transports.udp import Datagram, Kind, decode
+from .config import FaultSettings
+
+M = TypeVar("M")
+
+_REMEMBERED = 50  # messages that may be replayed
 
 _NS = 1e9
+
 _STANDING = ("freeze", "blocked", "dislodged")  # faults in which the angle is that of the moment before
+
 _TAKEN = 64  # datagrams taken off the socket in one call
 
 
 @final
-class FaultyReadings:
-    """Readings in, readings out: what is left of them, and when.
+class FaultyLine(Generic[M]):
+    """Messages in, messages out: what is left of them, and when.
 
     Args:
-        faults: what goes wrong; those that need datagrams are not for here.
-        seed: of the draws.
+        spoil: a fault and a message to the message with another content.
     """
+
+    def __init__(
+        self, faults: Sequence[FaultSettings], draws: random.Random, spoil: Callable[[FaultSettings, M], M]
+    ) -> None:
+        self._faults, self._random, self._spoil = tuple(faults), draws, spoil
+        self._old: list[M] = []
+        self._held_back: M | None = None
+        self._under_way: list[tuple[float, int, M]] = []
+        self._count = 0
+
+    def active(self, t_s: float) -> list[FaultSettings]:
+        """The faults that there are at `t_s` [s] after the first command."""
+        return [f for f in self._faults if f.start_s <= t_s < f.start_s + f.duration_s]
+
+    def put(self, message: M, t_s: float) -> None:
+        """Take a message that is sent at `t_s` [s] after the first command."""
+        copies, due = [message], t_s
+        for fault in self.active(t_s):
+            if self._random.random() < fault.share:
+                copies = [one for message in copies for one in self._changed(fault, message)]
+                due += self._late_s(fault)
+        self._old = [*self._old, message][-_REMEMBERED:]
+        for copy in copies:
+            self._count += 1
+            heapq.heappush(self._under_way, (due, self._count, copy))
+
+    def due(self, t_s: float) -> list[M]:
+        """What arrives until `t_s` [s]."""
+        arrived = []
+        while self._under_way and self._under_way[0][0] <= t_s:
+            arrived.append(heapq.heappop(self._under_way)[2])
+        return arrived
+
+    def _late_s(self, fault: FaultSettings) -> float:
+        if fault.fault == "delay":
+            return abs(fault.delay_s)
+        return self._random.uniform(0.0, abs(fault.delay_s)) if fault.fault == "jitter" else 0.0
+
+    def _changed(self, fault: FaultSettings, message: M) -> list[M]:
+        """What a fault makes of one message."""
+        name = fault.fault
+        if name in ("delay", "jitter"):
+            return [message]
+        if name == "dropout":
+            return []
+        if name == "duplicate":
+            return [message, message]
+        if name == "replay":
+            return [message, self._random.choice(self._old)] if self._old else [message]
+        if name == "reorder":
+            before, self._held_back = self._held_back, None if self._held_back else message
+            return [message, before] if before else []
+        return [self._spoil(fault, message)]
+
+
+@final
+class FaultyReadings:
+    """Readings in, readings out: what is left of them, and when."""
 
     def __init__(self, faults: Sequence[FaultSettings], seed: int) -> None:
         self._random, self._last = random.Random(seed), math.nan
@@ -64,11 +126,6 @@ class FaultyDatagrams:
     """A socket on which commands are lost, late, out of order, repeated or spoiled before the device sees them.
 
     Readings can be spoiled on their way out. Time counts from the first command that comes.
-
-    Args:
-        wire: the socket.
-        faults: what goes wrong; those that need no datagrams are not for here.
-        seed: of the draws.
     """
 
     def __init__(self, wire: Datagrams, faults: Sequence[FaultSettings], seed: int) -> None:
@@ -83,11 +140,7 @@ class FaultyDatagrams:
         self._arrived: deque[tuple[bytes, Peer]] = deque()
 
     def recvfrom(self, size: int) -> tuple[bytes, Peer]:
-        """The oldest datagram that has arrived, and where it came from.
-
-        Raises:
-            BlockingIOError: where none has.
-        """
+        """The oldest datagram that has arrived and its sender; `BlockingIOError` where there is none."""
         for _ in range(_TAKEN):
             try:
                 data, peer = self._wire.recvfrom(size)

@@ -8,27 +8,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TextIO, final
 
-from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.protocols import Plant
+from hystmpc.ctrl.loop import Plant
 from hystmpc.trials.errors import ConfigError
 
-from ..clock import MonotonicClock
-from ..realtime_ import scheduled
-from ..signals_ import stopping_on_signals
-from ..stop_flag import StopFlag
-from ..transports.build import require_dds
-from ..transports.link import DeviceLink, Outgoing
-from ..transports.udp import UdpLink
-from ..transports.units import Conversion
-from .config import DeviceSettings, UdpListenSettings
+from ..realtime import MonotonicClock, scheduled
+from ..safety.stop import StopFlag, stopping_on_signals
+from ..transports.transport import Conversion, DeviceLink, Outgoing
+from .config import DeviceSettings
 from .faulty_wire import FaultyDatagrams, FaultyReadings
 
 _MESSAGES = 64  # taken at most in one sample
+
 _AT_REST = 1e-3  # of the range
 
 
 @dataclass(frozen=True)
-class Served:
+class ServerCounts:
     """What a device has seen.
 
     Attributes:
@@ -55,19 +50,15 @@ def open_link(settings: DeviceSettings) -> DeviceLink:
     Raises:
         ConfigError: if it cannot be opened, or a package is missing for it.
     """
-    if isinstance(settings.link, UdpListenSettings):
-        faults, seed = settings.faults, settings.seed
-        faulty = any(fault.of_datagrams for fault in faults)
-        through = (lambda wire: FaultyDatagrams(wire, faults, seed)) if faulty else None
-        return UdpLink(settings.link.bind_host, settings.link.bind_port, settings.watchdog_s, through)
-    require_dds()
-    from ..transports.dds_ import DdsLink
-
-    return DdsLink(settings.link, settings.watchdog_s)
+    faults, seed = settings.faults, settings.seed
+    faulty = any(fault.of_datagrams for fault in faults)
+    return settings.link.listen(
+        settings.watchdog_s, (lambda wire: FaultyDatagrams(wire, faults, seed)) if faulty else None
+    )
 
 
 @final
-class Device:
+class SimulatedDevice:
     """One simulated device.
 
     Its watchdog leads the drive back to rest once the controller has been silent for `watchdog_s`. From then on no
@@ -76,10 +67,7 @@ class Device:
     drive is at rest.
 
     Args:
-        settings: of the server.
-        plant: what moves; it is reset.
         held: the command that it holds after its reset, and returns to.
-        link: its wire.
         log: gets a line a sample: time since the start, command received (NaN for none), command applied, angle.
 
     Raises:
@@ -91,8 +79,7 @@ class Device:
     ) -> None:
         if abs(plant.dt * settings.rate_hz - 1) > 1e-6:
             raise ConfigError(f"device: got a plant at {1 / plant.dt:g} Hz, expected rate_hz {settings.rate_hz:g}")
-        limits = settings.limits
-        self._limits = CommandLimits(limits.lower, limits.upper, limits.rate_per_s)
+        self._limits = settings.limits.build()
         self._settings, self._plant, self._link, self._log = settings, plant, link, log
         self._conversion = Conversion.of(settings.wire, settings.command_unit)
         self._wire = FaultyReadings(settings.faults, settings.seed)
@@ -102,7 +89,7 @@ class Device:
         self._samples = self._commands = self._beyond = self._bites = self._unheard = 0
         self._angle = plant.reset()
 
-    def serve(self, flag: StopFlag, duration_s: float = math.inf) -> Served:
+    def serve(self, flag: StopFlag, duration_s: float = math.inf) -> ServerCounts:
         """Compute and send until the flag is set or the time is over."""
         clock = MonotonicClock(0.0)
         start = deadline = clock.now_ns()
@@ -114,7 +101,7 @@ class Device:
             deadline += max(0, behind // dt_ns) * dt_ns  # a stalled machine: samples are left out, not crowded
             self.sample(1e-9 * (clock.now_ns() - start))
         counts = self._samples, self._commands, self._beyond, self._bites, self._unheard
-        return Served(*counts, dict(self._link.counters))
+        return ServerCounts(*counts, dict(self._link.counters))
 
     def sample(self, t_s: float) -> None:
         """Take commands, move for one sample, measure, send what the faults leave."""
@@ -188,16 +175,13 @@ def serve(
     ready: Callable[[DeviceLink], None],
     duration_s: float = math.inf,
     note: Callable[[str], None] = lambda text: None,
-) -> Served:
+) -> ServerCounts:
     """Open the wire and serve until SIGINT, SIGTERM or the end of the time.
 
     Args:
-        settings: of the server.
-        plant: what moves.
         held: the command that it holds after its reset.
         ready: called once the wire is open.
         duration_s: how long at most [s].
-        note: told what the system did not permit.
 
     Raises:
         ConfigError: if the wire or the log cannot be opened, or the plant does not fit.
@@ -207,7 +191,7 @@ def serve(
     try:
         if settings.log is not None:
             log = _open_log(settings)
-        device = Device(settings, plant, held, link, log)
+        device = SimulatedDevice(settings, plant, held, link, log)
         with stopping_on_signals(flag), scheduled(settings.realtime) as notes:
             ready(link)
             for text in notes:

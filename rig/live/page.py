@@ -13,11 +13,8 @@ from typing import Any, final
 
 from hystmpc.trials.errors import ConfigError
 
-from ..sample import Sample, Sink
-from .state import Snapshot
-from .view import Watched
+from .state import LiveSnapshot, LiveView
 
-PERIOD_S = 0.125
 _MOST_CLIENTS = 16  # more are turned away: a page is for the people at the bench
 _PATIENCE_S = 5.0  # for a client that sends or takes nothing
 _SILENCE_S = 2.0  # after which an idle stream gets a comment, so that a client that left is noticed
@@ -32,12 +29,10 @@ _HEADERS = {
 
 
 @final
-class LivePage(Sink):
+class LivePage(LiveView):
     """Serves what the run does to browsers; nothing that a browser sends is taken in.
 
     Args:
-        unit: of the command.
-        rate_hz: rate of the loop [Hz].
         host: address to listen on; the loopback, unless others are to see the page.
         port: 0 takes a free one.
 
@@ -48,19 +43,19 @@ class LivePage(Sink):
     def __init__(self, unit: str, rate_hz: float, host: str = "127.0.0.1", port: int = 8765) -> None:
         self._unit, self._rate_hz = unit, rate_hz
         self._latest = _Latest()
-        self._watched = Watched(rate_hz, self._show, PERIOD_S)
+        super().__init__(rate_hz)
         try:
             self._server = _Server((host, port), self._latest)
         except (OSError, OverflowError) as error:
-            self._watched.close()
+            super().close()
             reason = getattr(error, "strerror", None) or error
             raise ConfigError(
                 f"live page: cannot listen on {host} port {port} ({reason}), expected a free port"
             ) from None
-        self._thread = threading.Thread(
+        self._listener = threading.Thread(
             target=self._server.serve_forever, args=(_POLL_S,), name="hystmpc-page", daemon=True
         )
-        self._thread.start()
+        self._listener.start()
 
     @property
     def address(self) -> str:
@@ -68,26 +63,18 @@ class LivePage(Sink):
         host, port = self._server.server_address[:2]
         return f"http://{host!s}:{port}/"
 
-    def put(self, sample: Sample) -> None:
-        """Take a sample; never blocks, never raises, counts what it has to drop."""
-        self._watched.put(sample)
-
-    def tell(self, text: str) -> None:
-        """Show a line, such as that recording has stopped."""
-        self._watched.tell(text)
-
     def close(self) -> None:
         """Send the last state and stop listening."""
-        self._watched.close()
+        super().close()
         self._latest.end()
         self._server.shutdown()
         self._server.server_close()
 
-    def _show(self, snapshot: Snapshot) -> None:
+    def _show(self, snapshot: LiveSnapshot) -> None:
         self._latest.publish(json.dumps(message(snapshot, self._unit, self._rate_hz), allow_nan=False).encode())
 
 
-def message(snapshot: Snapshot, unit: str, rate_hz: float) -> dict[str, Any]:
+def message(snapshot: LiveSnapshot, unit: str, rate_hz: float) -> dict[str, Any]:
     """What a browser gets: figures, and the curves of the last 20 s."""
     last = snapshot.last
     timings = {}

@@ -1,8 +1,10 @@
-"""The last seconds of a run, and what has happened since its start."""
+"""The last seconds of a run as views show them, and the thread that updates a view."""
 
 from __future__ import annotations
 
 import math
+import threading
+from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,16 +16,21 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from ..histogram import Histogram
-from ..sample import Sample
+from ..recording.sample import Sample, SampleQueue, Sink
 
 WINDOW_S = 20.0
 """How much of the run is plotted [s]."""
 
 _POINTS_PER_S = 50.0  # of the plots; the figures are made of all samples
 
+_PERIOD_S = 0.125  # between two snapshots shown
+_QUEUE_S = 30.0
+
+_CLOSE_S = 5.0
+
 
 @dataclass(frozen=True, eq=False)
-class Snapshot:
+class LiveSnapshot:
     """What the views show.
 
     Attributes:
@@ -57,9 +64,6 @@ class Snapshot:
 class LiveState:
     """Gathers samples for the views; used by one thread.
 
-    Args:
-        rate_hz: rate of the loop [Hz].
-
     Raises:
         ConfigError: if the rate is not positive.
     """
@@ -89,7 +93,7 @@ class LiveState:
             self._last = sample
             self._count += 1
 
-    def snapshot(self) -> Snapshot | None:
+    def snapshot(self) -> LiveSnapshot | None:
         """What there is to show, None before the first sample."""
         if self._last is None:
             return None
@@ -99,7 +103,7 @@ class LiveState:
         span = float(rows[-1, 0] - rows[0, 0])
         # Counted from the start, so that a point that was shown stays where it was.
         shown = rows[(self._stride - 1 - (self._count - len(rows))) % self._stride :: self._stride]
-        return Snapshot(
+        return LiveSnapshot(
             last=self._last,
             t=shown[:, 0],
             reference=shown[:, 1],
@@ -114,3 +118,54 @@ class LiveState:
             fault_s=dict(self._fault_s),
             notes=tuple(self.notes),
         )
+
+
+class LiveView(Sink, ABC):
+    """Shows a snapshot 8 times a second by a thread of its own; what that raises ends the view, never the run.
+
+    Raises:
+        ConfigError: if the rate of the loop [Hz] is not positive.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._state = LiveState(rate_hz)
+        self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
+        self.problem = ""
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="hystmpc-live", daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Samples that were not shown."""
+        return self._waiting.dropped
+
+    def put(self, sample: Sample) -> None:
+        self._waiting.put(sample)
+
+    def tell(self, text: str) -> None:
+        """Show a line, such as that recording has stopped."""
+        self._state.notes.append(text)
+
+    def close(self) -> None:
+        """Show the last state and end."""
+        self._waiting.closed = True
+        self._end.set()
+        self._thread.join(_CLOSE_S)
+
+    @abstractmethod
+    def _show(self, snapshot: LiveSnapshot) -> None:
+        """Draw or publish."""
+
+    def _work(self) -> None:
+        ending = False
+        while not ending:
+            ending = self._end.wait(_PERIOD_S)
+            try:
+                self._state.update(self._waiting.take())
+                if (snapshot := self._state.snapshot()) is not None:
+                    self._show(snapshot)
+            except Exception as error:  # noqa: BLE001 - a terminal that goes away or an odd sample must not end a run
+                self.problem = f"{type(error).__name__}: {error}"
+                self._waiting.closed = True
+                return

@@ -5,21 +5,29 @@ from __future__ import annotations
 import math
 from typing import final
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from ..sample import Sample, Sink
-from .braille import bar, columns_of, curves, limits_of, raster
-from .state import WINDOW_S, Snapshot
-from .view import Watched
+from hystmpc.trials.types import Vec
 
-PERIOD_S = 0.125
+from .state import WINDOW_S, LiveSnapshot, LiveView
+
+_DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+
+_EMPTY = 0x2800
+
+
 _LINE_EVERY = 80  # of the periods, where there is no terminal to draw on
+
 _PLOT_ROWS = 9
+
 _RECENT_S = 3.0  # a fault younger than this is shown as present
+
 _STATE_COLOURS = {
     "mpc": "green",
     "stop": "white on red",
@@ -29,15 +37,72 @@ _STATE_COLOURS = {
 }
 
 
+def limits_of(*curves: Vec, least_span: float) -> tuple[float, float]:
+    """Lowest and highest value of all curves, at least `least_span` apart; 0 and 1 where nothing is finite."""
+    values = np.concatenate([curve[np.isfinite(curve)] for curve in curves])
+    if not values.size:
+        return 0.0, 1.0
+    low, high = float(values.min()), float(values.max())
+    missing = max(least_span - (high - low), 0.0) / 2
+    return low - missing, high + missing
+
+
+def raster(t: Vec, y: Vec, low: float, high: float, width: int, height: int) -> NDArray[np.int64]:
+    """Dots of one curve as character codes, (height, width); 0 where there is none.
+
+    The curve is y (T,) over t (T,); values that are not finite leave a hole. `low` and `high` bound the vertical axis.
+    """
+    cells = np.zeros((height, width), dtype=np.int64)
+    known = np.isfinite(y) & np.isfinite(t)
+    if not known.any() or not t[-1] > t[0]:
+        return cells
+    x = ((t[known] - t[0]) / (t[-1] - t[0]) * (2 * width - 1)).round().astype(int)
+    level = np.clip((y[known] - low) / max(high - low, 1e-12), 0, 1)
+    row = ((1 - level) * (4 * height - 1)).round().astype(int)
+    np.bitwise_or.at(cells, (row // 4, np.clip(x, 0, 2 * width - 1) // 2), _DOTS[row % 4, x % 2])
+    return cells
+
+
+def curves(fields: list[tuple[NDArray[np.int64], str]]) -> Text:
+    """Rasters over each other as text; of several in one character the last one gives the colour."""
+    text = Text(no_wrap=True)
+    height, width = fields[0][0].shape
+    for row in range(height):
+        for column in range(width):
+            code, colour = 0, ""
+            for cells, name in fields:
+                if cells[row, column]:
+                    code, colour = code | int(cells[row, column]), name
+            text.append(chr(_EMPTY + code) if code else " ", colour)
+        text.append("\n" if row < height - 1 else "")
+    return text
+
+
+def bar(value: float, low: float, high: float, width: int) -> str:
+    """A value between two limits as a bar of `width` characters, in eighths of a character."""
+    share = min(max((value - low) / max(high - low, 1e-12), 0.0), 1.0) if np.isfinite(value) else 0.0
+    eighths = round(share * 8 * width)
+    full = "█" * (eighths // 8) + (" ▏▎▍▌▋▊▉"[eighths % 8] if eighths % 8 else "")
+    return full.ljust(width, "·")
+
+
+def columns_of(counts: NDArray[np.int64], width: int) -> str:
+    """A histogram as one line of `width` characters; the height is the logarithm of the count."""
+    groups = np.array([part.sum() for part in np.array_split(counts, width)], dtype=np.float64)
+    if not groups.any():
+        return " " * width
+    levels = np.ceil(8 * np.log1p(groups) / np.log1p(groups.max())).astype(int)
+    return "".join(" ▁▂▃▄▅▆▇█"[level] for level in levels)
+
+
 @final
-class TerminalView(Sink):
+class TerminalView(LiveView):
     """Draws the state of the run 8 times a second; on an output that is no terminal a line every 10 s.
 
-    Drawing takes 10 to 30 ms of Python each time, so it belongs into another process than the loop; see `open_apart`.
+    Drawing takes 10 to 30 ms of Python each time, so it belongs into another process than the loop: see
+    `open_recorder_process`.
 
     Args:
-        unit: of the command.
-        rate_hz: rate of the loop [Hz].
         page: address of the local page, to be named; empty without one.
         console: where to draw; standard error where None.
 
@@ -53,30 +118,22 @@ class TerminalView(Sink):
         if self._console.is_terminal:
             self._live = Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
             self._live.start()
-        self._watched = Watched(rate_hz, self._show, PERIOD_S)
-
-    def put(self, sample: Sample) -> None:
-        """Take a sample; never blocks, never raises, counts what it has to drop."""
-        self._watched.put(sample)
-
-    def tell(self, text: str) -> None:
-        """Show a line, such as that recording has stopped."""
-        self._watched.tell(text)
+        super().__init__(rate_hz)
 
     def close(self) -> None:
         """Leave the last state on the screen."""
-        self._watched.close()
+        super().close()
         if self._live is not None:
             self._live.stop()
 
-    def _show(self, snapshot: Snapshot) -> None:
+    def _show(self, snapshot: LiveSnapshot) -> None:
         self._calls += 1
         if self._live is not None:
             self._live.update(self.render(snapshot), refresh=True)
         elif self._calls % _LINE_EVERY == 1:
             self._console.print(headline(snapshot, self._unit), soft_wrap=True)
 
-    def render(self, snapshot: Snapshot) -> Panel:
+    def render(self, snapshot: LiveSnapshot) -> Panel:
         """The whole view."""
         width = max(min(self._console.width, 110) - 14, 20)
         parts: list[RenderableType] = [headline(snapshot, self._unit), Text(), _plot(snapshot, width), Text()]
@@ -85,7 +142,7 @@ class TerminalView(Sink):
         return Panel(Group(*parts), title="hystmpc", subtitle=self._page or None, expand=False)
 
 
-def headline(snapshot: Snapshot, unit: str) -> Text:
+def headline(snapshot: LiveSnapshot, unit: str) -> Text:
     """Where the run is: time, source, angle, reference, error, command; one line."""
     last = snapshot.last
     error = last.reference_deg - last.measured_deg
@@ -101,7 +158,7 @@ def headline(snapshot: Snapshot, unit: str) -> Text:
     return text
 
 
-def _plot(snapshot: Snapshot, width: int) -> Table:
+def _plot(snapshot: LiveSnapshot, width: int) -> Table:
     low, high = limits_of(snapshot.reference, snapshot.angle, least_span=2.0)
     shape = low, high, width, _PLOT_ROWS
     fields = [
@@ -115,7 +172,7 @@ def _plot(snapshot: Snapshot, width: int) -> Table:
     return grid
 
 
-def _command(snapshot: Snapshot, unit: str, width: int) -> Text:
+def _command(snapshot: LiveSnapshot, unit: str, width: int) -> Text:
     low, high = limits_of(snapshot.command, least_span=1e-3)
     text = Text("command ", no_wrap=True)
     text.append(bar(snapshot.last.command, low, high, max(width - 24, 8)), "magenta")
@@ -123,7 +180,7 @@ def _command(snapshot: Snapshot, unit: str, width: int) -> Text:
     return text
 
 
-def _timing(snapshot: Snapshot, rate_hz: float, width: int) -> list[Text]:
+def _timing(snapshot: LiveSnapshot, rate_hz: float, width: int) -> list[Text]:
     lines = []
     half = max(width // 2, 12)
     for name, histogram in (("late   ", snapshot.late), ("work   ", snapshot.total)):
@@ -138,7 +195,7 @@ def _timing(snapshot: Snapshot, rate_hz: float, width: int) -> list[Text]:
     return [*lines, missed]
 
 
-def _faults(snapshot: Snapshot) -> list[Text]:
+def _faults(snapshot: LiveSnapshot) -> list[Text]:
     if not snapshot.faults:
         return [Text("faults  none", style="green")]
     line = Text("faults  ")

@@ -1,21 +1,16 @@
-"""Samples as rows of log.csv."""
+"""Samples as rows of log.csv, in a file that grows by whole commits."""
 
 from __future__ import annotations
 
 import csv
 import io
+import os
 from pathlib import Path
 from typing import final
 
 from hystmpc.trials.presets import CANONICAL
 
-from ..sample import Sample
-from .growing_file import GrowingFile
-
-
-def stage_column(name: str) -> str:
-    """Column of a stage's duration [s]."""
-    return f"stage_{name.replace(' ', '_')}_s"
+from .sample import Sample
 
 
 @final
@@ -25,7 +20,6 @@ class CsvLog:
     The last column is one character wide: a row that was cut off by a kill lacks it, and readers leave that row out.
 
     Args:
-        path: a new file.
         command: name of the command's column, such as `command_mm`.
         stages: names of the stages that get a column; the first sample's where empty.
 
@@ -46,24 +40,12 @@ class CsvLog:
         if not self._begun:
             self._begin(sample)
         spent = dict(sample.stages_s)
-        self._rows.writerow(
-            (
-                repr(float(sample.t_s)),
-                repr(float(sample.command)),
-                repr(float(sample.measured_deg)),
-                repr(float(sample.reference_deg)),
-                repr(float(sample.predicted_deg)),
-                repr(float(sample.period_s)),
-                repr(float(sample.lateness_s)),
-                int(sample.sequence),
-                int(sample.wall_ns),
-                *(repr(float(spent[name])) if name in spent else "" for name in self._stages),
-                _cell(sample.source),
-                _cell(sample.status),
-                _cell(" ".join(sample.faults)),
-                int(bool(sample.missed)),
-            )
-        )
+        s = sample
+        numbers = s.t_s, s.command, s.measured_deg, s.reference_deg, s.predicted_deg, s.period_s, s.lateness_s
+        stages = (repr(float(spent[name])) if name in spent else "" for name in self._stages)
+        texts = _cell(s.source), _cell(s.status), _cell(" ".join(s.faults))
+        counts = int(s.sequence), int(s.wall_ns)
+        self._rows.writerow((*(repr(float(x)) for x in numbers), *counts, *stages, *texts, int(bool(s.missed))))
 
     def flush(self) -> None:
         """Put whole rows on the disk.
@@ -91,6 +73,69 @@ class CsvLog:
         stages = map(stage_column, self._stages)
         header = (CANONICAL.time, self._command, CANONICAL.angle, *numbers, *stages)
         self._rows.writerow((*header, "source", "status", "faults", "missed"))
+
+
+@final
+class GrowingFile:
+    """Bytes are collected in memory and appended to the file by `commit`.
+
+    After a commit the operating system holds the data: it survives the death of the process (kill -9), though not a
+    power cut until the system writes it out or `close` does.
+
+    Raises:
+        OSError: if the file exists or cannot be made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = path.open("xb", buffering=0)
+        self._pending = bytearray()
+        self._committed = 0
+
+    def write(self, data: bytes | bytearray | memoryview) -> int:
+        """Collect bytes."""
+        self._pending += data
+        return len(data)
+
+    def tell(self) -> int:
+        """Length of the file once everything is committed."""
+        return self._committed + len(self._pending)
+
+    def flush(self) -> None:
+        """Nothing: only `commit` writes, so that a writer of some format cannot leave half a record on the disk."""
+
+    def commit(self) -> None:
+        """Append what was collected.
+
+        Raises:
+            OSError: if the disk is full or fails; the file then ends with the commit before.
+        """
+        rest = memoryview(bytes(self._pending))
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) or 0 :]
+        except OSError:
+            os.ftruncate(self._file.fileno(), self._committed)
+            self._file.seek(self._committed)
+            raise
+        self._committed += len(self._pending)
+        self._pending.clear()
+
+    def close(self) -> None:
+        """Let the disk have everything that was committed; what was not is lost.
+
+        Raises:
+            OSError: if the disk fails.
+        """
+        try:
+            os.fsync(self._file.fileno())
+        finally:
+            self._file.close()
+
+
+def stage_column(name: str) -> str:
+    """Column of a stage's duration [s]."""
+    return f"stage_{name.replace(' ', '_')}_s"
 
 
 def one_line(text: str) -> str:

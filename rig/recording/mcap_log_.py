@@ -9,9 +9,8 @@ from typing import IO, Any, cast, final
 
 from mcap.writer import Writer
 
-from ..sample import Sample
-from .csv_log import one_line, stage_column
-from .growing_file import GrowingFile
+from .csv_log import GrowingFile, one_line, stage_column
+from .sample import Sample
 
 TIP, TIMING, EVENTS = "/tip", "/timing", "/events"
 _INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
@@ -26,7 +25,6 @@ class McapLog:
     that jumps does not tear the plot; the wall clock itself is the publish time.
 
     Args:
-        path: a new file.
         command: name of the command's field, such as `command_mm`.
 
     Raises:

@@ -16,16 +16,13 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.presets import COMMAND_UNITS
 from hystmpc.trials.run_folder import RunFolder
 
-from ..sample import Sample, Sink
 from .csv_log import CsvLog
-from .waiting import Waiting
+from .sample import Sample, SampleQueue, Sink
 
 FLUSH_S = 0.5
 """Time between flushes [s]: what a kill may cost at most, beside what was waiting."""
 
-_DRAIN_S = (
-    0.02  # little and often: a long turn of this thread would hold the interpreter's lock against the control one
-)
+_DRAIN_S = 0.02  # little and often: in a long turn the control thread would wait for the interpreter's lock
 _QUEUE_S = 30.0  # how long a disk may be stuck before samples are dropped
 _CLOSE_S = 10.0
 
@@ -84,7 +81,7 @@ def open_recording(
 ) -> Recording:
     """Start a recording by a thread of this process.
 
-    For fast loops see `open_apart`, whose process leaves the interpreter to the control thread.
+    For fast loops see `open_recorder_process`, whose process leaves the interpreter to the control thread.
 
     Args:
         folder: a new or empty folder.
@@ -108,12 +105,8 @@ class Recording(Sink):
     keep what was flushed, the user is told once, and the run goes on.
 
     Args:
-        run: the folder, without logs.
-        meta: unit and stages.
-        rate_hz: rate of the loop [Hz]; 30 s of samples may wait.
         tell: see `open_recording`.
         flushed: called after every flush with the number of samples on the disk.
-        report: whether to write report.html at the end.
 
     Raises:
         ConfigError: if the logs cannot be made.
@@ -134,7 +127,7 @@ class Recording(Sink):
         self._tell = tell or _logger.warning
         self._wants_report = report
         self._on_flush = flushed or (lambda count: None)
-        self._waiting = Waiting(max(round(_QUEUE_S * rate_hz), 10))
+        self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
         self._unit = meta.unit
         try:
             self._logs = _open_logs(run.path, meta)
@@ -157,7 +150,6 @@ class Recording(Sink):
         return self._on_disk
 
     def put(self, sample: Sample) -> None:
-        """Take a sample; never blocks, never raises, counts what it has to drop."""
         self._waiting.put(sample)
 
     def close(self) -> None:
@@ -199,12 +191,7 @@ class Recording(Sink):
                 for log in self._logs:
                     log.add(sample)
                 self._written += 1
-            except (
-                ArithmeticError,
-                AttributeError,
-                TypeError,
-                ValueError,
-            ):  # a sample of wrong types ends no recording
+            except (ArithmeticError, AttributeError, TypeError, ValueError):  # of wrong types; ends no recording
                 self.unwritable += 1
 
     def _flush(self) -> None:

@@ -23,8 +23,6 @@ def write_report(run: RunFolder, dropped: int = 0, problem: str = "") -> Path:
     """Write report.html from the folder's log.csv.
 
     Args:
-        run: a folder with a log.
-        dropped: samples that are missing in the log.
         problem: why recording ended early; empty if it did not.
 
     Raises:
@@ -43,16 +41,16 @@ def write_report(run: RunFolder, dropped: int = 0, problem: str = "") -> Path:
 
 def tracking_figure(t: Vec, reference: Vec, angle: Vec, command: Vec, unit: str) -> Figure:
     """Reference and measured angle [deg] above, command [unit] below, over time [s]; (N,) each."""
-    part = slice(None, None, max(t.size // _MOST_POINTS, 1))
+    t = thinned(t)
     with style():
         figure = Figure(figsize=(8, 4.5), layout="constrained")
         top, bottom = figure.subplots(2, sharex=True, height_ratios=(2, 1))
-        top.plot(t[part], angle[part], label="measured", color="C0")
+        top.plot(t, thinned(angle), label="measured", color="C0")
         if np.isfinite(reference).any():
-            top.plot(t[part], reference[part], label="reference", color="0.2", linestyle="--", linewidth=1)
+            top.plot(t, thinned(reference), label="reference", color="0.2", linestyle="--", linewidth=1)
         top.set_ylabel("angle [deg]")
         top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
-        bottom.plot(t[part], command[part], color="C1")
+        bottom.plot(t, thinned(command), color="C1")
         bottom.set_ylabel(f"command [{unit}]")
         bottom.set_xlabel("time [s]")
     return figure
@@ -78,6 +76,11 @@ def causes(log: Log) -> Iterator[Piece]:
     rows += [("fault", name, n) for name, n in faults.most_common()]
     yield Heading("Sources and faults")
     yield Table(("kind", "name", "samples"), rows, "Samples by what gave the command, and by what went wrong.")
+
+
+def thinned(values: Vec) -> Vec:
+    """Points of a curve that are seen."""
+    return values[:: max(values.size // _MOST_POINTS, 1)]
 
 
 def numbers(log: Log, name: str) -> Vec:

@@ -1,28 +1,27 @@
 """Two DDS topics that ROS 2 nodes understand, by Eclipse Cyclone DDS (extra `rig`); ROS itself is not needed."""
 
-from __future__ import annotations
-
+# No `from __future__ import annotations` here: cyclonedds reads the annotations as types.
 import math
 import secrets
 import time
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, final
 
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import float64, int32, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from hystmpc.trials.errors import ConfigError
 
-from .admission import Admission
-from .dds_types_ import Float64, Float64Stamped, Header, Time
-from .link import Incoming, Outgoing
-from .reading import Reading
-from .settings import DdsSettings
-from .units import Conversion
+from .dds import DdsSettings
+from .sessions import Admission
+from .transport import Conversion, DeviceLink, Incoming, Outgoing, Reading, Transport
 
 _NS = 1_000_000_000
 # What a controller says by frame_id beside commands; a device says there which session it listens to.
@@ -33,6 +32,41 @@ _XML = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{name
 <AllowMulticast>{multicast}</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
 <MaxAutoParticipantIndex>60</MaxAutoParticipantIndex>{peers}</Discovery></Domain></CycloneDDS>"""
 _PEERS = '<Peers><Peer address="127.0.0.1"/></Peers>'
+
+
+# Messages as ROS 2 lays them out; it names types package::msg::dds_::Name_.
+@dataclass
+class Float64(IdlStruct, typename="std_msgs::msg::dds_::Float64_"):  # type: ignore[call-arg]  # the base takes it
+    """std_msgs/msg/Float64."""
+
+    data: float64
+
+
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):  # type: ignore[call-arg]  # the base takes it
+    """builtin_interfaces/msg/Time."""
+
+    sec: int32
+    nanosec: uint32
+
+
+@dataclass
+class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):  # type: ignore[call-arg]  # the base takes it
+    """std_msgs/msg/Header."""
+
+    stamp: Time
+    frame_id: str
+
+
+@dataclass
+class Float64Stamped(IdlStruct, typename="hystmpc_msgs::msg::dds_::Float64Stamped_"):  # type: ignore[call-arg]  # the base takes it
+    """hystmpc_msgs/msg/Float64Stamped: header, uint32 session, uint32 sequence, float64 data, float64 held."""
+
+    header: Header
+    session: uint32
+    sequence: uint32
+    data: float64
+    held: float64
 
 
 class _Wire:
@@ -94,15 +128,11 @@ def _qos(settings: DdsSettings) -> Qos:
 
 
 @final
-class DdsTransport:
+class DdsTransport(Transport):
     """The controller's end: reads the angle's topic, writes the command's.
 
     Plain Float64 carries neither sequence nor session: DDS keeps the order, age counts from the sender's DDS stamp, and
     a restarted device is not noticed.
-
-    Args:
-        settings: topics, message, domain, quality of service.
-        conversion: of the wire's units.
 
     Raises:
         ConfigError: if the domain cannot be joined.
@@ -116,11 +146,9 @@ class DdsTransport:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Messages rejected, by cause."""
         return self._counters
 
     def read(self) -> Reading | None:
-        """The oldest measurement that has not been read yet."""
         message = None if self._wire is None else self._wire.take()
         if message is None:
             return None
@@ -137,7 +165,6 @@ class DdsTransport:
         return Reading(angle, self._count, 0, sent - time.time_ns() + now, now, math.nan)
 
     def write(self, command: float) -> None:
-        """Send a command."""
         if self._wire is not None:
             self._wire.write(self._conversion.raw_command(command), 0.0)
 
@@ -157,13 +184,12 @@ class DdsTransport:
 
 
 @final
-class DdsLink:
+class DdsLink(DeviceLink):
     """The device's end: reads the command's topic, writes the angle's. One controller at a time, see `Admission`.
 
     Plain Float64 has no sessions: every command is taken.
 
     Args:
-        settings: topics, message, domain, quality of service.
         silence_s: how long a controller has to be silent before another may take its place [s].
 
     Raises:
@@ -178,11 +204,9 @@ class DdsLink:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Messages rejected, by cause."""
         return self._counters
 
     def receive(self) -> Incoming | None:
-        """The oldest message of the controller that has the device."""
         while (message := self._wire.take()) is not None:
             said = self._said(message) if self._wire.stamped else _command(message.data)
             if isinstance(said, Incoming):
@@ -198,7 +222,6 @@ class DdsLink:
         self._wire.write(message.angle, message.held, message.sequence, stamp_ns, note)
 
     def close(self) -> None:
-        """Leave the domain."""
         self._wire.close()
 
     def _said(self, message: Any) -> Incoming | str:

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import final
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self, final
 
 import numpy as np
+from pydantic import Field
 
-from hystmpc.ctrl.protocols import Plant
+from hystmpc.ctrl.loop import Plant
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Vec
 
-from .reading import Reading
+from .transport import Reading, RunContext, Transport, TransportBase
 
 
 @final
-class SimulatedTransport:
+class SimulatedTransport(Transport):
     """A `Plant` behind the wire's interface; its time is the number of commands, so it never lags.
 
     Args:
-        plant: the device, which is reset.
-        dt_s: sample time of the loop [s].
         held: the command that the plant holds after its reset.
-        now_ns: monotonic clock.
 
     Raises:
         ConfigError: if the plant has another sample time.
@@ -39,7 +38,6 @@ class SimulatedTransport:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Nothing is lost on this wire."""
         return {}
 
     def read(self) -> Reading | None:
@@ -51,26 +49,19 @@ class SimulatedTransport:
         return Reading(self._angle, self._sequence, 0, now, now, self._held)
 
     def write(self, command: float) -> None:
-        """Let one sample pass under the command."""
         self._angle, self._held, self._read_ns = self._plant.apply(command), command, None
 
     def greet(self) -> None:
         """Nothing to do: it always listens."""
 
     def stop(self, goodbye: bool = False) -> None:
-        """Leave the plant in its safe state."""
         del goodbye
         self._plant.stop()
 
 
 @final
 class RecordedPlant:
-    """The angles of a recorded run, one for every command, whatever that is; not-a-number after its end.
-
-    Args:
-        angles_deg: recorded angles (T,) [deg].
-        dt_s: sample time [s].
-    """
+    """The angles of a recorded run, one for every command, whatever that is; not-a-number after its end."""
 
     def __init__(self, angles_deg: Vec, dt_s: float) -> None:
         self._angles, self.dt, self._k = angles_deg.tolist(), dt_s, 0
@@ -109,3 +100,41 @@ def recorded_plant(run: RunFolder, dt_s: float) -> tuple[RecordedPlant, float]:
     if not angles.size:
         raise LogError(f"{run.path}: got a run in which nothing was sent, expected commands")
     return RecordedPlant(angles, dt_s), float(commands[0])
+
+
+class SimulatedSettings(TransportBase):
+    """`kind: simulated`: a device computed in this process; `plant` as in a simulation file."""
+
+    in_process: ClassVar[bool] = True
+
+    kind: Literal["simulated"]
+    plant: dict[str, Any]
+    seed: int = Field(default=0, ge=0)
+
+    @property
+    def place(self) -> str:
+        return self.kind
+
+    def open(self, run: RunContext) -> Transport:
+        plant, held = run.plants(self, run.dt_s)
+        return SimulatedTransport(plant, run.dt_s, held, run.now_ns)
+
+
+class ReplaySettings(TransportBase):
+    """`kind: replay`: the angles of a recorded run, one a sample, whatever is commanded."""
+
+    in_process: ClassVar[bool] = True
+
+    kind: Literal["replay"]
+    run: Path
+
+    @property
+    def place(self) -> str:
+        return self.kind
+
+    def resolved(self, folder: Path) -> Self:
+        return self.model_copy(update={"run": folder / self.run})
+
+    def open(self, run: RunContext) -> Transport:
+        plant, held = recorded_plant(RunFolder.open(self.run), run.dt_s)
+        return SimulatedTransport(plant, run.dt_s, held, run.now_ns)

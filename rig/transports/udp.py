@@ -1,58 +1,127 @@
-"""Datagrams between controller and device; what arrives is hostile until checksum, order and number say otherwise."""
+"""Datagrams between controller and device; what arrives is hostile until checksum, order and number say otherwise.
+
+A datagram has 44 bytes, little-endian:
+
+| offset | type | field |
+|---|---|---|
+| 0 | 4 bytes | magic `HMPC` |
+| 4 | u8 | version, 1 |
+| 5 | u8 | kind: 1 reading, 2 command, 3 stop, 4 hello |
+| 6 | u16 | zero |
+| 8 | u32 | session, chosen by the sender at its start |
+| 12 | u32 | sequence |
+| 16 | u64 | sender's monotonic clock [ns] |
+| 24 | f64 | reading: angle; command: command; else 0 |
+| 32 | f64 | reading: command that the device holds; else 0 |
+| 40 | u32 | CRC-32 (zlib) of the 40 bytes before |
+"""
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import secrets
 import socket
+import struct
 import time
+import zlib
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any, Protocol, final
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal, final
 
+from pydantic import model_validator
+
+from hystmpc.ctrl.limits import Port
+from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError
 
-from .admission import Admission
-from .datagram import SIZE, Datagram, Kind, decode, encode
-from .link import Incoming, Outgoing
-from .reading import Reading
-from .settings import UdpSettings
-from .units import Conversion
+from .sessions import Admission
+from .transport import (
+    Conversion,
+    Datagrams,
+    DeviceLink,
+    Incoming,
+    Outgoing,
+    Peer,
+    Reading,
+    RunContext,
+    Through,
+    Transport,
+    TransportBase,
+)
+
+MAGIC, VERSION = b"HMPC", 1
+_BODY = struct.Struct("<4sBBHIIQdd")
+_CRC = struct.Struct("<I")
+SIZE = _BODY.size + _CRC.size
+
+
+class Kind(IntEnum):
+    """What a datagram says."""
+
+    READING = 1
+    COMMAND = 2
+    STOP = 3
+    HELLO = 4
+
+
+KINDS = {int(kind): kind for kind in Kind}
+
+
+@dataclass(frozen=True, slots=True)
+class Datagram:
+    """The fields of one datagram; see the module."""
+
+    kind: Kind
+    session: int
+    sequence: int
+    stamp_ns: int
+    value: float = 0.0
+    held: float = 0.0
+
+
+def encode(message: Datagram) -> bytes:
+    """The bytes of a datagram (44,); sequence and session wrap at 2^32."""
+    body = _BODY.pack(
+        MAGIC,
+        VERSION,
+        message.kind,
+        0,
+        message.session & 0xFFFFFFFF,
+        message.sequence & 0xFFFFFFFF,
+        message.stamp_ns & 0xFFFFFFFFFFFFFFFF,
+        message.value,
+        message.held,
+    )
+    return body + _CRC.pack(zlib.crc32(body))
+
+
+def decode(data: bytes) -> Datagram | str:
+    """The datagram, or in a word why these bytes are none; never raises on bytes of any content or length."""
+    if len(data) != SIZE:
+        return "wrong size"
+    body = data[: _BODY.size]
+    if zlib.crc32(body) != _CRC.unpack_from(data, _BODY.size)[0]:
+        return "wrong checksum"
+    magic, version, kind, zero, session, sequence, stamp_ns, value, held = _BODY.unpack(body)
+    if magic != MAGIC or version != VERSION or zero:
+        return "wrong version"
+    known = KINDS.get(kind)
+    if known is None:
+        return "unknown kind"
+    return Datagram(known, session, sequence, stamp_ns, value, held)
+
 
 _TRIES = 64  # datagrams looked at in one call; a flood of rubbish must not cost the deadline
 _HELLO_NS = 100_000_000
 _GOODBYES = 3
 
-Peer = tuple[str, int]
-
-
-class Datagrams(Protocol):
-    """What the device's end needs of a socket, so that faults can be put before it."""
-
-    def recvfrom(self, size: int, /) -> tuple[bytes, Any]:
-        """The oldest datagram and its sender; `BlockingIOError` where there is none."""
-        ...
-
-    def sendto(self, data: bytes, peer: Peer, /) -> int:
-        """Send a datagram."""
-        ...
-
-    def getsockname(self) -> Any:
-        """Own address."""
-        ...
-
-    def close(self) -> None:
-        """Free the port."""
-        ...
-
 
 def _open(host: str, port: int, what: str) -> socket.socket:
-    """A socket that is bound and does not block.
-
-    Raises:
-        ConfigError: if the address cannot be had.
-    """
+    """A socket that is bound and does not block."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     wire = socket.socket(family, socket.SOCK_DGRAM)
     try:
@@ -66,12 +135,8 @@ def _open(host: str, port: int, what: str) -> socket.socket:
 
 
 @final
-class UdpTransport:
+class UdpTransport(Transport):
     """The controller's end. Only the configured device is heard; until it answers it is greeted ten times a second.
-
-    Args:
-        settings: addresses.
-        conversion: of the wire's units.
 
     Raises:
         ConfigError: if the own address cannot be had or the device's is none.
@@ -91,11 +156,9 @@ class UdpTransport:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Datagrams rejected, by cause."""
         return self._counters
 
     def read(self) -> Reading | None:
-        """The oldest measurement that has not been read yet."""
         if not self._answered and time.monotonic_ns() - self._greeted_ns >= _HELLO_NS:
             self.greet()
         for _ in range(_TRIES):
@@ -119,7 +182,6 @@ class UdpTransport:
         return None
 
     def write(self, command: float) -> None:
-        """Send a command."""
         self._send(Kind.COMMAND, self._conversion.raw_command(command))
 
     def greet(self) -> None:
@@ -146,11 +208,10 @@ class UdpTransport:
 
 
 @final
-class UdpLink:
+class UdpLink(DeviceLink):
     """The device's end: one controller at a time, see `Admission`.
 
     Args:
-        host, port: where to listen; port 0 takes a free one.
         silence_s: how long a controller has to be silent before another may take its place [s].
         through: puts faults before the socket; None for none.
 
@@ -160,9 +221,7 @@ class UdpLink:
 
     greeted = True
 
-    def __init__(
-        self, host: str, port: int, silence_s: float, through: Callable[[Datagrams], Datagrams] | None = None
-    ) -> None:
+    def __init__(self, host: str, port: int, silence_s: float, through: Through | None = None) -> None:
         wire = _open(host, port, "the device")
         self._wire: Datagrams = wire if through is None else through(wire)
         self._session, self._admission = secrets.randbits(32), Admission(silence_s)
@@ -176,11 +235,9 @@ class UdpLink:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Datagrams rejected, by cause."""
         return self._counters
 
     def receive(self) -> Incoming | None:
-        """The oldest message of the controller that has the device."""
         for _ in range(_TRIES):
             try:
                 data, peer = self._wire.recvfrom(SIZE + 1)
@@ -196,7 +253,6 @@ class UdpLink:
         return None
 
     def send(self, message: Outgoing) -> None:
-        """Send a measurement to the controller that has the device."""
         if self._peer is None:
             return
         data = Datagram(Kind.READING, self._session, message.sequence, message.stamp_ns, message.angle, message.held)
@@ -206,7 +262,6 @@ class UdpLink:
             self._counters["not sent"] += 1
 
     def close(self) -> None:
-        """Free the port."""
         self._wire.close()
 
     def _said(self, message: Datagram, peer: Peer) -> Incoming | str:
@@ -227,3 +282,65 @@ class UdpLink:
         if reason := self._admission.command(*come):
             return reason
         return Incoming(message.value) if math.isfinite(message.value) else "not-a-number"
+
+
+class UdpSettings(TransportBase):
+    """`kind: udp`: datagrams to a device and back.
+
+    Attributes:
+        host, port: of the device.
+        bind_host, bind_port: of this end; port 0 takes a free one.
+        allow_network: needed for every address beyond the loopback.
+    """
+
+    kind: Literal["udp"]
+    host: str = "127.0.0.1"
+    port: Port = 47001
+    bind_host: str = "127.0.0.1"
+    bind_port: Port = 0
+    allow_network: bool = False
+
+    @model_validator(mode="after")
+    def _local(self) -> UdpSettings:
+        for name in ("host", "bind_host"):
+            _require_local(name, getattr(self, name), self.allow_network)
+        return self
+
+    @property
+    def place(self) -> str:
+        return f"udp {self.host} port {self.port}"
+
+    def open(self, run: RunContext) -> Transport:
+        return UdpTransport(self, run.conversion)
+
+
+class UdpListenSettings(Settings):
+    """`kind: udp`: where the device listens; port 0 takes a free one and says which."""
+
+    kind: Literal["udp"]
+    bind_host: str = "127.0.0.1"
+    bind_port: Port = 47001
+    allow_network: bool = False
+
+    @model_validator(mode="after")
+    def _local(self) -> UdpListenSettings:
+        _require_local("bind_host", self.bind_host, self.allow_network)
+        return self
+
+    def listen(self, silence_s: float, through: Through | None) -> DeviceLink:
+        """The device's end of the wire, behind the faults that `through` puts before the socket.
+
+        Raises:
+            ConfigError: if the address cannot be had.
+        """
+        return UdpLink(self.bind_host, self.bind_port, silence_s, through)
+
+
+def _require_local(name: str, host: str, allow_network: bool) -> None:
+    """Refuse addresses beyond the loopback unless they were allowed; the error is pydantic's to report."""
+    try:
+        local = host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        local = False
+    if not (local or allow_network):
+        raise ValueError(f"got {name} {host!r}, expected a loopback address, or `allow_network: true`")

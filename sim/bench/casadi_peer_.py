@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.planning import PlanningProblem, Weights
+from hystmpc.ctrl.mpc_settings import WeightsSettings
+from hystmpc.ctrl.planning import PlanningProblem
 from hystmpc.trials.types import Vec
 
 # Primal and dual tolerance; a dual residual of 1e-3 deg^2/mm is below 1e-5 mm of command at 10 deg/mm.
@@ -80,7 +81,7 @@ class SingleShooting:
     """
 
     def __init__(
-        self, function: Any, limits: CommandLimits, weights: Weights, horizon: int, dt: float, method: Method
+        self, function: Any, limits: CommandLimits, weights: WeightsSettings, horizon: int, dt: float, method: Method
     ) -> None:
         self._limits, self._reach = limits, limits.rate * dt
         self._size = function.numel_in(0)
@@ -113,7 +114,7 @@ def quadratic_solver() -> str:
     return next(name for name in ("daqp", "osqp", "qrqp") if ca.has_conic(name))
 
 
-def _build(function: Any, weights: Weights, horizon: int, method: Method) -> Any:
+def _build(function: Any, weights: WeightsSettings, horizon: int, method: Method) -> Any:
     """The nonlinear program with parameters p = [state, u_last, reference]."""
     # scalar expressions for operator chains, which are a few dozen operations long; matrix ones for networks
     sym: Callable[..., Any] = ca.SX.sym if function.is_a("SXFunction") else ca.MX.sym

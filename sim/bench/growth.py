@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.config import AnyControllerSettings, LinearisedMpcSettings, SamplingMpcSettings
+from hystmpc.ctrl.config import AnyControllerSettings
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 
 from .report import Growth
 from .scenario import in_turn, record_scan

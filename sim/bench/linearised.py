@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.config import LinearisedMpcSettings, WeightsSettings
 from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, WeightsSettings
 
 from .casadi_peer_ import METHODS, SQP_ONCE, Answer, Method, SingleShooting
 from .report import Reads, Row

@@ -9,8 +9,9 @@ import numpy as np
 
 from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
-from hystmpc.ctrl.linearised.problem import QpData, TrackingQp
-from hystmpc.ctrl.planning import Plan, Weights
+from hystmpc.ctrl.linearised.program import QpData, TrackingQp
+from hystmpc.ctrl.mpc_settings import WeightsSettings
+from hystmpc.ctrl.planning import CommandPlan
 
 from .linearised import linearised_controller
 from .report import Reads, Row
@@ -38,7 +39,9 @@ def program_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> lis
     return [row.measured(row.other_times.median_s / row.times.median_s, facts=facts, note=note)]
 
 
-def recorded_programs(subject: Subject, settings: BenchSettings, weights: Weights) -> tuple[TrackingQp, list[QpData]]:
+def recorded_programs(
+    subject: Subject, settings: BenchSettings, weights: WeightsSettings
+) -> tuple[TrackingQp, list[QpData]]:
     """The family of programs with these weights, and those of one scan."""
     limits, dt = subject.limits, subject.metadata.dt_s
     qp = TrackingQp(weights, limits, settings.horizon, dt)
@@ -49,5 +52,5 @@ def recorded_programs(subject: Subject, settings: BenchSettings, weights: Weight
         shifted = np.append(before.command.plan[1:], before.command.plan[-1])
         plan = limits.clip_plans(shifted, problem.u_last, dt)
         angles, jacobian = subject.predictor.linearise(problem.state, plan)
-        programs.append(qp.data(problem, Plan(plan, angles, 0.0), jacobian))
+        programs.append(qp.data(problem, CommandPlan(plan, angles, 0.0), jacobian))
     return qp, programs

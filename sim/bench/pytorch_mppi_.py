@@ -8,7 +8,8 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.planning import PlanningProblem, Weights
+from hystmpc.ctrl.mpc_settings import WeightsSettings
+from hystmpc.ctrl.planning import PlanningProblem
 from hystmpc.models.networks.lstm import LstmWeights
 from hystmpc.trials.types import Vec
 
@@ -39,7 +40,7 @@ class TorchMppi:
         self,
         network: LstmWeights,
         limits: CommandLimits,
-        weights: Weights,
+        weights: WeightsSettings,
         samples: int,
         horizon: int,
         dt: float,

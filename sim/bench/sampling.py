@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.config import SamplingMpcSettings, WeightsSettings
+from hystmpc.ctrl.mpc_settings import SamplingMpcSettings, WeightsSettings
 
 from . import pytorch_mppi_
 from .report import Reads, Row

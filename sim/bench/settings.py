@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from hystmpc.ctrl.planning import Weights
+from hystmpc.ctrl.mpc_settings import WeightsSettings
 
 from .timing import Effort
 
 # Effort is measured from the inverse plan, which peers do not have: without it all solve the same problem.
-WEIGHTS = Weights(effort=0.0)
+WEIGHTS = WeightsSettings(effort=0.0)
 
 THOROUGH = Effort(rounds=25, burst_s=0.04, burst_most=25)
 

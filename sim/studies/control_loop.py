@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.ctrl.config import InversePidControllerSettings, PidControllerSettings, PidSettings
-from hystmpc.ctrl.protocols import Controller
+from hystmpc.ctrl.feedback.inverse import InversePidControllerSettings
+from hystmpc.ctrl.feedback.pid import PidControllerSettings, PidSettings
+from hystmpc.ctrl.loop import Controller
 from hystmpc.models.motions import initialisation_flexure
 from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.errors import ConfigError

@@ -9,7 +9,7 @@ import numpy as np
 
 from hystmpc.ctrl.command import Command
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
-from hystmpc.ctrl.protocols import Controller
+from hystmpc.ctrl.loop import Controller
 from hystmpc.models.motions import initialisation_flexure
 from hystmpc.trials.types import Vec
 

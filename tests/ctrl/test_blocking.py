@@ -11,19 +11,17 @@ from hypothesis import strategies as st
 from scipy import sparse
 from scipy.linalg import null_space
 
-from hystmpc.ctrl.linearised.blocked import BlockedQp
-from hystmpc.ctrl.linearised.blocking import MoveBlocking
+from hystmpc.ctrl.command import Stopwatch
 from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner
-from hystmpc.ctrl.linearised.problem import QpData, QpPattern, TrackingQp
-from hystmpc.ctrl.linearised.solver import QpSolution
-from hystmpc.ctrl.planning import PlanCost, Weights
-from hystmpc.ctrl.stopwatch import Stopwatch
+from hystmpc.ctrl.linearised.program import BlockedQp, MoveBlocking, QpData, QpPattern, QpSolution, TrackingQp
+from hystmpc.ctrl.mpc_settings import WeightsSettings
+from hystmpc.ctrl.planning import PlanCost
 from hystmpc.trials.errors import ControllerError
 
 from .plays import DT, LINEAR, SOUND, Case
-from .test_linearised import HARD, LIMITS, SOFT, dense, posed
+from .test_linearised import HARD, LIMITS, SOFT, dense, mpc, posed
 from .test_solvers import TIGHT
 from .test_tracking import built, resting, scan, track
 
@@ -34,7 +32,7 @@ REACH = LIMITS.rate * DT
 lengths = st.lists(st.integers(1, 6), min_size=1, max_size=6).map(tuple)
 
 
-def blocked(weights: Weights, blocks: tuple[int, ...], horizon: int = H) -> BlockedQp:
+def blocked(weights: WeightsSettings, blocks: tuple[int, ...], horizon: int = H) -> BlockedQp:
     return BlockedQp(weights, LIMITS, MoveBlocking(blocks, horizon), DT)
 
 
@@ -76,7 +74,9 @@ def test_moves_are_even_within_a_block_and_zero_after_the_last(blocks: tuple[int
 @pytest.mark.parametrize("blocks", BLOCKS, ids=str)
 @pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
-def test_it_is_the_full_program_under_an_equality(case: Case, weights: Weights, blocks: tuple[int, ...]) -> None:
+def test_it_is_the_full_program_under_an_equality(
+    case: Case, weights: WeightsSettings, blocks: tuple[int, ...]
+) -> None:
     qp, full = blocked(weights, blocks), TrackingQp(weights, LIMITS, H, DT)
     for seed in range(5):
         few = DaqpSolver(qp.pattern, DaqpOptions()).solve(program(qp, case, seed))
@@ -88,7 +88,7 @@ def test_it_is_the_full_program_under_an_equality(case: Case, weights: Weights, 
 
 @pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
-def test_blocks_of_one_sample_are_no_blocks(case: Case, weights: Weights) -> None:
+def test_blocks_of_one_sample_are_no_blocks(case: Case, weights: WeightsSettings) -> None:
     qp, full = blocked(weights, (1,) * H), TrackingQp(weights, LIMITS, H, DT)
     for seed in range(5):
         ours, theirs = (DaqpSolver(q.pattern, DaqpOptions()).solve(program(q, case, seed)) for q in (qp, full))
@@ -150,8 +150,8 @@ def test_a_block_in_which_the_plan_moves_both_ways_at_the_limit_stays_as_it_is(
 
 @pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
-def test_result_is_admissible_and_never_worse_than_the_start(weights: Weights, case: Case) -> None:
-    planner = LinearisedPlanner(case.predictor, weights, LIMITS, 20, move_blocking=(1, 2, 4, 6))
+def test_result_is_admissible_and_never_worse_than_the_start(weights: WeightsSettings, case: Case) -> None:
+    planner = LinearisedPlanner(case.predictor, mpc(weights, move_blocking=(1, 2, 4, 6)), LIMITS)
     cost, better = PlanCost(weights, 20), 0
     for seed in range(20):
         problem, start = posed(case, 20, seed)

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.estimator import EstimatorOptions, OutputEstimator, kalman_gain
-from hystmpc.ctrl.observer import Estimate
-from hystmpc.trials.errors import ControllerError
+from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings, OutputEstimator, kalman_gain
+from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .plays import DT, SOUND, Backlash, Case, Lag
 
-OPTIONS = EstimatorOptions()
+OPTIONS = EstimatorSettings()
 
 
 @given(st.floats(0.01, 2.0), st.floats(0.01, 5.0), st.floats(0.004, 0.1))
@@ -37,7 +35,12 @@ def test_gain_is_that_of_control(sensor: float, drift: float, dt: float) -> None
 
 def test_the_error_of_the_estimate_has_the_predicted_variance() -> None:
     """The disturbance walks as assumed, faster while the command moves; both kinds of sample are judged apart."""
-    options = replace(OPTIONS, motion_sigma_deg=1.5, dead_band_gain=0.0, disturbance_limit_deg=1e3, outlier_deg=1e3)
+    options = EstimatorSettings(
+        motion_sigma_deg_per_sqrt_unit=1.5,
+        dead_band_gain_deg_per_unit=0.0,
+        disturbance_limit_deg=1e3,
+        outlier_deg=1e3,
+    )
     model, random = Lag(), np.random.default_rng(0)
     estimator = OutputEstimator(model, options)
     estimate, state = estimator.init(20.0, 0.0), model.initial(20.0, 0.0)
@@ -72,7 +75,7 @@ def test_without_motion_the_variance_is_that_of_the_riccati_equation() -> None:
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize("delay", [0, 3])
 def test_disturbance_converges_to_a_constant_offset(case: Case, delay: int) -> None:
-    estimator = OutputEstimator(case.predictor, replace(OPTIONS, delay_samples=delay))
+    estimator = OutputEstimator(case.predictor, EstimatorSettings(delay_samples=delay))
     state, estimate = case.predictor.initial(case.y_rest, case.u_rest), estimator.init(case.y_rest, case.u_rest)
     y, under_way = case.y_rest, [case.u_rest] * delay
     for k in range(150):
@@ -112,7 +115,7 @@ def test_missing_and_outlying_measurements_leave_the_prediction(y: float) -> Non
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_disturbance_is_bounded(side: float) -> None:
-    estimator = OutputEstimator(Lag(), replace(OPTIONS, disturbance_limit_deg=3.0))
+    estimator = OutputEstimator(Lag(), EstimatorSettings(disturbance_limit_deg=3.0))
     estimate = estimator.init(20.0, 0.0)
     for _ in range(200):
         estimate = estimator.advance(estimator.correct(estimate, 20.0 + estimate.disturbance + 10.0 * side), 0.0)
@@ -146,15 +149,15 @@ def test_what_the_model_cannot_explain_at_rest_is_the_first_disturbance() -> Non
     "change",
     [
         {"sensor_sigma_deg": 0.0},
-        {"drift_sigma_deg": math.nan},
+        {"drift_sigma_deg_per_sqrt_s": math.nan},
         {"delay_samples": -1},
-        {"dead_band_gain": -1.0},
-        {"motion_sigma_deg": -0.1},
+        {"dead_band_gain_deg_per_unit": -1.0},
+        {"motion_sigma_deg_per_sqrt_unit": -0.1},
     ],
 )
 def test_impossible_options_are_refused(change: dict[str, float]) -> None:
-    with pytest.raises(ControllerError, match="estimator: got"):
-        replace(OPTIONS, **change)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=next(iter(change))):
+        EstimatorSettings.parse(change)
 
 
 def test_sample_time_enters_the_gain() -> None:

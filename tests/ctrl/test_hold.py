@@ -7,10 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.hold import Hold, HoldRule
-from hystmpc.trials.errors import ControllerError
+from hystmpc.ctrl.mpc import Hold, HoldRule
+from hystmpc.ctrl.mpc_settings import HoldSettings
+from hystmpc.trials.errors import ConfigError
 
-RULE = HoldRule(tolerance_deg=0.03, patience=10, lead=1, settle_after=10, settle=3)
+DT, PATIENCE = 0.04, 10
+RULE = HoldRule(HoldSettings(tolerance_deg=0.03, patience_s=0.4, lead_s=0.0, settle_after_s=0.4, settle_s=0.12), DT)
 H = 5
 
 
@@ -29,7 +31,7 @@ def test_close_enough_is_held_at_once() -> None:
 
 @given(st.floats(0.1, 2.0), st.floats(0.01, 0.5))
 def test_noise_is_allowed_for_by_and_by(sigmas: float, sigma: float) -> None:
-    patient = RULE.patience * (1 + int(np.ceil(sigmas)))
+    patient = PATIENCE * (1 + int(np.ceil(sigmas)))
     assert after(patient + 2, 0.03 + 0.99 * sigmas * sigma, sigma).holding
     assert not after(300, 0.03 + 5.01 * sigma, sigma).holding
 
@@ -50,7 +52,7 @@ def test_a_slow_ramp_is_no_hold() -> None:
 
 @pytest.mark.parametrize(("lead", "kept"), [(1, True), (3, False)])
 def test_the_lead_is_how_early_the_next_move_is_seen(lead: int, kept: bool) -> None:
-    rule = HoldRule(0.03, lead=lead)
+    rule = HoldRule(HoldSettings(tolerance_deg=0.03, lead_s=lead * DT), DT)
     held, ahead = Hold(holding=True, constant=20, target=60.0), np.array([60.0, 60.0, 61.0, 62.0, 63.0])
     assert rule.judge(held, ahead, np.full(H, 60.0), 0.0).holding is kept
 
@@ -72,5 +74,5 @@ def test_before_a_hold_plans_are_left_alone() -> None:
 
 
 def test_nonsense_is_refused() -> None:
-    with pytest.raises(ControllerError, match="lead of at least 1"):
-        HoldRule(lead=0)
+    with pytest.raises(ConfigError, match="lead_s"):
+        HoldSettings.parse({"lead_s": -1.0})

@@ -10,23 +10,24 @@ import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, minimize
 
+from hystmpc.ctrl.command import Stopwatch
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner
-from hystmpc.ctrl.linearised.problem import QpData, TrackingQp
-from hystmpc.ctrl.planning import Plan, PlanCost, PlanningError, PlanningProblem, Weights
-from hystmpc.ctrl.stopwatch import Stopwatch
-from hystmpc.trials.errors import ControllerError
+from hystmpc.ctrl.linearised.program import QpData, TrackingQp
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, WeightsSettings
+from hystmpc.ctrl.planning import CommandPlan, PlanCost, PlanningError, PlanningProblem
+from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, Lag, not_a_number
 
 LIMITS = CommandLimits(0.0, 6.0, 4.0)
-HARD = Weights(rate=1.0, effort=0.5)
-SOFT = replace(HARD, soft_limit=50.0, angle_limits_deg=(25.0, 42.0))
+HARD = WeightsSettings(rate=1.0, effort=0.5)
+SOFT = HARD.model_copy(update={"soft_limit": 50.0, "angle_lower_deg": 25.0, "angle_upper_deg": 42.0})
 H = 5
 
 
-def posed(case: Case, horizon: int = H, seed: int = 0) -> tuple[PlanningProblem, Plan]:
+def posed(case: Case, horizon: int = H, seed: int = 0) -> tuple[PlanningProblem, CommandPlan]:
     """A random problem and an admissible plan that starts it."""
     random = np.random.default_rng(seed)
     state, u_last = case.predictor.initial(40.0, 2.0), 2.0
@@ -34,7 +35,11 @@ def posed(case: Case, horizon: int = H, seed: int = 0) -> tuple[PlanningProblem,
     problem = PlanningProblem(
         state, u_last, 40.0 + np.cumsum(random.normal(0, 3.0, horizon)), commands - 0.05, SOFT.angle_limits_deg
     )
-    return problem, Plan(commands, case.predictor.rollout(state, commands[None])[0], math.inf)
+    return problem, CommandPlan(commands, case.predictor.rollout(state, commands[None])[0], math.inf)
+
+
+def mpc(weights: WeightsSettings, horizon: int = 20, **changes: Any) -> LinearisedMpcSettings:
+    return LinearisedMpcSettings(weights=weights, horizon=horizon, **changes)
 
 
 def dense(qp: TrackingQp, data: QpData) -> tuple[np.ndarray, np.ndarray]:
@@ -50,7 +55,7 @@ def dense(qp: TrackingQp, data: QpData) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize("seed", range(5))
-def test_solution_is_that_of_a_dense_reference(weights: Weights, case: Case, seed: int) -> None:
+def test_solution_is_that_of_a_dense_reference(weights: WeightsSettings, case: Case, seed: int) -> None:
     problem, start = posed(case, seed=seed)
     qp = TrackingQp(weights, LIMITS, H, DT)
     data = qp.data(problem, start, case.predictor.linearise(problem.state, start.commands)[1])
@@ -84,9 +89,11 @@ def test_program_is_the_planning_cost_where_the_model_is_linear() -> None:
 @pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize("iterations", [1, 2])
-def test_result_is_admissible_and_never_worse_than_the_start(weights: Weights, case: Case, iterations: int) -> None:
+def test_result_is_admissible_and_never_worse_than_the_start(
+    weights: WeightsSettings, case: Case, iterations: int
+) -> None:
     horizon = 20
-    planner = LinearisedPlanner(case.predictor, weights, LIMITS, horizon, iterations)
+    planner = LinearisedPlanner(case.predictor, mpc(weights, iterations=iterations), LIMITS)
     cost = PlanCost(weights, horizon)
     for seed in range(20):
         problem, start = posed(case, horizon, seed)
@@ -99,9 +106,9 @@ def test_result_is_admissible_and_never_worse_than_the_start(weights: Weights, c
 
 
 def test_one_iteration_is_optimal_where_the_model_is_linear() -> None:
-    case, weights = LINEAR, replace(HARD, effort=0.0)
+    case, weights = LINEAR, HARD.model_copy(update={"effort": 0.0})
     problem, start = posed(case, 20)
-    planner = LinearisedPlanner(case.predictor, weights, LIMITS, 20, 1, OsqpOptions(eps=1e-8, iterations=20_000))
+    planner = LinearisedPlanner(case.predictor, mpc(weights), LIMITS, OsqpOptions(eps=1e-8, iterations=20_000))
     start = PlanCost(weights, 20).best(start.commands[None], start.angles[None], problem)
     once, _, _ = planner.improve(problem, start, planner.init(), Stopwatch())
     twice, _, _ = planner.improve(problem, once, planner.init(), Stopwatch())
@@ -149,14 +156,17 @@ def test_rate_multipliers_are_exact_where_every_move_is_at_the_limit() -> None:
 def test_jacobian_that_is_not_finite_is_a_planning_error() -> None:
     case = LINEAR
     problem, start = posed(case)
-    planner = LinearisedPlanner(Faulty(case.predictor, not_a_number, -1.0), HARD, LIMITS, H)
+    planner = LinearisedPlanner(Faulty(case.predictor, not_a_number, -1.0), mpc(HARD, H), LIMITS)
     with pytest.raises(PlanningError, match="Jacobian is not finite"):
         planner.improve(problem, start, planner.init(), Stopwatch())
 
 
-@pytest.mark.parametrize(
-    "change", [{"tracking": 0.0}, {"rate": 0.0}, {"effort": -1.0}, {"angle_limits_deg": (3.0, 2.0)}]
-)
+@pytest.mark.parametrize("change", [{"tracking": 0.0}, {"rate": 0.0}, {"effort": -1.0}])
 def test_impossible_weights_are_refused(change: dict[str, Any]) -> None:
-    with pytest.raises(ControllerError, match="weights: got"):
-        replace(HARD, **change)
+    with pytest.raises(ConfigError, match=next(iter(change))):
+        WeightsSettings.parse(change)
+
+
+def test_angle_limits_that_cross_are_refused() -> None:
+    with pytest.raises(ControllerError, match=r"weights: got angle_limits_deg 3\.0 to 2\.0"):
+        TrackingQp(WeightsSettings(angle_lower_deg=3.0, angle_upper_deg=2.0), LIMITS, H, DT)

@@ -8,48 +8,55 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hystmpc.ctrl.command import Stopwatch
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner
-from hystmpc.ctrl.planning import Plan, PlanCost, Planner, PlanningError, Weights
-from hystmpc.ctrl.sampling.cem import CrossEntropyOptions, CrossEntropyPlanner
-from hystmpc.ctrl.sampling.noise import coloured_noise, spline_noise
-from hystmpc.ctrl.sampling.planner import SampleCounter, SamplingOptions, SamplingPlanner
-from hystmpc.ctrl.stopwatch import Stopwatch
-from hystmpc.trials.errors import ControllerError
+from hystmpc.ctrl.mpc_settings import (
+    ColouredNoiseSettings,
+    LinearisedMpcSettings,
+    SamplingMpcSettings,
+    SplineNoiseSettings,
+    WeightsSettings,
+)
+from hystmpc.ctrl.planning import CommandPlan, PlanCost, Planner, PlanningError
+from hystmpc.ctrl.sampling.planner import CrossEntropyPlanner, PathIntegralPlanner, SampleCounter
+from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, not_a_number
 from .test_linearised import LIMITS, posed
 
 H = 20
-WEIGHTS = Weights()
-NOISES = {"spline": spline_noise(H, 6), "red": coloured_noise(H, 2.0), "white": coloured_noise(H, 0.0)}
-
-
-METHODS: dict[str, tuple[Any, Any]] = {
-    "mppi": (SamplingPlanner, SamplingOptions),
-    "cem": (CrossEntropyPlanner, CrossEntropyOptions),
+WEIGHTS = WeightsSettings()
+NOISES: dict[str, SplineNoiseSettings | ColouredNoiseSettings] = {
+    "spline": SplineNoiseSettings(),
+    "red": ColouredNoiseSettings(exponent=2.0),
+    "white": ColouredNoiseSettings(exponent=0.0),
 }
 
 
+METHODS: dict[str, Any] = {"mppi": PathIntegralPlanner, "cem": CrossEntropyPlanner}
+
+
 def planner_for(case: Case, noise: str = "spline", method: str = "mppi", **options: Any) -> Planner[SampleCounter]:
-    planner, kind = METHODS[method]
-    return planner(case.predictor, WEIGHTS, LIMITS, NOISES[noise], kind(**options))
+    settings = SamplingMpcSettings(weights=WEIGHTS, horizon=H, noise=NOISES[noise], **options)
+    return METHODS[method](case.predictor, settings, LIMITS)
 
 
-def started(case: Case, seed: int) -> tuple[Any, Plan]:
+def started(case: Case, seed: int) -> tuple[Any, CommandPlan]:
     problem, plan = posed(case, H, seed)
     return problem, PlanCost(WEIGHTS, H).best(plan.commands[None], plan.angles[None], problem)
 
 
 @pytest.mark.parametrize("name", NOISES)
 def test_every_sample_is_perturbed_with_the_same_variance(name: str) -> None:
-    np.testing.assert_allclose(np.sum(NOISES[name] ** 2, axis=1), 1.0)
+    np.testing.assert_allclose(np.sum(NOISES[name].matrix(H) ** 2, axis=1), 1.0)
 
 
 def test_white_noise_is_white_and_red_noise_is_smooth() -> None:
-    covariance = NOISES["white"] @ NOISES["white"].T
+    shapes = {name: noise.matrix(H) for name, noise in NOISES.items()}
+    covariance = shapes["white"] @ shapes["white"].T
     assert np.max(np.abs(covariance - np.eye(H))) < 0.06
-    neighbours = {name: np.mean(np.diag(noise @ noise.T, 1)) for name, noise in NOISES.items()}
+    neighbours = {name: np.mean(np.diag(noise @ noise.T, 1)) for name, noise in shapes.items()}
     assert neighbours["red"] > 0.8
     assert neighbours["spline"] > 0.8
 
@@ -97,7 +104,12 @@ def test_more_iterations_do_not_cost_more() -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_many_iterations_find_the_optimum_of_a_linear_model(method: str) -> None:
     problem, start = started(LINEAR, 1)
-    exact = LinearisedPlanner(LINEAR.predictor, WEIGHTS, LIMITS, H, 3, OsqpOptions(eps=1e-8, iterations=20_000))
+    exact = LinearisedPlanner(
+        LINEAR.predictor,
+        LinearisedMpcSettings(weights=WEIGHTS, horizon=H, iterations=3),
+        LIMITS,
+        OsqpOptions(eps=1e-8, iterations=20_000),
+    )
     optimum, _, _ = exact.improve(problem, start, None, Stopwatch())
     planner = planner_for(LINEAR, "red", method, iterations=40)
     plan, _, _ = planner.improve(problem, start, planner.init(), Stopwatch())
@@ -114,20 +126,16 @@ def test_predictions_that_are_not_finite_are_a_planning_error(method: str) -> No
         planner.improve(problem, start, planner.init(), Stopwatch())
 
 
-@pytest.mark.parametrize("change", [{"samples": 0}, {"sigma": -1.0}, {"finest": 2.0}, {"seed": -1}])
+@pytest.mark.parametrize(
+    "change", [{"samples": 0}, {"sigma": -1.0}, {"finest": 2.0}, {"seed": -1}, {"elites": 0.6}, {"temperature": 0.0}]
+)
 def test_impossible_options_are_refused(change: dict[str, Any]) -> None:
-    with pytest.raises(ControllerError, match="sampling MPC: got"):
-        replace(SamplingOptions(), **change)
-
-
-@pytest.mark.parametrize("change", [{"samples": 0}, {"elites": 0.6}, {"finest": 2.0}, {"seed": -1}])
-def test_impossible_options_of_the_elites_are_refused(change: dict[str, Any]) -> None:
-    with pytest.raises(ControllerError, match="cross-entropy MPC: got"):
-        replace(CrossEntropyOptions(), **change)
+    with pytest.raises(ConfigError, match=next(iter(change))):
+        SamplingMpcSettings.parse(change)
 
 
 def test_impossible_noise_is_refused() -> None:
     with pytest.raises(ControllerError, match="expected 2 to the horizon of 20"):
-        spline_noise(20, 21)
-    with pytest.raises(ControllerError, match="expected >= 0"):
-        coloured_noise(20, -1.0)
+        SplineNoiseSettings(knots=21).matrix(20)
+    with pytest.raises(ConfigError, match="exponent"):
+        ColouredNoiseSettings.parse({"exponent": -1.0})

@@ -9,20 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.candidates import Candidates
-from hystmpc.ctrl.command import Source
-from hystmpc.ctrl.estimator import EstimatorOptions, OutputEstimator
+from hystmpc.ctrl.command import Source, Stopwatch
+from hystmpc.ctrl.estimation.observer import EstimatorSettings, OutputEstimator
+from hystmpc.ctrl.fallback import FallbackChain, FallbackSettings, attempt
 from hystmpc.ctrl.guarded import GuardedController
-from hystmpc.ctrl.ladder import Ladder, LadderOptions, attempt
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner
-from hystmpc.ctrl.linearised.problem import QpData, QpPattern, TrackingQp
-from hystmpc.ctrl.linearised.solver import QpSolver
-from hystmpc.ctrl.mpc import HoldRule, PredictiveLaw
-from hystmpc.ctrl.planning import PlanningError, Weights
-from hystmpc.ctrl.stopwatch import Stopwatch
+from hystmpc.ctrl.linearised.program import QpData, QpPattern, QpSolver, TrackingQp
+from hystmpc.ctrl.mpc import PredictiveLaw
+from hystmpc.ctrl.mpc_settings import HoldSettings, LinearisedMpcSettings, WeightsSettings
+from hystmpc.ctrl.planning import PlanningError
 from hystmpc.models.inverse.one_step import AccompaniedPredictor
 from hystmpc.models.library import library_file
 from hystmpc.models.load import load_model
@@ -30,29 +28,30 @@ from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse
 from hystmpc.models.simulator import ChainModel
 
-from ..models.casadi_predictor import CasadiPredictor
 from .plays import DT, SOUND, Case, Faulty
-from .test_linearised import HARD, LIMITS, SOFT, H, posed
+from .test_linearised import HARD, LIMITS, SOFT, H, mpc, posed
 
 Options = OsqpOptions | DaqpOptions
 FINE = OsqpOptions(eps=1e-6, iterations=2000)  # the default of 1e-5 leaves up to 1e-3 mm
 TIGHT = OsqpOptions(eps=1e-9, iterations=20_000)
 DEVICE = CommandLimits(0.0, 6.0, 12.0)
 
+from ..models.casadi_predictor import CasadiPredictor
 
-def program(case: Case, weights: Weights, seed: int, horizon: int = H) -> tuple[TrackingQp, QpData]:
+
+def program(case: Case, weights: WeightsSettings, seed: int, horizon: int = H) -> tuple[TrackingQp, QpData]:
     problem, start = posed(case, horizon, seed)
     qp = TrackingQp(weights, LIMITS, horizon, DT)
     return qp, qp.data(problem, start, case.predictor.linearise(problem.state, start.commands)[1])
 
 
-ONE_SIDED = replace(SOFT, angle_limits_deg=(-np.inf, 42.0))
+ONE_SIDED = SOFT.model_copy(update={"angle_lower_deg": None})
 
 
 @pytest.mark.parametrize("weights", [HARD, SOFT, ONE_SIDED], ids=["hard", "soft", "one-sided"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize("horizon", [1, H, 20])
-def test_daqp_and_osqp_solve_one_program_alike(weights: Weights, case: Case, horizon: int) -> None:
+def test_daqp_and_osqp_solve_one_program_alike(weights: WeightsSettings, case: Case, horizon: int) -> None:
     for seed in range(5):
         qp, data = program(case, weights, seed, horizon)
         exact = DaqpSolver(qp.pattern, DaqpOptions()).solve(data)
@@ -82,7 +81,7 @@ SOLVERS: dict[str, Callable[[QpPattern], QpSolver]] = {
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("spoilt", ["crossed", "gradient", "hessian", "nan"])
-def test_a_solver_that_failed_is_as_good_as_new(name: str, weights: Weights, spoilt: str) -> None:
+def test_a_solver_that_failed_is_as_good_as_new(name: str, weights: WeightsSettings, spoilt: str) -> None:
     qp, data = program(SOUND[0], weights, 0)
     solver = SOLVERS[name](qp.pattern)
     good = solver.solve(data)
@@ -107,7 +106,7 @@ def test_daqp_stops_after_its_iterations() -> None:
 def test_a_program_that_overflows_is_a_planning_error() -> None:
     case = SOUND[1]
     problem, start = posed(case)
-    planner = LinearisedPlanner(Faulty(case.predictor, lambda value: 1e200 * value, -1.0), HARD, LIMITS, H)
+    planner = LinearisedPlanner(Faulty(case.predictor, lambda value: 1e200 * value, -1.0), mpc(HARD, H), LIMITS)
     with np.errstate(all="ignore"), pytest.raises(PlanningError, match="program is not finite"):
         planner.improve(problem, start, None, Stopwatch())
 
@@ -116,11 +115,14 @@ def controller_for(
     predictor: Predictor, inverse: Inverse, options: Options, blocks: tuple[int, ...] | None = None
 ) -> GuardedController[Any]:
     """A linearised controller whose holds are not shortened by the hold rule."""
-    weights, planner = Weights(), LinearisedPlanner(predictor, Weights(), DEVICE, 20, 1, options, blocks)
-    candidates = Candidates(predictor, inverse, DEVICE, 20)
-    law = PredictiveLaw(predictor, candidates, planner, weights, 20, HoldRule(0.0))
+    settings = LinearisedMpcSettings(move_blocking=blocks, hold=HoldSettings(tolerance_deg=0.0))
+    law = PredictiveLaw(predictor, inverse, DEVICE, LinearisedPlanner(predictor, settings, DEVICE, options), settings)
     return GuardedController(
-        law, OutputEstimator(predictor, EstimatorOptions()), Ladder(DEVICE, LadderOptions(), inverse), DEVICE, DT
+        law,
+        OutputEstimator(predictor, EstimatorSettings()),
+        FallbackChain(DEVICE, FallbackSettings(), inverse),
+        DEVICE,
+        DT,
     )
 
 

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.tip.reference import Motion, Reference, rest_at, waypoints
-from hystmpc.ctrl.tip.reference import given as preview
-from hystmpc.ctrl.tip.ruckig_ import Kinematics, move_to_rest
-from hystmpc.ctrl.tip.settings import MotionSettings
+from hystmpc.ctrl.planner.reference import PiecewiseReference, Reference, rest_reference, waypoint_request
+from hystmpc.ctrl.planner.reference import given_request as preview
+from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
+from hystmpc.ctrl.planner.settings import TargetMotionSettings
 from hystmpc.trials.errors import ControllerError
 
-LIMITS = MotionSettings(velocity_deg_s=30.0, acceleration_deg_s2=200.0, jerk_deg_s3=3000.0)
+LIMITS = TargetMotionSettings(velocity_deg_s=30.0, acceleration_deg_s2=200.0, jerk_deg_s3=3000.0)
 DT = 0.04
 
 angles = st.floats(-200.0, 200.0)
@@ -23,7 +23,7 @@ starts = st.builds(Kinematics, angles, st.floats(-60.0, 60.0), st.floats(-400.0,
 
 
 def motion_of(start: Kinematics, target: float, at: float = 1.0) -> Reference:
-    return waypoints([target], [0.0], LIMITS)(start, at)
+    return waypoint_request([target], [0.0], LIMITS)(start, at)
 
 
 @given(starts, angles)
@@ -59,13 +59,13 @@ def test_retargeting_in_mid_motion_is_smooth_and_keeps_the_limits(a: float, b: f
 
 def test_a_state_beyond_the_limits_is_braked_first() -> None:
     segments = move_to_rest(Kinematics(0.0, 100.0, 0.0), 5.0, LIMITS)
-    motion = Motion(segments, 5.0, 0.0)
+    motion = PiecewiseReference(segments, 5.0, 0.0)
     assert motion.motion(0.0).velocity_deg_s == pytest.approx(100.0)
     assert abs(motion.motion(0.5 * motion.end_s).velocity_deg_s) <= LIMITS.velocity_deg_s * (1 + 1e-9)
 
 
 def test_waypoints_rest_for_their_holds_and_stay_at_the_last() -> None:
-    reference = waypoints([10.0, 10.0, 5.0], [0.5, 0.25, 0.0], LIMITS)(Kinematics(0.0), 2.0)
+    reference = waypoint_request([10.0, 10.0, 5.0], [0.5, 0.25, 0.0], LIMITS)(Kinematics(0.0), 2.0)
     t = np.arange(2.0, reference.end_s + 1.0, 1e-3)
     values = reference.at(t)
     assert np.sum(np.abs(values - 10.0) < 1e-9) == pytest.approx(750, abs=3)
@@ -75,7 +75,7 @@ def test_waypoints_rest_for_their_holds_and_stay_at_the_last() -> None:
 
 def test_a_move_to_where_it_rests_takes_no_time() -> None:
     assert motion_of(Kinematics(7.0), 7.0).end_s == 1.0
-    assert rest_at(7.0, 3.0).at(np.array([0.0, 9.0])).tolist() == [7.0, 7.0]
+    assert rest_reference(7.0, 3.0).at(np.array([0.0, 9.0])).tolist() == [7.0, 7.0]
 
 
 def test_arrays_hold_their_last_angle_and_scalar_functions_are_taken_one_by_one() -> None:
@@ -116,4 +116,4 @@ def test_nonsense_is_refused_when_it_is_set(source: object, text: str) -> None:
 )
 def test_impossible_waypoints_are_refused(targets: list[float], holds: list[float]) -> None:
     with pytest.raises(ControllerError, match="waypoints: got"):
-        waypoints(targets, holds, LIMITS)
+        waypoint_request(targets, holds, LIMITS)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hystmpc.ctrl import Source, TipController
-from hystmpc.ctrl.tip.reach import Workspace
+from hystmpc.ctrl.planner.reach import Workspace
 from hystmpc.trials.errors import ConfigError, ControllerError, ModelError
 
 from .plays import PLAY

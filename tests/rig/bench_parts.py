@@ -7,18 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.rig.anchor import Anchor
-from hystmpc.rig.gate import Gate
-from hystmpc.rig.intake import Intake, SensorSettings
-from hystmpc.rig.loop import ControlLoop
-from hystmpc.rig.outcome import Outcome
-from hystmpc.rig.phases.motion import CommandMotion, SafeStop
-from hystmpc.rig.phases.phase import Phase
-from hystmpc.rig.plausibility import MotionWatch, PlausibilitySettings
-from hystmpc.rig.ramp import RampSettings, stop_commands, way_commands
-from hystmpc.rig.sample import Sample
-from hystmpc.rig.stop_flag import StopFlag
-from hystmpc.rig.transports.reading import Reading
+from hystmpc.rig.commission.phases import CommandMotion, Phase, SafeStop
+from hystmpc.rig.loop import ControlLoop, RunOutcome
+from hystmpc.rig.recording.sample import Sample
+from hystmpc.rig.safety.gate import Anchor, Gate
+from hystmpc.rig.safety.intake import Intake, SensorSettings
+from hystmpc.rig.safety.plausibility import MotionWatch, PlausibilitySettings
+from hystmpc.rig.safety.ramp import RampSettings, stop_commands, way_commands
+from hystmpc.rig.safety.stop import StopFlag
+from hystmpc.rig.transports.transport import Reading
 
 DT = 0.04
 LIMITS = CommandLimits(0.0, 6.0, 10.0)
@@ -177,7 +174,7 @@ class Rig:
         self.intake = Intake(self.sensor, self.clock.ns, watch)
         self.anchor = Anchor(self.gate, 0.1, 3 * DT, 0.5)
 
-    def run(self, phases: Sequence[Phase]) -> Outcome:
+    def run(self, phases: Sequence[Phase]) -> RunOutcome:
         def to_safe(cause: str) -> SafeStop:
             return SafeStop(
                 lambda held, velocity: stop_commands(held, velocity, self.safe, RAMPS, OVERSHOOT, DT),

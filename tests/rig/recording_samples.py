@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from hystmpc.rig.sample import Sample
+from hystmpc.rig.recording.sample import Sample
 
 START_NS = 1_700_000_000_000_000_000
 

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.rig.gate import Gate
-from hystmpc.rig.phases.phase import Decision, Now, Past
-from hystmpc.rig.plausibility import ModelWatch, MotionWatch, PlausibilitySettings
-from hystmpc.rig.ramp import RampSettings, stop_commands
+from hystmpc.rig.commission.phases import Decision, Past, PhaseInput
+from hystmpc.rig.safety.gate import Gate
+from hystmpc.rig.safety.plausibility import ModelWatch, MotionWatch, PlausibilitySettings
+from hystmpc.rig.safety.ramp import RampSettings, stop_commands
 
 from .bench_parts import DT, LIMITS, NS, OVERSHOOT, RAMPS, Rig, following, travel
 
@@ -29,10 +29,10 @@ class Rising:
     samples: int = 0
     name = "rising"
 
-    def begin(self, now: Now, past: Past) -> None:
+    def begin(self, now: PhaseInput, past: Past) -> None:
         del now, past
 
-    def step(self, now: Now) -> Decision:
+    def step(self, now: PhaseInput) -> Decision:
         self.samples += 1
         return Decision(now.held + self.rate * DT, "rising", finished=self.samples >= 500)
 

@@ -12,18 +12,16 @@ from typing import Any
 import pytest
 
 from hystmpc.cli.at_bench import _end_of
-from hystmpc.ctrl.protocols import Plant
-from hystmpc.rig.bench import BenchResult, run_bench
+from hystmpc.ctrl.loop import Plant
+from hystmpc.rig.bench import BenchResult, first_contact, run_bench
+from hystmpc.rig.commission.experiment import run_experiment
+from hystmpc.rig.commission.phases import CommandMotion, Decision, Past, Phase, PhaseInput
 from hystmpc.rig.config import BenchSettings
-from hystmpc.rig.connect import first_contact
-from hystmpc.rig.experiment import run_experiment
-from hystmpc.rig.outcome import Outcome
-from hystmpc.rig.phases.motion import CommandMotion
-from hystmpc.rig.phases.phase import Decision, Now, Past, Phase
-from hystmpc.rig.ramp import way_commands
-from hystmpc.rig.stop_flag import StopFlag
-from hystmpc.rig.transports.reading import Reading
-from hystmpc.rig.transports.settings import SimulatedSettings
+from hystmpc.rig.loop import RunOutcome
+from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.safety.stop import StopFlag
+from hystmpc.rig.transports.simulated import SimulatedSettings
+from hystmpc.rig.transports.transport import Reading
 from hystmpc.trials.errors import ConfigError
 
 from .bench_parts import RAMPS, FakeClock, ListSink
@@ -85,10 +83,10 @@ def test_the_latch_is_set_before_anything_moves_and_released_at_the_end(tmp_path
     class Looking:
         name = "looking"
 
-        def begin(self, now: Now, past: Past) -> None:
+        def begin(self, now: PhaseInput, past: Past) -> None:
             del now, past
 
-        def step(self, now: Now) -> Decision:
+        def step(self, now: PhaseInput) -> Decision:
             found.append(json.loads((tmp_path / "latched.json").read_text())["cause"])
             return Decision(now.held, "looking", finished=True)
 
@@ -104,10 +102,10 @@ def test_a_stop_stays_latched_until_somebody_resets_it(tmp_path: Path) -> None:
     class Failing:
         name = "failing"
 
-        def begin(self, now: Now, past: Past) -> None:
+        def begin(self, now: PhaseInput, past: Past) -> None:
             del now, past
 
-        def step(self, now: Now) -> Decision:
+        def step(self, now: PhaseInput) -> Decision:
             return Decision(now.held, "failing", fault="it fails")
 
     assert bench(tmp_path, [short(), Failing()]).outcome.cause == "it fails"
@@ -200,7 +198,7 @@ def test_a_device_that_listens_to_another_controller_is_refused() -> None:
     ],
 )
 def test_no_more_is_claimed_than_the_device_has_said(safe_s: float, confirmed: bool, expected: str) -> None:
-    outcome = Outcome("SIGTERM", 100, 1.0, safe_s, confirmed, 0, 0, 0, {})
+    outcome = RunOutcome("SIGTERM", 100, 1.0, safe_s, confirmed, 0, 0, 0, {})
     assert _end_of(BenchSettings.parse(SETTINGS), outcome) == expected
 
 

@@ -16,10 +16,9 @@ from hystmpc.rig.campaign.play import Played, device_log
 from hystmpc.rig.campaign.processes import Terminal
 from hystmpc.rig.campaign.setup import KINDS, Kind, Link, write_device, write_run
 from hystmpc.rig.config import load_run
-from hystmpc.rig.device.config import DeviceSettings
-from hystmpc.rig.device.faults import FaultSettings
+from hystmpc.rig.device.config import DeviceSettings, FaultSettings
 from hystmpc.rig.device.faulty_wire import FaultyReadings
-from hystmpc.rig.transports.link import Outgoing
+from hystmpc.rig.transports.transport import Outgoing
 from hystmpc.trials.config import load_settings
 from hystmpc.trials.run_folder import RunFolder
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.rig.transports.datagram import KINDS, MAGIC, SIZE, VERSION, Datagram, Kind, decode, encode
+from hystmpc.rig.transports.udp import KINDS, MAGIC, SIZE, VERSION, Datagram, Kind, decode, encode
 
 COMMAND = Datagram(Kind.COMMAND, 7, 8, 9, 1.5)
 

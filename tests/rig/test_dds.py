@@ -11,10 +11,9 @@ from typing import Any
 
 import pytest
 
-from hystmpc.rig.transports import build
-from hystmpc.rig.transports.link import Incoming, Outgoing
-from hystmpc.rig.transports.settings import DdsSettings
-from hystmpc.rig.transports.units import Conversion
+from hystmpc.rig.transports import dds
+from hystmpc.rig.transports.dds import DdsSettings
+from hystmpc.rig.transports.transport import Conversion, Incoming, Outgoing
 from hystmpc.trials.errors import ConfigError
 
 HAS_DDS = importlib.util.find_spec("cyclonedds") is not None
@@ -34,7 +33,7 @@ def until(get: Callable[[], Any], seconds: float = 5.0) -> Any:
 @needs_dds
 def test_messages_have_the_bytes_of_ros() -> None:
     """CDR, little-endian: a four-byte header, then the fields, aligned from there; strings with length and NUL."""
-    from hystmpc.rig.transports.dds_types_ import Float64, Float64Stamped, Header, Time
+    from hystmpc.rig.transports.dds_ import Float64, Float64Stamped, Header, Time
 
     assert Float64(data=1.5).serialize() == b"\x00\x01\x00\x00" + struct.pack("<d", 1.5)
     assert Float64.__idl_typename__ == "std_msgs::msg::dds_::Float64_"
@@ -83,6 +82,6 @@ def test_a_measurement_and_a_command_cross(message: str) -> None:
 
 
 def test_without_the_package_dds_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(build.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(dds.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install hystmpc\[rig\]"):
-        build.require_dds()
+        dds.require_dds()

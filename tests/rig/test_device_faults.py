@@ -8,13 +8,10 @@ from typing import Any
 
 import pytest
 
-from hystmpc.rig.device.config import DeviceSettings
-from hystmpc.rig.device.faults import FaultSettings
+from hystmpc.rig.device.config import DeviceSettings, FaultSettings
 from hystmpc.rig.device.faulty_wire import FaultyDatagrams
-from hystmpc.rig.transports.link import Outgoing
-from hystmpc.rig.transports.settings import UdpSettings
-from hystmpc.rig.transports.udp import UdpLink, UdpTransport
-from hystmpc.rig.transports.units import Conversion
+from hystmpc.rig.transports.transport import Conversion, Outgoing
+from hystmpc.rig.transports.udp import UdpLink, UdpSettings, UdpTransport
 from hystmpc.trials.errors import ConfigError
 
 SENT = [0.1 * k for k in range(40)]

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.rig.intake import Intake, SensorSettings
-from hystmpc.rig.transports.reading import Reading
+from hystmpc.rig.safety.intake import Intake, SensorSettings
+from hystmpc.rig.transports.transport import Reading
 
 MS = 1_000_000
 SENSOR = SensorSettings(lower_deg=0, upper_deg=120, rate_limit_deg_s=400, age_limit_s=0.1, dead_after_s=0.5)

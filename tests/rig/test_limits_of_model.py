@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from hystmpc.cli.main import main
 from hystmpc.ctrl import CommandLimits, TipController
 from hystmpc.ctrl.build import modelled_limits
-from hystmpc.ctrl.config import ModelledLimitsSettings
+from hystmpc.ctrl.limits import ModelledLimitsSettings
+from hystmpc.rig.commission.experiment import tracking_phase
 from hystmpc.rig.config import RecordSettings, RunSettings
 from hystmpc.rig.device.config import DeviceSettings
-from hystmpc.rig.experiment import tracking_phase
 from hystmpc.sim.config import SimulationConfig
 from hystmpc.sim.study import prepare
 from hystmpc.trials.config import dump_yaml

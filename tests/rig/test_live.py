@@ -23,10 +23,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from hystmpc.rig.live.braille import bar, columns_of, curves, limits_of, raster
 from hystmpc.rig.live.page import LivePage, message
 from hystmpc.rig.live.state import WINDOW_S, LiveState
-from hystmpc.rig.live.terminal import TerminalView, headline
+from hystmpc.rig.live.terminal import TerminalView, bar, columns_of, curves, headline, limits_of, raster
 from hystmpc.trials.errors import ConfigError
 
 from .recording_samples import sample
@@ -254,11 +253,11 @@ def test_clients_that_say_nothing_do_not_pile_up(page: LivePage) -> None:
 
 IN_A_TERMINAL = """
 import sys
-from hystmpc.rig.recording import RecordingMeta, open_apart
-from hystmpc.rig.recording.apart import Views
+from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
+from hystmpc.rig.recording.recording import RecordingMeta
 from tests.rig.recording_samples import sample
 
-sink = open_apart(sys.argv[1], {}, RecordingMeta("mm"), 100.0, Views(terminal=True, page=True, port=0))
+sink = open_recorder_process(sys.argv[1], {}, RecordingMeta("mm"), 100.0, Views(terminal=True, page=True, port=0))
 for k in range(200):
     sink.put(sample(k))
 sink.close()

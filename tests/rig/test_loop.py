@@ -11,9 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.phases.motion import CommandMotion, PretensionCheck
-from hystmpc.rig.phases.phase import Decision, Now, Past
-from hystmpc.rig.ramp import ramp_commands, way_commands
+from hystmpc.rig.commission.phases import CommandMotion, Decision, Past, PhaseInput, PretensionCheck
+from hystmpc.rig.safety.ramp import ramp_commands, way_commands
 
 from .bench_parts import DT, LIMITS, RAMPS, Rig, following, travel
 
@@ -33,11 +32,11 @@ class Wild:
     raises_at: int
     name = "wild"
 
-    def begin(self, now: Now, past: Past) -> None:
+    def begin(self, now: PhaseInput, past: Past) -> None:
         del now, past
         self.random, self.k = random.Random(self.seed), 0
 
-    def step(self, now: Now) -> Decision:
+    def step(self, now: PhaseInput) -> Decision:
         del now
         self.k += 1
         if self.k == self.raises_at:
@@ -99,12 +98,12 @@ def test_a_phase_that_raises_stops_the_run(at: str) -> None:
         name = "raising"
         steps = 0
 
-        def begin(self, now: Now, past: Past) -> None:
+        def begin(self, now: PhaseInput, past: Past) -> None:
             del now, past
             if at == "begin":
                 raise RuntimeError("it broke")
 
-        def step(self, now: Now) -> Decision:
+        def step(self, now: PhaseInput) -> Decision:
             self.steps += 1
             if at == "step" and self.steps == 5:
                 raise RuntimeError("it broke")
@@ -162,16 +161,16 @@ def test_a_signal_stops_by_a_ramp_that_respects_velocity_and_jerk() -> None:
 
 def test_a_late_command_is_a_miss_and_whole_samples_are_skipped() -> None:
     """A write of 1.5 samples is a miss; one of 2.5 samples also skips a sequence number."""
-    seen: list[Now] = []
+    seen: list[PhaseInput] = []
 
     class Watching:
         name = "watching"
 
-        def begin(self, now: Now, past: Past) -> None:
+        def begin(self, now: PhaseInput, past: Past) -> None:
             del now, past
             self.k = 0
 
-        def step(self, now: Now) -> Decision:
+        def step(self, now: PhaseInput) -> Decision:
             seen.append(now)
             self.k += 1
             return Decision(now.held, "watching", finished=self.k >= 20)

@@ -17,17 +17,15 @@ from hypothesis import strategies as st
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.rig.config import load_record, load_run
-from hystmpc.rig.device.faults import FaultSettings
+from hystmpc.rig.device.config import FaultSettings
 from hystmpc.rig.device.faulty_wire import FaultyReadings
-from hystmpc.rig.gate import Gate
 from hystmpc.rig.histogram import BINS, Histogram
-from hystmpc.rig.intake import Intake, SensorSettings
-from hystmpc.rig.latch import Latch
-from hystmpc.rig.realtime_ import RealtimeSettings, SchedulingSettings, control_process, scheduled
-from hystmpc.rig.transports.link import Outgoing
-from hystmpc.rig.transports.order import NEW, REPLAYED, RESTARTED, Order
-from hystmpc.rig.transports.reading import Reading
-from hystmpc.rig.transports.units import Conversion, WireUnits
+from hystmpc.rig.realtime import RealtimeSettings, SchedulingSettings, control_process, scheduled
+from hystmpc.rig.safety.gate import Gate
+from hystmpc.rig.safety.intake import Intake, SensorSettings
+from hystmpc.rig.safety.stop import Latch
+from hystmpc.rig.transports.sessions import NEW, REPLAYED, RESTARTED, Order
+from hystmpc.rig.transports.transport import Conversion, Outgoing, Reading, WireUnits
 from hystmpc.trials.errors import ConfigError
 
 from ..conftest import ROOT
@@ -152,7 +150,7 @@ def test_a_killed_program_leaves_the_latch_set_and_a_living_one_keeps_others_out
     """The lock of the system decides who is alive, whatever process number the file holds."""
     latch = Latch(tmp_path / "latched.json")
     holder = (
-        "import sys, time; from pathlib import Path; from hystmpc.rig.latch import RUNNING, Latch\n"
+        "import sys, time; from pathlib import Path; from hystmpc.rig.safety.stop import RUNNING, Latch\n"
         "with Latch(Path(sys.argv[1])).held() as latch:\n"
         "    latch.set(RUNNING); print('held', flush=True); time.sleep(60)"
     )

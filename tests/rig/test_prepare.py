@@ -9,9 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.rig.phases.phase import Decision, Now, Past
-from hystmpc.rig.prepare import FlexureSettings, MoveSettings, PretensionSettings, RelaxationSettings
-from hystmpc.rig.ramp import RampSettings
+from hystmpc.rig.commission.phases import (
+    Decision,
+    FlexureSettings,
+    MoveSettings,
+    Past,
+    PhaseInput,
+    PretensionSettings,
+    RelaxationSettings,
+)
+from hystmpc.rig.safety.ramp import RampSettings
 from hystmpc.trials.errors import ConfigError
 
 DT = 0.04
@@ -21,10 +28,10 @@ RAMPS = RampSettings()
 def played(step: Any, held: float, gain: float = 10.0) -> list[Decision]:
     """A step's decisions on a device whose angle is 30 deg + gain * command."""
     phase, decisions = step.phase(RAMPS, DT), []
-    phase.begin(Now(30.0 + gain * held, held), Past([], []))
+    phase.begin(PhaseInput(30.0 + gain * held, held), Past([], []))
     while not decisions or not (decisions[-1].finished or decisions[-1].fault):
         held = decisions[-1].u if decisions else held
-        decisions.append(phase.step(Now(30.0 + gain * held, held)))
+        decisions.append(phase.step(PhaseInput(30.0 + gain * held, held)))
     return decisions
 
 

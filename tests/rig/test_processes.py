@@ -21,8 +21,8 @@ from hystmpc.rig.campaign.judge import judge
 from hystmpc.rig.campaign.play import device_log, play
 from hystmpc.rig.campaign.processes import PROGRAM, end, start, start_device
 from hystmpc.rig.campaign.setup import Kind, Link, write_device, write_run
-from hystmpc.rig.recording import RecordingMeta, open_apart
-from hystmpc.rig.recording.apart import Views
+from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
+from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.trials.csv_ import read_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
@@ -221,7 +221,7 @@ def test_a_page_or_a_latch_that_cannot_be_had_leaves_no_folder(
         taken.listen()
         meta, views = RecordingMeta("mm"), Views(page=True, port=taken.getsockname()[1])
         with pytest.raises(ConfigError, match="expected a free port"):
-            open_apart(out, {}, meta, 25.0, views)
+            open_recorder_process(out, {}, meta, 25.0, views)
         assert not out.exists()
     nowhere = ["--set", "latch_file=/proc/hystmpc/latched.json"]
     assert "expected a place to latch" in refusal(capsys, "run", config, "--out", out, *nowhere)

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.recording import Apart, Fan, Recording, RecordingMeta, open_apart, open_recording
-from hystmpc.rig.recording.waiting import Waiting
-from hystmpc.rig.sample import Sample
+from hystmpc.rig.recording.recorder_process import RecorderProcess, open_recorder_process
+from hystmpc.rig.recording.recording import Recording, RecordingMeta, open_recording
+from hystmpc.rig.recording.sample import Sample, SampleQueue, Tee
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.read import read_log
 from hystmpc.trials.run_folder import RunFolder
@@ -37,9 +37,9 @@ def events(k: int) -> Sample:
     return sample(k, missed=k == 150, status="late, by\n2 ms" if k == 150 else "solved")
 
 
-@pytest.mark.parametrize("opening", [open_recording, open_apart])
+@pytest.mark.parametrize("opening", [open_recording, open_recorder_process])
 def test_every_sample_comes_back_from_every_file(opening: Any, tmp_path: Path) -> None:
-    sink: Recording | Apart = opening(tmp_path / "run", CONFIG, META, 100.0)
+    sink: Recording | RecorderProcess = opening(tmp_path / "run", CONFIG, META, 100.0)
     for k in range(N):
         sink.put(events(k))
     sink.close()
@@ -111,7 +111,7 @@ def test_the_mcap_log_is_what_viewers_expect(tmp_path: Path) -> None:
 
 def test_a_run_folder_is_never_overwritten(tmp_path: Path) -> None:
     open_recording(tmp_path / "run", CONFIG, META, 100.0).close()
-    for opening in (open_recording, open_apart):
+    for opening in (open_recording, open_recorder_process):
         with pytest.raises(ConfigError, match="expected a new or empty folder"):
             opening(tmp_path / "run", CONFIG, META, 100.0)
 
@@ -169,7 +169,7 @@ def test_put_takes_anything_and_what_is_right_is_recorded(
 
 @given(most=st.integers(1, 20), puts=st.integers(0, 60), takes=st.sets(st.integers(0, 60)))
 def test_a_full_queue_counts_what_it_refuses_and_keeps_the_order(most: int, puts: int, takes: set[int]) -> None:
-    waiting, taken = Waiting(most), []
+    waiting, taken = SampleQueue(most), []
     for k in range(puts):
         waiting.put(sample(k))
         assert len(waiting) <= most
@@ -195,7 +195,7 @@ class Breaks:
 
 def test_a_fan_serves_the_others_where_one_breaks(tmp_path: Path) -> None:
     sink = open_recording(tmp_path / "run", CONFIG, META, 100.0, report=False)
-    fan = Fan(sink, Breaks())
+    fan = Tee(sink, Breaks())
     for k in range(5):
         fan.put(sample(k))
     assert fan.broken == 5

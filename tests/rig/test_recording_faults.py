@@ -18,10 +18,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.recording import RecordingMeta, open_apart, open_recording
-from hystmpc.rig.recording.csv_log import CsvLog
-from hystmpc.rig.recording.growing_file import GrowingFile
+from hystmpc.rig.recording.csv_log import CsvLog, GrowingFile
 from hystmpc.rig.recording.mcap_log_ import McapLog
+from hystmpc.rig.recording.recorder_process import open_recorder_process
+from hystmpc.rig.recording.recording import RecordingMeta, open_recording
 from hystmpc.trials.check import check_trial
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.mcap_reader_ import open_mcap
@@ -96,7 +96,7 @@ def test_a_file_holds_whole_commits_only(
 @pytest.mark.slow
 def test_when_the_recording_process_dies_the_run_goes_on(tmp_path: Path) -> None:
     told: list[str] = []
-    sink = open_apart(tmp_path / "run", {}, META, 100.0, tell=told.append)
+    sink = open_recorder_process(tmp_path / "run", {}, META, 100.0, tell=told.append)
     for k in range(30):
         sink.put(sample(k))
     wait_for(lambda: sink.on_disk == 30)
@@ -115,7 +115,7 @@ def test_when_the_recording_process_dies_the_run_goes_on(tmp_path: Path) -> None
 @pytest.mark.slow
 def test_signals_to_all_of_a_terminal_cost_no_sample(tmp_path: Path) -> None:
     """Ctrl-C and a closed terminal reach the recording process too: it records the stop all the same."""
-    sink = open_apart(tmp_path / "run", {}, META, 100.0)
+    sink = open_recorder_process(tmp_path / "run", {}, META, 100.0)
     for k, number in enumerate((signal.SIGINT, signal.SIGTERM, signal.SIGHUP)):
         sink.put(sample(k))
         os.kill(sink.pid, number)

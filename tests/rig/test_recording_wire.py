@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.recording import RecordingMeta, open_apart
-from hystmpc.rig.recording.wire import pack, unpack
+from hystmpc.rig.recording.recorder_process import open_recorder_process, pack, unpack
+from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.trials.run_folder import RunFolder
 
 from .recording_samples import sample
@@ -52,7 +52,7 @@ def test_numbers_of_numpy_become_plain_ones() -> None:
 def test_a_sample_that_cannot_be_sent_does_not_cost_the_others(tmp_path) -> None:
     pytest.importorskip("mcap", reason="mcap (extra `logs`) is not installed")
     told: list[str] = []
-    sink = open_apart(tmp_path / "run", {}, RecordingMeta("mm"), 100.0, tell=told.append)
+    sink = open_recorder_process(tmp_path / "run", {}, RecordingMeta("mm"), 100.0, tell=told.append)
     for k in range(10):
         sink.put(None if k == 4 else sample(k, command="x" if k == 6 else 1.0))  # type: ignore[arg-type]
     sink.close()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.rig.review import Judged, review
+from hystmpc.rig.commission.review import ReviewedRun, review
 from hystmpc.trials.errors import LogError
 
 T = 0.04 * np.arange(500)
@@ -15,8 +15,8 @@ FREE = 50 + 20 * np.sin(T)
 NOISE = np.random.default_rng(0).normal(0, 0.1, T.size)
 
 
-def run_with(measured: np.ndarray) -> Judged:
-    return Judged(T, np.zeros(T.size), measured, FREE, FREE, FREE, np.isfinite(measured))
+def run_with(measured: np.ndarray) -> ReviewedRun:
+    return ReviewedRun(T, np.zeros(T.size), measured, FREE, FREE, FREE, np.isfinite(measured))
 
 
 def test_a_right_model_needs_nothing() -> None:

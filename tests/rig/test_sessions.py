@@ -16,12 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.rig.device.config import DeviceSettings
-from hystmpc.rig.device.server import Device
-from hystmpc.rig.transports.admission import ANOTHER, NO_GREETING, OLD, Admission
-from hystmpc.rig.transports.link import Incoming, Outgoing
-from hystmpc.rig.transports.settings import DdsSettings, UdpSettings
-from hystmpc.rig.transports.udp import UdpLink, UdpTransport
-from hystmpc.rig.transports.units import Conversion
+from hystmpc.rig.device.server import SimulatedDevice
+from hystmpc.rig.transports.dds import DdsSettings
+from hystmpc.rig.transports.sessions import ANOTHER, NO_GREETING, OLD, Admission
+from hystmpc.rig.transports.transport import Conversion, Incoming, Outgoing
+from hystmpc.rig.transports.udp import UdpLink, UdpSettings, UdpTransport
 
 SAME = Conversion(1.0, 0.0, 1.0)
 S = 1_000_000_000
@@ -123,7 +122,7 @@ class Drive:
                 "link": {"kind": "udp"},
             }
         )
-        self.device, self.k = Device(settings, Straight(), 0.0, self.link), 0
+        self.device, self.k = SimulatedDevice(settings, Straight(), 0.0, self.link), 0
 
     def samples(self, count: int, *messages: Incoming) -> list[float]:
         """What it holds after each of `count` samples; the messages come in every one of them."""

@@ -8,8 +8,7 @@ import threading
 
 import pytest
 
-from hystmpc.rig.signals_ import stopping_on_signals
-from hystmpc.rig.stop_flag import StopFlag
+from hystmpc.rig.safety.stop import StopFlag, stopping_on_signals
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])

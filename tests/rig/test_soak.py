@@ -12,7 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from hystmpc.rig.stop_flag import StopFlag
+from hystmpc.rig.safety.stop import StopFlag
 
 from ..conftest import ROOT
 

@@ -14,12 +14,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.transports.datagram import KINDS, SIZE, Datagram, Kind, decode, encode
-from hystmpc.rig.transports.link import Incoming, Outgoing
-from hystmpc.rig.transports.reading import Reading
-from hystmpc.rig.transports.settings import UdpSettings
-from hystmpc.rig.transports.udp import UdpLink, UdpTransport
-from hystmpc.rig.transports.units import Conversion
+from hystmpc.rig.transports.transport import Conversion, Incoming, Outgoing, Reading
+from hystmpc.rig.transports.udp import KINDS, SIZE, Datagram, Kind, UdpLink, UdpSettings, UdpTransport, decode, encode
 from hystmpc.trials.errors import ConfigError
 
 SAME = Conversion(1.0, 0.0, 1.0)

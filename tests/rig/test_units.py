@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from hystmpc.rig.transports.units import Conversion, WireUnits
+from hystmpc.rig.transports.transport import Conversion, WireUnits
 from hystmpc.trials.errors import ConfigError
 
 

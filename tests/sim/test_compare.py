@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.config import CONTROLLERS, PidControllerSettings
+from hystmpc.ctrl.config import CONTROLLERS
+from hystmpc.ctrl.feedback.pid import PidControllerSettings
 from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.compare import compare
 from hystmpc.sim.metrics import tracking_metrics

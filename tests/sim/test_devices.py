@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.protocols import Plant
+from hystmpc.ctrl.loop import Plant
 from hystmpc.sim.devices.device import Device
 from hystmpc.sim.devices.muscle import MuscleCatheter, MuscleParameters
 from hystmpc.sim.devices.plant import DevicePlant

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.ctrl.protocols import Plant
+from hystmpc.ctrl.loop import Plant
 from hystmpc.sim.devices.make import make_dataset
 from hystmpc.sim.devices.plant import DevicePlant
 from hystmpc.sim.devices.rod import RodCatheter

@@ -1,1 +1,0 @@
-"""What a model leaves over, learned while the loop runs."""

@@ -1,0 +1,241 @@
+"""Observers: model state from the commands really sent, output disturbance from the measurements."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
+from typing import Annotated, final
+
+from pydantic import Field
+
+from hystmpc.models.model import Predictor
+from hystmpc.trials.config import Settings
+from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
+
+from ..command import EMPTY
+from ..limits import NotNegative, Positive
+
+ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
+
+_RESOLUTION = 1e-9  # command changes below this share of the command range count as none
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A snapshot: restoring it restores the observer.
+
+    Attributes:
+        state: predictor state (S,) after every command sent so far, also those still on their way.
+        command: the command really sent last [mm or bar].
+        angles: predicted angles [deg] without disturbance: now, then at the ends of the samples whose commands
+            are still on their way; `delay_samples + 1` entries, none without a model.
+        responsive: for each of these angles, whether it answers to the command (False: dead band of a play).
+        moves: command travel of the sample that led to each of these angles [command unit].
+        disturbance: estimated output disturbance [deg].
+        variance: of its error [deg^2].
+        measured: the last accepted measurement [deg].
+        missing: number of samples since the last accepted measurement.
+        stalled: number of samples since the model was last advanced; above zero it has failed.
+        covariance: of the errors of disturbance and learned weights, where weights are learned.
+        features: what the weights are multiplied by, for each of the angles, where weights are learned.
+    """
+
+    state: Vec
+    command: float
+    angles: tuple[float, ...]
+    responsive: tuple[bool, ...]
+    moves: tuple[float, ...]
+    disturbance: float
+    variance: float
+    measured: float
+    missing: int = 0
+    stalled: int = 0
+    covariance: Vec = field(default_factory=lambda: EMPTY)
+    features: tuple[Vec, ...] = ()
+
+
+class Observer(ABC):
+    """Estimate in, estimate out: `correct` with a measurement, `advance` by one sample."""
+
+    delay_samples: int  # transport delay between command and angle, beyond the one sample of every discrete loop
+
+    @abstractmethod
+    def init(self, y: float, u: float) -> Estimate:
+        """Estimate at rest with measured angle `y` [deg] and held command `u`; may raise what the model raises."""
+
+    @abstractmethod
+    def correct(self, estimate: Estimate, y: float) -> Estimate:
+        """Use measurement `y` [deg]; not-a-number and outliers leave the prediction as it is. Never raises."""
+
+    @abstractmethod
+    def advance(self, estimate: Estimate, u: float) -> Estimate:
+        """One sample later, `u` having been sent; may raise what the model raises."""
+
+    @abstractmethod
+    def coast(self, estimate: Estimate, u: float) -> Estimate:
+        """One sample later where `advance` failed: the model state stands still. Never raises."""
+
+
+class EstimatorSettings(Settings):
+    """Block `estimator`: what is assumed about sensor, device and model.
+
+    Attributes:
+        sensor_sigma_deg: standard deviation of the angle sensor [deg].
+        drift_sigma_deg_per_sqrt_s: standard deviation of the disturbance's change over one second [deg / sqrt(s)].
+        motion_sigma_deg_per_sqrt_unit: standard deviation of its change over one unit of command travel. What a model
+            of hysteresis gets wrong shows while the command moves; in a hold there is time to average.
+        delay_samples: whole samples of transport delay that the model does not contain.
+        outlier_deg: measurements further than this from the prediction count as missing [deg].
+        dead_band_gain_deg_per_unit: below this slope the model counts as inside the dead band.
+        disturbance_limit_deg: bound of the estimated disturbance [deg].
+    """
+
+    sensor_sigma_deg: Positive = 0.15
+    drift_sigma_deg_per_sqrt_s: Positive = 0.4
+    motion_sigma_deg_per_sqrt_unit: NotNegative = 0.0
+    delay_samples: Annotated[int, Field(ge=0)] = 0
+    outlier_deg: Positive = 15.0
+    dead_band_gain_deg_per_unit: NotNegative = 1.0
+    disturbance_limit_deg: Positive = 30.0
+
+
+@final
+class OutputEstimator(Observer):
+    """Model run on the commands really sent, plus a random-walk output disturbance.
+
+        theta_k = model(commands up to k-1-D) + d_k,   d_{k+1} = d_k + w_k,   y_k = theta_k + v_k
+        var(w_k) = drift_sigma^2 dt + motion_sigma^2 |u_k - u_{k-1}|,   var(v_k) = r = sensor_sigma^2
+        K = P / (P + r),   d_k <- d_k + K (y_k - theta_k),   P <- (1 - K) P,   P_{k+1} = P + var(w_k)
+
+    The model always holds every command sent; the D predicted angles on their way are kept in a queue, so a
+    measurement meets the prediction made for its own instant, and plans start where the queue ends.
+
+    Two things are not integrated: outliers, and samples in which the command moved but the model did not (the
+    dead band of a play), where a wrong guess of the play's state would wind the disturbance up and hunt.
+    """
+
+    def __init__(self, predictor: Predictor, settings: EstimatorSettings) -> None:
+        self._predictor = predictor
+        self._settings = settings
+        self._gain = kalman_gain(settings.sensor_sigma_deg, settings.drift_sigma_deg_per_sqrt_s, predictor.dt)
+        self._sensor, self._drift = settings.sensor_sigma_deg**2, settings.drift_sigma_deg_per_sqrt_s**2 * predictor.dt
+        self._motion = settings.motion_sigma_deg_per_sqrt_unit**2
+        low, high = predictor.command_range
+        self._resolution = _RESOLUTION * abs(high - low)
+        self.delay_samples = settings.delay_samples
+
+    @property
+    def gain(self) -> float:
+        """Steady-state Kalman gain K while the command rests."""
+        return self._gain
+
+    def init(self, y: float, u: float) -> Estimate:
+        """A device at rest: what the model cannot explain of `y` is the first disturbance.
+
+        Raises:
+            ControllerError: if the model is not finite, or further from `y` than the disturbance may be.
+        """
+        angle, state = self._predictor.advance(self._predictor.initial(y, u), u)
+        if not (math.isfinite(angle) and math.isfinite(state.sum())):
+            raise ControllerError(f"estimator: the model answers {angle} deg to a rest at command {u}, expected finite")
+        if abs(y - angle) > self._settings.disturbance_limit_deg:
+            raise ControllerError(
+                f"estimator: got {y:.6g} deg at rest with command {u:.6g}, the model expects {angle:.6g} deg, "
+                f"accepted is a difference of {self._settings.disturbance_limit_deg:.6g} deg"
+            )
+        queue = self.delay_samples + 1
+        rest = self._sensor * self._gain / (1.0 - self._gain)  # P of the Riccati equation
+        return Estimate(state, u, (float(angle),) * queue, (True,) * queue, (0.0,) * queue, y - angle, rest, y)
+
+    def correct(self, estimate: Estimate, y: float) -> Estimate:
+        innovation = usable_angle(y) - estimate.angles[0] - estimate.disturbance
+        if not abs(innovation) <= self._settings.outlier_deg:  # also true where it is not a number
+            return replace(estimate, missing=estimate.missing + 1)
+        prior = estimate.variance
+        gain = prior / (prior + self._sensor) if estimate.responsive[0] else 0.0
+        disturbance = self._bounded(estimate.disturbance + gain * innovation)
+        posterior = (1.0 - gain) * prior
+        return replace(estimate, disturbance=disturbance, variance=posterior, measured=float(y), missing=0)
+
+    def advance(self, estimate: Estimate, u: float) -> Estimate:
+        angle, state = self._predictor.advance(estimate.state, u)
+        if not (math.isfinite(angle) and math.isfinite(state.sum())):
+            raise ArithmeticError(f"the model answers {angle} deg to command {u:.6g}")
+        return self._shifted(estimate, u, float(angle), state)
+
+    def coast(self, estimate: Estimate, u: float) -> Estimate:
+        return self._shifted(estimate, u, estimate.angles[-1], estimate.state, estimate.stalled + 1)
+
+    def _shifted(self, estimate: Estimate, u: float, angle: float, state: Vec, stalled: int = 0) -> Estimate:
+        moved = abs(u - estimate.command)
+        coming = estimate.moves[1] if len(estimate.moves) > 1 else moved
+        answers = abs(angle - estimate.angles[-1]) >= self._settings.dead_band_gain_deg_per_unit * moved
+        variance = estimate.variance + self._drift + self._motion * coming
+        return Estimate(  # `replace` takes ten times as long
+            state=state,
+            command=u,
+            angles=(*estimate.angles[1:], angle),
+            responsive=(*estimate.responsive[1:], answers or moved <= self._resolution),
+            moves=(*estimate.moves[1:], moved),
+            disturbance=estimate.disturbance,
+            variance=min(variance, self._settings.disturbance_limit_deg**2),
+            measured=estimate.measured,
+            missing=estimate.missing,
+            stalled=stalled,
+            covariance=estimate.covariance,
+            features=estimate.features,
+        )
+
+    def _bounded(self, disturbance: float) -> float:
+        limit = self._settings.disturbance_limit_deg
+        return min(max(disturbance, -limit), limit)
+
+
+@final
+class WithoutModel(Observer):
+    """The observer of a controller that has no model: keeps the last usable measurement."""
+
+    delay_samples = 0
+
+    def init(self, y: float, u: float) -> Estimate:
+        return Estimate(EMPTY, u, (), (), (), 0.0, 0.0, y)
+
+    def correct(self, estimate: Estimate, y: float) -> Estimate:
+        angle = usable_angle(y)
+        if math.isnan(angle):
+            return replace(estimate, missing=estimate.missing + 1)
+        return replace(estimate, measured=angle, missing=0)
+
+    def advance(self, estimate: Estimate, u: float) -> Estimate:
+        return replace(estimate, command=u)
+
+    def coast(self, estimate: Estimate, u: float) -> Estimate:
+        return replace(estimate, command=u)
+
+
+def usable_angle(y: object) -> float:
+    """The measured angle [deg], or not-a-number where it is missing, not a number or absurdly large."""
+    try:
+        angle = float(y)  # type: ignore[arg-type]  # anything may come from a device; what is no number is caught
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+    return angle if abs(angle) <= ANGLE_BOUND_DEG else math.nan
+
+
+def kalman_gain(sensor_sigma_deg: float, drift_sigma_deg: float, dt_s: float) -> float:
+    """Steady-state gain for a disturbance that walks at random: d+ = d + w, e = d + v.
+
+    The Riccati equation P = P - P^2 / (P + r) + q with r = sensor_sigma^2 [deg^2] and q = drift_sigma^2 dt [deg^2]
+    is the quadratic P^2 - q P - q r = 0; the gain is P / (P + r). A test holds it against `control.dlqe`, whose import
+    alone costs a control process a second and 60 MB.
+
+    Args:
+        sensor_sigma_deg: standard deviation of the angle sensor [deg].
+        drift_sigma_deg: standard deviation of the disturbance's change over one second [deg / sqrt(s)].
+        dt_s: sample time [s].
+    """
+    r, q = sensor_sigma_deg**2, drift_sigma_deg**2 * dt_s
+    covariance = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r))
+    return covariance / (covariance + r)

@@ -1,0 +1,1 @@
+"""Laws without a horizon: PID feedback, inverse feedforward, both together."""

@@ -1,0 +1,127 @@
+"""Inverse feedforward, alone and with PID feedback: the command that the model's inverse asks for.
+
+S2 is RA-L 2024, PMC11633443.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal, final
+
+from hystmpc.models.model import Inverse, Predictor
+from hystmpc.trials.types import Vec
+
+from ..command import ControlInput, Source, Stopwatch
+from ..estimation.observer import EstimatorSettings, Observer, OutputEstimator
+from ..law import Law, LawSettings, Proposal
+from ..limits import CommandLimits, NotNegative
+from .pid import Pid, PidMemory, PidSettings
+
+REFERENCE_DEAD_ZONE_DEG = 0.027  # 0.0003 of 90 deg, RA-L 2024, PMC11633443 (S2)
+
+
+@dataclass(frozen=True)
+class FeedforwardMemory:
+    """The angle followed at present [deg]."""
+
+    followed: float
+
+
+@final
+class InverseFeedforward(Law[FeedforwardMemory]):
+    """u = inverse(x, theta_ref): no feedback; the memory x comes from the commands really sent.
+
+    A reference that changes by less than the dead zone is not followed: any noise on it would flip the branch of
+    the inverse and jump across the whole dead band (RA-L 2024, PMC11633443 (S2), inverse backlash).
+    """
+
+    horizon = 1
+    source = Source.CONTROLLER
+
+    def __init__(self, inverse: Inverse, dead_zone_deg: float = REFERENCE_DEAD_ZONE_DEG) -> None:
+        self._inverse = inverse
+        self._dead_zone = dead_zone_deg
+
+    def init(self, y: float, u: float) -> FeedforwardMemory:
+        del u
+        return FeedforwardMemory(y)
+
+    def propose(self, memory: FeedforwardMemory, given: ControlInput, watch: Stopwatch) -> Proposal[FeedforwardMemory]:
+        wanted = float(given.reference[0])
+        followed = wanted if abs(wanted - memory.followed) >= self._dead_zone else memory.followed
+        u = self._inverse.command(given.state, followed, given.u_last)
+        watch.lap("inverse")
+        return Proposal(u, FeedforwardMemory(followed))
+
+
+@dataclass(frozen=True, eq=False)
+class InversePidMemory:
+    """The memories of both parts, and the model state (S,) under the feedforward command alone."""
+
+    feedforward: FeedforwardMemory
+    pid: PidMemory
+    state: Vec
+    u: float
+
+
+@final
+class InversePid(Law[InversePidMemory]):
+    """u = inverse(x_ff, theta_ref) + PID(theta_due - y).
+
+    The feedback compares the measurement with the angle that was due at that instant, so that a perfect
+    feedforward leaves it nothing to do. The inverse remembers its own commands x_ff, not the sum: otherwise it
+    would take every correction for an error of its own and go back across the dead band to undo it.
+    """
+
+    horizon = 1
+    source = Source.CONTROLLER
+
+    def __init__(self, feedforward: InverseFeedforward, pid: Pid, predictor: Predictor, limits: CommandLimits) -> None:
+        self._feedforward, self._pid = feedforward, pid
+        self._predictor, self._limits = predictor, limits
+
+    def init(self, y: float, u: float) -> InversePidMemory:
+        state = self._predictor.initial(y, u)
+        return InversePidMemory(self._feedforward.init(y, u), PidMemory(0.0, 0.0, y), state, u)
+
+    def propose(self, memory: InversePidMemory, given: ControlInput, watch: Stopwatch) -> Proposal[InversePidMemory]:
+        alone = replace(given, state=memory.state, u_last=memory.u)
+        wanted = self._feedforward.propose(memory.feedforward, alone, watch)
+        u_alone = self._limits.clip(wanted.u, memory.u, self._predictor.dt)
+        _, state = self._predictor.advance(memory.state, u_alone)
+        watch.lap("inverse")
+        y = given.measured
+        u, pid = self._pid.correct(memory.pid, given.due - y, y, given.u_last, u_alone)
+        watch.lap("pid")
+        return Proposal(u, InversePidMemory(wanted.memory, pid, state, u_alone))
+
+
+class InverseControllerSettings(LawSettings):
+    """Inverse feedforward."""
+
+    kind: Literal["inverse"] = "inverse"
+    estimator: EstimatorSettings = EstimatorSettings()
+    reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
+
+    def observer(self, predictor: Predictor) -> Observer:
+        return OutputEstimator(predictor, self.estimator)
+
+    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
+        del predictor, limits
+        return InverseFeedforward(inverse, self.reference_dead_zone_deg)
+
+
+class InversePidControllerSettings(LawSettings):
+    """Inverse feedforward with PID feedback."""
+
+    kind: Literal["inverse_pid"] = "inverse_pid"
+    estimator: EstimatorSettings = EstimatorSettings()
+    reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
+    gains: PidSettings = PidSettings(kp_per_deg=0.01, ki_per_deg_s=0.2)
+
+    def observer(self, predictor: Predictor) -> Observer:
+        return OutputEstimator(predictor, self.estimator)
+
+    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
+        feedforward = InverseFeedforward(inverse, self.reference_dead_zone_deg)
+        return InversePid(feedforward, Pid(self.gains, limits, predictor.dt), predictor, limits)

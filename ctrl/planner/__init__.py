@@ -1,0 +1,1 @@
+"""The planner's side: `TipController`, its settings, references, reach and memory."""

@@ -1,0 +1,312 @@
+"""The memory of a `TipController`: a snapshot, its transitions as pure functions, and what a planner sees of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hystmpc.models.model import Predictor
+from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
+
+from ..command import Command, Source
+from ..estimation.observer import Estimate, usable_angle
+from ..fallback import attempt
+from ..guarded import GuardedController, GuardedState
+from ..limits import CommandLimits
+from .reference import Reference, ReferenceRequest, rest_reference
+from .ruckig_ import Kinematics
+
+_SAME_COMMAND = 1e-6  # of the command's range: two records of one command may differ by it
+
+_ROUNDING = 1e-9  # of a limit or a time, that passes
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """Everything that a `TipController` remembers: from equal snapshots follow equal futures.
+
+    Attributes:
+        origin: kind and fingerprint of the controller that it belongs to.
+        command: the last answer; at first the command that the device holds.
+        sent: whether this controller has answered that command, so that the device holds it for certain.
+        steps: steps taken since the start.
+        control: the controller's own state; None before the first usable measurement.
+        reference: what is followed; None before that.
+        request: what will be followed from the first usable measurement on.
+        halted: whether `stop` was called.
+    """
+
+    origin: str
+    command: Command
+    sent: bool = False
+    steps: int = 0
+    control: GuardedState[Any] | None = None
+    reference: Reference | None = None
+    request: ReferenceRequest | None = None
+    halted: bool = False
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the stop is latched."""
+        return self.halted or (self.control is not None and self.control.fallback.stopped)
+
+    @property
+    def stop_cause(self) -> str:
+        """Why the stop is latched, where it is."""
+        latched = self.control is not None and self.control.fallback.stopped
+        return self.control.fallback.cause if self.control is not None and latched else "by stop()"
+
+    @property
+    def disturbance_deg(self) -> float:
+        """By how much the device is off the model, as estimated [deg]."""
+        return 0.0 if self.control is None else self.control.estimate.disturbance
+
+    @property
+    def measured_deg(self) -> float:
+        """Last accepted measurement [deg]; not-a-number before the first."""
+        return math.nan if self.control is None else self.control.estimate.measured
+
+    def motion(self, t: float) -> Kinematics:
+        """The reference's state of motion at `t` [s]; not-a-number where there is none or a user's function fails."""
+        reference = self.reference
+        found = None if reference is None else attempt(lambda: reference.motion(t))[0]
+        return found if found is not None and math.isfinite(found.theta_deg) else Kinematics(math.nan)
+
+
+def initial_snapshot(origin: str, command: float, sent: bool = False) -> Snapshot:
+    """Before the start, the device holding `command`."""
+    return Snapshot(origin, Command(command, Source.HOLD, "not started"), sent)
+
+
+def start_control(memory: Snapshot, controller: GuardedController[Any], y: float) -> Snapshot:
+    """At rest at the measured angle `y` [deg], with the request, if there is one, turned into a reference.
+
+    Raises:
+        ControllerError: if the controller cannot start from there.
+    """
+    control = controller.init(y, memory.command.u)
+    if memory.halted:
+        control = controller.stop(control, "by stop()")
+    request, start = memory.request, Kinematics(float(y))
+    reference = rest_reference(float(y), 0.0) if request is None else request(start, 0.0)
+    return replace(memory, steps=0, control=control, reference=reference, request=None)
+
+
+def replay_recording(origin: str, controller: GuardedController[Any], commands: Vec, angles: Vec) -> Snapshot:
+    """The state at time 0 after a recording of commands and angles, at rest at the last measured angle.
+
+    Raises:
+        ControllerError: if the recording cannot be used.
+    """
+    control = controller.replay(commands, angles)
+    held = Command(control.estimate.command, Source.HOLD, "replayed")
+    return Snapshot(origin, held, control=control, reference=rest_reference(control.due, 0.0))
+
+
+def try_to_start(memory: Snapshot, controller: GuardedController[Any], y: object) -> Snapshot:
+    """The started controller where `y` allows it; otherwise the command is held, and its status says why."""
+    angle = usable_angle(y)
+    after, reason = attempt(lambda: start_control(memory, controller, angle))
+    if math.isnan(angle):
+        reason = "no usable measurement yet"
+    return after or replace(memory, command=Command(memory.command.u, Source.HOLD, f"not started: {reason}"))
+
+
+def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: Kinematics) -> Snapshot:
+    """With the requested reference from the state of motion `start` on; before the start the request is kept.
+
+    Raises:
+        ControllerError: if the stop is latched.
+        TrajectoryError: if no motion is found.
+    """
+    if memory.stopped:
+        raise ControllerError("the stop is latched: got a new reference, expected reset() first")
+    if memory.control is None:
+        return replace(memory, request=request)
+    if math.isnan(start.theta_deg):  # the reference so far fails: start from where the tip is
+        start = Kinematics(memory.measured_deg)
+    return replace(memory, reference=request(start, memory.steps * dt))
+
+
+def halted(memory: Snapshot, controller: GuardedController[Any], cause: str = "by stop()") -> Snapshot:
+    """With the stop latched."""
+    control = None if memory.control is None else controller.stop(memory.control, cause)
+    return replace(memory, control=control, halted=True)
+
+
+def take_up(memory: Snapshot, present: Snapshot, controller: GuardedController[Any], held: float) -> Snapshot:
+    """A restored or replayed memory, with the command that the device holds now; a latched stop stays latched.
+
+    Args:
+        memory: restored or replayed.
+        present: the memory that it replaces.
+        held: the command from which the next one is limited.
+    """
+    command, control = memory.command, memory.control
+    if command.u != held:
+        command = replace(command, u=held, status=f"taken up, the device holds {held:.6g}")
+    if control is not None and control.estimate.command != held:
+        control = replace(control, estimate=replace(control.estimate, command=held))
+    memory = replace(memory, command=command, control=control, sent=present.sent)
+    return halted(memory, controller, present.stop_cause) if present.stopped else memory
+
+
+def held_after_replay(memory: Snapshot, present: Snapshot, limits: CommandLimits) -> float:
+    """The command that the device holds after a recording: its newest, which must be the one sent last.
+
+    Raises:
+        ControllerError: if this controller has sent another one.
+    """
+    newest, sent = memory.command.u, present.command.u
+    if not present.sent:
+        return newest
+    if abs(newest - sent) > _SAME_COMMAND * (limits.upper - limits.lower):
+        raise ControllerError(
+            f"replay: got a recording that ends at command {newest:.6g}, expected {sent:.6g}, which this controller "
+            "sent last; say with held= which of them the device holds"
+        )
+    return sent
+
+
+def require_within(command: object, limits: CommandLimits, what: str) -> float:
+    """`command` as a number within the limits.
+
+    Raises:
+        ControllerError: if it is none.
+    """
+    number = attempt(partial(float, command))[0]  # type: ignore[arg-type]  # anything may come from outside
+    if number is None or not limits.lower <= number <= limits.upper:
+        raise ControllerError(f"{what} {command!r}, expected {limits.lower} to {limits.upper}")
+    return number
+
+
+def require_usable(snapshot: object, origin: str, limits: CommandLimits) -> Snapshot:
+    """A snapshot that this controller can go on from.
+
+    Raises:
+        ControllerError: if it is none, belongs to another controller, or holds a command beyond the limits.
+    """
+    if not isinstance(snapshot, Snapshot):
+        raise ControllerError(f"restore: got {type(snapshot).__name__}, expected what snapshot() returns")
+    if snapshot.origin != origin:
+        raise ControllerError(
+            f"restore: got a snapshot of {snapshot.origin!r}, expected one of {origin!r}: the same kind of controller, "
+            "settings, limits and model"
+        )
+    commands = (
+        [snapshot.command.u] if snapshot.control is None else [snapshot.command.u, snapshot.control.estimate.command]
+    )
+    if not all(limits.lower <= u <= limits.upper for u in commands):
+        raise ControllerError(
+            f"restore: got a snapshot with command {snapshot.command.u}, expected {limits.lower} to {limits.upper}"
+        )
+    return snapshot
+
+
+@dataclass(frozen=True)
+class TipState:
+    """The controller between two steps.
+
+    Attributes:
+        time_s: end of the running sample: steps taken times the sample time.
+        measured_deg: last accepted measurement, made at the beginning of the running sample; NaN before the first.
+        predicted_deg: angle expected at the end of it, disturbance included; NaN without a model.
+        reference_deg, reference_velocity_deg_s: what is wanted then.
+        command: the command that is being held [mm or bar].
+        disturbance_deg: by how much the device is off the model, as estimated.
+        source, status: of that command.
+        done: whether the reference has come to its end.
+        settled: done, and the measurement is within the tolerance.
+        stopped: whether the stop is latched, by `stop` or after repeated failures.
+    """
+
+    time_s: float
+    measured_deg: float
+    predicted_deg: float
+    reference_deg: float
+    reference_velocity_deg_s: float
+    command: float
+    disturbance_deg: float
+    source: Source
+    status: str
+    done: bool
+    settled: bool
+    stopped: bool
+
+
+@dataclass(frozen=True, eq=False)
+class TipPlan:
+    """What the controller means to do; rows belong to the running and the next samples (H,).
+
+    Attributes:
+        time_s: ends of the samples.
+        command: planned commands; only the one that is held where the controller does not plan.
+        predicted_deg: angles at these ends, disturbance included; as many as are known.
+        reference_deg: wanted angles at these ends; NaN before the start.
+    """
+
+    time_s: Vec
+    command: Vec
+    predicted_deg: Vec
+    reference_deg: Vec
+
+
+def tip_state(memory: Snapshot, dt: float, tolerance_deg: float) -> TipState:
+    """What a planner sees of a snapshot."""
+    now, command = memory.steps * dt, memory.command
+    motion, measured = memory.motion(now), memory.measured_deg
+    done = memory.reference is not None and now >= memory.reference.end_s - _ROUNDING
+    return TipState(
+        time_s=now,
+        measured_deg=measured,
+        predicted_deg=float(command.predicted[0]) if command.predicted.size else math.nan,
+        reference_deg=motion.theta_deg,
+        reference_velocity_deg_s=motion.velocity_deg_s,
+        command=command.u,
+        disturbance_deg=memory.disturbance_deg,
+        source=command.source,
+        status=command.status,
+        done=done,
+        settled=done and abs(measured - motion.theta_deg) <= tolerance_deg,
+        stopped=memory.stopped,
+    )
+
+
+def tip_plan(memory: Snapshot, dt: float) -> TipPlan:
+    """The plan of the last step, in a snapshot."""
+    command, reference = memory.command, memory.reference
+    planned = command.plan if command.plan.size else np.array([command.u])
+    times = dt * (memory.steps + np.arange(max(planned.size, command.predicted.size), dtype=np.float64))
+    wanted = None if reference is None else attempt(lambda: reference.at(times))[0]
+    return TipPlan(times, planned, command.predicted, np.full(times.size, np.nan) if wanted is None else wanted)
+
+
+def predicted_angles(
+    predictor: Predictor, limits: CommandLimits, estimate: Estimate | None, commands: ArrayLike
+) -> Vec:
+    """Angles [deg] at the ends of the coming samples under one plan (N,) or several (K, N), disturbance included.
+
+    Raises:
+        ControllerError: if there is no estimate of a model's state, or a plan is not finite or beyond the limits.
+    """
+    if estimate is None or not estimate.angles:
+        reason = "has not started" if estimate is None else "has no model"
+        raise ControllerError(f"predict: the controller {reason}, expected one with a model after its first step")
+    plans = np.atleast_2d(np.asarray(commands, dtype=np.float64))
+    moves = np.abs(np.diff(plans, axis=-1, prepend=estimate.command))
+    low, high, reach = limits.lower - _ROUNDING, limits.upper + _ROUNDING, limits.rate * predictor.dt * (1 + _ROUNDING)
+    if plans.ndim != 2 or not plans.size or not np.all((plans >= low) & (plans <= high) & (moves <= reach + _ROUNDING)):
+        raise ControllerError(
+            f"predict: got plans of shape {plans.shape}, expected (N,) or (K, N) finite commands within "
+            f"{limits.lower:g} to {limits.upper:g} at {limits.rate:g} per second from {estimate.command:.6g} on"
+        )
+    under_way = np.array(estimate.angles[1:])  # of commands that are sent already but have not acted
+    new = predictor.rollout(estimate.state, plans)
+    angles = np.hstack([np.tile(under_way, (len(plans), 1)), new])[:, : plans.shape[1]] + estimate.disturbance
+    return angles.reshape(np.shape(commands))

@@ -1,0 +1,83 @@
+"""Which angles the model can be brought to and held at within the command's limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hystmpc.models.model import Predictor
+from hystmpc.trials.errors import ControllerError
+
+from ..limits import CommandLimits
+
+_SETTLING_S = 2.0  # at either end: many times the lag of any catheter drive
+
+_MOST_SAMPLES = 4000  # of one ramp
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Whether an angle can be reached; true where it can.
+
+    Attributes:
+        reachable: the answer.
+        low_deg, high_deg: least and greatest angle that can be reached now [deg].
+        reason: one line.
+    """
+
+    reachable: bool
+    low_deg: float
+    high_deg: float
+    reason: str
+
+    def __bool__(self) -> bool:
+        return self.reachable
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """What bounds the angle [deg]."""
+
+    model: tuple[float, float]  # the model's angles at rest at both ends of the command
+    soft: tuple[float, float]  # soft angle limits of the controller, infinite for none
+    trained: tuple[float, float]  # angles that the model was identified on; beyond them it extrapolates
+
+    def judge(self, theta_deg: float, disturbance_deg: float) -> Reach:
+        """Whether `theta_deg` can be reached where the device is off the model by `disturbance_deg` [deg]."""
+        ends = self.model[0] + disturbance_deg, self.model[1] + disturbance_deg
+        low, high = max(ends[0], self.soft[0]), min(ends[1], self.soft[1])
+        if not math.isfinite(theta_deg):
+            return Reach(False, low, high, f"got {theta_deg} deg, expected a finite angle")
+        if low <= theta_deg <= high:
+            inside = self.trained[0] <= theta_deg <= self.trained[1]
+            range_text = f"{self.trained[0]:.4g} to {self.trained[1]:.4g} deg"
+            reason = "within reach" if inside else f"within reach, beyond the {range_text} that the model has seen"
+            return Reach(True, low, high, reason)
+        below = theta_deg < low
+        bound, end = (low, ends[0]) if below else (high, ends[1])
+        cause = "the command limits" if bound == end else "the soft angle limits"
+        side = "below the least" if below else "above the greatest"
+        return Reach(False, low, high, f"{theta_deg:.6g} deg is {side} angle within {cause}, {bound:.6g} deg")
+
+
+def angles_at_rest(predictor: Predictor, limits: CommandLimits, start_deg: float) -> tuple[float, float]:
+    """The model's angles at rest at both ends of the command, after one slow excursion through all of it [deg].
+
+    Args:
+        start_deg: an angle that it may start from.
+
+    Raises:
+        ControllerError: if the model does not answer with finite angles.
+    """
+    samples = math.ceil((limits.upper - limits.lower) / (limits.rate * predictor.dt))
+    up = np.linspace(limits.lower, limits.upper, min(max(samples, 2), _MOST_SAMPLES))
+    rest = max(1, round(_SETTLING_S / predictor.dt))
+    top, bottom = np.full(rest, limits.upper), np.full(rest, limits.lower)
+    commands = np.concatenate([bottom, up, top, up[::-1], bottom])
+    angles = predictor.rollout(predictor.initial(start_deg, limits.lower), commands[None])[0]
+    ends = float(angles[-1]), float(angles[2 * rest + up.size - 1])
+    if not all(math.isfinite(x) for x in ends):
+        raise ControllerError(f"model: answers {ends} deg at the ends of its command, expected finite angles")
+    return min(ends), max(ends)

@@ -1,0 +1,203 @@
+"""References of a running controller: immutable, on the controller's clock, ready to be left in mid-motion."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
+
+from ..estimation.observer import ANGLE_BOUND_DEG
+from .ruckig_ import Kinematics, Segments, move_to_rest
+from .settings import TargetMotionSettings
+
+
+class Reference(ABC):
+    """A wanted angle over the controller's time; `end_s` is when it comes to rest for good, infinite for never.
+
+    `foreign` is whether it runs a user's code, which may take any time: it is then evaluated outside the lock.
+    """
+
+    end_s: float
+    foreign: bool
+
+    @abstractmethod
+    def at(self, t: Vec) -> Vec:
+        """Wanted angles [deg] at the times `t` (N,) [s]."""
+
+    @abstractmethod
+    def motion(self, t: float) -> Kinematics:
+        """Angle, velocity and acceleration at `t` [s]: where a new motion starts from."""
+
+
+@final
+class PiecewiseReference(Reference):
+    """theta(t) = p + v s + a s^2/2 + j s^3/6 piece by piece; at rest at `target_deg` after the last.
+
+    Args:
+        segments: rows of duration [s], p [deg], v [deg/s], a [deg/s^2], j [deg/s^3], shape (M, 5), M = 0 for a rest.
+        target_deg: the angle at the end [deg].
+        start_s: when it starts on the controller's clock [s].
+    """
+
+    foreign = False
+
+    def __init__(self, segments: Segments, target_deg: float, start_s: float) -> None:
+        self._knots = start_s + np.concatenate(([0.0], np.cumsum(segments[:, 0])))
+        self._rows = np.vstack((segments[:, 1:], (target_deg, 0.0, 0.0, 0.0)))
+        self.end_s = float(self._knots[-1])
+
+    def at(self, t: Vec) -> Vec:
+        s, (p, v, a, j) = self._locate(t)
+        return p + s * (v + s * (a / 2 + s * j / 6))
+
+    def motion(self, t: float) -> Kinematics:
+        s, (p, v, a, j) = self._locate(np.array([t]))
+        values = p + s * (v + s * (a / 2 + s * j / 6)), v + s * (a + s * j / 2), a + s * j
+        return Kinematics(*(float(value[0]) for value in values))
+
+    def _locate(self, t: Vec) -> tuple[Vec, Vec]:
+        time = np.maximum(t, self._knots[0])
+        piece = np.searchsorted(self._knots, time, side="right") - 1
+        return time - self._knots[piece], self._rows[piece].T
+
+
+@final
+class GivenReference(Reference):
+    """A reference from outside: any function of the seconds since it was set.
+
+    Velocity and acceleration are backward differences over one sample, cut at the limits of motion: what is left
+    where a target replaces it.
+
+    Args:
+        function: times (N,) [s] since it was set -> angles (N,) [deg]; it may raise, the step then holds.
+        start_s: when it was set on the controller's clock [s].
+        duration_s: when it comes to rest, counted from there [s].
+        dt: sample time [s].
+        limits: bounds of the differences.
+        foreign: whether the function is a user's.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[Vec], Vec],
+        start_s: float,
+        duration_s: float,
+        dt: float,
+        limits: TargetMotionSettings,
+        foreign: bool,
+    ) -> None:
+        self.foreign = foreign
+        self._function, self._start, self._dt, self._limits = function, start_s, dt, limits
+        self.end_s = start_s + duration_s
+
+    def at(self, t: Vec) -> Vec:
+        return self._function(np.maximum(t - self._start, 0.0))
+
+    def motion(self, t: float) -> Kinematics:
+        recent = self.at(t - self._dt * np.array([2.0, 1.0, 0.0]))
+        speeds = np.diff(recent) / self._dt
+        fastest, steepest = self._limits.velocity_deg_s, self._limits.acceleration_deg_s2
+        speed = float(np.clip(speeds[-1], -fastest, fastest))
+        bend = float(np.clip((speeds[-1] - speeds[0]) / self._dt, -steepest, steepest))
+        return Kinematics(float(recent[-1]), speed, bend)
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceRequest:
+    """A requested reference, before it is known when it starts and from which state of motion."""
+
+    plan: Callable[[Kinematics, float], Reference]  # state of motion and time [s] of the start, to the reference
+    from_motion: bool  # whether the state of motion counts; False where the reference is followed as given
+
+    def __call__(self, start: Kinematics, start_s: float) -> Reference:
+        """The reference from the state of motion `start` at `start_s` [s] on."""
+        return self.plan(start, start_s)
+
+
+def rest_reference(theta_deg: float, start_s: float) -> PiecewiseReference:
+    """The reference that stays where it is."""
+    return PiecewiseReference(np.empty((0, 5)), theta_deg, start_s)
+
+
+def waypoint_request(
+    angles_deg: Sequence[float], holds_s: Sequence[float], limits: TargetMotionSettings
+) -> ReferenceRequest:
+    """Moves from angle to angle, each as fast as the limits allow and each followed by its hold.
+
+    Raises:
+        ControllerError: if the counts differ, nothing is given, an angle is not finite or a hold is negative.
+    """
+    angles, holds = [float(x) for x in angles_deg], [float(x) for x in holds_s]
+    usable = all(abs(x) <= ANGLE_BOUND_DEG for x in angles) and all(0 <= x < math.inf for x in holds)
+    if not angles or len(angles) != len(holds) or not usable:
+        raise ControllerError(
+            f"waypoints: got angles {angles} deg and holds {holds} s, expected as many of one as of the other, finite "
+            f"angles within {ANGLE_BOUND_DEG:.0f} deg and holds >= 0"
+        )
+
+    def plan(start: Kinematics, t: float) -> Reference:
+        pieces = []
+        for angle, hold in zip(angles, holds, strict=True):
+            pieces += [move_to_rest(start, angle, limits), np.array([[hold, angle, 0.0, 0.0, 0.0]])]
+            start = Kinematics(angle)
+        segments = np.vstack(pieces)
+        return PiecewiseReference(segments[segments[:, 0] > 0], angles[-1], t)
+
+    return ReferenceRequest(plan, from_motion=True)
+
+
+def given_request(source: Any, dt: float, limits: TargetMotionSettings) -> ReferenceRequest:
+    """A callable of the seconds since it was set, or angles (T,) [deg] at the ends of the coming samples.
+
+    A callable gets an array of times where it takes one, else one number at a time; with an attribute `duration_s`, as
+    trajectories have, it comes to an end there. The last angle of an array is held.
+
+    Raises:
+        ControllerError: if it is neither, or does not answer with finite angles.
+    """
+    foreign = callable(source)
+    if foreign:
+        duration = float(getattr(source, "duration_s", math.inf))
+        function = _vectorised(source, dt)
+    else:
+        function, duration = _sampled(source, dt)
+    return ReferenceRequest(
+        lambda start, t: GivenReference(function, t, duration, dt, limits, foreign), from_motion=False
+    )
+
+
+def _sampled(source: Any, dt: float) -> tuple[Callable[[Vec], Vec], float]:
+    try:
+        angles = np.array(source, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ControllerError(f"reference: got {type(source).__name__}, expected a callable or angles (T,)") from None
+    if angles.ndim != 1 or not angles.size or not np.all(np.abs(angles) <= ANGLE_BOUND_DEG):
+        raise ControllerError(f"reference: got shape {angles.shape}, expected (T,) finite angles [deg], T >= 1")
+    times = dt * np.arange(1, angles.size + 1)
+    return lambda t: np.interp(t, times, angles), float(times[-1])
+
+
+def _vectorised(source: Callable[..., Any], dt: float) -> Callable[[Vec], Vec]:
+    """`source` as a function of an array of times, tried on the first samples."""
+    times = dt * np.arange(3, dtype=np.float64)
+
+    def one_by_one(t: Vec) -> Vec:
+        return np.array([float(source(float(x))) for x in t])
+
+    for function in (lambda t: np.asarray(source(t), dtype=np.float64), one_by_one):
+        try:
+            tried = function(times)
+        except Exception as error:  # noqa: BLE001 - a user's function may raise anything
+            reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            continue
+        if tried.shape == times.shape and np.all(np.abs(tried) <= ANGLE_BOUND_DEG):
+            return function
+        reason = f"{tried.shape} {tried}"
+    raise ControllerError(f"reference: the callable answers {reason}, expected one finite angle [deg] for each time")

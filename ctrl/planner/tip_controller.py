@@ -1,0 +1,292 @@
+"""The planner's side of hystmpc: set a target or a preview, step, read the state and the plan, stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from threading import RLock
+from typing import TYPE_CHECKING, Any, Self, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
+
+from ..command import Command
+from ..fallback import attempt
+from .memory import (
+    Snapshot,
+    TipPlan,
+    TipState,
+    halted,
+    held_after_replay,
+    initial_snapshot,
+    predicted_angles,
+    replay_recording,
+    require_usable,
+    require_within,
+    set_request,
+    start_control,
+    take_up,
+    tip_plan,
+    tip_state,
+    try_to_start,
+)
+from .reach import Reach
+from .reference import ReferenceRequest, given_request, waypoint_request
+from .ruckig_ import Kinematics
+from .settings import TipSettings, read_settings
+
+if TYPE_CHECKING:
+    from .assembly import Assembly
+
+
+_ROUNDS = 3  # evaluations of a reference within one step, where another thread sets a new one each time
+
+
+@final
+class TipController:
+    """A controller with its clock and its reference: one call a sample, targets at any time.
+
+        tip = TipController.from_config("tip.yaml")
+        tip.set_target(60.0)
+        while not tip.state().settled:
+            device.send(tip.step(device.measure()).u)
+
+    `step` never raises and never leaves the limits, whatever the measurement; everything else raises
+    `ControllerError` with one line. Time is the number of steps times the sample time. All methods may be called from
+    any thread while one thread steps; each waits for at most one step of the controller itself: a reference function is
+    evaluated outside the lock, however long it takes, and `stop` meanwhile is honoured by that very step.
+
+    All memory is one frozen `Snapshot`. A latched stop survives everything but `reset`. Whatever is restored, replayed
+    or reset, the next command is limited from the last one sent, unless the caller says that the device holds another.
+
+    Raises:
+        ControllerError: if the start command is beyond the limits.
+    """
+
+    def __init__(self, assembly: Assembly, settings: TipSettings) -> None:
+        limits, start = assembly.limits, settings.start_command
+        start = limits.lower if start is None else start
+        if not limits.lower <= start <= limits.upper:
+            raise ControllerError(f"start_command: got {start}, expected {limits.lower} to {limits.upper}")
+        self._assembly, self._settings, self._lock = assembly, settings, RLock()
+        self._nothing = np.empty(0)  # a reference that is too short: the controller holds
+        self._ahead: Vec = assembly.controller.dt * np.arange(1, assembly.controller.horizon + 1, dtype=np.float64)
+        self._origin = assembly.origin(settings)
+        self._memory = initial_snapshot(self._origin, start)
+
+    @classmethod
+    def from_config(cls, source: Path | str | Mapping[str, Any] | TipSettings) -> Self:
+        """A controller that is ready to step: files opened, kernels compiled, one step taken for warmth.
+
+        Args:
+            source: a YAML file or the same as a mapping, see `TipSettings`; relative file names start at the file's
+                folder.
+
+        Raises:
+            ConfigError: on an unknown key (with the nearest right one) or a value out of bounds.
+            ModelError: if a model file is missing or unusable.
+            ControllerError: if the settings contradict each other or the model.
+            FitError: if a network has no `inverse` and none can be fitted.
+        """
+        from .assembly import assemble  # CasADi, onnxruntime and numba take longer than a second to import
+
+        settings, folder = read_settings(source)
+        return cls(assemble(settings, folder), settings)
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self._assembly.controller.dt
+
+    def step(self, measured_theta_deg: float) -> Command:
+        """One sample: the command to send now.
+
+        Args:
+            measured_theta_deg: tip angle now [deg]; NaN where there is none. The first usable one starts the
+                controller at rest there; until then the start command is held.
+        """
+        for _ in range(_ROUNDS):
+            with self._lock:
+                memory = self._memory
+                if memory.control is None:
+                    memory = try_to_start(memory, self._assembly.controller, measured_theta_deg)
+                    self._memory = memory
+                reference = memory.reference
+                if reference is None or memory.stopped:
+                    return self._answer(measured_theta_deg, self._nothing, "")
+                ahead: Vec = memory.steps * self.dt + self._ahead
+                if not reference.foreign:
+                    return self._answer(measured_theta_deg, *attempt(partial(reference.at, ahead)))
+            wanted, fault = attempt(partial(reference.at, ahead))  # a user's code: anything may happen meanwhile
+            with self._lock:
+                now = self._memory
+                if now.stopped or (now.reference is reference and now.steps == memory.steps):
+                    return self._answer(measured_theta_deg, wanted, "" if now.stopped else fault)
+        with self._lock:
+            return self._answer(measured_theta_deg, None, "another was set each time this one was evaluated")
+
+    def _answer(self, measured_theta_deg: float, wanted: Vec | None, fault: str) -> Command:
+        """The command of this sample, remembered as sent; under the lock."""
+        memory = self._memory
+        command, control = memory.command, memory.control
+        if control is None:
+            self._memory = replace(memory, sent=True)
+            return command
+        preview = self._nothing if wanted is None else wanted
+        command, control = self._assembly.controller.step(control, measured_theta_deg, preview)
+        if fault:
+            command = replace(command, status=f"reference: {fault}")
+        self._memory = replace(memory, steps=memory.steps + 1, control=control, command=command, sent=True)
+        return command
+
+    def set_target(self, theta_deg: float) -> Reach:
+        """Move to `theta_deg` [deg] and stay: the fastest motion within the limits, from the present state of motion.
+
+        Position, velocity and acceleration of the reference are continuous, in the middle of another motion too. The
+        answer says whether the target can be reached; out of reach, the controller goes as far as it can.
+
+        Raises:
+            ControllerError: if it is not a finite angle, or the stop is latched.
+        """
+        self._request(waypoint_request([theta_deg], [0.0], self._settings.motion))
+        return self.reachable(theta_deg)
+
+    def set_waypoints(self, angles_deg: Sequence[float], holds_s: Sequence[float]) -> None:
+        """Move through angles [deg] one after another and rest at each for its hold [s]; then stay at the last.
+
+        Raises:
+            ControllerError: if the counts differ, a number makes no sense, or the stop is latched.
+        """
+        self._request(waypoint_request(angles_deg, holds_s, self._settings.motion))
+
+    def set_reference(self, source: Callable[[Any], Any] | ArrayLike) -> None:
+        """Follow a preview exactly as given, from the next sample on.
+
+        Args:
+            source: a function of the seconds since this call, such as a trajectory; or wanted angles (T,) [deg] at
+                the ends of the coming samples, the last of which is held. A function has to be pure.
+
+        Raises:
+            ControllerError: if it is neither or does not answer with finite angles, or the stop is latched.
+        """
+        self._request(given_request(source, self.dt, self._settings.motion))
+
+    def state(self) -> TipState:
+        """Where the controller is."""
+        return tip_state(self._memory, self.dt, self._settings.tolerance_deg)
+
+    def plan(self) -> TipPlan:
+        """What the last step means to do over its horizon."""
+        return tip_plan(self._memory, self.dt)
+
+    def predict(self, commands: ArrayLike) -> Vec:
+        """Angles [deg] at the ends of the coming samples under `commands`, disturbance included; nothing is sent.
+
+        Args:
+            commands: one plan (N,) or several (K, N) [mm or bar], the first to be sent next; angles have its shape.
+
+        Raises:
+            ControllerError: if the controller has not started or has no model, or a plan is not finite or beyond
+                the limits on value or rate.
+        """
+        control, assembly = self._memory.control, self._assembly
+        estimate = None if control is None else control.estimate
+        return predicted_angles(assembly.predictor, assembly.limits, estimate, commands)
+
+    def reachable(self, theta_deg: float) -> Reach:
+        """Whether the model can be held at `theta_deg` [deg] within command and soft angle limits, and why not."""
+        return self._assembly.workspace.judge(float(theta_deg), self._memory.disturbance_deg)
+
+    def stop(self) -> None:
+        """Hold, or ramp to the configured `safe_command`, from the next step on; latched until `reset`."""
+        with self._lock:
+            self._memory = halted(self._memory, self._assembly.controller)
+
+    def reset(self, measured_theta_deg: float | None = None, command: float | None = None) -> None:
+        """Forget everything and rest: at time 0, with no target. The one call that releases a latched stop.
+
+        Args:
+            measured_theta_deg: start at this angle [deg] now; None to start with the first usable measurement.
+            command: the command that the device holds; None for the one sent last.
+
+        Raises:
+            ControllerError: if the command is beyond the limits, or the controller cannot start from the angle.
+        """
+        with self._lock:
+            held = self._memory.command.u
+            if command is not None:
+                held = require_within(command, self._assembly.limits, "reset: got command")
+            memory = initial_snapshot(self._origin, held, command is None and self._memory.sent)
+            if measured_theta_deg is not None:
+                memory = start_control(memory, self._assembly.controller, measured_theta_deg)
+            self._memory = memory
+
+    def replay(self, commands: ArrayLike, angles_deg: ArrayLike, held: float | None = None) -> None:
+        """Forget everything but a latched stop, and take up what another has done with the device, hysteresis included.
+
+        Args:
+            commands: the last commands that were sent (T,) [mm or bar], the newest at the end.
+            angles_deg: tip angles (T,) [deg] measured when each was sent; NaN where there was none. `step` takes the
+                next one.
+            held: the command that the device holds now, from which the next one is limited; None for the newest of
+                `commands`, which then has to be the one that this controller sent last, if it has sent any.
+
+        Raises:
+            ControllerError: if the lengths differ, no angle is usable, a command is beyond the limits, or the recording
+                ends at another command than this controller sent last.
+        """
+        sent, seen = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in (commands, angles_deg))
+        memory = replay_recording(self._origin, self._assembly.controller, sent, seen)  # takes longer than a sample
+        said = None if held is None else require_within(held, self._assembly.limits, "replay: got held")
+        with self._lock:
+            present = self._memory
+            holds = held_after_replay(memory, present, self._assembly.limits) if said is None else said
+            self._memory = take_up(memory, present, self._assembly.controller, holds)
+
+    def snapshot(self) -> Snapshot:
+        """Everything remembered; equal futures follow from it."""
+        return self._memory
+
+    def restore(self, snapshot: Snapshot, held: float | None = None) -> None:
+        """Be as at the moment of `snapshot`, but for a latched stop, which stays, and for the command that is held.
+
+        A simulation that rewinds its device too says so: `restore(snapshot, held=snapshot.command.u)`. After a stop it
+        calls `reset` first.
+
+        Args:
+            snapshot: of a controller of the same kind, settings, limits and model.
+            held: the command that the device holds now, from which the next one is limited; None for the one sent last.
+
+        Raises:
+            ControllerError: if it is no snapshot, one of another controller, or a command is beyond the limits.
+        """
+        usable = require_usable(snapshot, self._origin, self._assembly.limits)
+        said = None if held is None else require_within(held, self._assembly.limits, "restore: got held")
+        with self._lock:
+            present = self._memory
+            holds = present.command.u if said is None else said
+            self._memory = take_up(usable, present, self._assembly.controller, holds)
+
+    def _request(self, request: ReferenceRequest) -> None:
+        """Take up a request; where it starts from a user's reference, that is asked outside the lock."""
+        while True:
+            with self._lock:
+                memory = self._memory
+                reference, now_s = memory.reference, memory.steps * self.dt
+                if reference is None or memory.stopped or not (request.from_motion and reference.foreign):
+                    start = memory.motion(now_s) if request.from_motion else Kinematics(memory.measured_deg)
+                    self._memory = set_request(memory, request, self.dt, start)
+                    return
+            start = memory.motion(now_s)
+            with self._lock:
+                now = self._memory
+                if now.reference is reference and now.control is not None:
+                    if now.steps != memory.steps:  # it has gone on meanwhile: the angle that is wanted now is known
+                        start = replace(start, theta_deg=now.control.due)
+                    self._memory = set_request(now, request, self.dt, start)
+                    return

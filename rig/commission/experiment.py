@@ -1,0 +1,258 @@
+"""A closed-loop experiment: preparation, hand-over to a controller, tracking of a reference, and back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from threading import Thread
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hystmpc.ctrl.build import modelled_limits
+from hystmpc.ctrl.command import Command, ControlInput, Source, Stopwatch
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.law import Law, Proposal
+from hystmpc.ctrl.planner.assembly import Assembly, assemble
+from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
+from hystmpc.ctrl.planner.tip_controller import TipController
+from hystmpc.trajectories.piecewise import PiecewiseCubic
+from hystmpc.trajectories.trajectory import Trajectory
+from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
+
+from ..bench import BenchResult, Note, run_bench
+from ..config import RunSettings
+from ..recording.sample import Sink
+from ..safety.plausibility import ModelWatch
+from ..transports.transport import PlantFactory
+from .phases import Decision, Past, Phase, PhaseInput
+
+# From the measured angle [deg] to the trajectory that starts there.
+LeadIn = Callable[[float], Trajectory]
+
+
+def run_experiment(
+    settings: RunSettings,
+    sink: Callable[[], Sink],
+    plants: PlantFactory,
+    *,
+    folder: Path | None = None,
+    note: Note = lambda text: None,
+) -> BenchResult:
+    """Do the experiment; everything that can be wrong is found before anything moves. Arguments as of `run_bench`.
+
+    Raises:
+        HystmpcError: of any kind, see `tracking_phase` and `run_bench`.
+    """
+    phase: list[Phase] = [tracking_phase(settings)]
+    return run_bench(settings, lambda: phase, sink, plants, folder=folder, note=note)
+
+
+def tracking_phase(settings: RunSettings) -> Tracking:
+    """The controller of an experiment, compiled and warm, as a phase.
+
+    Raises:
+        ConfigError: if model and bench differ in rate or unit, or the controller's limits go beyond the bench's.
+        ModelError: if a model file is missing, corrupt or unusable.
+        ControllerError: if the settings of the controller contradict each other or the model, or limits go beyond the
+            model's unasked.
+        TrajectoryError: if the reference cannot be made.
+    """
+    limits, tip_settings = settings.limits, settings.controller
+    ladder = tip_settings.controller.ladder
+    if ladder.safe_command is None:  # a stop of the controller's own goes where the loop's would
+        law = tip_settings.controller
+        law = law.model_copy(update={"ladder": ladder.model_copy(update={"safe_command": settings.safe_command})})
+        tip_settings = tip_settings.model_copy(update={"controller": law})
+    tip_settings = tip_settings.model_copy(
+        update={"limits": tip_settings.limits or limits, "start_command": settings.safe_command}
+    )
+    assembly = assemble(tip_settings, Path())
+    _fits(settings, assembly)
+    controller, law_of_it = make_timely(assembly.controller)
+    tip = TipController(replace(assembly, controller=controller), tip_settings)
+    reference = settings.reference.build()
+    motion = tip_settings.motion
+
+    def lead_in(angle_deg: float) -> Trajectory:
+        segments = move_to_rest(Kinematics(angle_deg), float(reference(0.0)), motion)
+        return LeadInTrajectory(PiecewiseCubic(segments) if segments.size else None, reference)
+
+    drill = settings.drill
+    fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)
+    estimator = getattr(tip_settings.controller, "estimator", None)
+    limit = math.inf if estimator is None else estimator.disturbance_limit_deg
+    watch = ModelWatch(settings.plausibility, limit, settings.dt_s)
+    return Tracking(tip, law_of_it, lead_in, watch, fails)
+
+
+def _fits(settings: RunSettings, assembly: Assembly) -> None:
+    dt_s, unit = assembly.controller.dt, assembly.unit
+    if abs(dt_s * settings.rate_hz - 1) > 1e-6:
+        raise ConfigError(
+            f"controller: got a model at {1 / dt_s:g} Hz, expected rate_hz {settings.rate_hz:g}; identify one at that "
+            "rate (`fit --rate`), or run at the model's"
+        )
+    if unit != settings.command_unit:
+        raise ConfigError(f"controller: got a model with commands in {unit}, expected {settings.command_unit}")
+    modelled_limits(settings.limits, assembly.model_limits)
+    bench = settings.limits.build()
+    if not bench.contains(assembly.limits):
+        raise ConfigError(f"controller: got limits {assembly.limits}, expected them within the bench's {bench}")
+
+
+class LeadInTrajectory:
+    """A reference behind a motion (None where the tip is there already) that leads to where it starts."""
+
+    def __init__(self, lead: PiecewiseCubic | None, reference: Trajectory) -> None:
+        self._lead, self._reference = lead, reference
+        self._wait = 0.0 if lead is None else lead.duration_s
+        self.duration_s = self._wait + reference.duration_s
+
+    def __call__(self, t: ArrayLike) -> Vec:
+        """Angles [deg] at times `t` [s]."""
+        time = np.asarray(t, dtype=np.float64)
+        after = self._reference(time - self._wait)
+        if self._lead is None or np.min(time, initial=self._wait) >= self._wait:
+            return after
+        return np.where(time < self._wait, self._lead(time), after)
+
+
+@final
+class Tracking(Phase):
+    """A `TipController` along a reference, from where preparation has left the device.
+
+    The controller takes up what was sent and measured so far, hysteresis included. That takes longer than a sample, so
+    it is done beside the loop while the command is held. A sample that follows a missed deadline is answered from
+    the fallbacks (shifted plan, inverse, hold); samples in which nothing was sent are told to the controller as holds.
+
+    Args:
+        lead_in: measured angle to the reference to follow.
+        drill_s: from when until when the law is made to fail, as an exercise [s]; None for never.
+    """
+
+    name = "track"
+
+    def __init__(
+        self,
+        tip: TipController,
+        law: TimelyLaw,
+        lead_in: LeadIn,
+        watch: ModelWatch,
+        drill_s: tuple[float, float] | None = None,
+    ) -> None:
+        self._tip, self._law, self._lead_in, self._watch, self._drill = tip, law, lead_in, watch, drill_s
+        self._reference: Trajectory | None = None
+        self._worker: Thread | None = None
+        self._past: Past | None = None
+        self._failure: Exception | None = None
+        self._skip = False
+        self._due_deg = math.nan
+        self._k = 0
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        del now
+        self._past = past
+
+    def step(self, now: PhaseInput) -> Decision:
+        """Hold while the hand-over lasts, then one step of the controller."""
+        if self._waits(now):
+            return Decision(now.held, "hold", "hand-over to the controller")
+        if self._failure is not None:
+            raise self._failure
+        for _ in range(now.skipped):
+            self._skip = True
+            self._tip.step(math.nan)
+        self._skip = False
+        self._law.refusal = self._refusal(now)
+        command = self._tip.step(now.angle_deg)
+        self._k += 1 + now.skipped
+        return self._decision(command)
+
+    def _waits(self, now: PhaseInput) -> bool:
+        """Whether the hand-over lasts; it starts with the first usable angle."""
+        past = self._past
+        if past is not None:
+            past.commands.append(now.held)
+            past.angles_deg.append(now.angle_deg)
+            if math.isfinite(now.angle_deg):
+                self._past = None
+                self._worker = Thread(target=self._hand_over, args=(past,), name="hand-over", daemon=True)
+                self._worker.start()
+            return True
+        return self._worker is not None and self._worker.is_alive()
+
+    def _hand_over(self, past: Past) -> None:
+        try:
+            self._tip.replay(past.commands, past.angles_deg)
+            self._reference = self._lead_in(past.angles_deg[-1])
+            self._tip.set_reference(self._wanted)
+        except Exception as error:  # noqa: BLE001 - raised again in the loop, which stops safely
+            self._failure = error
+
+    def _wanted(self, t: Vec) -> Vec:
+        """The preview; refused for samples in which nothing was sent, so that the controller holds."""
+        if self._skip:
+            raise ValueError("sample skipped, command held")
+        assert self._reference is not None
+        angles = self._reference(t)
+        self._due_deg = float(angles[0])
+        return angles
+
+    def _refusal(self, now: PhaseInput) -> str:
+        if now.late or now.skipped:
+            return "late: no time for a plan"
+        t = self._k * self._tip.dt
+        if self._drill is not None and self._drill[0] <= t < self._drill[1]:
+            return "drill: solver made to fail"
+        return ""
+
+    def _decision(self, command: Command) -> Decision:
+        reference = self._reference
+        assert reference is not None
+        t = self._k * self._tip.dt
+        predicted = float(command.predicted[0]) if command.predicted.size else math.nan
+        stages = (*command.timing.stages.items(), ("total", command.timing.total_s))
+        stopped = command.source is Source.STOP
+        return Decision(
+            u=command.u,
+            source=str(command.source),
+            status=command.status,
+            reference_deg=self._due_deg,
+            predicted_deg=predicted,
+            stages_s=stages,
+            finished=t >= reference.duration_s,
+            fault=f"controller {command.status}" if stopped else self._watch.judge(command.disturbance),
+        )
+
+
+class NoTimeError(Exception):
+    """There is no time for a plan; never leaves the controller's step."""
+
+
+@final
+class TimelyLaw(Law[Any]):
+    """The same law, but failing at once where `refusal` says why: shifted plan, inverse, hold, stop are next."""
+
+    def __init__(self, law: Law[Any]) -> None:
+        self._law = law
+        self.horizon, self.source = law.horizon, law.source
+        self.refusal = ""
+
+    def init(self, y: float, u: float) -> Any:
+        return self._law.init(y, u)
+
+    def propose(self, memory: Any, given: ControlInput, watch: Stopwatch) -> Proposal[Any]:
+        if self.refusal:
+            raise NoTimeError(self.refusal)
+        return self._law.propose(memory, given, watch)
+
+
+def make_timely(controller: GuardedController[Any]) -> tuple[GuardedController[Any], TimelyLaw]:
+    """The same controller around a law that can be told to fail, and that law: only failing leads to the fallbacks."""
+    law = TimelyLaw(controller.law)
+    return controller.with_law(law), law

@@ -1,0 +1,122 @@
+"""report.html of an experiment: what a recording's page has, and the advice with predicted against measured angle."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
+from hystmpc.trials.plot_style import style
+from hystmpc.trials.run_folder import RunFolder
+
+from ..config import RunSettings
+from ..recording.report import Log, causes, numbers, thinned, timing_table, tracking_figure
+from .review import Review, ReviewedRun
+
+
+def write_page(run: RunFolder, settings: RunSettings, found: ReviewedRun | None, verdict: Review) -> Path:
+    """Write the page.
+
+    Args:
+        found: samples; None where there are too few.
+
+    Raises:
+        LogError: if the log cannot be read.
+    """
+    timing = _timing(run.path / "timing.json")
+    pieces: list[Piece] = [Paragraph(verdict.advice[0].upper() + verdict.advice[1:] + ".")]
+    outcome = timing.get("outcome", {})
+    if not timing:
+        pieces.append(
+            Paragraph("The program was killed before it could say how the run ended: there is no timing.json.")
+        )
+    elif outcome.get("cause"):
+        pieces.append(Paragraph(f"Stopped: {outcome['cause']}. The stop is latched until a reset."))
+    log = run.log()
+    pieces += [Heading("Run"), KeyValues(_figures(settings, verdict, log, timing))]
+    if found is not None:
+        pieces += [
+            Heading("Tracking"),
+            Plot(
+                tracking_figure(found.t, found.reference_deg, found.measured_deg, found.command, settings.command_unit),
+                "Reference, measured angle and command over time.",
+            ),
+            Heading("Predicted and measured angle"),
+            Plot(_prediction(found), "Measured less predicted angle: one sample ahead, and in the model's free run."),
+        ]
+    pieces += [*_timing_pieces(timing, settings.dt_s), Heading("Stages of a sample"), timing_table(log), *causes(log)]
+    run_page = Report("Run at the bench", tuple(pieces), f"{settings.name}, {run.meta.get('start', '')}")
+    return run.write_report(run_page.html())
+
+
+def _timing(file: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[str, Any]) -> dict[str, object]:
+    wire, outcome = timing.get("wire", {}), timing.get("outcome", {})
+    angles = numbers(log, "angle_deg")
+    sent = outcome.get("samples", 0) - timing.get("skipped", 0)
+    return {
+        "device": settings.name,
+        "transport": settings.transport.kind,
+        "model": settings.controller.model,
+        "rate [Hz]": settings.rate_hz,
+        "samples": angles.size,
+        "samples without an angle": int(np.count_nonzero(~np.isfinite(angles))),
+        "samples not in the log": sent - angles.size if timing else "unknown",
+        "RMS tracking error [deg]": verdict.tracking_deg,
+        "RMS prediction error, one sample ahead [deg]": verdict.one_step_deg,
+        "RMS prediction error, free run [deg]": verdict.free_run_deg,
+        "... behind the best line [deg]": verdict.corrected_deg,
+        "gain and offset of that line": f"{verdict.gain:.4f}, {verdict.offset_deg:+.3f} deg",
+        "deadlines missed, samples skipped": f"{timing.get('missed', '?')}, {timing.get('skipped', '?')}",
+        "commands limited at the last line": outcome.get("clipped", "unknown"),
+        "measurements lost on the way": wire.get("lost", "unknown"),
+        "messages rejected": ", ".join(f"{n} {c}" for c, n in wire.get("rejected", {}).items()) or "none",
+    }
+
+
+def _prediction(found: ReviewedRun) -> Figure:
+    t = thinned(found.t)
+    with style():
+        figure = Figure(figsize=(8, 3), layout="constrained")
+        axes = figure.subplots()
+        axes.plot(t, thinned(found.measured_deg - found.free_deg), label="free run", color="C1")
+        axes.plot(t, thinned(found.measured_deg - found.predicted_deg), label="one sample ahead", color="C0")
+        axes.axhline(0.0, color="0.6", linewidth=0.8)
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("measured less predicted [deg]")
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
+    return figure
+
+
+def _timing_pieces(timing: Mapping[str, Any], dt_s: float) -> Iterator[Piece]:
+    if not timing:
+        return
+    yield Heading("Timing")
+    keys = ("median_s", "p99_s", "p999_s", "greatest_s")
+    rows = []
+    for name in ("period", "execution", "jitter"):
+        summary = timing[name]["summary"]
+        rows.append((name, *(float("nan") if summary[k] is None else 1e3 * summary[k] for k in keys)))
+    yield Table(("", "median", "p99", "p99.9", "greatest"), rows, "Milliseconds; jitter is lateness of the wake-up.")
+    with style():
+        figure = Figure(figsize=(8, 2.6), layout="constrained")
+        for axes, name in zip(figure.subplots(1, 3), ("period", "execution", "jitter"), strict=True):
+            width = 1e3 * timing[name]["bin_s"]
+            counts = {int(k): n for k, n in timing[name]["counts"].items()}
+            axes.bar([width * (k + 0.5) for k in counts], list(counts.values()), width=width, log=True)
+            axes.set_xlabel(f"{name} [ms]")
+            axes.axvline(1e3 * dt_s, color="0.4", linestyle=":", linewidth=1)
+        figure.axes[0].set_ylabel("samples")
+    yield Plot(figure, "Counts of the control thread itself; dotted: sample time; the last bin holds all beyond it.")

@@ -1,1 +1,0 @@
-"""Parts of a run: ramps, rests, checks, excitations, tracking, the safe stop."""

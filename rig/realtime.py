@@ -1,0 +1,217 @@
+"""The control process: clock, scheduling, core, memory, garbage collection, thread switching; set and restored."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Protocol, final
+
+from pydantic import Field
+from threadpoolctl import threadpool_limits
+
+from hystmpc.ctrl.limits import NotNegative
+from hystmpc.trials.config import Settings
+
+# MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of <sys/mman.h>: without the last one, a new thread waits for its whole stack.
+_LOCK = 7
+
+_SWITCH_S = 0.0002  # how long the recorder's thread may keep the interpreter while the loop wants it
+
+_BOOT: int | None = getattr(time, "CLOCK_BOOTTIME", None)  # Linux
+
+
+class Clock(Protocol):
+    """Where time comes from."""
+
+    def now_ns(self) -> int:
+        """Monotonic time [ns]."""
+        ...
+
+    def boot_ns(self) -> int:
+        """Monotonic time that also counts while the machine is suspended [ns]."""
+        ...
+
+    def wall_ns(self) -> int:
+        """Wall clock [ns since 1970], for the log only: it may jump."""
+        ...
+
+    def wait_until(self, deadline_ns: int) -> None:
+        """Return at the deadline or, where it has passed, at once."""
+        ...
+
+
+@final
+class MonotonicClock(Clock):
+    """The system's monotonic clock: sleep to shortly before the deadline, then spin.
+
+    Args:
+        spin_s: how long before the deadline sleeping ends [s]; 0 never spins.
+    """
+
+    def __init__(self, spin_s: float = 0.0005) -> None:
+        self._spin_ns = round(1e9 * spin_s)
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def boot_ns(self) -> int:
+        return time.monotonic_ns() if _BOOT is None else time.clock_gettime_ns(_BOOT)
+
+    def wall_ns(self) -> int:
+        return time.time_ns()
+
+    def wait_until(self, deadline_ns: int) -> None:
+        """Sleep, then spin; the rest of the time is computed anew after every sleep, so no error adds up."""
+        while (left := deadline_ns - time.monotonic_ns()) > self._spin_ns:
+            time.sleep(1e-9 * (left - self._spin_ns))
+        while time.monotonic_ns() < deadline_ns:
+            pass
+
+
+class SchedulingSettings(Settings):
+    """Block `realtime` of a device.
+
+    Attributes:
+        priority: of SCHED_FIFO, 1 to 99; null leaves the scheduling as it is.
+        cpu: core that the process is pinned to; null leaves it to the system.
+        lock_memory: whether no page of the process may be swapped out once it was used.
+    """
+
+    priority: int | None = Field(default=None, ge=1, le=99)
+    cpu: int | None = Field(default=None, ge=0)
+    lock_memory: bool = False
+
+
+class RealtimeSettings(SchedulingSettings):
+    """Block `realtime` of a run or a recording.
+
+    Attributes:
+        spin_s: how long before a deadline sleeping ends and spinning begins.
+    """
+
+    spin_s: NotNegative = 0.0005
+
+
+@contextmanager
+def scheduled(settings: SchedulingSettings) -> Iterator[list[str]]:
+    """Core, scheduling class and locked memory of this process, put back afterwards.
+
+    Yields:
+        One line for everything that the system did not permit, and how to permit it.
+    """
+    notes: list[str] = []
+    undo: list[Callable[[], object]] = []
+    if settings.lock_memory:
+        _lock_memory(notes, undo)
+    if settings.cpu is not None:
+        _pin(settings.cpu, notes, undo)
+    if settings.priority is not None:
+        _schedule(settings.priority, notes, undo)
+    try:
+        yield notes
+    finally:
+        for step in reversed(undo):
+            step()
+
+
+@contextmanager
+def control_process(settings: RealtimeSettings) -> Iterator[list[str]]:
+    """Prepare the process for the loop and put everything back after it.
+
+    What exists is frozen and the collector is off, so that nothing is collected in the loop; one BLAS thread.
+
+    Yields:
+        The lines of `scheduled`.
+    """
+    stack = ExitStack()
+    notes = stack.enter_context(scheduled(settings))
+    enabled, interval = gc.isenabled(), sys.getswitchinterval()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    sys.setswitchinterval(_SWITCH_S)
+    try:
+        with threadpool_limits(limits=1):
+            yield notes
+    finally:
+        sys.setswitchinterval(interval)
+        gc.unfreeze()
+        if enabled:
+            gc.enable()
+        gc.collect()
+        stack.close()
+
+
+def _lock_memory(notes: list[str], undo: list[Callable[[], object]]) -> None:
+    if sys.platform != "linux":
+        notes.append("realtime.lock_memory: only Linux is supported; the run goes on without it")
+        return
+    system = ctypes.CDLL(None, use_errno=True)
+    if system.mlockall(_LOCK) != 0:
+        reason = os.strerror(ctypes.get_errno())
+        notes.append(
+            f"realtime.lock_memory: refused ({reason}); allow it with `ulimit -l unlimited` or a memlock line in "
+            "limits.conf; the run goes on without it"
+        )
+        return
+    undo.append(system.munlockall)
+
+
+def _pin(cpu: int, notes: list[str], undo: list[Callable[[], object]]) -> None:
+    if not hasattr(os, "sched_setaffinity"):
+        notes.append("realtime.cpu: this system has no CPU pinning; the run goes on without it")
+        return
+    before = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, {cpu})
+    except OSError as error:
+        free = ", ".join(map(str, sorted(before)))
+        notes.append(f"realtime.cpu: core {cpu} refused ({error.strerror}), available: {free}; not pinned")
+        return
+    undo.append(lambda: os.sched_setaffinity(0, before))
+
+
+def _schedule(priority: int, notes: list[str], undo: list[Callable[[], object]]) -> None:
+    if not hasattr(os, "sched_setscheduler"):
+        notes.append("realtime.priority: this system has no SCHED_FIFO; the run goes on without it")
+        return
+    policy, before = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError as error:
+        notes.append(
+            f"realtime.priority: SCHED_FIFO {priority} not permitted ({error.strerror}); allow it with `ulimit -r "
+            f"{priority}` or an rtprio line in limits.conf; the run goes on under normal scheduling"
+        )
+        return
+    undo.append(lambda: os.sched_setscheduler(0, policy, before))
+    if sys.platform == "linux":
+        undo.extend(_lifted(thread, max(priority - 1, 1)) for thread in threading.enumerate())
+
+
+def _lifted(thread: threading.Thread, priority: int) -> Callable[[], object]:
+    """Another thread of the interpreter, scheduled like the loop but after it; how to put it back.
+
+    A thread under normal scheduling may lose its core to any other program while it holds the interpreter's lock, and
+    the loop would have to wait until it gets one again.
+    """
+    number = thread.native_id
+    if number is None or number == threading.get_native_id():
+        return lambda: None
+    try:
+        policy, before = os.sched_getscheduler(number), os.sched_getparam(number)
+        os.sched_setscheduler(number, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:  # it has ended meanwhile
+        return lambda: None
+
+    def put_back() -> None:
+        with suppress(OSError):
+            os.sched_setscheduler(number, policy, before)
+
+    return put_back

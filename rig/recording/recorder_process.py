@@ -1,0 +1,304 @@
+"""Recording and live view in a process of their own, so that the control thread has its interpreter to itself.
+
+Both ends are here: `RecorderProcess` in the control process, `serve` in the one that it starts.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import marshal
+import os
+import signal
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from threading import Lock
+from typing import Any, BinaryIO, final
+
+from hystmpc.trials.config import Settings
+from hystmpc.trials.errors import ConfigError, HystmpcError
+from hystmpc.trials.run_folder import RunFolder
+
+from ..safety.stop import STOPPING
+from .recording import Recording, RecordingMeta, Tell, create_folder
+from .sample import Sample, SampleQueue, Sink, Tee
+
+_LENGTH = struct.Struct("<I")
+
+_FEED_S = 0.05
+
+_QUEUE_S = 30.0
+
+_CLOSE_S = 20.0
+
+_logger = logging.getLogger(__name__)
+_lock = Lock()  # of the process's standard output
+
+
+def pack(samples: Iterable[Sample]) -> bytes:
+    """One block of samples.
+
+    `marshal` is the fastest way to bytes that the interpreter has; the reader is the same interpreter, started by the
+    writer, so its limits (one version, trusted data) are none here.
+
+    Raises:
+        ValueError, TypeError, AttributeError: on a sample whose fields are of other types than `Sample` says.
+    """
+    body = marshal.dumps([_plain(sample) for sample in samples])
+    return _LENGTH.pack(len(body)) + body
+
+
+def unpack(pipe: BinaryIO) -> Iterator[list[Sample]]:
+    """Blocks of samples until the other side has closed the pipe or died; a block cut off by that is left out."""
+    while len(head := pipe.read(_LENGTH.size)) == _LENGTH.size:
+        length = _LENGTH.unpack(head)[0]
+        body = pipe.read(length)
+        if len(body) < length:
+            return
+        yield [Sample(*fields) for fields in marshal.loads(body)]
+
+
+def _plain(s: Sample) -> tuple[object, ...]:
+    """The fields in order, as types that `marshal` knows: a controller may hand over numpy's."""
+    angles = float(s.reference_deg), float(s.measured_deg)
+    stages = tuple((str(name), float(spent)) for name, spent in s.stages_s)
+    chosen = float(s.command), str(s.source), str(s.status), float(s.predicted_deg), stages
+    timing = float(s.period_s), float(s.lateness_s), bool(s.missed)
+    return (float(s.t_s), int(s.wall_ns), *angles, *chosen, *timing, tuple(map(str, s.faults)), int(s.sequence))
+
+
+@dataclass(frozen=True)
+class Views:
+    """What to show while a run goes on.
+
+    Attributes:
+        terminal: the terminal view, on standard error.
+        page: serve the local page.
+        host: address that the page is served on; only this machine reaches the default.
+        port: of the page; 0 takes a free one.
+    """
+
+    terminal: bool = False
+    page: bool = False
+    host: str = "127.0.0.1"
+    port: int = 8765
+
+
+def open_recorder_process(
+    folder: Path | str,
+    config: Settings | Mapping[str, Any],
+    meta: RecordingMeta,
+    rate_hz: float,
+    views: Views = Views(),
+    tell: Tell | None = None,
+    report: bool = True,
+) -> RecorderProcess:
+    """Start a recording, and the views asked for, in a process of their own. Arguments as of `open_recording`.
+
+    Why a process: writing and drawing are Python code that holds the interpreter's lock for milliseconds at a time,
+    up to a whole period of a loop at 250 Hz. Here the control process only packs tuples and writes them to a pipe. It
+    also means that the log is ended properly when the controller is killed.
+
+    Raises:
+        ConfigError: on a folder that is not new or empty, a missing model file, or a process that does not start (a
+            page whose port is taken, for example).
+    """
+    path, made = Path(folder), not Path(folder).exists()
+    create_folder(path, config, meta)
+    order = {"folder": str(path), "rate_hz": rate_hz, "unit": meta.unit, "stages": meta.stages}
+    try:
+        return RecorderProcess(order | {"views": asdict(views), "report": report}, rate_hz, tell)
+    except ConfigError:
+        _take_back(path, made)
+        raise
+
+
+def _take_back(folder: Path, made: bool) -> None:
+    """Leave the folder as it was found: empty, or not there."""
+    with suppress(OSError):
+        for name in ("config.yaml", "meta.json", "log.csv", "log.mcap"):
+            (folder / name).unlink(missing_ok=True)
+        if made:
+            folder.rmdir()
+
+
+@final
+class RecorderProcess(Sink):
+    """Hands samples to a process; see `open_recorder_process`.
+
+    Raises:
+        ConfigError: if the process does not start.
+    """
+
+    def __init__(self, order: Mapping[str, Any], rate_hz: float, tell: Tell | None = None) -> None:
+        self._tell = tell or _logger.warning
+        self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
+        self._folder = str(order["folder"])
+        command = [sys.executable, "-m", "hystmpc.rig.recording.recorder_process"]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._to, self._from = self._process.stdin, self._process.stdout
+        self.on_disk = self.lost = 0
+        self.problem = self.page = ""
+        self._end = threading.Event()
+        self._start(order)
+        self._reader = threading.Thread(target=self._listen, name="hystmpc-recorder-answers", daemon=True)
+        self._feeder = threading.Thread(target=self._feed, name="hystmpc-recorder-feed", daemon=True)
+        self._reader.start()
+        self._feeder.start()
+
+    @property
+    def dropped(self) -> int:
+        """Samples that were not handed over."""
+        return self._waiting.dropped + self.lost
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    def put(self, sample: Sample) -> None:
+        self._waiting.put(sample)
+
+    def close(self) -> None:
+        """Hand over what is left and wait for the process to write it; told, not raised, where it fails."""
+        if self._end.is_set():
+            return
+        self._waiting.closed = True
+        self._end.set()
+        self._feeder.join(_CLOSE_S)
+        with suppress(OSError):  # the process has died: that has been told
+            self._to.close()
+        try:
+            self._process.wait(_CLOSE_S)
+        except subprocess.TimeoutExpired:
+            self._tell(f"{self._folder}: the recording process did not end within {_CLOSE_S:g} s and goes on writing")
+            return
+        self._reader.join(_CLOSE_S)
+        self._from.close()
+        if self.dropped:
+            self._tell(f"{self._folder}: {self.dropped} samples did not reach the recording")
+
+    def _start(self, order: Mapping[str, Any]) -> None:
+        """Send the order and wait for the answer."""
+        with suppress(OSError):  # the answer is then empty
+            self._to.write(json.dumps(order).encode() + b"\n")
+            self._to.flush()
+        answer = _line(self._from.readline())
+        if "ready" not in answer:
+            self._process.wait(_CLOSE_S)
+            reason = answer.get("error", f"exit code {self._process.returncode}")
+            raise ConfigError(f"{self._folder}: the recording process did not start: {reason}")
+        self.page = str(answer["ready"])
+
+    def _feed(self) -> None:
+        """The thread that packs and sends; a process that is slow makes it wait, not the control thread."""
+        while True:
+            ending = self._end.wait(_FEED_S)
+            samples = self._waiting.take()
+            block = self._packed(samples) if samples else b""
+            try:
+                self._to.write(block)
+                self._to.flush()
+            except OSError:
+                self._waiting.closed = True
+                self.lost += len(samples)
+                self._die()
+                return
+            if ending:
+                return
+
+    def _packed(self, samples: list[Sample]) -> bytes:
+        """One block; samples of wrong types are left out and counted."""
+        try:
+            return pack(samples)
+        except (ArithmeticError, AttributeError, TypeError, ValueError):
+            if len(samples) == 1:
+                self.lost += 1
+                return b""
+            return b"".join(self._packed([sample]) for sample in samples)
+
+    def _die(self) -> None:
+        self.problem = f"{self._folder}: the recording process has died; the run goes on without a log"
+        self._tell(self.problem)
+
+    def _listen(self) -> None:
+        """The thread that reads what the process says."""
+        for raw in self._from:
+            answer = _line(raw)
+            self.on_disk = int(answer.get("on_disk", self.on_disk))
+            if "tell" in answer:
+                self.problem = str(answer["tell"])
+                self._tell(self.problem)
+
+
+def _line(raw: bytes) -> dict[str, Any]:
+    try:
+        answer = json.loads(raw)
+    except ValueError:
+        return {}
+    return answer if isinstance(answer, dict) else {}
+
+
+def serve() -> int:
+    """The process: read the order, then samples until the pipe closes, as a killed controller leaves it too."""
+    for name in STOPPING:  # meant for the controller; this process ends after it
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    order = json.loads(sys.stdin.buffer.readline() or b"{}")
+    try:
+        sink, page = _sinks(order)
+    except HystmpcError as error:
+        _say(error=str(error))
+        return 1
+    _say(ready=page)
+    for samples in unpack(sys.stdin.buffer):
+        for sample in samples:
+            sink.put(sample)
+    sink.close()
+    return 0
+
+
+def _sinks(order: dict[str, Any]) -> tuple[Sink, str]:
+    """Recording and views, and the address of the page."""
+    from ..live.page import LivePage
+    from ..live.terminal import TerminalView
+
+    wanted = order["views"]
+    page = LivePage(order["unit"], order["rate_hz"], wanted["host"], wanted["port"]) if wanted["page"] else None
+    terminal = (
+        TerminalView(order["unit"], order["rate_hz"], page.address if page else "") if wanted["terminal"] else None
+    )
+
+    def tell(text: str) -> None:
+        for view in (page, terminal):
+            if view is not None:
+                view.tell(text)
+        _say(tell=text)
+
+    meta = RecordingMeta(order["unit"], stages=tuple(order["stages"]))
+    run = RunFolder.open(order["folder"])
+    recording = Recording(run, meta, order["rate_hz"], tell, lambda count: _say(on_disk=count), report=order["report"])
+    views: list[Sink] = [view for view in (page, terminal) if view is not None]
+    return Tee(recording, *views), page.address if page else ""
+
+
+def _say(**answer: object) -> None:
+    """One line to the controller; one that has died is told nothing."""
+    with _lock, suppress(OSError):
+        sys.stdout.write(json.dumps(answer) + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    code = serve()
+    with suppress(OSError):
+        sys.stdout.flush()
+    os._exit(code)  # a controller that was killed left a closed pipe: the interpreter's own end would complain of it

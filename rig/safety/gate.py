@@ -1,0 +1,180 @@
+"""What may be sent: only while it is known what the device holds, within hard limits on value and rate from there."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import final
+
+from hystmpc.ctrl.limits import CommandLimits
+
+from .intake import Seen
+
+_S = 1e-9
+
+_SHORTEST = 0.1  # of a sample: time that two commands count as apart at least
+
+_ROUNDING = 1e-9  # of the range: a conversion of units
+
+_STILL_NS = 80_000_000  # how long the held command has to stand still before it is believed
+
+_STILL = 0.25  # of the tolerance: how far it may wander meanwhile
+
+_LONGEST_NS = 60_000_000_000  # how long a device may go on to move by itself
+
+
+@final
+class Gate:
+    """Admits commands within the limits on value and rate; nothing is admitted while it is not known what is held.
+
+        u_k in [lower, upper],   |u_k - u_(k-1)| <= rate * min(max(t_k - t_(k-1), dt / 10), dt)
+
+    u_(k-1) is the last command that really left, or, after `anchor`, the command that the device says it holds.
+    """
+
+    def __init__(self, limits: CommandLimits, dt_s: float) -> None:
+        self._limits, self._dt = limits, dt_s
+        self._sent_ns: int | None = None
+        self.anchored = False
+        self.last = math.nan
+        self.velocity = 0.0
+        self.clipped = 0
+
+    def anchor(self, held: float) -> bool:
+        """Start from the command that the device holds, at rest; False, and nothing changes, beyond the limits."""
+        low, high = self._limits.lower, self._limits.upper
+        slack = _ROUNDING * (high - low)
+        if not low - slack <= held <= high + slack:
+            return False
+        self.last, self.velocity, self._sent_ns, self.anchored = min(max(held, low), high), 0.0, None, True
+        return True
+
+    def lose(self) -> None:
+        """It is not known any more what the device holds."""
+        self.anchored = False
+        self.velocity = 0.0
+
+    def admissible(self, wanted: float, now_ns: int) -> float:
+        """The admissible command nearest to the wanted one at monotonic time `now_ns` [ns]; never raises."""
+        u = self._limits.clip(wanted, self.last, self._elapsed_s(now_ns))
+        self.clipped += not abs(u - wanted) <= 1e-12
+        return u
+
+    def sent(self, u: float, now_ns: int) -> None:
+        """The command `u` has really left at `now_ns` [ns]: the next one is measured from it."""
+        self.velocity = (u - self.last) / self._dt
+        self.last, self._sent_ns = u, now_ns
+
+    def _elapsed_s(self, now_ns: int) -> float:
+        """Time that the rate limit counts [s]: never more than a sample, so that a pause earns no jump."""
+        if self._sent_ns is None:
+            return self._dt
+        return min(max(_S * (now_ns - self._sent_ns), _SHORTEST * self._dt), self._dt)
+
+
+@final
+class Anchor:
+    """Anchors the gate on what the device holds, before the first command and after every gap.
+
+    A gap is a time without commands that is longer than `gap_s` (a stalled loop, a suspended machine), a command that
+    did not leave, or a device that does not hold what it was sent. In a gap the device's own watchdog may have acted:
+    a limit on the rate then means nothing. After it, nothing is sent until fresh readings tell a held command that
+    stands still, since a device on its way back to rest is left alone. Where nothing is told for `silence_s`, nothing
+    is sent any more, and the device's watchdog is left to act.
+
+    A device that never tells what it holds is taken to hold the last command for `gap_s`, and never longer.
+
+    Args:
+        gate: to be anchored; anchored already where the user has said what a silent device holds.
+        tolerance: how far the held command may lie beside the one sent, in the command's unit.
+        gap_s: shortest time without commands that counts as a gap [s].
+        silence_s: time without a fresh held command after which it is given up [s].
+    """
+
+    def __init__(self, gate: Gate, tolerance: float, gap_s: float, silence_s: float) -> None:
+        self._gate, self._tolerance = gate, tolerance
+        self._gap_ns, self._silence_ns = round(gap_s / _S), round(silence_s / _S)
+        self._recent: deque[tuple[int, float]] = deque()
+        self._tells = False
+        self._sent_ns: int | None = None
+        self._lost_ns: int | None = None
+        self._told_ns = self._judged_ns = 0
+        self.moved = ""
+        self.given_up = ""
+
+    def judge(self, seen: Seen, boot_ns: int) -> bool:
+        """Whether a command may be sent in this sample.
+
+        `moved` then says, in the first sample after a gap, that the device holds something else than it was sent;
+        `given_up` says why nothing will be sent any more.
+
+        Args:
+            seen: what the sample saw.
+            boot_ns: time now, suspension included [ns].
+        """
+        self._tells = self._tells or math.isfinite(seen.held)
+        self._judged_ns = boot_ns
+        self.moved = ""
+        away = self._sent_ns is not None and boot_ns - self._sent_ns > self._gap_ns
+        if self._gate.anchored and (away or not seen.follows):
+            self._lose(boot_ns)
+        if self._gate.anchored:
+            return True
+        self._lost_ns = boot_ns if self._lost_ns is None else self._lost_ns
+        return self._found(self._at_rest(seen.held, boot_ns)) or self._waits(boot_ns)
+
+    def in_time(self, boot_ns: int) -> bool:
+        """Whether the judgement of this sample still counts; where it does not, nothing may be sent."""
+        if boot_ns - self._judged_ns <= self._gap_ns:
+            return True
+        self._lose(boot_ns)
+        return False
+
+    def sent(self) -> None:
+        """A command has left; time without commands counts from the judgement that allowed it."""
+        self._sent_ns = self._judged_ns
+
+    def not_sent(self, boot_ns: int) -> None:
+        """A command may not have left; a device that tells is asked, any other holds the one before."""
+        if self._tells:
+            self._lose(boot_ns)
+
+    def _lose(self, boot_ns: int) -> None:
+        self._gate.lose()
+        self._recent.clear()
+        self._lost_ns = self._told_ns = boot_ns
+
+    def _at_rest(self, held: float, boot_ns: int) -> float:
+        """The held command once it stands still, NaN until then."""
+        if math.isnan(held):
+            return math.nan
+        self._told_ns = boot_ns
+        recent = self._recent
+        recent.append((boot_ns, held))
+        while len(recent) > 2 and recent[1][0] <= boot_ns - _STILL_NS:
+            recent.popleft()  # the one that was told when the window begins stays
+        values = [u for _, u in recent]
+        still = max(values) - min(values) <= _STILL * self._tolerance
+        return held if still and boot_ns - recent[0][0] >= _STILL_NS else math.nan
+
+    def _found(self, held: float) -> bool:
+        if math.isnan(held):
+            return False
+        before = self._gate.last
+        if not self._gate.anchor(held):
+            self.given_up = f"the device holds {held:.6g}, which is beyond the limits"
+            return False
+        if abs(held - before) > self._tolerance:
+            self.moved = f"the device does not follow: it holds {held:.4g}, sent was {before:.4g}"
+        self._lost_ns = None
+        return True
+
+    def _waits(self, boot_ns: int) -> bool:
+        """Always False: nothing may be sent now. Gives up once it has lasted too long."""
+        assert self._lost_ns is not None
+        silent_ns = boot_ns - max(self._lost_ns, self._told_ns)
+        if silent_ns > self._silence_ns:
+            self.given_up = self.given_up or f"the device has not told what it holds for {_S * silent_ns:.2f} s"
+        elif boot_ns - self._lost_ns > _LONGEST_NS:
+            self.given_up = self.given_up or f"the device has moved by itself for {_S * _LONGEST_NS:.0f} s"
+        return False

@@ -1,0 +1,102 @@
+"""Commands of jerk-limited ramps, sample by sample."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystmpc.ctrl.limits import Positive
+from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
+from hystmpc.ctrl.planner.settings import TargetMotionSettings as AngleMotion
+from hystmpc.trajectories.piecewise import PiecewiseCubic, hold
+from hystmpc.trials.config import Settings
+from hystmpc.trials.errors import TrajectoryError
+from hystmpc.trials.types import Vec
+
+
+class RampSettings(Settings):
+    """How fast the loop itself moves the command: preparation, lead-in and the way back, in command units.
+
+    A stop brakes first, see `stop_commands`: as gently as `acceleration_per_s2` where that keeps within the overshoot
+    allowed, else with the deceleration that the overshoot needs, or with `brake_per_s2` where it is given.
+    """
+
+    velocity_per_s: Positive = 2.0
+    acceleration_per_s2: Positive = 10.0
+    jerk_per_s3: Positive = 100.0
+    brake_per_s2: Positive | None = None
+
+    @property
+    def limits(self) -> AngleMotion:
+        """The same numbers for ruckig, to which a unit is nothing."""
+        return AngleMotion(
+            velocity_deg_s=self.velocity_per_s,
+            acceleration_deg_s2=self.acceleration_per_s2,
+            jerk_deg_s3=self.jerk_per_s3,
+        )
+
+
+def ramp_commands(start: float, velocity: float, target: float, ramps: RampSettings, dt_s: float) -> Vec:
+    """Commands (N,) that lead from `start`, moving at `velocity`, to rest at `target`, which is the last one.
+
+    Raises:
+        TrajectoryError: if ruckig finds no motion.
+    """
+    segments = move_to_rest(Kinematics(start, velocity), target, ramps.limits)
+    if not segments.size:
+        return np.array([target])
+    motion = PiecewiseCubic(segments)
+    steps = max(1, math.ceil(motion.duration_s / dt_s - 1e-9))
+    commands = motion(dt_s * np.arange(1, steps + 1))
+    commands[-1] = target
+    return commands
+
+
+def stop_commands(
+    start: float, velocity: float, safe: float, ramps: RampSettings, overshoot: float, dt_s: float
+) -> Vec:
+    """Commands (N,) of a stop: from `start`, moving at `velocity`, to rest at `safe`.
+
+    The jerk-limited ramp where it stays between `start` and `safe` but for `overshoot`. Otherwise it brakes first, in a
+    straight line of velocity over time, which takes |v| / a and travels v^2 / (2 a), and ramps from rest:
+
+        a = max(acceleration_per_s2, v^2 / (2 overshoot)), or brake_per_s2
+
+    Args:
+        velocity: of the command [unit/s].
+        overshoot: how far the command may go beyond the way from `start` to `safe`, at either end.
+
+    Raises:
+        TrajectoryError: if ruckig finds no motion.
+    """
+    ramp = ramp_commands(start, velocity, safe, ramps, dt_s)
+    if min(start, safe) - overshoot <= ramp.min() and ramp.max() <= max(start, safe) + overshoot:
+        return ramp
+    brake = ramps.brake_per_s2 or max(ramps.acceleration_per_s2, velocity**2 / (2.0 * overshoot))
+    lasts_s = abs(velocity) / brake
+    t = np.minimum(dt_s * np.arange(1, math.ceil(lasts_s / dt_s) + 1), lasts_s)
+    braking = start + velocity * t - math.copysign(0.5 * brake, velocity) * t**2
+    return np.concatenate([braking, ramp_commands(float(braking[-1]), 0.0, safe, ramps, dt_s)])
+
+
+def way_commands(
+    start: float, stops: Sequence[float], holds_s: Sequence[float], ramps: RampSettings, dt_s: float
+) -> Vec:
+    """Commands (N,) from rest at `start` by ramps to every stop, each followed by its hold.
+
+    Raises:
+        TrajectoryError: if ruckig finds no motion, or there is nothing to do.
+    """
+    pieces, now = [], start
+    for stop, rest_s in zip(stops, holds_s, strict=True):
+        pieces += [move_to_rest(Kinematics(now), stop, ramps.limits), hold(stop, rest_s)]
+        now = stop
+    segments = np.vstack(pieces) if pieces else np.empty((0, 5))
+    segments = segments[segments[:, 0] > 0]
+    if not segments.size:
+        raise TrajectoryError(f"command motion: got stops {list(stops)} from {start}, expected some motion or hold")
+    motion = PiecewiseCubic(segments)
+    steps = max(1, math.ceil(motion.duration_s / dt_s - 1e-9))
+    return motion(dt_s * np.arange(1, steps + 1))

@@ -1,0 +1,152 @@
+"""Stops: asked for by a signal or another thread, remembered on disk by a latch until somebody resets it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, final
+
+from filelock import FileLock, Timeout
+from platformdirs import user_state_path
+
+from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.files import write_atomically
+
+STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
+"""Signals that stop a run; a closed terminal sends SIGHUP to all its processes."""
+
+RUNNING = "the program was killed while it controlled the device"
+
+
+@final
+class StopFlag:
+    """Set by a signal or another thread, looked at once a sample; the first cause stays."""
+
+    def __init__(self) -> None:
+        self.cause = ""
+
+    def set(self, cause: str) -> None:
+        """Ask for a safe stop."""
+        self.cause = self.cause or cause
+
+
+@contextmanager
+def stopping_on_signals(flag: StopFlag) -> Iterator[None]:
+    """SIGINT (Ctrl-C), SIGTERM and SIGHUP set the flag while the block runs; once more changes nothing.
+
+    Outside the main thread, where Python has no signals, nothing is changed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: Any) -> None:
+        del frame
+        flag.set(signal.Signals(number).name)
+
+    known = [getattr(signal, name) for name in STOPPING if hasattr(signal, name)]
+    before = {number: signal.signal(number, stop) for number in known}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@final
+class Latch:
+    """One file for one device. It is set while a run lasts, so that a killed program leaves it set.
+
+    Beside it lies a lock of the operating system. A run holds it from before it looks at the latch until after it has
+    released it: two programs never share a device, and the lock of one that was killed is free.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
+    @classmethod
+    def of(cls, name: str, file: Path | None) -> Latch:
+        """The latch of a device: `file`, or one in the user's state folder."""
+        return cls(file or user_state_path("hystmpc", appauthor=False) / f"{name}.latched.json")
+
+    @contextmanager
+    def held(self) -> Iterator[Latch]:
+        """The latch, for this program alone while the block lasts.
+
+        Raises:
+            ConfigError: if another program controls the device now, or the lock cannot be made.
+        """
+        lock = FileLock(self.file.with_name(self.file.name + ".lock"))
+        try:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            lock.acquire(blocking=False)
+        except Timeout:
+            process = (self._read() or {}).get("pid", "of unknown number")
+            raise ConfigError(
+                f"{self.file}: process {process} controls this device now, expected it to have ended"
+            ) from None
+        except OSError as error:
+            raise ConfigError(
+                f"{lock.lock_file}: cannot be locked ({error.strerror}), expected a place to latch"
+            ) from None
+        try:
+            yield self
+        finally:
+            lock.release()
+
+    def require_released(self) -> None:
+        """Refuse to move a device whose last run was stopped.
+
+        Raises:
+            ConfigError: with the cause and how to reset.
+        """
+        held = self._read()
+        if held is not None:
+            raise ConfigError(
+                f"stop latched since {held.get('since')}: {held.get('cause')}; look at the device, then start with "
+                f"--reset (latch: {self.file})"
+            )
+
+    def set(self, cause: str) -> None:
+        """Remember a stop.
+
+        Raises:
+            ConfigError: if the file cannot be written: a run that could not be latched must not start.
+        """
+        try:
+            write_atomically(self.file, latch_text(cause))
+        except OSError as error:
+            raise ConfigError(f"{self.file}: cannot be written ({error.strerror}), expected a place to latch") from None
+
+    def release(self) -> None:
+        """Forget the stop.
+
+        Raises:
+            ConfigError: if the file cannot be removed.
+        """
+        try:
+            self.file.unlink(missing_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{self.file}: cannot be removed ({error.strerror}), expected the latch's file") from None
+
+    def _read(self) -> dict[str, object] | None:
+        try:
+            found = json.loads(self.file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError):
+            found = None
+        # A latch that cannot be read is one that is set.
+        return found if isinstance(found, dict) else {"cause": "unreadable latch", "since": "?"}
+
+
+def latch_text(cause: str) -> str:
+    """What a latch says: the cause, since when, and which process has set it."""
+    text = {"cause": cause, "since": datetime.now(UTC).isoformat(timespec="seconds"), "pid": os.getpid()}
+    return json.dumps(text, indent=2) + "\n"

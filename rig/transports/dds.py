@@ -1,0 +1,74 @@
+"""Settings of the DDS transport; `dds_` holds what needs Cyclone DDS (extra `rig`)."""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import Literal
+
+from pydantic import Field
+
+from hystmpc.ctrl.limits import Count
+from hystmpc.trials.config import Settings
+from hystmpc.trials.errors import ConfigError
+
+from .transport import DeviceLink, RunContext, Through, Transport, TransportBase
+
+
+class QosSettings(Settings):
+    """Quality of service of both topics, in the words of ROS 2."""
+
+    reliability: Literal["reliable", "best_effort"] = "reliable"
+    durability: Literal["volatile", "transient_local"] = "volatile"
+    depth: Count = 10
+
+
+class DdsSettings(TransportBase):
+    """`kind: dds`: two topics of a DDS domain, as ROS 2 nodes see them.
+
+    Attributes:
+        angle_topic, command_topic: names as ROS 2 has them, without the prefix `rt/`.
+        message: `float64` is std_msgs/msg/Float64; `float64_stamped` adds a header, session and sequence, see the docs.
+        domain: ROS_DOMAIN_ID.
+        qos: of both topics.
+        interface: network interface; everything stays on the loopback where left out.
+    """
+
+    kind: Literal["dds"]
+    angle_topic: str = "tip/angle_deg"
+    command_topic: str = "tip/command"
+    message: Literal["float64", "float64_stamped"] = "float64_stamped"
+    domain: int = Field(default=0, ge=0, le=232)
+    qos: QosSettings = QosSettings()
+    interface: str | None = None
+
+    @property
+    def place(self) -> str:
+        return f"dds topic {self.angle_topic} in domain {self.domain}"
+
+    def open(self, run: RunContext) -> Transport:
+        require_dds()
+        from .dds_ import DdsTransport
+
+        return DdsTransport(self, run.conversion)
+
+    def listen(self, silence_s: float, through: Through | None) -> DeviceLink:
+        """The device's end; datagrams, which faults could be put before, are out of reach.
+
+        Raises:
+            ConfigError: if it cannot be opened, or a package is missing for it.
+        """
+        del through
+        require_dds()
+        from .dds_ import DdsLink
+
+        return DdsLink(self, silence_s)
+
+
+def require_dds() -> None:
+    """Say how to get DDS where it is not installed.
+
+    Raises:
+        ConfigError: if `cyclonedds` is not installed.
+    """
+    if importlib.util.find_spec("cyclonedds") is None:
+        raise ConfigError("dds: the package cyclonedds is not installed, expected `pip install hystmpc[rig]`")

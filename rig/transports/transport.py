@@ -1,0 +1,241 @@
+"""A transport and the device's end of it: what a new device has to bring; units are converted here and nowhere else."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Protocol, Self
+
+from hystmpc.ctrl.loop import Plant
+from hystmpc.trials.config import Settings
+from hystmpc.trials.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One measurement as it arrived, not yet judged; angles in degrees, commands in the run's unit.
+
+    Attributes:
+        angle_deg: measured tip angle, possibly not a number [deg].
+        sequence: the sender's count, rising by one a measurement.
+        session: chosen by the sender at its start; another one means that it has been restarted.
+        sent_ns: the sender's monotonic clock, of any origin [ns].
+        received_ns: this process's monotonic clock at receipt [ns].
+        held: the command that the device holds; NaN where it does not tell.
+        listens: whether the device takes commands of this session; True where it does not tell.
+    """
+
+    angle_deg: float
+    sequence: int
+    session: int
+    sent_ns: int
+    received_ns: int
+    held: float
+    listens: bool = True
+
+
+class Transport(Protocol):
+    """The wire to a device. Nothing blocks for longer than a system call; what fails raises `OSError`."""
+
+    def read(self) -> Reading | None:
+        """The oldest measurement that has not been read yet, None where there is none."""
+        ...
+
+    def write(self, command: float) -> None:
+        """Send a command, in the run's unit."""
+        ...
+
+    def greet(self) -> None:
+        """Ask the device to take commands of this session, again after its watchdog has acted; nothing is moved."""
+        ...
+
+    def stop(self, goodbye: bool = False) -> None:
+        """Close; may be called twice.
+
+        Args:
+            goodbye: whether to tell the device that nobody will command it any more, so that its watchdog may rest.
+                Only for a device that has said that it holds the safe command.
+        """
+        ...
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """What was rejected on the wire, by cause."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Outgoing:
+    """A measurement on its way.
+
+    Attributes:
+        angle, held: raw angle and held command in the wire's units.
+        sequence: rises by one a measurement.
+        stamp_ns: sender's clock [ns].
+        listens: whether commands are taken now, or a new greeting is wanted first.
+    """
+
+    angle: float
+    held: float
+    sequence: int
+    stamp_ns: int
+    listens: bool = True
+
+
+Says = Literal["command", "greeting", "goodbye"]
+
+
+@dataclass(frozen=True, slots=True)
+class Incoming:
+    """What the controller that is listened to says; `command` is the raw one, NaN unless it says one."""
+
+    command: float = math.nan
+    says: Says = "command"
+
+
+class DeviceLink(Protocol):
+    """What a device server talks through. Nothing blocks."""
+
+    greeted: bool
+    """Whether controllers greet on this wire: without sessions they cannot."""
+
+    def receive(self) -> Incoming | None:
+        """The oldest message not yet taken, None where there is none."""
+        ...
+
+    def send(self, message: Outgoing) -> None:
+        """Send a measurement to whoever controls; to nobody where there is none."""
+        ...
+
+    def close(self) -> None:
+        """Free the wire."""
+        ...
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        """What was rejected, by cause."""
+        ...
+
+
+AngleUnit = Literal["deg", "rad"]
+CommandUnit = Literal["mm", "m", "bar", "kPa", "Pa"]
+
+_TO_DEG = {"deg": 1.0, "rad": 180.0 / math.pi}
+_TO_RUN = {"mm": ("mm", 1.0), "m": ("mm", 1e3), "bar": ("bar", 1.0), "kPa": ("bar", 1e-2), "Pa": ("bar", 1e-5)}
+
+
+class WireUnits(Settings):
+    """Block `wire`: what the device speaks. The angle in degrees is sign * raw + offset_deg, raw taken to degrees."""
+
+    angle_unit: AngleUnit = "deg"
+    angle_sign: Literal[1, -1] = 1
+    angle_offset_deg: float = 0.0
+    command_unit: CommandUnit | None = None
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """Raw numbers of the wire to degrees and the run's command unit, and back."""
+
+    angle_factor: float
+    angle_offset_deg: float
+    command_factor: float
+
+    @classmethod
+    def of(cls, wire: WireUnits, command_unit: str) -> Conversion:
+        """The conversion between a wire and a run.
+
+        Raises:
+            ConfigError: if one speaks of travel and the other of pressure.
+        """
+        unit, factor = _TO_RUN[wire.command_unit or command_unit]
+        if unit != command_unit:
+            raise ConfigError(
+                f"wire: got command_unit {wire.command_unit}, expected a unit of the run's {command_unit}"
+            )
+        return cls(wire.angle_sign * _TO_DEG[wire.angle_unit], wire.angle_offset_deg, factor)
+
+    def angle_deg(self, raw: float) -> float:
+        """Angle [deg] of a raw one."""
+        return self.angle_factor * raw + self.angle_offset_deg
+
+    def raw_angle(self, angle_deg: float) -> float:
+        """Raw number of an angle [deg]."""
+        return (angle_deg - self.angle_offset_deg) / self.angle_factor
+
+    def command(self, raw: float) -> float:
+        """Command in the run's unit of a raw one."""
+        return self.command_factor * raw
+
+    def raw_command(self, command: float) -> float:
+        """Raw number of a command in the run's unit."""
+        return command / self.command_factor
+
+
+Peer = tuple[str, int]
+
+
+class Datagrams(Protocol):
+    """What the device's end needs of a socket, so that faults can be put before it."""
+
+    def recvfrom(self, size: int, /) -> tuple[bytes, Any]:
+        """The oldest datagram and its sender; `BlockingIOError` where there is none."""
+        ...
+
+    def sendto(self, data: bytes, peer: Peer, /) -> int:
+        """Send a datagram."""
+        ...
+
+    def getsockname(self) -> Any:
+        """Own address."""
+        ...
+
+    def close(self) -> None:
+        """Free the port."""
+        ...
+
+
+# Puts faults before a socket.
+Through = Callable[[Datagrams], Datagrams]
+
+# Makes the device of `kind: simulated`: its settings and the sample time to a plant and the command that it holds.
+# Given by the program, since this room knows no simulator.
+PlantFactory = Callable[[Any, float], tuple[Plant, float]]
+
+
+@dataclass(frozen=True)
+class RunContext:
+    """What a transport may need of the run that opens it."""
+
+    conversion: Conversion  # of the wire's units
+    dt_s: float  # sample time of the loop [s]
+    now_ns: Callable[[], int]  # monotonic clock
+    plants: PlantFactory  # makes simulated devices
+
+
+class TransportBase(Settings):
+    """Base of the settings of every transport: they open it."""
+
+    in_process: ClassVar[bool] = False  # the device answers at once, from this process
+
+    @property
+    @abstractmethod
+    def place(self) -> str:
+        """Where the device is, as messages name it."""
+
+    def resolved(self, folder: Path) -> Self:
+        """The same settings with file names that start at `folder`."""
+        del folder
+        return self
+
+    @abstractmethod
+    def open(self, run: RunContext) -> Transport:
+        """The transport, open.
+
+        Raises:
+            ConfigError: if the wire cannot be opened, or a package is missing for it.
+            LogError: if a run to replay cannot be read.
+        """
