@@ -36,12 +36,12 @@ from rich.console import Console
 
 from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
-from hystmpc.rig.campaign.processes import end, start, start_device
-from hystmpc.rig.campaign.setup import DEVICE, RUN
 from hystmpc.rig.config import RunSettings
 from hystmpc.rig.review import judged, review
 from hystmpc.sim.plant import at_sample_time
-from hystmpc.sim.studies.control_rivals import CONTROLLERS, NETWORKS
+from hystmpc.studies.control.rivals import CONTROLLERS, NETWORKS
+from hystmpc.studies.faults.processes import end, start, start_device
+from hystmpc.studies.faults.setup import DEVICE, RUN
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.run_folder import RunFolder

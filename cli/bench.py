@@ -18,7 +18,7 @@ from .outputs import BENCHMARK, Force, check_output
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hystmpc.sim.bench.report import Report
+    from hystmpc.studies.performance.report import Report
 
 INTERRUPTED = 130
 _WIDTH = 220  # of the table in a file
@@ -39,10 +39,10 @@ def bench(
 
     Ctrl-C ends with what has been measured, exit code 130.
     """
-    from hystmpc.sim.bench.figures import save_growth
-    from hystmpc.sim.bench.report import report_json
-    from hystmpc.sim.bench.run import run_bench
-    from hystmpc.sim.bench.settings import QUICK, BenchSettings
+    from hystmpc.studies.performance.figures import save_growth
+    from hystmpc.studies.performance.report import report_json
+    from hystmpc.studies.performance.run import run_bench
+    from hystmpc.studies.performance.settings import QUICK, BenchSettings
 
     if json_file is not None:
         check_output("--json", json_file, (BENCHMARK,), (), force)
@@ -64,7 +64,7 @@ def bench(
 
 
 def _print(report: Report, console: Console) -> None:
-    from hystmpc.sim.bench.table import COLUMNS, table_rows
+    from hystmpc.studies.performance.table import COLUMNS, table_rows
 
     for name, source in report.models.items():
         console.print(f"{name}: {source}", highlight=False)

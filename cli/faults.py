@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from rich.console import Console
 
-from hystmpc.rig.campaign.cases import CASES, Case
+from hystmpc.studies.faults.cases import CASES, Case
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_vacant
 
 from .console import bar, errors, out, table
 
 if TYPE_CHECKING:
-    from hystmpc.rig.campaign.judge import Verdict
-    from hystmpc.rig.campaign.setup import Kind, Link
+    from hystmpc.studies.faults.judge import Verdict
+    from hystmpc.studies.faults.setup import Kind, Link
 
 FAILED = 1
 
@@ -74,8 +74,8 @@ def _chosen(folder: Path, only: list[str], transport: str) -> list[_Play]:
     Raises:
         ConfigError: on an unknown case, a wire whose package is missing, or a folder that is not empty.
     """
-    from hystmpc.rig.campaign.setup import KINDS, Link
     from hystmpc.rig.transports.build import require_dds
+    from hystmpc.studies.faults.setup import KINDS, Link
 
     kinds: list[Kind] = [kind for kind in KINDS if transport in (kind, "both")]
     if "dds" in kinds:
@@ -98,8 +98,8 @@ def _chosen(folder: Path, only: list[str], transport: str) -> list[_Play]:
 
 def _judged(plays: list[_Play], jobs: int) -> Iterator[Verdict]:
     """The verdicts, in the order of the cases; on an interruption the cases under way come to their end."""
-    from hystmpc.rig.campaign.judge import judge
-    from hystmpc.rig.campaign.play import play
+    from hystmpc.studies.faults.judge import judge
+    from hystmpc.studies.faults.play import play
 
     def one(this: _Play) -> Verdict:
         return judge(this.case, play(this.case, this.folder, this.link))

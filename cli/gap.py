@@ -16,7 +16,7 @@ from .console import bar, errors, out, table
 from .options import Layout, Logs
 
 if TYPE_CHECKING:
-    from hystmpc.gap.blind.ablation import Ablated
+    from hystmpc.studies.blind.ablation import Ablated
 
 INTERRUPTED = 130
 
@@ -48,7 +48,7 @@ def make(
     jobs: Jobs = None,
 ) -> None:
     """Write cases without labels, and their answers in one sealed file."""
-    from hystmpc.gap.blind.make import make_blind  # kept out of the way of the other verbs' start
+    from hystmpc.studies.blind.make import make_blind  # kept out of the way of the other verbs' start
 
     with bar("make cases", cases) as show:
         manifest = make_blind(
@@ -70,7 +70,7 @@ def run(
     ] = False,
 ) -> None:
     """Diagnose every case that is not diagnosed yet; Ctrl-C keeps what is done."""
-    from hystmpc.gap.blind.run import run_blind
+    from hystmpc.studies.blind.run import run_blind
 
     try:
         with bar("diagnose") as show:
@@ -96,8 +96,8 @@ def score(
     partial: Annotated[bool, typer.Option("--partial", help="Score what is diagnosed so far.")] = False,
 ) -> None:
     """Open the answers and score the diagnoses: score.json and report.html."""
-    from hystmpc.gap.blind.report import BAR_COLUMNS, bar_row, write_report
-    from hystmpc.gap.blind.score import miss_json, score_blind
+    from hystmpc.studies.blind.report import BAR_COLUMNS, bar_row, write_report
+    from hystmpc.studies.blind.score import miss_json, score_blind
 
     found = score_blind(folder, partial)
     rows = [[str(cell) for cell in bar_row(item)] for item in found.bars]
@@ -124,7 +124,7 @@ def ablate(
     seed: Annotated[int, typer.Option(min=0, help="Of the diagnoses.")] = 0,
 ) -> None:
     """Take each effect out of a simulator of real logs, and ask the diagnosis for its name."""
-    from hystmpc.gap.blind.ablation import ablate as ablate_all
+    from hystmpc.studies.blind.ablation import ablate as ablate_all
 
     require_vacant(folder)
     trials, simulator = read_trials(logs, preset), load_simulator(sim)
@@ -152,7 +152,7 @@ def record(
     motion: Annotated[Path, typer.Argument(help="CSV with time_s and command, such as next_motion.csv.")],
 ) -> None:
     """Run a further motion on the device of a case and write its log."""
-    from hystmpc.gap.blind.record import record_motion
+    from hystmpc.studies.blind.record import record_motion
 
     out.print(f"recorded: {record_motion(folder, case, motion)}")
 

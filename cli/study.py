@@ -10,8 +10,8 @@ from typing import Annotated
 
 import typer
 
-from hystmpc.sim.studies.settings import STAGES, StudySettings
-from hystmpc.sim.studies.tally import Tally
+from hystmpc.studies.papers.settings import STAGES, StudySettings
+from hystmpc.studies.papers.tally import Tally
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_resumable
 
@@ -89,7 +89,7 @@ def _check_options(name: Name, modelling: Mapping[str, object], loop: Mapping[st
 
 def _run(settings: StudySettings, folder: Path, workers: int) -> None:
     """Say how long it will take, do it, and say what failed."""
-    from hystmpc.sim.studies.run import prepare, run_study  # kept out of the way of the other verbs' start
+    from hystmpc.studies.papers.run import prepare, run_study  # kept out of the way of the other verbs' start
 
     require_resumable(folder)
     if settings.left_out:

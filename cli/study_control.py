@@ -7,11 +7,11 @@ from typing import Any
 
 import typer
 
-from hystmpc.sim.studies.control_bars import verdicts
-from hystmpc.sim.studies.control_outcome import ControlOutcome
-from hystmpc.sim.studies.control_settings import ControlSettings
-from hystmpc.sim.studies.control_tables import bars_table
-from hystmpc.sim.studies.tally import Tally
+from hystmpc.studies.control.bars import verdicts
+from hystmpc.studies.control.outcome import ControlOutcome
+from hystmpc.studies.control.settings import ControlSettings
+from hystmpc.studies.control.tables import bars_table
+from hystmpc.studies.papers.tally import Tally
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_resumable
 
@@ -28,7 +28,7 @@ def control(changes: dict[str, Any], folder: Path, workers: int) -> None:
         LogError: if a result in the folder is damaged.
         typer.Exit: with 130 if the user ended it.
     """
-    from hystmpc.sim.studies.control_run import prepare_control, run_control  # as other studies: late
+    from hystmpc.studies.control.run import prepare_control, run_control  # as other studies: late
 
     settings = ControlSettings.of(**changes)
     require_resumable(folder)

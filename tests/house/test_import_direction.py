@@ -34,7 +34,7 @@ def may_need_torch(module: Module) -> bool:
         or module.name
         in (
             "hystmpc.models.lstm.torch_",
-            "hystmpc.sim.bench.pytorch_mppi_",
+            "hystmpc.studies.performance.pytorch_mppi_",
         )
     )
 

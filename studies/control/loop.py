@@ -1,0 +1,152 @@
+"""A job of the benchmark as a closed-loop study: plant, model, motions and controller, tuned and run."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystmpc.ctrl.config import InversePidControllerSettings, PidControllerSettings, PidSettings
+from hystmpc.ctrl.protocols import Controller
+from hystmpc.models.lstm.initial import initialisation_flexure
+from hystmpc.models.simulator import save_simulator
+from hystmpc.sim.closed_loop import run_closed_loop
+from hystmpc.sim.config import SimulationConfig, TuningSettings
+from hystmpc.sim.plant import Effects
+from hystmpc.sim.study import Study, prepare
+from hystmpc.sim.tune_pid import tuned_gains
+from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.files import write_atomically
+
+from .job import ControlJob, gains_file
+from .metrics import control_figures
+from .models import backlash_file, companion_file, network_file
+from .motions import motion
+from .oracle import RestedPredictor
+from .plants import PLANTS, Plant, half_width
+from .rehearsal import RehearsedController, watched_flexure
+from .result import save_signals
+from .rivals import CONTROLLERS, NETWORKS, Rival
+from .settings import ControlSettings
+
+_WHOLE = 1e-9
+_REHEARSAL = 1000
+_SETTLED_LAGS = 20.0  # after the flexure, as `SimulatedPlant` waits
+
+
+def run_along(
+    job: ControlJob, settings: ControlSettings, folder: Path
+) -> tuple[Mapping[str, float], Mapping[str, int]]:
+    """Figures of a controller along a motion, and its samples by source; the signals are written.
+
+    Raises:
+        HystmpcError: what `sim.study.prepare` raises; ConfigError if gains are missing.
+        KeyboardInterrupt: if the user ended it.
+    """
+    study = study_of(job, settings, folder, (job.motion,))
+    controller = _ready(study, job, settings.seed)
+    run = run_closed_loop(controller, study.plant, study.motions[job.motion])
+    if run.log.interrupted:
+        raise KeyboardInterrupt
+    log = run.log
+    signals = {"time_s": log.time_s, "reference_deg": log.reference_deg, "true_deg": run.true_deg}
+    save_signals(folder, job, signals | {"command": log.command})
+    width = half_width(PLANTS[job.plant].simulator(1 / job.rate_hz))
+    delay = math.ceil(PLANTS[job.plant].effects.delay_s * job.rate_hz - _WHOLE)
+    figures = control_figures(run, study.limits, width, controller.horizon, delay)
+    counts = {str(source): log.source.count(source) for source in dict.fromkeys(log.source)}
+    return figures, counts
+
+
+def _ready(study: Study, job: ControlJob, seed: int) -> Controller[Any]:
+    """The job's controller; one that learns has watched the flexure, under another realisation of the noise."""
+    controller = study.controller(study.config.controllers[job.subject])
+    if not CONTROLLERS[job.subject].learns:
+        return controller
+    return RehearsedController(controller, *watched_flexure(study.plant, seed + _REHEARSAL))
+
+
+def tune(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[str, Mapping[str, float]]:
+    """Search a PID's gains over all motions of the study and write them.
+
+    Raises:
+        HystmpcError: what `sim.study.prepare` raises; ConfigError if the gains to start from are missing.
+        KeyboardInterrupt: if the user ended it.
+    """
+    study = study_of(job, settings, folder, settings.motions)
+    evaluations = settings.tune_evaluations if job.stage == "tune" else settings.retune_evaluations
+    study = replace(study, config=study.config.model_copy(update={"tune_pid": TuningSettings(evaluations=evaluations)}))
+    chosen = study.config.controllers[job.subject]
+    if not isinstance(chosen, PidControllerSettings | InversePidControllerSettings):
+        raise ConfigError(f"{job.key}: got a controller of kind {chosen.kind}, expected one with a PID")
+    found = tuned_gains(study, chosen)
+    gains = found.settings.gains.model_dump()
+    write_atomically(gains_file(folder, job.plant, job.rate_hz, job.subject), json.dumps(gains, indent=1) + "\n")
+    line = ", ".join(f"{name} {value:.4g}" for name, value in gains.items())
+    return f"{line}; {found.evaluations} evaluations", {"rmse_deg": found.rmse_deg, "start_deg": found.start_rmse_deg}
+
+
+def study_of(job: ControlJob, settings: ControlSettings, folder: Path, motions: tuple[str, ...]) -> Study:
+    """The job's plant with its model, some motions and its one controller, ready to run.
+
+    Raises:
+        HystmpcError: what `sim.study.prepare` raises; ConfigError if gains are missing.
+    """
+    plant, rival, dt_s = PLANTS[job.plant], CONTROLLERS[job.subject], 1 / job.rate_hz
+    rest = plant.device(dt_s).true_angle
+    nominal = plant.nominal()
+    simulator = save_simulator(plant.simulator(dt_s), folder / "models" / f"{plant.name}-plant-{job.rate_hz:g}hz.yaml")
+    data: dict[str, Any] = {
+        "plant": {"simulator": str(simulator)} | _effects(plant),
+        "motions": {name: motion(name, rest, settings.seed, settings.quick) for name in motions},
+        "seed": settings.seed,
+    }
+    delay = round(nominal.effects.delay_s / dt_s)
+    data |= {"model": str(simulator)}
+    if rival.oracle:
+        known, delay = plant.oracle(dt_s)
+        data["model"] = str(save_simulator(known, folder / "models" / f"{plant.name}-oracle-{job.rate_hz:g}hz.yaml"))
+    elif rival.model in NETWORKS:
+        data |= {
+            "model": str(network_file(folder, plant, rival.model)),
+            "inverse": str(companion_file(folder, plant)),
+        }
+    elif rival.model == "backlash":
+        data |= {
+            "model": str(backlash_file(folder, plant, job.rate_hz)),
+            "actuator_lag_s": nominal.effects.lag_s,
+        }
+    controller = rival.settings(dt_s, delay, nominal.effects.lag_s) | _gains(job, rival, settings, folder)
+    study = prepare(SimulationConfig.parse(data | {"controllers": {job.subject: controller}}, job.key))
+    return _rested(study, plant.effects, dt_s) if rival.oracle else study
+
+
+def _effects(plant: Plant) -> dict[str, float]:
+    effects = plant.effects
+    return {"lag_s": effects.lag_s, "delay_s": effects.delay_s, "noise_deg": effects.noise_deg}
+
+
+def _gains(job: ControlJob, rival: Rival, settings: ControlSettings, folder: Path) -> dict[str, Any]:
+    """The gains that a search has found, at this rate or, to start another search, at the first one."""
+    if not rival.tuned or job.stage == "tune":
+        return {}
+    rate = settings.rates_hz[0] if job.stage == "retune" else job.rate_hz
+    file = gains_file(folder, job.plant, rate, job.subject)
+    try:
+        return {"gains": PidSettings.parse(json.loads(file.read_text(encoding="utf-8")), str(file)).model_dump()}
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{file}: no gains ({error}), expected those that the search writes") from None
+
+
+def _rested(study: Study, effects: Effects, dt_s: float) -> Study:
+    """The study with an oracle that knows the plant's memory after its initialisation flexure."""
+    known, limits = study.predictor, study.plant.command_limits
+    flexure = initialisation_flexure(limits, dt_s, warmup_samples=1)
+    wait_s = _SETTLED_LAGS * effects.lag_s + effects.delay_s
+    settling = np.full(round(wait_s / dt_s), limits.lower)
+    return replace(study, predictor=RestedPredictor(known, np.concatenate([flexure, settling])))

@@ -1,0 +1,117 @@
+"""Errors of the study of S2: by model, by trial, and relative to the FNN as in the paper's Figure 8."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystmpc.models.kinds.catalogue import KINDS
+
+from ..tables import NOTHING, Cell, StudyTable
+from .outcome import Outcome, title_of
+from .printed import S2_ORDER, S2_RELATIVE, S2_VALIDATION, Printed
+from .s2_plan import split_tested_on
+from .s2_views import BASELINE, UNITS, Matched
+
+_CATALOGUE = frozenset(kind.name for kind in KINDS)
+
+
+def errors_table(view: Matched) -> StudyTable:
+    """Mean, spread and greatest of the errors, a row a model."""
+    unit = UNITS[view.direction]
+    rows: list[list[Cell]] = []
+    for kind, result in view.results.items():
+        rmse, largest = view.errors(kind), view.errors(kind, "max_abs_error_deg")
+        means = [float(np.mean(view.errors(kind, name))) for name in ("nrmse", "offset_free_rmse_deg")]
+        drift = float(np.max(view.errors(kind, "hold_drift_deg")))
+        beta: Cell = NOTHING if result.job.constancy is None else result.job.constancy
+        others = view.other_betas(kind)
+        code = S2_VALIDATION.get((view.direction, view.motion), {}).get(kind, NOTHING)
+        figures = [float(np.mean(rmse)), float(np.std(rmse)), float(np.max(rmse)), float(np.max(largest))]
+        rows.append([title_of(kind), rmse.size, *figures, 100 * means[0], means[1], drift, beta, others, str(code)])
+    columns = ["model", "trials", *(f"{name} [{unit}]" for name in ("mean RMSE", "std of RMSE", "max RMSE", "max abs"))]
+    columns += ["mean NRMSE [%]", f"mean offset-free RMSE [{unit}]", f"worst hold drift [{unit}]", "beta"]
+    columns += ["mean RMSE of the other beta"]
+    caption = (
+        f"Simulated, {view.where}: errors over the test trials; of the betas the one with the lower test error, as the "
+        f"paper does. Last column: RMSE on validation windows of the authors' device."
+    )
+    return StudyTable(f"errors_{view.suffix}", [*columns, f"paper's code [{unit}]"], rows, caption)
+
+
+def trials_table(view: Matched) -> StudyTable:
+    """RMSE / max abs / NRMSE of every model on every test trial."""
+    split = split_tested_on(view.motion)
+    names = [score.trial for score in next(iter(view.results.values())).of_split(split)]
+    figures = {
+        kind: [view.errors(kind, name) for name in ("rmse_deg", "max_abs_error_deg", "nrmse")] for kind in view.results
+    }
+    rows = [
+        [name.rpartition("/")[2], *(f"{f[0][k]:.3f} / {f[1][k]:.2f} / {100 * f[2][k]:.2f}" for f in figures.values())]
+        for k, name in enumerate(names)
+    ]
+    unit = UNITS[view.direction]
+    caption = f"Simulated, {view.where}: RMSE [{unit}] / max abs [{unit}] / NRMSE [%] of every test trial."
+    return StudyTable(f"trials_{view.suffix}", ["trial", *map(title_of, view.results)], rows, caption)
+
+
+def relative_table(view: Matched) -> StudyTable | None:
+    """Figure 8 in numbers: errors in per cent of the FNN's; None without an FNN."""
+    if BASELINE not in view.results:
+        return None
+    rows: list[list[Cell]] = []
+    for kind in view.results:
+        printed = S2_RELATIVE.get((view.motion, view.direction, kind), (None, None))
+        cells: list[Cell] = [title_of(kind)]
+        for ours, paper in zip(relative_to_baseline(view, kind), printed, strict=True):
+            cells += [round(ours, 1), str(paper or NOTHING), _difference(ours, paper)]
+        rows.append(cells)
+    columns = ("model", "mean", "mean in the paper", "difference", "max", "max in the paper", "difference")
+    caption = (
+        f"Figure 8 in numbers, {view.where}: mean RMSE and greatest error, in per cent of the FNN's. Columns 2 and 5 "
+        "are simulated, 3 and 6 the paper's; differences in points."
+    )
+    return StudyTable(f"relative_to_fnn_{view.suffix}", columns, rows, caption)
+
+
+def relative_to_baseline(view: Matched, kind: str) -> tuple[float, float]:
+    """Mean RMSE and greatest absolute error of a kind over those of the FNN [%]."""
+    mean = [float(np.mean(view.errors(name))) for name in (kind, BASELINE)]
+    largest = [float(np.max(view.errors(name, "max_abs_error_deg"))) for name in (kind, BASELINE)]
+    return 100 * mean[0] / mean[1], 100 * largest[0] / largest[1]
+
+
+def order_table(view: Matched) -> StudyTable:
+    """Models by mean RMSE, least first, beside the paper's order."""
+    ours = sorted(view.results, key=lambda kind: float(np.mean(view.errors(kind))))
+    paper = " < ".join(", ".join(map(_title, group)) for group in S2_ORDER[view.motion])
+    rows = [["simulated", " < ".join(map(title_of, ours))], ["paper, from its conclusions [P]", paper]]
+    caption = (
+        f"Order by mean RMSE, {view.where}; the paper does not tell apart what stands between commas, and does not "
+        "place the GRU on point-to-point motions."
+    )
+    return StudyTable(f"order_{view.suffix}", ("", "least error first"), rows, caption)
+
+
+def _title(kind: str) -> str:
+    """A kind's name in tables, its own where the catalogue does not hold it."""
+    return title_of(kind) if kind in _CATALOGUE else kind
+
+
+def _difference(ours: float, paper: Printed | None) -> Cell:
+    if paper is None or paper.above or isinstance(paper.value, str):
+        return NOTHING
+    return round(ours - paper.value, 1)
+
+
+def long_table(outcome: Outcome) -> StudyTable:
+    """Every figure of every job on every trial; CSV only."""
+    rows: list[Sequence[Cell]] = []
+    for result in outcome.done:
+        job = result.job
+        what = [job.stage, job.kind, job.preset, job.direction, job.train, str(job.constancy), str(job.window)]
+        rows += [[*what, s.split, s.trial, *vars(s.errors).values()] for s in result.scores]
+    figures = ("rmse", "bias", "offset_free_rmse", "max_abs_error", "nrmse", "hold_drift")
+    columns = ("stage", "kind", "preset", "direction", "trained_on", "beta", "window", "split", "trial", *figures)
+    return StudyTable("per_trial", columns, rows, "", shown=False)
