@@ -26,13 +26,10 @@ from hystmpc.gap.procedure import conclude, investigate
 from hystmpc.models.fit.identify import identify
 from hystmpc.models.fit.operators import OperatorFitSettings
 from hystmpc.models.simulator import Simulator
-from hystmpc.studies.blind.catalogue import generator_named
-from hystmpc.studies.blind.cores import CapstanCore, DahlCore
+from hystmpc.studies.blind.cores import RATE_HZ, CapstanCore, DahlCore, RodCore
 from hystmpc.studies.blind.device import BlindDevice
-from hystmpc.studies.blind.generator import Withheld
+from hystmpc.studies.blind.generators import Withheld, generator_named
 from hystmpc.studies.blind.plan import RICH
-from hystmpc.studies.blind.rod_core import RodCore
-from hystmpc.studies.blind.scene import RATE_HZ
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 

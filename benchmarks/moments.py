@@ -12,8 +12,8 @@ import numpy as np
 from rich.table import Table
 
 from hystmpc.rig.recording.recording import FLUSH_S
+from hystmpc.studies.faults.cases import IN_FLIGHT_S, OVERSHOOT, SAFE
 from hystmpc.studies.faults.judge import rise
-from hystmpc.studies.faults.setup import IN_FLIGHT_S, OVERSHOOT, SAFE
 from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.run_folder import RunFolder
 

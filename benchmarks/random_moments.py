@@ -42,9 +42,8 @@ from hystmpc.cli.main import main as hystmpc
 from hystmpc.rig.config import load_run
 from hystmpc.rig.experiment import tracking_phase
 from hystmpc.rig.review import review_run
-from hystmpc.studies.faults.cases import Case
+from hystmpc.studies.faults.cases import SAFE, Case, Link, watchdog_s, write_device, write_run
 from hystmpc.studies.faults.play import device_log
-from hystmpc.studies.faults.setup import SAFE, Link, watchdog_s, write_device, write_run
 
 from moments import KINDS, Moment, judged, table  # isort: skip
 

@@ -40,8 +40,8 @@ from hystmpc.rig.config import RunSettings
 from hystmpc.rig.review import judged, review
 from hystmpc.sim.plant import at_sample_time
 from hystmpc.studies.control.rivals import CONTROLLERS, NETWORKS
-from hystmpc.studies.faults.processes import end, start, start_device
-from hystmpc.studies.faults.setup import DEVICE, RUN
+from hystmpc.studies.faults.cases import DEVICE, RUN
+from hystmpc.studies.faults.play import end, start, start_device
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.run_folder import RunFolder

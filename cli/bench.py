@@ -39,17 +39,19 @@ def bench(
 
     Ctrl-C ends with what has been measured, exit code 130.
     """
-    from hystmpc.studies.performance.figures import save_growth
+    from hystmpc.studies.performance.growth import save_growth
     from hystmpc.studies.performance.report import report_json
     from hystmpc.studies.performance.run import run_bench
-    from hystmpc.studies.performance.settings import QUICK, BenchSettings
+    from hystmpc.studies.performance.timing import QUICK, BenchSettings
 
     if json_file is not None:
         check_output("--json", json_file, (BENCHMARK,), (), force)
     if folder is not None:
         require_vacant(folder)
     with bar("bench") as show:
-        report = run_bench(QUICK if quick else BenchSettings(), show)
+        report = run_bench(
+            QUICK if quick else BenchSettings(), lambda done, total, note="": show(done, note, total=total)
+        )
     _print(report, out)
     content = json.dumps(report_json(report), indent=2) + "\n"
     if json_file is not None:
@@ -64,7 +66,7 @@ def bench(
 
 
 def _print(report: Report, console: Console) -> None:
-    from hystmpc.studies.performance.table import COLUMNS, table_rows
+    from hystmpc.studies.performance.report import COLUMNS, table_rows
 
     for name, source in report.models.items():
         console.print(f"{name}: {source}", highlight=False)

@@ -22,8 +22,8 @@ from hystmpc.trials.run_folder import require_vacant
 from .console import bar, errors, out, table
 
 if TYPE_CHECKING:
+    from hystmpc.studies.faults.cases import Kind, Link
     from hystmpc.studies.faults.judge import Verdict
-    from hystmpc.studies.faults.setup import Kind, Link
 
 FAILED = 1
 
@@ -75,7 +75,7 @@ def _chosen(folder: Path, only: list[str], transport: str) -> list[_Play]:
         ConfigError: on an unknown case, a wire whose package is missing, or a folder that is not empty.
     """
     from hystmpc.rig.transports.build import require_dds
-    from hystmpc.studies.faults.setup import KINDS, Link
+    from hystmpc.studies.faults.cases import KINDS, Link
 
     kinds: list[Kind] = [kind for kind in KINDS if transport in (kind, "both")]
     if "dds" in kinds:

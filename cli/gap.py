@@ -52,7 +52,14 @@ def make(
 
     with bar("make cases", cases) as show:
         manifest = make_blind(
-            folder, seed, cases, suite, logs or [], jobs or _cores(), lambda done, _: show(done), preset
+            folder,
+            seed,
+            cases,
+            suite,
+            logs or [],
+            jobs or _cores(),
+            lambda done, total, note="": show(done, total=total),
+            preset,
         )
     out.print(f"{len(manifest.cases)} cases in {folder / 'cases'}; answers sealed, sha256 {manifest.answers_sha256}")
 
@@ -80,7 +87,7 @@ def run(
                 seed,
                 follow_up,
                 not without_truth,
-                lambda done, total, note: show(done, note, total=total),
+                lambda done, total, note="": show(done, note, total=total),
             )
     except KeyboardInterrupt:
         errors.print(f"interrupted: finished diagnoses are kept in {folder}, the same command goes on", style="yellow")
@@ -129,7 +136,7 @@ def ablate(
     require_vacant(folder)
     trials, simulator = read_trials(logs, preset), load_simulator(sim)
     with bar("ablate") as show:
-        rows = ablate_all(trials, simulator, folder, seed, lambda done, total, name: show(done, name, total=total))
+        rows = ablate_all(trials, simulator, folder, seed, lambda done, total, note="": show(done, note, total=total))
     cells = []
     for row in rows:
         answer = ("not needed", "", "") if not row.needed else (row.verdict, ", ".join(row.said) or "-", _mark(row))
@@ -152,7 +159,7 @@ def record(
     motion: Annotated[Path, typer.Argument(help="CSV with time_s and command, such as next_motion.csv.")],
 ) -> None:
     """Run a further motion on the device of a case and write its log."""
-    from hystmpc.studies.blind.record import record_motion
+    from hystmpc.studies.blind.run import record_motion
 
     out.print(f"recorded: {record_motion(folder, case, motion)}")
 

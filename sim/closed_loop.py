@@ -13,7 +13,7 @@ from hystmpc.ctrl.protocols import Controller
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.types import Vec
 
-from .computed_plant import ComputedPlant
+from .plant import ComputedPlant
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.operators.operator import Operator
 from hystmpc.trials.types import Vec
 
-from .conditioning import clocks, settling_s, still
+from .plant import clocks, settling_s, still
 
 
 @final

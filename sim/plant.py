@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from copy import copy, deepcopy
 from dataclasses import dataclass, field, replace
-from typing import Any, final
+from typing import Any, Self, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.effects.place import PlacedEffect, effect_from, with_effect
+from hystmpc.models.kernels.chain_kernels import compile_step
+from hystmpc.models.lstm.initial import initialisation_flexure
+from hystmpc.models.operators.creep import Creep
 from hystmpc.models.operators.delay import Delay
 from hystmpc.models.operators.lag import Lag
 from hystmpc.models.operators.operator import Operator
@@ -20,8 +27,211 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import ConfigError, ModelError, did_you_mean
 from hystmpc.trials.types import Vec
 
-from .computed_plant import ComputedPlant, Sensing
-from .conditioning import conditioned, fresh
+_SETTLED = 20.0  # time constants after which nothing is left of a step: e^-20 of 100 deg is 2e-7 deg
+_LONGEST_REST_S = 600.0  # slower creep has not settled when an experiment begins
+
+
+def conditioned(simulator: Simulator, state: Vec, commands: Range) -> tuple[float, Vec]:
+    """Angle [deg] and state at the lowest command after the initialisation flexure and a rest.
+
+    The rest lasts until lags have settled, and creep within ten minutes. What follows a clock stands still meanwhile:
+    the clock starts with the run.
+
+    Args:
+        simulator: the device with its effects.
+        state: at rest at the lowest command.
+        commands: between which it is flexed.
+    """
+    flexure = initialisation_flexure(commands, simulator.dt_s, warmup_samples=1)
+    samples = round(settling_s(simulator.chain) / simulator.dt_s)
+    return _run(simulator, state, np.concatenate([flexure, np.full(samples, commands.lower)]))
+
+
+def fresh(simulator: Simulator, state: Vec, commands: Range) -> tuple[float, Vec]:
+    """Angle [deg] and state at the lowest command of a device that was never bent; arguments as `conditioned`."""
+    return _run(simulator, state, np.full(1, commands.lower))
+
+
+def _run(simulator: Simulator, state: Vec, commands: Vec) -> tuple[float, Vec]:
+    """The last angle, and the state with its clocks at zero."""
+    chain = simulator.chain
+    kernels = compile_step(chain.transition)
+    following, theta = state.reshape(1, -1).copy(), np.empty((1, commands.size))
+    dt = np.array([simulator.dt_s])
+    kernels.simulate(following, commands[None], still(chain), dt, kernels.step_constants, theta)
+    return float(theta[0, -1]), np.where(clocks(chain), 0.0, following[0])
+
+
+def settling_s(chain: Chain) -> float:
+    """Time after which a held command leaves the chain at rest [s]."""
+    return sum(_settling_of(operator) for operator in chain.operators)
+
+
+def _settling_of(operator: Operator) -> float:
+    if isinstance(operator, Lag):
+        return _SETTLED * max(operator.tau_s, *operator.tau_down_s, 0.0)
+    if isinstance(operator, Creep):
+        return min(_SETTLED * max(operator.taus_s), _LONGEST_REST_S)
+    return operator.delay_s if isinstance(operator, Delay) else 0.0
+
+
+def still(chain: Chain) -> Vec:
+    """Parameter values of the chain with everything that follows a clock at its neutral values."""
+    values: list[float] = []
+    for operator in chain.operators:
+        effect = EFFECTS.get(operator.name)
+        values += effect.neutral_values(operator) if effect is not None and effect.clocks else operator.values
+    return np.array(values)
+
+
+def clocks(chain: Chain) -> NDArray[np.bool_]:
+    """Which entries of the state are clocks."""
+    found = []
+    for operator in chain.operators:
+        effect = EFFECTS.get(operator.name)
+        found += [effect is not None and name in effect.clocks for name in operator.states]
+    return np.array(found, dtype=bool)
+
+
+_STEP = np.array([1.0])  # sensors have no time in them
+
+
+@final
+class SensorChain:
+    """Sensors one after another, with explicit state; none at all shows the angle itself.
+
+    Args:
+        sensors: in the order in which the angle passes them.
+    """
+
+    def __init__(self, sensors: Sequence[Sensor]) -> None:
+        self._sensors = tuple(sensors)
+        if self._sensors:
+            chain = Chain(self._sensors[0], after=self._sensors[1:])
+            self._values, self._kernels = chain.values, compile_step(chain.transition)
+
+    def start(self, angle: float, seed: int) -> Vec:
+        """State (S,) at a true angle [deg]; `seed` is mixed into the seed of every sensor."""
+        states = [
+            np.asarray(sensor.reseeded(_mixed(sensor.seed, seed, k)).at_rest(angle, angle, sensor.values)).ravel()
+            for k, sensor in enumerate(self._sensors)
+        ]
+        return np.concatenate([np.empty(0), *states])
+
+    def show(self, state: Vec, angle: float) -> tuple[float, Vec]:
+        """What is shown of a true angle [deg], and the next state."""
+        if not self._sensors:
+            return angle, state
+        following, shown = state.reshape(1, -1).copy(), np.empty((1, 1))
+        constants = self._kernels.step_constants
+        self._kernels.simulate(following, np.array([[angle]]), self._values, _STEP, constants, shown)
+        return float(shown[0, 0]), following[0]
+
+
+def _mixed(own: int, seed: int, k: int) -> int:
+    """A seed for sensor number `k`; the generator mixes neighbouring seeds itself."""
+    return (own + 1_000_003 * (seed + 7919 * k)) % 2**63
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """What measures the angle.
+
+    Attributes:
+        noise_deg: standard deviation of white noise [deg].
+        quantisation_deg: step of the angle, 0 for none [deg].
+        sensors: of the library, after both.
+    """
+
+    noise_deg: float = 0.0
+    quantisation_deg: float = 0.0
+    sensors: Sequence[Sensor] = ()
+
+
+class ComputedPlant(ABC):
+    """A `ctrl.protocols.Plant` that is computed; its state is hidden, as that of hardware is.
+
+    A reset always finds the same device: rest, random numbers and noise begin anew. A subclass says where the rest is
+    and what a sample does; its state is replaced from sample to sample and never altered, so that copies may share it.
+
+    Args:
+        dt_s: sample time [s].
+        rest_command: what the device holds at rest.
+        command_unit: mm or bar.
+        sensing: of the angle.
+        seed: of noise and of what is random in the device; equal seeds give the same run after every reset.
+
+    Raises:
+        ConfigError: if the sample time is not positive.
+    """
+
+    command_limits: Range
+    """What the device may be sent; the commands of a study may be narrower."""
+    _state: Any
+
+    def __init__(self, dt_s: float, rest_command: float, command_unit: str, sensing: Sensing, seed: int) -> None:
+        if not (np.isfinite(dt_s) and dt_s > 0):
+            raise ConfigError(f"dt_s: got {dt_s}, expected a positive number")
+        self._dt, self._seed, self._sensing = dt_s, seed, sensing
+        self.rest_command, self.command_unit = rest_command, command_unit
+        self._chain = SensorChain(sensing.sensors)
+        self._restart()
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self._dt
+
+    @property
+    def true_angle(self) -> float:
+        """Tip angle without noise and quantisation [deg]: what metrics are made of, and no controller sees."""
+        return self._angle
+
+    def reset(self) -> float:
+        """Bring the device to rest at its lowest command and return the measured tip angle [deg]."""
+        self._restart()
+        return self._measured()
+
+    def apply(self, u: float) -> float:
+        """Apply command `u` for one sample and return the tip angle measured at its end [deg]."""
+        self._angle, self._state = self._advanced(self._state, u, self._random)
+        return self._measured()
+
+    def reseeded(self, seed: int) -> Self:
+        """The same device with another realisation of everything random."""
+        other = copy(self)
+        other._seed = seed
+        other.reset()
+        return other
+
+    def copied(self) -> Self:
+        """A plant that goes on from where this one is, with the same noise to come; neither touches the other."""
+        other = copy(self)
+        other._random = deepcopy(self._random)
+        return other
+
+    def stop(self) -> None:  # noqa: B027  # hardware has something to do here
+        """Nothing to do: a computed device is safe as it stands."""
+
+    @abstractmethod
+    def _at_rest(self, random: np.random.Generator) -> tuple[float, Any]:
+        """True angle [deg] and state before a run."""
+
+    @abstractmethod
+    def _advanced(self, state: Any, u: float, random: np.random.Generator) -> tuple[float, Any]:
+        """True angle [deg] and state after command `u` for one sample."""
+
+    def _restart(self) -> None:
+        self._random = np.random.default_rng(self._seed)
+        self._angle, self._state = self._at_rest(self._random)
+        self._shown = self._chain.start(self._angle, self._seed)
+
+    def _measured(self) -> float:
+        angle = self._angle + self._sensing.noise_deg * float(self._random.standard_normal())
+        if self._sensing.quantisation_deg:
+            angle = round(angle / self._sensing.quantisation_deg) * self._sensing.quantisation_deg
+        angle, self._shown = self._chain.show(self._shown, angle)
+        return angle
 
 
 @dataclass(frozen=True)

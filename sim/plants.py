@@ -11,11 +11,9 @@ from hystmpc.models.library import model_path
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.errors import ConfigError
 
-from .computed_plant import ComputedPlant
 from .config import PlantSettings
-from .devices.names import DEVICES, named_device, plain_parameters
-from .devices.plant import DevicePlant
-from .plant import Effects, SimulatedPlant
+from .devices.names import DEVICES, DevicePlant, named_device, plain_parameters
+from .plant import ComputedPlant, Effects, SimulatedPlant
 
 _NAMES = {"simulator", "device", "parameters"}
 

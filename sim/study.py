@@ -26,8 +26,8 @@ from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, ControllerError
 
-from .computed_plant import ComputedPlant
 from .config import SimulationConfig
+from .plant import ComputedPlant
 from .plants import make_plant, plant_files
 
 

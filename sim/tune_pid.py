@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,12 +9,11 @@ from scipy.optimize import OptimizeResult, differential_evolution
 
 from hystmpc.ctrl.config import AnyControllerSettings, InversePidControllerSettings, PidControllerSettings
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Progress, Vec
 
 from .closed_loop import run_closed_loop
 from .study import Study
 
-Progress = Callable[[int, int], None]
 PidLike = PidControllerSettings | InversePidControllerSettings
 
 _PER_PARAMETER = 3

@@ -7,6 +7,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.html import Table
@@ -50,3 +51,9 @@ class StudyTable:
     def save(self, folder: Path) -> Path:
         """Write `tables/<name>.csv` below the study's folder."""
         return write_atomically(folder / "tables" / f"{self.name}.csv", self.csv)
+
+
+def other_study(wanted: str, earlier: Any) -> str:
+    """Why a folder with these earlier settings does not belong to a study; empty where it does."""
+    found = earlier.get("study") if isinstance(earlier, dict) else None
+    return "" if found == wanted else f"holds a run of {found or 'something else'}, expected one of study {wanted}"

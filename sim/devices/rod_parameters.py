@@ -9,7 +9,7 @@ import numpy as np
 
 from hystmpc.trials.errors import ConfigError
 
-from .quantities import check_quantities, quantity
+from .device import check_quantities, quantity
 from .rod_equations import RodNumbers, StepNumbers
 
 _SINKING = 0.5  # greatest weight moment over stiffness: beyond, a rod buckles under its own weight

@@ -17,8 +17,8 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
-from ..computed_plant import ComputedPlant
 from ..config import SimulationConfig, load_simulation
+from ..plant import ComputedPlant
 from ..study import prepare
 
 Signal = Callable[[float], float]

@@ -10,7 +10,7 @@ from typing import Any
 
 from hystmpc.trials.files import write_atomically
 
-from .columns import Column, as_column
+from .store import Column, as_column
 
 ENDING = ".csv"
 _MARKS = {"number": ":number", "whole": ":whole", "text": ""}

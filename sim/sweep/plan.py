@@ -16,9 +16,8 @@ from hystmpc.trials.errors import ConfigError
 
 from ..config import SimulationConfig
 from ..plants import file_hash, plant_hash
-from .draws import drawn
 from .paths import changed, path_parts, place
-from .settings import SweepSettings, label
+from .settings import SweepSettings, drawn, label
 
 _KNOWLEDGE = ("model", "inverse", "actuator_lag_s")  # costly to open, so that they change last
 _ID_DIGITS = 16

@@ -2,21 +2,55 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.types import Vec
 
 from . import csv_rows
-from .columns import Column, chosen
+
+Column = Vec | list[str | None]
+
+
+def as_column(values: Sequence[Any], kind: str) -> Column:
+    """Numbers as an array (N,), NaN where there is none; texts as they are."""
+    if kind == "text":
+        return [None if value is None else str(value) for value in values]
+    return np.array([math.nan if value is None else float(value) for value in values], dtype=np.float64)
+
+
+def numbers(table: Mapping[str, Column], name: str) -> Vec:
+    """A column of numbers (N,)."""
+    return np.asarray(table[name], dtype=np.float64)
+
+
+def texts(table: Mapping[str, Column], name: str) -> list[str]:
+    """A column as texts, numbers to six digits, empty ones as nothing."""
+    return [
+        "" if value is None else value if isinstance(value, str) else f"{float(value):.6g}" for value in table[name]
+    ]
+
+
+def chosen(table: Mapping[str, Column], rows: NDArray[np.bool_]) -> dict[str, Column]:
+    """Some rows of a table.
+
+    Args:
+        table: columns (N,).
+        rows: which, (N,).
+    """
+    where = np.flatnonzero(rows)
+    return {name: c[where] if isinstance(c, np.ndarray) else [c[k] for k in where] for name, c in table.items()}
+
 
 _NAME = "runs"
 _SHARDS = "shards"
@@ -161,23 +195,3 @@ class Store:
         for half in (self._folder / _SHARDS).glob(".*"):
             half.unlink()  # of a process that was killed while it wrote
         return target
-
-
-@contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
-    """One process at a time writes into a folder; a lock of one that died does not hold.
-
-    Raises:
-        ConfigError: if another process works in it.
-    """
-    try:
-        import fcntl
-    except ModuleNotFoundError:  # pragma: no cover  # not on Windows
-        yield
-        return
-    with (folder / ".lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise ConfigError(f"{folder}: another process works in it, expected to be alone") from None
-        yield

@@ -15,11 +15,9 @@ from optuna.trial import FrozenTrial, TrialState
 
 from hystmpc.trials.errors import ConfigError, HystmpcError
 
-from ..sweep.draws import DrawSettings
 from ..sweep.paths import value_at
-from ..sweep.settings import label
-from .objective import plant_config, plant_cost, plant_score, robust
-from .search import Outcome, State, Ticket, Trial
+from ..sweep.settings import DrawSettings, label
+from .objective import Outcome, State, Ticket, Trial, plant_config, plant_cost, plant_score, robust
 from .settings import TuneSettings
 
 _HEARTBEAT_S = 5

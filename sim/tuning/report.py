@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 from hystmpc.trials.plot_style import COMMAND, MEASURED, MODEL, REFERENCE, new_figure
 
-from ..sweep.axes import plain_log
-from .held_out import HeldOut
-from .search import Trial, pareto_front
+from ..sweep.report import plain_log
+from .objective import HeldOut, Trial, pareto_front
 
 if TYPE_CHECKING:
     from .run import Tuning

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hystmpc.trials.config import dump_yaml, read_yaml
+from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.table import format_table
+from hystmpc.trials.types import Progress
 
-from ..parallel.backend import Backend
-from ..sweep.store import alone_in
-from .held_out import HeldOut, held_out
+from ..jobs.backend import Backend
+from ..jobs.runner import alone_in, resumed_folder
+from .objective import HeldOut, Outcome, Ticket, Trial, held_out
 from .report import tuning_report
-from .search import Outcome, Ticket, Trial
 from .settings import TuneSettings
 
-Progress = Callable[[int, int, str], None]
 _WAIT_S = 3.0  # until trials that another process does are asked for again
 
 
@@ -134,21 +133,17 @@ def _optuna() -> Any:
 
 def _folder(path: Path, settings: TuneSettings) -> RunFolder:
     """A new run folder, or the one that a tuning left."""
-    plain = settings.model_dump(mode="json", exclude_none=True)
-    if not (path / "meta.json").exists():
-        return RunFolder.create(path, plain, seed=settings.seed)
-    folder = RunFolder.open(path)
-    before = read_yaml(path / "config.yaml")
-    if not isinstance(before, dict) or "search" not in before:
-        raise ConfigError(f"{path}: holds another kind of run, expected a new folder or that of a tuning")
-    changed = _changed(TuneSettings.parse(before, str(path / "config.yaml")), settings)
-    if changed:
-        raise ConfigError(
-            f"{path}: holds a tuning with other {', '.join(changed)}, expected a new folder; "
-            "only trials and held_out may change"
-        )
-    write_atomically(path / "config.yaml", dump_yaml(plain))
-    return folder
+
+    def refusal(before: Any) -> str:
+        if not isinstance(before, dict) or "search" not in before:
+            return "holds another kind of run, expected a new folder or that of a tuning"
+        changed = _changed(TuneSettings.parse(before, str(path / "config.yaml")), settings)
+        if not changed:
+            return ""
+        allowed = "only trials and held_out may change"
+        return f"holds a tuning with other {', '.join(changed)}, expected a new folder; {allowed}"
+
+    return resumed_folder(path, settings.model_dump(mode="json", exclude_none=True), settings.seed, refusal)
 
 
 def _changed(before: TuneSettings, now: TuneSettings) -> list[str]:

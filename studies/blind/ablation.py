@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,9 @@ from hystmpc.models.simulator import Identification, Simulator, save_simulator
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Progress
 
 from .reading import Reading, reading_of
-
-Progress = Callable[[int, int, str], None]
 
 FORMAT = "hystmpc-ablation/1"
 RESULT = "ablation.json"

@@ -2,15 +2,81 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import final
+import itertools
+import zlib
+from abc import ABC, abstractmethod
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from typing import Any, final
 
 import numpy as np
 
+from hystmpc.sim.devices import rod_solver
+from hystmpc.sim.devices.rod import RodCatheter
+from hystmpc.sim.devices.rod_equations import new_knots
+from hystmpc.sim.devices.rod_parameters import RodParameters
+from hystmpc.sim.devices.rod_solver import new_work
 from hystmpc.trials.types import Vec
 
 from . import kernels
-from .core import Mounting, QuasiStatic
+
+TRAVEL_MM = 6.0
+STROKE = 0.6
+"""Share of the travel of the unlogged cycle before a trial, so that a trial does not open a virgin device."""
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """How far a device is from the one that its simulator was identified on.
+
+    Attributes:
+        gain, friction: factors.
+        offset_deg: added to every angle [deg].
+    """
+
+    gain: float = 1.0
+    friction: float = 1.0
+    offset_deg: float = 0.0
+
+
+class Core(ABC):
+    """Hysteresis from displacement [mm] to angle [deg]."""
+
+    @abstractmethod
+    def run(self, x: Vec, scale: Vec) -> Vec:
+        """Angles (T,) [deg] for the proximal end at x (T,) [mm] and friction factors (T,), on the fine grid.
+
+        An unlogged cycle of `STROKE` goes before.
+        """
+
+    @abstractmethod
+    def mounted(self, mounting: Mounting) -> Core:
+        """The same device off its nominal numbers."""
+
+    def numbers(self) -> dict[str, Any]:
+        """Parameters, for the sealed answers."""
+        return {"core": type(self).__name__, **asdict(self)}  # type: ignore[call-overload]
+
+
+class QuasiStatic(Core):
+    """A core whose angle depends on the path of the displacement alone, not on its speed."""
+
+    gain: float
+    offset_deg: float
+
+    @abstractmethod
+    def deflection(self, x: Vec, scale: Vec) -> Vec:
+        """Distal displacement (T,) [mm] for proximal x (T,) [mm] and friction factors (T,)."""
+
+    def run(self, x: Vec, scale: Vec) -> Vec:
+        """offset + gain * deflection; see `Core.run`."""
+        stroke = STROKE * TRAVEL_MM
+        up, down = np.linspace(0.0, stroke, 400), np.linspace(stroke, float(x[0]), 400)
+        before = np.concatenate([up, down])
+        whole = np.concatenate([before, x])
+        factors = np.concatenate([np.full(before.size, scale[0]), scale])
+        return self.offset_deg + self.gain * self.deflection(whole, factors)[before.size :]
+
 
 _NODES = 16
 
@@ -111,3 +177,163 @@ class DahlCore(QuasiStatic):
             friction=random.uniform(0.15, 0.35),
             spread=random.uniform(4, 9),
         )
+
+
+FINE_S = 0.002
+RATE_HZ = 25.0
+PARTS = round(1 / (RATE_HZ * FINE_S))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One trial of one device.
+
+    Attributes:
+        seed: of the case; everything random of a trial comes from `random`.
+        trial: number of the trial in recording order, from 0.
+        clock_s: time from the start of the first trial to that of this one [s].
+        travel: greatest command [mm].
+        rest_deg, span_deg: angle at zero command, and the change to the greatest [deg].
+    """
+
+    seed: int
+    trial: int
+    clock_s: float
+    travel: float
+    rest_deg: float
+    span_deg: float
+
+    def random(self, name: str, every_trial: bool = True) -> np.random.Generator:
+        """Draws of one effect in this trial, or of the whole device: the same for every size of the effect."""
+        return np.random.default_rng([self.seed, zlib.crc32(name.encode()), self.trial + 1 if every_trial else 0])
+
+    def unit(self, angle: Vec) -> Vec:
+        """Bend over the span: 0 at rest, about 1 at the greatest command."""
+        return (angle - self.rest_deg) / self.span_deg
+
+
+def fine_times(samples: int) -> Vec:
+    """Times of the fine steps that cover `samples` samples at `RATE_HZ` [s]."""
+    return np.asarray(np.arange((samples - 1) * PARTS + 1) * FINE_S, dtype=np.float64)
+
+
+def rise(signal: Vec) -> Vec:
+    """Speed by differences of the fine signal [1/s], zero at the start."""
+    return np.asarray(np.diff(signal, prepend=signal[0]) / FINE_S, dtype=np.float64)
+
+
+_COARSE = 10  # fine steps in one of the rod, whose equations take a hundred times as long as those of the others
+_SETTLED_S = 1e6  # a step slow against every relaxation
+_BEFORE = 40
+_SHAFT, _SEGMENTS = 3, 6
+
+
+@final
+@dataclass(frozen=True)
+class RodCore(Core):
+    """Rod of `hystmpc.sim.devices.rod` on a coarser grid, with its drive, its first flexure and its sensor taken out.
+
+    Its segments are standard linear solids: what they relax belongs to the device that the simulator is identified on,
+    as every device bends a little late. The numbers are drawn so that this stays within what a backlash or a few plays
+    leave of the friction anyway; more of it would be creep, a withheld effect.
+
+    Attributes:
+        gain: tip angle over the way of the tendon in the rod [deg/mm].
+        offset_deg: angle of the rod at rest, without tendon [deg].
+        friction: coefficient of tendon and lumen.
+        drag_n: friction of either part, shaft and rod, that does not come from tension [N].
+        stiffness_nmm: bending stiffness at rest [N mm/rad].
+        pretension_mm: pull that tensions the virgin tendon [mm].
+        fast_share, slow_share: stiffness of the Maxwell branches over that at rest.
+        slow_s: relaxation time of the slow branch [s].
+    """
+
+    gain: float = 32.0
+    offset_deg: float = -8.5
+    friction: float = 0.06
+    drag_n: float = 1.2
+    stiffness_nmm: float = 6.9
+    pretension_mm: float = 3.6
+    fast_share: float = 0.15
+    slow_share: float = 0.012
+    slow_s: float = 2.0
+
+    def run(self, x: Vec, scale: Vec) -> Vec:
+        """Angles between the rod's coarser steps lie on straight lines; see `Core.run`."""
+        last = -(-(x.size - 1) // _COARSE) * _COARSE
+        times, knots = np.arange(x.size), np.arange(0, last + 1, _COARSE)
+        places, factors = (np.interp(knots, times, signal) for signal in (x, scale))
+        ways = _ways(replace(self, gain=1.0, offset_deg=0.0), places.tobytes(), factors.tobytes())
+        return self.offset_deg + self.gain * np.interp(times, knots, ways)
+
+    def mounted(self, mounting: Mounting) -> RodCore:
+        """The friction of the lumen and its drag go together; see `Core.mounted`."""
+        return replace(
+            self,
+            gain=self.gain * mounting.gain,
+            friction=self.friction * mounting.friction,
+            drag_n=self.drag_n * mounting.friction,
+            offset_deg=self.offset_deg + mounting.offset_deg,
+        )
+
+    @classmethod
+    def draw(cls, random: np.random.Generator) -> RodCore:
+        """A device of this kind."""
+        return cls(
+            gain=random.uniform(28, 38),
+            offset_deg=random.uniform(-20, 5),
+            friction=random.uniform(0.03, 0.09),
+            drag_n=random.uniform(0.6, 1.6),
+            stiffness_nmm=random.uniform(5.5, 8.5),
+            pretension_mm=random.uniform(3.0, 4.5),
+            fast_share=random.uniform(0.05, 0.25),
+            slow_share=random.uniform(0.005, 0.02),
+            slow_s=random.uniform(1.0, 4.0),
+        )
+
+    def rod(self) -> RodParameters:
+        """The numbers of the simulated rod."""
+        return RodParameters(
+            rest_deg=0.0,
+            stiffness_nmm=self.stiffness_nmm,
+            pretension_mm=self.pretension_mm,
+            friction=self.friction,
+            shaft_drag_n=self.drag_n,
+            rod_drag_n=self.drag_n,
+            fast_share=self.fast_share,
+            slow_share=self.slow_share,
+            slow_s=self.slow_s,
+            set_share=0.0,
+            drive_lag_s=0.0,
+            shaft_contacts=_SHAFT,
+            segments=_SEGMENTS,
+        )
+
+
+@lru_cache(maxsize=64)
+def _ways(core: RodCore, places: bytes, factors: bytes) -> Vec:
+    """Way of the tendon in the rod (K,) [mm] for places of the drive (K,) [mm] and friction factors (K,), as bytes.
+
+    Kept, for effects behind the rod are sized and recorded on one and the same motion of it.
+    """
+    x, scale = (np.frombuffer(data).copy() for data in (places, factors))  # writable, as the kernel is compiled for
+    rod, stroke = core.rod(), STROKE * TRAVEL_MM
+    before = np.concatenate([np.linspace(0.0, stroke, _BEFORE), np.linspace(stroke, x[0], _BEFORE)])
+    state = RodCatheter(rod).virgin()
+    _bends(rod, state, before, np.full(before.size, scale[0]), _SETTLED_S)
+    ways = np.radians(_bends(rod, state, x, scale, _COARSE * FINE_S)) * rod.offset_mm
+    ways.setflags(write=False)
+    return ways
+
+
+def _bends(rod: RodParameters, state: Vec, places: Vec, factors: Vec, step_s: float) -> Vec:
+    """Bend (K,) [deg] at the end of every step; `state` is moved on. The kernel takes one friction a call."""
+    bend, drive, tension = (np.empty(places.size) for _ in range(3))
+    step, work, knots, whole = rod.step_numbers(step_s), new_work(rod.contacts), new_knots(rod.contacts), rod.numbers()
+    ends = [0, *(np.flatnonzero(np.diff(factors)) + 1).tolist(), places.size]
+    for first, stop in itertools.pairwise(ends):
+        numbers = whole._replace(mu=float(factors[first]) * whole.mu, drag=factors[first] * whole.drag)
+        part = slice(first, stop)
+        out = bend[part], drive[part], tension[part]
+        rod_solver.advance(state, places[part], numbers, step, 1, work, knots, *out)
+    return bend

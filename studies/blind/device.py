@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .core import TRAVEL_MM, Core
-from .generator import Site, Withheld
-from .scene import PARTS, RATE_HZ, Scene, fine_times
+from .cores import PARTS, RATE_HZ, TRAVEL_MM, CapstanCore, Core, DahlCore, RodCore, Scene, fine_times
+from .generators import Site, Withheld
 
 PAUSE_S = 4.0
 
@@ -99,3 +100,21 @@ class BlindDevice:
         for effect in self._at(site):
             signal = effect.generator.apply(signal, scene, effect.size, effect.shape)
         return signal
+
+
+DEVICES: tuple[type[CapstanCore] | type[DahlCore] | type[RodCore], ...] = (CapstanCore, DahlCore, RodCore)
+"""None of them is made of play operators."""
+
+
+def core_of(numbers: Mapping[str, Any]) -> Core:
+    """The core of these numbers; see `Core.numbers`.
+
+    Raises:
+        ConfigError: on an unknown kind of device.
+    """
+    kinds = {kind.__name__: kind for kind in DEVICES}
+    own = dict(numbers)
+    name = str(own.pop("core", ""))
+    if name not in kinds:
+        raise ConfigError(f"no device core {name!r}, {did_you_mean(name, kinds)}")
+    return kinds[name](**own)

@@ -16,9 +16,8 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from . import kernels
-from .answer import Answer, EffectAnswer
-from .case import Case
 from .retuning import retune
+from .sealed import Answer, Case, EffectAnswer
 
 _FINE = 20
 _RATIOS = (3.0, 2.2, 1.5)

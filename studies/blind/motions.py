@@ -9,8 +9,7 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from .core import TRAVEL_MM
-from .scene import RATE_HZ
+from .cores import RATE_HZ, TRAVEL_MM
 
 Draw = Callable[[np.random.Generator], Vec]
 

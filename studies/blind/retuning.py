@@ -15,7 +15,7 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .scene import RATE_HZ
+from .cores import RATE_HZ
 
 _STEPS = 25
 _DONE = 1e-4  # relative change of the loss at which a refit ends

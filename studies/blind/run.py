@@ -3,27 +3,94 @@
 from __future__ import annotations
 
 import json
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hystmpc.gap.findings import Findings
 from hystmpc.models.simulator import Simulator
-from hystmpc.sim.parallel.backend import backend_for
-from hystmpc.trials.csv_ import read_trials
-from hystmpc.trials.errors import ConfigError, HystmpcError
+from hystmpc.sim.jobs.backend import backend_for
+from hystmpc.sim.jobs.runner import attempt, run_jobs
+from hystmpc.trials.csv_ import read_trials, write_csv
+from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, did_you_mean
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.table import read_lines, read_table
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Progress
 
-from .fit_rules import fit_rules
-from .record import record_again, record_motion
-from .rule import correlation_rule
+from .cores import RATE_HZ, TRAVEL_MM
+from .device import lasts_s
+from .rules import correlation_rule, fit_rules
 from .sealed import open_answers, read_case, read_manifest
 
-Progress = Callable[[int, int, str], None]
+_ANOTHER_SESSION = 7919  # added to the seed of what is random in a device
+
+
+def record_motion(folder: Path, case: str, motion: Path) -> Path:
+    """Run a motion on a case's simulated device and write the log; neither log nor message tells the answer.
+
+    Args:
+        folder: of the blind check.
+        case: its folder's name.
+        motion: CSV with columns `time_s` and `command`.
+
+    Returns:
+        The log, in `follow_up/CASE`, numbered on from the trials that the case has.
+
+    Raises:
+        ConfigError: on an unknown case, one of real logs, a command beyond the device's travel, or a log that is
+            there already.
+        LogError: if the motion or the answers cannot be read.
+    """
+    answers = open_answers(folder)
+    if case not in answers:
+        raise ConfigError(f"{folder}: no case {case!r}, {did_you_mean(case, answers)}")
+    if not answers[case].device or answers[case].suite == "controls":
+        raise ConfigError(f"{folder}: case {case} has no device that could move again")
+    before = read_trials([folder / "cases" / case])
+    clock_s = sum(lasts_s(len(trial)) for trial in before)
+    command, log = _command(motion), folder / "follow_up" / case / f"trial_{len(before) + 1:02d}.csv"
+    if log.exists():
+        raise ConfigError(f"{log}: is recorded already, expected no log there; remove it to record another motion")
+    (trial,) = answers[case].blind_device().record([command], len(before), clock_s)
+    return write_csv(trial, log)
+
+
+def record_again(folder: Path, case: str) -> list[Trial]:
+    """Another session of a case's motions on its device: other noise, other draws, the same effects.
+
+    Raises:
+        ConfigError: on an unknown case, or one without a device.
+        LogError: if logs or answers cannot be read.
+    """
+    answers = open_answers(folder)
+    if case not in answers or not answers[case].device or answers[case].suite == "controls":
+        raise ConfigError(f"{folder}: case {case!r} has no device that could move again")
+    device = answers[case].blind_device()
+    commands = [trial.command for trial in read_trials([folder / "cases" / case])]
+    return replace(device, seed=device.seed + _ANOTHER_SESSION).record(commands)
+
+
+def _command(path: Path) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    columns = ("time_s", "command")
+    table = read_table(read_lines(path), str(path))
+    missing = [name for name in columns if name not in table.numbers]
+    if missing:
+        raise LogError(f"{path}: missing columns {', '.join(missing)}, expected time_s, command")
+    t, command = (np.asarray(table.numbers[name], dtype=np.float64) for name in columns)
+    if t.size < 2 or not (np.isfinite(t).all() and np.isfinite(command).all() and np.all(np.diff(t) > 0)):
+        raise LogError(f"{path}: expected two or more finite samples with increasing time")
+    if command.min() < -1e-6 or command.max() > TRAVEL_MM + 1e-6:
+        raise ConfigError(
+            f"{path}: command {command.min():.4g} to {command.max():.4g} mm, expected within 0 to {TRAVEL_MM:g}"
+        )
+    grid = np.arange(round((t[-1] - t[0]) * RATE_HZ) + 1) / RATE_HZ
+    return np.clip(np.interp(grid, t - t[0], command), 0.0, TRAVEL_MM)
+
 
 DIAGNOSIS = "diagnosis.json"
 FAILURE = "failure.txt"
@@ -101,15 +168,17 @@ def run_blind(
 
 def diagnose_job(job: Job) -> tuple[Job, bool]:
     """Make one diagnosis and write it; an error of the diagnosis is written too. Returns whether it worked."""
-    start = time.perf_counter()
-    try:
+
+    def diagnose() -> tuple[dict[str, Any], dict[str, Any]]:
         trials, simulator = read_case(job.folder, job.case)
-        trials += _followed(job)
-        data, beside = _diagnose(trials, simulator, job)
-    except (HystmpcError, ArithmeticError, ValueError, IndexError, KeyError, AttributeError) as error:
-        write_atomically(job.out / FAILURE, f"{type(error).__name__}: {error}\n")
+        return _diagnose(trials + _followed(job), simulator, job)
+
+    made = attempt(diagnose)
+    if made.value is None:
+        write_atomically(job.out / FAILURE, f"{type(made.raised).__name__}: {made.raised}\n")
         return job, False
-    write_atomically(job.out / BESIDE, json.dumps({"seconds": time.perf_counter() - start, **beside}))
+    data, beside = made.value
+    write_atomically(job.out / BESIDE, json.dumps({"seconds": made.seconds, **beside}))
     write_atomically(job.out / DIAGNOSIS, json.dumps(data, indent=1))
     (job.out / FAILURE).unlink(missing_ok=True)
     return job, True
@@ -141,16 +210,25 @@ def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, j
 
 
 def _all(todo: Sequence[Job], processes: int, progress: Progress | None) -> int:
-    rest = [job for job in todo if not (job.out / DIAGNOSIS).is_file()]
-    done, failed = len(todo) - len(rest), 0
-    if progress and todo:
-        progress(done, len(todo), todo[0].kind)
-    where = str(rest[0].folder) if rest else ""
-    for job, worked in backend_for(processes, where=where).results(diagnose_job, rest) if rest else ():
-        done, failed = done + 1, failed + (not worked)
-        if progress:
-            progress(done, len(todo), f"{job.kind} {job.case}{'' if worked else ' failed'}")
-    return failed
+    """Do the jobs without a diagnosis; returns how many failed."""
+    if not todo:
+        return 0
+
+    def is_done(job: Job) -> bool:
+        return (job.out / DIAGNOSIS).is_file()
+
+    if progress:
+        progress(sum(map(is_done, todo)), len(todo), todo[0].kind)
+    done = run_jobs(
+        todo,
+        diagnose_job,
+        backend_for(processes, where=str(todo[0].folder)),
+        is_done=is_done,
+        total=len(todo),
+        progress=progress,
+        note=lambda made: f"{made[0].kind} {made[0].case}{'' if made[1] else ' failed'}",
+    )
+    return sum(not worked for _, worked in done)
 
 
 def _recorded(job: Job) -> bool:

@@ -13,12 +13,24 @@ import numpy as np
 
 from hystmpc.trials.files import write_atomically
 
-from .bars import Bar, alarm, bars, confidently_wrong, covers_perfection
-from .catalogue import LABELS
-from .measures import Calibration, Confusion, Rate, calibration, chance, confusion, rate
+from .bars import (
+    Bar,
+    Calibration,
+    Confusion,
+    Rate,
+    alarm,
+    bars,
+    calibration,
+    chance,
+    confidently_wrong,
+    confusion,
+    covers_perfection,
+    rate,
+)
+from .generators import LABELS
+from .make import RATIOS, SUITES
 from .plan import confusable
-from .scored import Scored, load_scored, of_suites
-from .suites import RATIOS, SUITES
+from .reading import Scored, load_scored, of_suites
 
 FORMAT = "hystmpc-blind-score/1"
 

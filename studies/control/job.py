@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator
+
+from hystmpc.sim.jobs.runner import ResultFiles, Status
+from hystmpc.trials.errors import LogError
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.types import Vec
 
 from .models import backlash_file, companion_file, network_file
 from .plants import PLANTS
 from .rivals import CONTROLLERS, NETWORKS
 from .settings import ControlSettings
 
+FORMAT = "hystmpc-control-job/1"
+SIGNALS = ("time_s", "reference_deg", "true_deg", "command")
+Figure = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 Stage = Literal["fit", "tune", "retune", "run"]
 STAGES: tuple[Stage, ...] = ("fit", "tune", "retune", "run")
 """In this order: every stage needs what the ones before it leave."""
@@ -92,9 +106,7 @@ def fingerprint(job: ControlJob, settings: ControlSettings, folder: Path) -> str
 def needed_files(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[Path, ...]:
     """Files of earlier stages that a job reads."""
     rival, plant = CONTROLLERS[job.subject], PLANTS[job.plant]
-    files: list[Path] = []
-    if rival.model == "backlash" or rival.kind == "pid":
-        files += [backlash_file(folder, plant, job.rate_hz)] if rival.model == "backlash" else []
+    files = [backlash_file(folder, plant, job.rate_hz)] if rival.model == "backlash" else []
     if rival.model in NETWORKS:
         files += [companion_file(folder, plant), network_file(folder, plant, rival.model)]
     if rival.tuned and job.stage == "run":
@@ -120,3 +132,62 @@ def _design(job: ControlJob) -> dict[str, object]:
     if job.stage != "fit":
         facts["controller"] = CONTROLLERS[job.subject].settings(1 / job.rate_hz, 0)
     return facts
+
+
+@dataclass(frozen=True)
+class ControlResult:
+    """What became of one job.
+
+    Attributes:
+        job: what was asked.
+        fingerprint: of all that the result depends on.
+        status: `failed` if anything raised.
+        message: the error of a failed job, else one line on how it went.
+        seconds: wall time of the job.
+        figures: of a run, see `control_figures`; of a search its error; NaN where there is none.
+        ladder: of a run, samples by source of the command.
+    """
+
+    job: ControlJob
+    fingerprint: str
+    status: Status
+    message: str
+    seconds: float
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+    ladder: Mapping[str, int] = field(default_factory=dict)
+
+
+def result_files(folder: Path) -> ResultFiles[ControlResult]:
+    """Results of the benchmark's folder; a figure that is not there is null."""
+    return ResultFiles(folder, ControlResult, FORMAT, _plain)
+
+
+def _plain(result: ControlResult) -> dict[str, Any]:
+    return asdict(result) | {"figures": {k: v if math.isfinite(v) else None for k, v in result.figures.items()}}
+
+
+def signals_file(folder: Path, job: ControlJob) -> Path:
+    """File of a run's signals."""
+    return folder / "runs" / f"{job.key}.npz"
+
+
+def save_signals(folder: Path, job: ControlJob, signals: Mapping[str, Vec]) -> Path:
+    """Write the signals (N,) of a run in single precision, enough for figures."""
+    out = io.BytesIO()
+    time_s, reference, true, command = (np.asarray(signals[name], dtype=np.float32) for name in SIGNALS)
+    np.savez_compressed(out, time_s=time_s, reference_deg=reference, true_deg=true, command=command)
+    return write_atomically(signals_file(folder, job), out.getvalue())
+
+
+def load_signals(folder: Path, job: ControlJob) -> dict[str, Vec]:
+    """The signals (N,) of a run.
+
+    Raises:
+        LogError: if they are gone or damaged.
+    """
+    path = signals_file(folder, job)
+    try:
+        with np.load(path) as stored:
+            return {name: stored[name].astype(np.float64) for name in SIGNALS}
+    except (OSError, ValueError, KeyError) as error:
+        raise LogError(f"{path}: no signals of a run ({error}); remove its result to have it done again") from None

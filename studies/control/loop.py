@@ -7,32 +7,112 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 
+from hystmpc.ctrl.command import Command
 from hystmpc.ctrl.config import InversePidControllerSettings, PidControllerSettings, PidSettings
+from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.protocols import Controller
 from hystmpc.models.lstm.initial import initialisation_flexure
+from hystmpc.models.model import Array, Predictor
 from hystmpc.models.simulator import save_simulator
 from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.config import SimulationConfig, TuningSettings
-from hystmpc.sim.plant import Effects
+from hystmpc.sim.plant import ComputedPlant, Effects
 from hystmpc.sim.study import Study, prepare
 from hystmpc.sim.tune_pid import tuned_gains
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.types import Vec
 
-from .job import ControlJob, gains_file
-from .metrics import control_figures
+from .bars import control_figures
+from .job import ControlJob, gains_file, save_signals
 from .models import backlash_file, companion_file, network_file
-from .motions import motion
-from .oracle import RestedPredictor
 from .plants import PLANTS, Plant, half_width
-from .rehearsal import RehearsedController, watched_flexure
-from .result import save_signals
 from .rivals import CONTROLLERS, NETWORKS, Rival
-from .settings import ControlSettings
+from .settings import ControlSettings, motion
+
+
+@final
+class RestedPredictor(Predictor):
+    """A predictor whose state at the start is that after some commands, instead of that of a rule.
+
+    The rule of a model puts all plays where they show the measured angle; which of them is where is known only to
+    whoever knows the commands before.
+
+    Args:
+        predictor: the model.
+        before: commands (T,) that the device got before the first sample, the last of them its rest.
+    """
+
+    def __init__(self, predictor: Predictor, before: Array) -> None:
+        self.dt, self.command_range = predictor.dt, predictor.command_range
+        self._predictor, self._before = predictor, before
+
+    def initial(self, y: float, u: float) -> Array:
+        state = self._predictor.initial(y, u)
+        for command in self._before:
+            _, state = self._predictor.advance(state, float(command))
+        return state
+
+    def advance(self, state: Array, u: float) -> tuple[float, Array]:
+        return self._predictor.advance(state, u)
+
+    def rollout(self, state: Array, plans: Array) -> Array:
+        return self._predictor.rollout(state, plans)
+
+    def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
+        return self._predictor.linearise(state, plan)
+
+
+State = GuardedState[Any]
+
+
+def watched_flexure(plant: ComputedPlant, seed: int) -> tuple[Vec, Vec]:
+    """Commands sent and angles measured when each was sent, over one initialisation flexure and its rest.
+
+    The device is flexed from the rest that `reset` leaves, and comes back to it: what was before is wiped out.
+
+    Args:
+        plant: the device; it is left as it is.
+        seed: of the sensor noise, which must not be that of the run.
+    """
+    device = plant.reseeded(seed)
+    commands = initialisation_flexure(device.command_limits, device.dt, warmup_samples=1)
+    angles = [device.reset()]
+    angles += [device.apply(float(u)) for u in commands]
+    return commands, np.array(angles[:-1])
+
+
+@final
+class RehearsedController(Controller[State]):
+    """A controller that starts from a recording instead of a single measurement.
+
+    Args:
+        controller: what decides.
+        commands, angles: see `GuardedController.replay`.
+    """
+
+    def __init__(self, controller: GuardedController[Any], commands: Vec, angles: Vec) -> None:
+        self._controller, self._commands, self._angles = controller, commands, angles
+
+    @property
+    def dt(self) -> float:
+        return self._controller.dt
+
+    @property
+    def horizon(self) -> int:
+        return self._controller.horizon
+
+    def init(self, y: float, u: float) -> State:
+        del u  # the recording ends with it
+        return replace(self._controller.replay(self._commands, self._angles), due=y)
+
+    def step(self, state: State, y: float, reference: Vec) -> tuple[Command, State]:
+        return self._controller.step(state, y, reference)
+
 
 _WHOLE = 1e-9
 _REHEARSAL = 1000

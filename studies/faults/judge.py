@@ -16,9 +16,8 @@ from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.presets import CANONICAL
 from hystmpc.trials.run_folder import RunFolder
 
-from .cases import Case, Ending
+from .cases import IN_FLIGHT_S, LOWER, OVERSHOOT, RATE_HZ, RATE_PER_S, SAFE, UPPER, Case, Ending
 from .play import Played, device_log
-from .setup import IN_FLIGHT_S, LOWER, OVERSHOOT, RATE_HZ, RATE_PER_S, SAFE, UPPER
 
 _CLOSE = 1e-6
 _REFUSED, _STOPPED = 2, 3

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece
 
 from ..tables import NOTHING, Cell, StudyTable
-from .outcome import Outcome, title_of
 from .printed import MARKS
+from .result import Outcome, title_of
 from .settings import StudySettings
 
 SOURCES = {

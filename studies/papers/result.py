@@ -1,21 +1,23 @@
-"""What a job found, as a file that a study goes on from."""
+"""Results of a study's jobs, one by one as files and all together for its report."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from hystmpc.models.evaluate import Errors
-from hystmpc.trials.errors import LogError
-from hystmpc.trials.files import write_atomically
+from hystmpc.models.contract.load import OnnxModel, load_onnx
+from hystmpc.models.evaluate import Errors, TrialEvaluation, evaluate
+from hystmpc.models.kinds.catalogue import kind_named
+from hystmpc.sim.jobs.runner import ResultFiles, Status
+from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .job import Job
+from .job import Job, Splits
+from .settings import StudySettings
 
 FORMAT = "hystmpc-study-job/1"
 
@@ -55,7 +57,7 @@ class JobResult:
 
     job: Job
     fingerprint: str
-    status: Literal["done", "failed"]
+    status: Status
     message: str
     seconds: float
     samples: int
@@ -71,9 +73,9 @@ class JobResult:
         return np.array([getattr(score.errors, name) for split in splits for score in self.of_split(split)])
 
 
-def result_path(folder: Path, job: Job) -> Path:
-    """File of a job's result."""
-    return folder / "results" / f"{job.key}.json"
+def result_files(folder: Path) -> ResultFiles[JobResult]:
+    """Results of a study's folder."""
+    return ResultFiles(folder, JobResult, FORMAT)
 
 
 def model_file(folder: Path, job: Job) -> Path:
@@ -81,35 +83,74 @@ def model_file(folder: Path, job: Job) -> Path:
     return folder / "models" / f"{job.key}.onnx"
 
 
-def save_result(folder: Path, result: JobResult) -> Path:
-    """Write a result, whole or not at all."""
-    return write_atomically(
-        result_path(folder, result.job), json.dumps({"format": FORMAT} | asdict(result), indent=1) + "\n"
-    )
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A study with the results of all its jobs.
 
-
-def load_result(folder: Path, job: Job) -> JobResult | None:
-    """The result of a job, None where there is none yet.
-
-    Raises:
-        LogError: if the file is not a result.
+    Attributes:
+        settings: of the study.
+        splits: its trials.
+        results: in the order of its jobs.
+        folder: where models and results lie.
+        meta: of the run folder.
     """
-    path = result_path(folder, job)
-    if not path.exists():
-        return None
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        if data.pop("format") != FORMAT:
-            raise LogError(f"{path}: not of the format {FORMAT}; remove it to have the job done again")
-        return _result(data)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise LogError(f"{path}: not a result of a study ({error}); remove it to have the job done again") from None
+
+    settings: StudySettings
+    splits: Splits
+    results: tuple[JobResult, ...]
+    folder: Path
+    meta: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def done(self) -> tuple[JobResult, ...]:
+        """Results that hold scores."""
+        return tuple(result for result in self.results if result.status == "done")
+
+    @property
+    def failed(self) -> tuple[JobResult, ...]:
+        """Results that hold an error."""
+        return tuple(result for result in self.results if result.status == "failed")
+
+    @property
+    def presets(self) -> tuple[str, ...]:
+        """Presets that models were trained with, in order."""
+        return tuple(dict.fromkeys(result.job.preset for result in self.results))
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of model with any result, in the order of the settings."""
+        here = {result.job.kind for result in self.done}
+        return (*(k for k in self.settings.kinds if k in here), *sorted(here - set(self.settings.kinds)))
+
+    def matching(self, **wanted: object) -> tuple[JobResult, ...]:
+        """Done jobs whose settings are these, such as `kind="lstm", direction="forward"`."""
+        return tuple(r for r in self.done if all(getattr(r.job, name) == value for name, value in wanted.items()))
+
+    def better(self, splits: Sequence[str], **wanted: object) -> JobResult | None:
+        """Of the matching jobs, which differ in beta, the one with the lowest mean RMSE over the trials of some splits.
+
+        This is the paper's rule ("the model with lowest error is reported"): it chooses by test trials.
+        """
+        found = [result for result in self.matching(**wanted) if result.figures("rmse_deg", splits).size]
+        return min(found, key=lambda r: float(np.mean(r.figures("rmse_deg", splits))), default=None)
+
+    def model(self, job: Job) -> OnnxModel:
+        """The model that a job left.
+
+        Raises:
+            ModelError: if it is gone or damaged.
+        """
+        return load_onnx(model_file(self.folder, job))
+
+    def free_run(self, job: Job, trial: Trial) -> TrialEvaluation:
+        """Free run of a job's model over a trial, swapped by itself for an inverse map.
+
+        Raises:
+            ModelError: if the model is gone or damaged.
+        """
+        return evaluate(self.model(job), trial)
 
 
-def _result(data: dict[str, Any]) -> JobResult:
-    scores = tuple(
-        Score(s["split"], s["trial"], Errors(**s["errors"]), Errors(**s["later"]) if s["later"] else None)
-        for s in data.pop("scores")
-    )
-    history = tuple((int(step), float(error)) for step, error in data.pop("history"))
-    return JobResult(job=Job(**data.pop("job")), history=history, scores=scores, **data)
+def title_of(kind: str) -> str:
+    """A kind's name in tables."""
+    return kind_named(kind).title

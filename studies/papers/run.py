@@ -1,32 +1,27 @@
-"""A whole study: trials, jobs, report; in a run folder that it goes on from."""
+"""A whole study: trials, jobs, report; in a run folder that the same command goes on from."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from hystmpc.trials.config import dump_yaml
-from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.files import write_atomically
+from hystmpc.sim.jobs.backend import backend_for
+from hystmpc.sim.jobs.runner import resumed_folder, wall_minutes
 from hystmpc.trials.html import Report
 from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.types import Progress
 
-from ..control.settings import ControlSettings
-from ..tables import StudyTable
-from .datasets import study_splits
-from .estimate import estimated_seconds, wall_minutes
-from .job import Splits, Task
-from .outcome import Outcome
-from .pool import kept_results, run_jobs
-from .real_plan import real_tasks
-from .real_report import real_report
-from .s1_plan import s1_tasks
-from .s1_report import s1_report
+from ..tables import StudyTable, other_study
+from .job import Splits, Task, study_splits
+from .real import real_report, real_tasks
+from .result import Outcome, result_files
+from .s1 import s1_report, s1_tasks
 from .s2_plan import s2_tasks
 from .s2_report import s2_report
 from .settings import StudySettings
-from .tally import Progress
+from .worker import do_job, estimated_seconds
 
 _PLANS: dict[str, Callable[[StudySettings, Splits], tuple[Task, ...]]] = {
     "s1": s1_tasks,
@@ -76,9 +71,11 @@ def prepare(settings: StudySettings, out: Path | str) -> Study:
     """
     splits = study_splits(settings)
     tasks = _PLANS[settings.study](settings, splits)
-    folder = study_folder(Path(out), settings)
-    kept = kept_results(tasks, folder.path)
-    costs = estimated_seconds([task for task in tasks if task.job.key not in kept], timed=not settings.quick)
+    folder = resumed_folder(
+        Path(out), settings.model_dump(mode="json"), settings.seed, partial(other_study, settings.study)
+    )
+    kept = result_files(folder.path).kept(tasks, lambda task: task.fingerprint)
+    costs = estimated_seconds([task for task in tasks if task.key not in kept], timed=not settings.quick)
     return Study(settings, splits, tasks, folder, costs)
 
 
@@ -87,37 +84,27 @@ def run_study(study: Study, workers: int = 1, progress: Progress | None = None) 
 
     Args:
         study: made by `prepare`.
-        workers: processes.
-        progress: see `run_jobs`.
+        workers: processes, each on one thread; with 1 the jobs run in this process.
+        progress: see `ResultFiles.complete`.
 
     Raises:
-        ConfigError: if a worker process died.
+        ConfigError: if worker processes died again and again.
         LogError: if a result's file is damaged.
         ModelError: if a model's file is gone or damaged.
         KeyboardInterrupt: if the user ended it; finished jobs are kept, the report is not written.
     """
-    results = run_jobs(study.tasks, study.folder.path, workers, study.costs, progress)
-    outcome = Outcome(study.settings, study.splits, results, study.folder.path, study.folder.meta)
+    folder = study.folder.path
+    results = result_files(folder).complete(
+        [study.tasks],
+        partial(do_job, folder=folder),
+        lambda task: task.fingerprint,
+        backend_for(workers, where=str(folder)),
+        study.costs,
+        progress,
+    )
+    outcome = Outcome(study.settings, study.splits, results, folder, study.folder.meta)
     page, tables = _REPORTS[study.settings.study](outcome)
     for table in tables:
-        table.save(study.folder.path)
+        table.save(folder)
     study.folder.write_report(page.html())
     return outcome
-
-
-def study_folder(path: Path, settings: StudySettings | ControlSettings) -> RunFolder:
-    """A new run folder, or the one that this study left.
-
-    Raises:
-        ConfigError: if the folder holds something else.
-    """
-    plain = settings.model_dump(mode="json")
-    if not (path / "meta.json").exists():
-        return RunFolder.create(path, plain, seed=settings.seed)
-    folder = RunFolder.open(path)
-    before = folder.config()
-    study = before.get("study") if isinstance(before, dict) else None
-    if study != settings.study:
-        raise ConfigError(f"{path}: holds a run of {study or 'something else'}, expected one of study {settings.study}")
-    write_atomically(path / "config.yaml", dump_yaml(plain))
-    return folder

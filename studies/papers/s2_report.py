@@ -11,15 +11,28 @@ from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report
 
 from ..tables import StudyTable
 from .common import jobs_pieces, jobs_table, set_up
-from .outcome import Outcome
 from .printed import S2_FNN_BIAS_DEG
-from .s2_device_figures import hysteresis_figure, tip_mapping, tip_mapping_figure
-from .s2_error_tables import errors_table, long_table, order_table, relative_table, trials_table
-from .s2_figures import errors_figure, example_figure, training_motion_figure
-from .s2_plan import MOTIONS, split_tested_on
-from .s2_test_tables import symbols_table, wilcoxon_table
-from .s2_training_tables import cross_table, window_table
-from .s2_views import BASELINE, MOTION_NAMES, Matched, matched
+from .result import Outcome
+from .s2_figures import (
+    errors_figure,
+    example_figure,
+    hysteresis_figure,
+    tip_mapping,
+    tip_mapping_figure,
+    training_motion_figure,
+)
+from .s2_plan import BASELINE, MOTION_NAMES, MOTIONS, Matched, matched, split_tested_on
+from .s2_tables import (
+    cross_table,
+    errors_table,
+    long_table,
+    order_table,
+    relative_table,
+    symbols_table,
+    trials_table,
+    wilcoxon_table,
+    window_table,
+)
 
 _FIGURE_9 = ("fnn", "hb2", "fnn_hib")
 

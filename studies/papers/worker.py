@@ -1,49 +1,93 @@
-"""Doing one job: train, export, score. Pure but for the model file; runs in a process of its own."""
+"""One job of a study: expected time, training, export and scores; runs in a process of its own."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.evaluate import evaluate
+from hystmpc.models.fit.network_bundle import network_bundle
+from hystmpc.models.fit.network_settings import NetworkSettings
+from hystmpc.models.fit.networks import fit_network
 from hystmpc.models.kinds.catalogue import kind_named
-from hystmpc.models.kinds.kind import Identified
-from hystmpc.trials.errors import HystmpcError, LogError
+from hystmpc.models.kinds.kind import FitRequest, Identified
+from hystmpc.models.kinds.network_fit import network_settings
+from hystmpc.models.networks.settings import FeedForwardSettings
+from hystmpc.sim.jobs.runner import attempt
+from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.trial import Trial
 
 from .job import Task
-from .result import JobResult, Score, model_file
-from .window_fit import fit_with_window
+from .result import JobResult, Score, model_file, result_files
+
+WINDOWS = {"lstm": (2, 10, 20, 30, 40, 50, 100), "fnn_hib": (1, 2, 10, 20, 30, 40, 50, 100)}
+"""Lengths that the code of S2 compares [samples]: of a training window, and of a history buffer."""
 
 
-def run_job(task: Task, folder: Path) -> JobResult:
-    """Train, export into `folder`/models and score on every test trial; an error becomes a failed result.
+_FIXED_S = 3.0  # to load libraries, to export and to compare
+_OPERATOR_S_PER_SAMPLE = 5e-4  # least squares on free runs
+_SCORING_S_PER_SAMPLE = 8e-5  # a step of a model file by onnxruntime
+
+
+def fit_with_window(kind: str, trials: Sequence[Trial], request: FitRequest, window: int) -> Identified:
+    """Identify with training windows (recurrent networks) or a history buffer (FNN-HIB) of `window` samples.
+
+    Raises:
+        FitError: for a kind that has neither, or as its `fit` raises.
+    """
+    if kind not in WINDOWS:
+        raise FitError(f"{kind}: got a window of {window} samples, the window study knows {', '.join(WINDOWS)}")
+    settings = windowed(network_settings(kind, request), window)
+    found = fit_network(trials, settings, None, request.validation)
+    history = tuple((look.step, look.validation_rmse_deg) for look in found.history)
+    report = f"weights of step {found.best_step} of {settings.steps}, {window} samples"
+    return Identified(network_bundle(found, trials, request.limits), None, history, report, found.interrupted)
+
+
+def windowed(settings: NetworkSettings, window: int) -> NetworkSettings:
+    """The settings with a history buffer of another length for a feed-forward network, else with other windows.
+
+    Raises:
+        ConfigError: if the length is not possible.
+    """
+    data = settings.model_dump()
+    if isinstance(settings.network, FeedForwardSettings):
+        data["network"]["history"] = window
+    else:
+        data["training"]["length"] = window
+    return NetworkSettings.parse(data, f"window of {window} samples")
+
+
+def do_job(task: Task, folder: Path) -> JobResult:
+    """Train, export into `folder`/models, score on every test trial and write the result; an error is a result too.
 
     Raises:
         KeyboardInterrupt: if the user ended it; a model that was cut short is no result.
     """
-    start = time.perf_counter()
-    job = task.job
-    try:
-        found = _identified(task)
-        if found.interrupted:
-            raise KeyboardInterrupt
-        path = model_file(folder, job)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        export_onnx(found.bundle, path)
-        scores = tuple(_scores(load_onnx(path), task))
-    except HystmpcError as error:
-        return _failed(task, str(error), start)
-    except Exception as error:  # noqa: BLE001  # one model's defect must not cost the others hours of training
-        return _failed(task, f"{type(error).__name__}: {error}", start)
-    history = tuple((int(step), float(error)) for step, error in found.history if math.isfinite(error))
-    seconds = time.perf_counter() - start
-    return JobResult(job, task.fingerprint, "done", found.report, seconds, task.samples, history, scores)
+    made = attempt(lambda: _trained(task, folder))
+    about = {"job": task.job, "fingerprint": task.fingerprint, "seconds": made.seconds, "samples": task.samples}
+    if made.value is None:
+        result = JobResult(status="failed", message=made.error, **about)
+    else:
+        found, scores = made.value
+        history = tuple((int(step), float(error)) for step, error in found.history if math.isfinite(error))
+        result = JobResult(status="done", message=found.report, history=history, scores=scores, **about)
+    result_files(folder).save(result)
+    return result
+
+
+def _trained(task: Task, folder: Path) -> tuple[Identified, tuple[Score, ...]]:
+    found = _identified(task)
+    if found.interrupted:
+        raise KeyboardInterrupt
+    path = model_file(folder, task.job)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    export_onnx(found.bundle, path)
+    return found, tuple(_scores(load_onnx(path), task))
 
 
 def _identified(task: Task) -> Identified:
@@ -72,6 +116,39 @@ def _scores(model: OnnxModel, task: Task) -> Iterable[Score]:
             yield Score(split, trial.source, evaluate(model, trial).errors, later)
 
 
-def _failed(task: Task, message: str, start: float) -> JobResult:
-    line = " ".join(message.split())
-    return JobResult(task.job, task.fingerprint, "failed", line, time.perf_counter() - start, task.samples)
+def estimated_seconds(tasks: Sequence[Task], timed: bool = True) -> dict[str, float]:
+    """Processor time by key of the job that each is expected to take on this machine as it is loaded now [s].
+
+    Jobs of one kind, preset and constancy term on about as many samples are timed once.
+
+    Args:
+        tasks: of a study.
+        timed: False to go by the samples alone, without timing anything.
+    """
+    seconds: dict[tuple[object, ...], float | None] = {}
+    found = {}
+    for task in tasks:
+        job = task.job
+        size = round(2 * math.log2(max(task.samples, 1)))  # half octaves
+        group = job.kind, job.preset, job.steps, job.window, bool(job.constancy), size
+        if timed and group not in seconds:
+            seconds[group] = _training_seconds(task)
+        training = seconds.get(group)
+        found[job.key] = _FIXED_S + _scoring_seconds(task)
+        found[job.key] += _OPERATOR_S_PER_SAMPLE * task.samples if training is None else training
+    return found
+
+
+def _training_seconds(task: Task) -> float | None:
+    job = task.job
+    trials = directed(task.training, job.direction)
+    request = replace(job.request, validation=directed(task.validation, job.direction))
+    try:
+        return kind_named(job.kind).estimate(trials, request)
+    except FitError:  # the job itself will say what is wrong
+        return None
+
+
+def _scoring_seconds(task: Task) -> float:
+    samples = sum(len(trial) for trials in task.tests.values() for trial in trials)
+    return _SCORING_S_PER_SAMPLE * samples * (2 if task.job.skip_first_flexure else 1)

@@ -10,17 +10,15 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from hystmpc.trials.types import Progress
+
+from .controllers import linearised_rows, program_rows, sampling_rows
 from .growth import GROWTHS
 from .kernels import kernel_rows
-from .linearised import linearised_rows
-from .programs import program_rows
 from .report import Growth, Report, Row
-from .sampling import sampling_rows
-from .settings import BenchSettings
 from .subjects import lstm_subject, operator_subjects
-from .timing import Clock, thread_limit
+from .timing import BenchSettings, Clock, thread_limit
 
-Progress = Callable[[float, str, float], None]  # rounds done, what is being measured, rounds in all
 _PACKAGES = ("numpy", "numba", "casadi", "osqp", "onnxruntime", "daqp", "torch", "pytorch-mppi")
 _SECTIONS = 8 + len(GROWTHS)
 
@@ -41,7 +39,7 @@ def run_bench(settings: BenchSettings, progress: Progress | None = None) -> Repo
         nonlocal done
         done += rounds
         if progress is not None:
-            progress(done, title, _SECTIONS * settings.effort.rounds)
+            progress(done, _SECTIONS * settings.effort.rounds, title)
 
     clock, surroundings = Clock(settings.effort, show), machine()
     try:

@@ -125,7 +125,7 @@ def test_an_unknown_built_in_model_is_told_with_its_line(tmp_path: Path, capsys:
 def test_a_cluster_that_does_not_answer_leaves_nothing_behind(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    dask_ = pytest.importorskip("hystmpc.sim.parallel.dask_", reason="dask is an extra")
+    dask_ = pytest.importorskip("hystmpc.sim.jobs.dask_", reason="dask is an extra")
     pytest.importorskip("optuna", reason="optuna is an extra")
     monkeypatch.setattr(dask_, "_TIMEOUT_S", 0.5)
     folder, search = tmp_path / "x", {"base": BASE, "draw": SWEEP["draw"]}

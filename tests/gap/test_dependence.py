@@ -18,12 +18,10 @@ from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.procedure import conclude, investigate
 from hystmpc.gap.report.evidence import Evidence
 from hystmpc.models.simulator import Residual
-from hystmpc.studies.blind.catalogue import GENERATORS
-from hystmpc.studies.blind.cores import CapstanCore, DahlCore
+from hystmpc.studies.blind.cores import RATE_HZ, CapstanCore, DahlCore
 from hystmpc.studies.blind.device import BlindDevice
-from hystmpc.studies.blind.generator import Generator, Withheld
+from hystmpc.studies.blind.generators import GENERATORS, Generator, Withheld
 from hystmpc.studies.blind.plan import RICH
-from hystmpc.studies.blind.scene import RATE_HZ
 from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.resample import resample

@@ -18,11 +18,9 @@ import pytest
 from hystmpc.cli.main import main
 from hystmpc.rig.recording import RecordingMeta, open_apart
 from hystmpc.rig.recording.apart import Views
-from hystmpc.studies.faults.cases import CASES
+from hystmpc.studies.faults.cases import CASES, Kind, Link, write_device, write_run
 from hystmpc.studies.faults.judge import judge
-from hystmpc.studies.faults.play import device_log, play
-from hystmpc.studies.faults.processes import PROGRAM, end, start, start_device
-from hystmpc.studies.faults.setup import Kind, Link, write_device, write_run
+from hystmpc.studies.faults.play import PROGRAM, device_log, end, play, start, start_device
 from hystmpc.trials.csv_ import read_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hystmpc.studies.faults.cases import OVERSHOOT
 from hystmpc.studies.faults.judge import rise
-from hystmpc.studies.faults.setup import OVERSHOOT
 
 from ..conftest import ROOT
 from ..scripts import script

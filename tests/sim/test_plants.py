@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 
 from hystmpc.cli.device import make_plant as bench_plant
 from hystmpc.models.contract.metadata import Range
-from hystmpc.sim.computed_plant import ComputedPlant
 from hystmpc.sim.config import PlantSettings, SimulationConfig, load_simulation
 from hystmpc.sim.devices.names import DEVICES, parameter_lines
+from hystmpc.sim.plant import ComputedPlant
 from hystmpc.sim.plants import make_plant
 from hystmpc.sim.study import prepare
 from hystmpc.sim.sweep.plan import Plan
 from hystmpc.sim.sweep.settings import SweepSettings
 from hystmpc.sim.sweep.worker import run_row
-from hystmpc.sim.tuning.spaces import default_draws
+from hystmpc.sim.tuning.settings import default_draws
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError
 

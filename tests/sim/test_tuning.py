@@ -16,12 +16,18 @@ from hypothesis import strategies as st
 from hystmpc.ctrl.config import CONTROLLERS, parse_controller
 from hystmpc.sim.compare import compare
 from hystmpc.sim.config import load_simulation
-from hystmpc.sim.parallel.backend import InTurn
-from hystmpc.sim.parallel.processes import Processes
+from hystmpc.sim.jobs.backend import InTurn, Processes
 from hystmpc.sim.study import prepare
-from hystmpc.sim.tuning.objective import PlantScore, needed_travel, plant_config, plant_cost, robust
+from hystmpc.sim.tuning.objective import (
+    PlantScore,
+    Trial,
+    needed_travel,
+    pareto_front,
+    plant_config,
+    plant_cost,
+    robust,
+)
 from hystmpc.sim.tuning.run import Tuning, run_tuning, search
-from hystmpc.sim.tuning.search import Trial, pareto_front
 from hystmpc.sim.tuning.settings import ObjectiveSettings, TuneSettings, complete, load_tuning
 from hystmpc.trials.config import dump_yaml, read_yaml
 from hystmpc.trials.errors import ConfigError

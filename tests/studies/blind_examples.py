@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hystmpc.studies.blind.answer import Answer, EffectAnswer, Suite
-from hystmpc.studies.blind.catalogue import LABELS
-from hystmpc.studies.blind.reading import Reading
-from hystmpc.studies.blind.scored import Scored
+from hystmpc.studies.blind.generators import LABELS
+from hystmpc.studies.blind.reading import Reading, Scored
+from hystmpc.studies.blind.sealed import Answer, EffectAnswer, Suite
 
 
 def answer(

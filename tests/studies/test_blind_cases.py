@@ -8,18 +8,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.studies.blind.catalogue import GENERATORS, LABELS, generator_named
-from hystmpc.studies.blind.generator import Withheld
+from hystmpc.studies.blind.cases import sized
+from hystmpc.studies.blind.generators import GENERATORS, LABELS, Withheld, generator_named
 from hystmpc.studies.blind.injection import INJECTIONS, Injection, injection_case
-from hystmpc.studies.blind.make import make_blind
+from hystmpc.studies.blind.make import SUITES, make_blind, make_case, places
 from hystmpc.studies.blind.plan import POOR, draw_plan
-from hystmpc.studies.blind.record import record_motion
-from hystmpc.studies.blind.regions import REGIONS, densities, region_of
+from hystmpc.studies.blind.reading import load_scored
 from hystmpc.studies.blind.retuning import retune, rms
-from hystmpc.studies.blind.scored import load_scored
-from hystmpc.studies.blind.sealed import ANSWERS, MANIFEST, open_answers, read_case, read_manifest
-from hystmpc.studies.blind.sizing import sized
-from hystmpc.studies.blind.suites import SUITES, make_case, places
+from hystmpc.studies.blind.run import record_motion
+from hystmpc.studies.blind.sealed import (
+    ANSWERS,
+    MANIFEST,
+    REGIONS,
+    densities,
+    open_answers,
+    read_case,
+    read_manifest,
+    region_of,
+)
 from hystmpc.trials.csv_ import read_csv, read_trials
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.resample import resample

@@ -12,7 +12,7 @@ from hystmpc.gap.recording import Run, runs_of
 from hystmpc.gap.select import Selection, SelectionSettings, select
 from hystmpc.models.chain import Chain
 from hystmpc.models.operators.lag import Lag
-from hystmpc.studies.blind.fit_rules import bic_choice, effective_samples, fit_rules
+from hystmpc.studies.blind.rules import bic_choice, effective_samples, fit_rules
 
 from ..gap.engine_examples import BASELINES, CANDIDATES, moves, trials_of
 from ..models.zoo import BACKLASH

@@ -13,17 +13,22 @@ from hypothesis import strategies as st
 
 import hystmpc.studies.blind
 from hystmpc.studies.blind import kernels
-from hystmpc.studies.blind.catalogue import GENERATORS, LABELS, UNKNOWN, generator_named, generators_of
-from hystmpc.studies.blind.core import TRAVEL_MM, Core, Mounting
-from hystmpc.studies.blind.cores import CapstanCore, DahlCore
-from hystmpc.studies.blind.device import BlindDevice, lasts_s
-from hystmpc.studies.blind.devices import DEVICES, core_of
-from hystmpc.studies.blind.drive_effects import jittered_delay, log_relaxation, servo
-from hystmpc.studies.blind.generator import Generator, Withheld
+from hystmpc.studies.blind.cores import FINE_S, TRAVEL_MM, CapstanCore, Core, DahlCore, Mounting, RodCore, Scene
+from hystmpc.studies.blind.device import DEVICES, BlindDevice, core_of, lasts_s
+from hystmpc.studies.blind.generators import (
+    GENERATORS,
+    LABELS,
+    UNKNOWN,
+    Generator,
+    Withheld,
+    generator_named,
+    generators_of,
+    jittered_delay,
+    log_relaxation,
+    lugre_tip,
+    servo,
+)
 from hystmpc.studies.blind.motions import RAMP_HOLD, SINE, STEPS, TRIANGLES
-from hystmpc.studies.blind.rod_core import RodCore
-from hystmpc.studies.blind.scene import FINE_S, Scene
-from hystmpc.studies.blind.tip_effects import lugre_tip
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 

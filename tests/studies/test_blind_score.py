@@ -10,14 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.studies.blind.bars import bars, true_share
-from hystmpc.studies.blind.catalogue import LABELS
-from hystmpc.studies.blind.measures import Rate, calibration, chance, confusion, overlap
+from hystmpc.studies.blind.bars import Rate, bars, calibration, chance, confusion, overlap, true_share
+from hystmpc.studies.blind.generators import LABELS
 from hystmpc.studies.blind.plan import confusable
-from hystmpc.studies.blind.reading import Reading, reading_of
+from hystmpc.studies.blind.reading import Reading, Scored, reading_of
 from hystmpc.studies.blind.report import blind_report
 from hystmpc.studies.blind.score import score_json, score_of
-from hystmpc.studies.blind.scored import Scored
 
 from .blind_examples import all_answers, always, answer, named, perfect
 

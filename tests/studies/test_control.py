@@ -12,16 +12,19 @@ import pytest
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.sim.closed_loop import ClosedLoopRun
-from hystmpc.studies.control.bars import BARS, Verdict, verdicts
-from hystmpc.studies.control.job import ControlJob, control_jobs, fingerprint, gains_file
-from hystmpc.studies.control.metrics import control_figures, limit_cycle
-from hystmpc.studies.control.motions import MOTIONS, motion
-from hystmpc.studies.control.outcome import ControlOutcome, exact
+from hystmpc.studies.control.bars import BARS, ControlOutcome, Verdict, control_figures, exact, limit_cycle, verdicts
+from hystmpc.studies.control.job import (
+    ControlJob,
+    ControlResult,
+    control_jobs,
+    fingerprint,
+    gains_file,
+    result_files,
+)
 from hystmpc.studies.control.plants import MISMATCH, PLANTS, half_width
-from hystmpc.studies.control.result import ControlResult, load, result_file, save
+from hystmpc.studies.control.report import bars_table, loop_table
 from hystmpc.studies.control.rivals import CONTROLLERS
-from hystmpc.studies.control.settings import ControlSettings
-from hystmpc.studies.control.tables import bars_table, loop_table
+from hystmpc.studies.control.settings import MOTIONS, ControlSettings, motion
 from hystmpc.trajectories.config import parse_motion
 from hystmpc.trials.errors import ConfigError, LogError
 
@@ -221,14 +224,15 @@ def test_a_table_says_nothing_where_there_is_nothing() -> None:
 
 def test_results_survive_their_file_and_damage_is_told(tmp_path: Path) -> None:
     run = replace(result("pi", "pid", hold_error_deg=math.nan), ladder={"controller": 3})
-    save(tmp_path, run)
-    again = load(tmp_path, run.job)
+    files = result_files(tmp_path)
+    files.save(run)
+    again = files.load(run.job)
     assert again is not None
     assert math.isnan(again.figures["hold_error_deg"])
     assert replace(again, figures={}) == replace(run, figures={})
-    result_file(tmp_path, run.job).write_text("{}")
+    files.path(run.job).write_text("{}")
     with pytest.raises(LogError, match="remove it"):
-        load(tmp_path, run.job)
+        files.load(run.job)
 
 
 def test_jobs_come_in_stages_and_networks_only_at_their_rate() -> None:

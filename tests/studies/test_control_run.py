@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from hystmpc.studies.control.outcome import ControlOutcome
+from hystmpc.studies.control.bars import ControlOutcome
+from hystmpc.studies.control.report import runs_table
 from hystmpc.studies.control.run import prepare_control, run_control
 from hystmpc.studies.control.settings import ControlSettings
-from hystmpc.studies.control.tables import runs_table
-from hystmpc.studies.papers.tally import Tally
 from hystmpc.trials.errors import ConfigError
 
 pytestmark = pytest.mark.slow
@@ -50,15 +49,15 @@ def test_a_second_call_does_nothing_again(whole: tuple[Path, ControlOutcome]) ->
     folder, outcome = whole
     study = prepare_control(SETTINGS, folder)
     assert study.open == frozenset()
-    seen: list[Tally] = []
-    again = run_control(study, progress=seen.append)
-    assert [(tally.done, tally.total) for tally in seen] == [(3, 3)]
+    seen: list[str] = []
+    again = run_control(study, progress=lambda done, total, note="": seen.append(note))
+    assert seen == ["3 of 3 jobs "]
     assert again.results == outcome.results
 
 
 def test_an_interrupted_one_goes_on_to_the_same_figures(whole: tuple[Path, ControlOutcome], tmp_path: Path) -> None:
-    def stop(tally: Tally) -> None:
-        if tally.done == 2:
+    def stop(done: float, total: float, note: str = "") -> None:
+        if note.startswith("2 of 3 jobs"):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -15,11 +15,9 @@ from hystmpc.rig.device.config import DeviceSettings
 from hystmpc.rig.device.faults import FaultSettings
 from hystmpc.rig.device.faulty_wire import FaultyReadings
 from hystmpc.rig.transports.link import Outgoing
-from hystmpc.studies.faults.cases import CASES, Case, Second
+from hystmpc.studies.faults.cases import CASES, KINDS, Case, Kind, Link, Second, write_device, write_run
 from hystmpc.studies.faults.judge import Verdict, judge
-from hystmpc.studies.faults.play import Played, device_log
-from hystmpc.studies.faults.processes import Terminal
-from hystmpc.studies.faults.setup import KINDS, Kind, Link, write_device, write_run
+from hystmpc.studies.faults.play import Played, Terminal, device_log
 from hystmpc.trials.config import load_settings
 from hystmpc.trials.run_folder import RunFolder
 

@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.evaluate import Errors
-from hystmpc.studies.papers.datasets import study_splits
-from hystmpc.studies.papers.job import Task
+from hystmpc.studies.papers.job import Task, study_splits
 from hystmpc.studies.papers.printed import (
     S1_ERRORS,
     S1_TRAINING,
@@ -23,9 +22,8 @@ from hystmpc.studies.papers.printed import (
     S2_WINDOWS,
     s2_symbol,
 )
-from hystmpc.studies.papers.result import Score, load_result, result_path, save_result
-from hystmpc.studies.papers.s1_plan import TESTS
-from hystmpc.studies.papers.s1_tables import relative_change
+from hystmpc.studies.papers.result import Score, result_files
+from hystmpc.studies.papers.s1 import TESTS, relative_change
 from hystmpc.studies.papers.s2_plan import s2_tasks
 from hystmpc.studies.papers.settings import S1_KINDS, S2_KINDS, StudySettings
 from hystmpc.studies.statistics import compared, holm, least_p, pairwise, signed_rank
@@ -161,19 +159,19 @@ def test_a_result_reads_back_as_it_was_written(tmp_path: Path) -> None:
     errors = Errors(1.0, -0.5, 0.9, 3.0, math.inf, 0.0)
     score = Score("p2p/test", "a/b", errors, replace(errors, rmse_deg=0.5))
     result = replace(JOB, history=((1, 2.5), (2, 0.1)), scores=(score, replace(score, later=None)))
-    save_result(tmp_path, result)
-    assert load_result(tmp_path, result.job) == result
-    assert load_result(tmp_path, replace(result.job, seed=7)) is None
+    result_files(tmp_path).save(result)
+    assert result_files(tmp_path).load(result.job) == result
+    assert result_files(tmp_path).load(replace(result.job, seed=7)) is None
     assert result.figures("rmse_deg", ["p2p/test"]).tolist() == [1.0, 1.0]
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"format": "other"}', "[1]", '{"format": "hystmpc-study-job/1"}'])
 def test_a_damaged_result_is_named(tmp_path: Path, text: str) -> None:
-    path = result_path(tmp_path, JOB.job)
+    path = result_files(tmp_path).path(JOB.job)
     path.parent.mkdir()
     path.write_text(text)
     with pytest.raises(LogError, match=path.name):
-        load_result(tmp_path, JOB.job)
+        result_files(tmp_path).load(JOB.job)
 
 
 @pytest.mark.parametrize(

@@ -5,19 +5,21 @@ from __future__ import annotations
 import csv
 import re
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from hystmpc.sim.jobs.backend import backend_for
 from hystmpc.studies.papers.job import Job, Task
-from hystmpc.studies.papers.outcome import Outcome
-from hystmpc.studies.papers.pool import run_jobs
-from hystmpc.studies.papers.result import JobResult, model_file, result_path
+from hystmpc.studies.papers.result import JobResult, Outcome, model_file, result_files
 from hystmpc.studies.papers.run import prepare, run_study
 from hystmpc.studies.papers.settings import StudySettings
-from hystmpc.studies.papers.tally import Tally
+from hystmpc.studies.papers.worker import do_job
 from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.types import Progress
 
 from ..trials.test_html import Page
 from .study_examples import small_splits
@@ -35,6 +37,14 @@ def job(**changes: object) -> Job:
 def task(**changes: object) -> Task:
     splits = small_splits()
     return Task(job(**changes), splits["sin/train"], (), {"sin/test": splits["sin/test"]})
+
+
+def run_jobs(
+    tasks: Sequence[Task], folder: Path, workers: int = 1, progress: Progress | None = None
+) -> tuple[JobResult, ...]:
+    return result_files(folder).complete(
+        [tasks], partial(do_job, folder=folder), lambda task: task.fingerprint, backend_for(workers), {}, progress
+    )
 
 
 def stable(result: JobResult) -> JobResult:
@@ -84,16 +94,17 @@ def test_the_report_opens_offline_and_says_what_is_whose(whole: tuple[Path, Outc
 def test_resuming_skips_what_is_done(whole: tuple[Path, Outcome]) -> None:
     folder, outcome = whole
     written = {path: path.stat().st_mtime_ns for path in (folder / "models").iterdir()}
-    seen: list[Tally] = []
-    again = run_jobs(prepare(SETTINGS, folder).tasks, folder, 1, {}, seen.append)
-    assert [(tally.done, tally.total) for tally in seen] == [(len(outcome.done), len(outcome.done))]
+    seen: list[str] = []
+    again = run_jobs(prepare(SETTINGS, folder).tasks, folder, progress=lambda done, total, note="": seen.append(note))
+    assert seen == [f"{len(outcome.done)} of {len(outcome.done)} jobs "]
     assert again == outcome.results
     assert {path: path.stat().st_mtime_ns for path in (folder / "models").iterdir()} == written
 
 
 def test_a_killed_study_resumes_to_the_identical_tables(whole: tuple[Path, Outcome], tmp_path: Path) -> None:
-    def stop(tally: Tally) -> None:
-        if tally.done == 2:
+    def stop(done: float, total: float, note: str = "") -> None:
+        assert 0 <= done <= total  # expected seconds
+        if note.startswith("2 of 4 jobs"):
             raise KeyboardInterrupt
 
     folder = tmp_path / "s2"
@@ -113,30 +124,30 @@ def test_a_killed_study_resumes_to_the_identical_tables(whole: tuple[Path, Outco
 def test_a_failing_job_is_reported_and_tried_again_and_stops_nothing(tmp_path: Path) -> None:
     """The window study does not know a backlash."""
     tasks = [task(window=5), task()]
-    failed, done = run_jobs(tasks, tmp_path, 1, {})
+    failed, done = run_jobs(tasks, tmp_path)
     assert (failed.status, done.status) == ("failed", "done")
     assert "the window study knows" in failed.message
     assert not model_file(tmp_path, failed.job).exists()
-    seen: list[Tally] = []
-    run_jobs(tasks, tmp_path, 1, {}, seen.append)
-    assert [(tally.done, tally.note) for tally in seen] == [(1, ""), (2, f"{failed.job.key} failed")]
+    seen: list[str] = []
+    run_jobs(tasks, tmp_path, progress=lambda done, total, note="": seen.append(note))
+    assert seen == ["1 of 2 jobs ", f"2 of 2 jobs {failed.job.key} failed"]
     outcome = Outcome(SETTINGS.model_copy(update={"study": "s2"}), small_splits(), (failed, done), tmp_path)
     assert outcome.failed == (failed,)
 
 
 def test_changed_settings_or_trials_are_computed_anew(tmp_path: Path) -> None:
-    first = run_jobs([task()], tmp_path, 1, {})
+    first = run_jobs([task()], tmp_path)
     splits = small_splits()
     other = replace(task(), training=splits["p2p/train"])
-    second = run_jobs([other], tmp_path, 1, {})
+    second = run_jobs([other], tmp_path)
     assert second[0].fingerprint != first[0].fingerprint
     assert second[0].scores != first[0].scores
 
 
 def test_two_processes_find_what_one_finds(tmp_path: Path) -> None:
     tasks = [task(), task(kind="pi")]
-    alone = run_jobs(tasks, tmp_path / "one", 1, {})
-    both = run_jobs(tasks, tmp_path / "two", 2, {})
+    alone = run_jobs(tasks, tmp_path / "one")
+    both = run_jobs(tasks, tmp_path / "two", 2)
     assert [stable(result) for result in both] == [stable(result) for result in alone]
 
 
@@ -147,7 +158,7 @@ def test_a_folder_of_something_else_is_refused(whole: tuple[Path, Outcome], tmp_
     copy = shutil.copytree(whole[0], tmp_path / "copy")
     with pytest.raises(ConfigError, match="expected one of study s1"):
         prepare(StudySettings.for_study("s1", quick=True), copy)
-    result_path(copy, whole[1].done[0].job).write_text("{")
+    result_files(copy).path(whole[1].done[0].job).write_text("{")
     with pytest.raises(LogError, match="remove it"):
         prepare(SETTINGS, copy)
 

@@ -18,17 +18,17 @@ from hystmpc.models.kernels.vector_shape import host_shape
 from hystmpc.models.model import Predictor
 from hystmpc.studies.performance import pytorch_mppi_
 from hystmpc.studies.performance.casadi_peer_ import METHODS, SQP, Method, SingleShooting
-from hystmpc.studies.performance.limit import jacobian_flops, products, rollout_flops, step_flops
-from hystmpc.studies.performance.linearised import linearised_controller
-from hystmpc.studies.performance.programs import program_rows, recorded_programs
-from hystmpc.studies.performance.report import FORMAT, Reads, Report, Row, report_json
+from hystmpc.studies.performance.controllers import (
+    linearised_controller,
+    program_rows,
+    recorded_programs,
+    sampling_rows,
+)
+from hystmpc.studies.performance.kernels import jacobian_flops, products, rollout_flops, step_flops
+from hystmpc.studies.performance.report import COLUMNS, FORMAT, Reads, Report, Row, report_json, table_rows
 from hystmpc.studies.performance.run import run_bench
-from hystmpc.studies.performance.sampling import sampling_rows
-from hystmpc.studies.performance.scenario import Instant, in_turn, record_scan
-from hystmpc.studies.performance.settings import QUICK, WEIGHTS, BenchSettings
-from hystmpc.studies.performance.subjects import Subject, lstm_subject, operator_subjects
-from hystmpc.studies.performance.table import COLUMNS, table_rows
-from hystmpc.studies.performance.timing import Clock, Effort, Job, Times
+from hystmpc.studies.performance.subjects import Instant, Subject, in_turn, lstm_subject, operator_subjects, record_scan
+from hystmpc.studies.performance.timing import QUICK, WEIGHTS, BenchSettings, Clock, Effort, Job, Times
 from hystmpc.trials.errors import ConfigError
 
 pytestmark = pytest.mark.slow

@@ -10,23 +10,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.studies.reconstruction.figures import error_map_figure, section_figure, setup_figure
-from hystmpc.studies.reconstruction.printed import (
+from hystmpc.studies.reconstruction.geometry import Segment
+from hystmpc.studies.reconstruction.protocol import Protocol, Scan, record_scans, session
+from hystmpc.studies.reconstruction.reconstruct import Reconstruction, rank_test, reconstruct
+from hystmpc.studies.reconstruction.report import (
+    ERROR_COLUMNS,
     PAPER_ERROR_MM,
     PAPER_REDUCTION_PERCENT,
     PRINTED,
+    TEST_COLUMNS,
+    error_map_figure,
+    error_rows,
     paper_error,
     paper_section,
+    rank_test_rows,
+    reconstruction_pieces,
+    section_figure,
+    setup_figure,
 )
-from hystmpc.studies.reconstruction.protocol import Protocol, record_scans, session
-from hystmpc.studies.reconstruction.rank_test import rank_test
-from hystmpc.studies.reconstruction.reconstruct import reconstruct
-from hystmpc.studies.reconstruction.report import reconstruction_pieces
-from hystmpc.studies.reconstruction.result import Reconstruction
-from hystmpc.studies.reconstruction.scan import Scan
-from hystmpc.studies.reconstruction.segment import Segment
 from hystmpc.studies.reconstruction.settings import Oct, ReconstructionSettings
-from hystmpc.studies.reconstruction.table import ERROR_COLUMNS, TEST_COLUMNS, error_rows, rank_test_rows
 from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.html import Report
 

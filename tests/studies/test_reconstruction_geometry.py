@@ -9,9 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.studies.reconstruction.oct_distance import measured_distance
-from hystmpc.studies.reconstruction.ray import profile, surface_distance
-from hystmpc.studies.reconstruction.segment import Segment, rotated
+from hystmpc.studies.reconstruction.geometry import Segment, measured_distance, profile, rotated, surface_distance
 from hystmpc.studies.reconstruction.settings import Cap, Groove, Oct, Pattern, ReconstructionSettings
 from hystmpc.trials.errors import ConfigError
 
