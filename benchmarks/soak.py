@@ -38,7 +38,7 @@ from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.rig.config import RunSettings
 from hystmpc.rig.review import judged, review
-from hystmpc.sim.plant import at_sample_time
+from hystmpc.sim.plants.simulated import at_sample_time
 from hystmpc.studies.control.rivals import CONTROLLERS, NETWORKS
 from hystmpc.studies.faults.cases import DEVICE, RUN
 from hystmpc.studies.faults.play import end, start, start_device

@@ -28,7 +28,7 @@ from hystmpc.ctrl import CommandLimits, TipController
 from hystmpc.models.library import library_file, model_path
 from hystmpc.models.load import AnyModel, load_model
 from hystmpc.models.simulator import load_simulator
-from hystmpc.sim.plant import SimulatedPlant
+from hystmpc.sim.plants.simulated import SimulatedPlant
 
 Vec = NDArray[np.float64]
 

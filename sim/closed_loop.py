@@ -13,7 +13,7 @@ from hystmpc.ctrl.protocols import Controller
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.types import Vec
 
-from .plant import ComputedPlant
+from .plants.computed import ComputedPlant
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,8 +27,8 @@ from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .config import SimulationConfig
-from .plant import ComputedPlant
-from .plants import make_plant, plant_files
+from .plants.computed import ComputedPlant
+from .plants.make import make_plant, plant_files
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
 from ..config import SimulationConfig, load_simulation
-from ..plant import ComputedPlant
+from ..plants.computed import ComputedPlant
 from ..study import prepare
 
 Signal = Callable[[float], float]

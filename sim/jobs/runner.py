@@ -26,21 +26,31 @@ Status = Literal["done", "failed"]
 
 
 class Job(Protocol):
-    """A job of a plan; `key` names its files and is unique in the plan."""
+    """A job of a plan."""
 
     @property
-    def key(self) -> str: ...
+    def key(self) -> str:
+        """Name of the job's files, unique in the plan."""
+        ...
 
 
 class JobResult(Protocol):
-    """Outcome of a job; `fingerprint` is a hash of all that it depends on."""
+    """Outcome of a job."""
 
     @property
-    def job(self) -> Job: ...
+    def job(self) -> Job:
+        """What was done."""
+        ...
+
     @property
-    def fingerprint(self) -> str: ...
+    def fingerprint(self) -> str:
+        """Hash of all that the result depends on."""
+        ...
+
     @property
-    def status(self) -> Status: ...
+    def status(self) -> Status:
+        """Whether it worked."""
+        ...
 
 
 J = TypeVar("J", bound=Job)

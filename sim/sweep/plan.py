@@ -15,7 +15,7 @@ from hystmpc.models.library import model_path
 from hystmpc.trials.errors import ConfigError
 
 from ..config import SimulationConfig
-from ..plants import file_hash, plant_hash
+from ..plants.make import file_hash, plant_hash
 from .paths import changed, path_parts, place
 from .settings import SweepSettings, drawn, label
 

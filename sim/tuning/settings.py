@@ -15,7 +15,7 @@ from hystmpc.trials.config import Settings, load_settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
 from ..config import PlantSettings, SimulationConfig
-from ..plants import varied_parameters
+from ..plants.make import varied_parameters
 from ..sweep.paths import changed, place, value_at
 from ..sweep.settings import DrawSettings, study_of
 

@@ -20,7 +20,8 @@ from hystmpc.models.model import Array, Predictor
 from hystmpc.models.simulator import save_simulator
 from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.config import SimulationConfig, TuningSettings
-from hystmpc.sim.plant import ComputedPlant, Effects
+from hystmpc.sim.plants.computed import ComputedPlant
+from hystmpc.sim.plants.simulated import Effects
 from hystmpc.sim.study import Study, prepare
 from hystmpc.sim.tune_pid import tuned_gains
 from hystmpc.trials.errors import ConfigError

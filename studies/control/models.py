@@ -13,7 +13,7 @@ from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.operators.lag import Lag
 from hystmpc.models.simulator import Simulator, save_simulator
-from hystmpc.sim.plant import SimulatedPlant, at_sample_time
+from hystmpc.sim.plants.simulated import SimulatedPlant, at_sample_time
 from hystmpc.trajectories.excitation import Offset, s2_point_to_point, s2_sinusoid
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.errors import FitError

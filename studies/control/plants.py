@@ -16,7 +16,7 @@ from hystmpc.models.operators.delay import Delay
 from hystmpc.models.operators.lag import Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.simulator import Simulator, load_simulator
-from hystmpc.sim.plant import Effects, SimulatedPlant, at_sample_time, mismatched
+from hystmpc.sim.plants.simulated import Effects, SimulatedPlant, at_sample_time, mismatched
 
 MISMATCH = 1.2
 """Factor on every parameter of a plant whose models are off, its lag and delay included."""

@@ -20,7 +20,7 @@ from hystmpc.models.operators.drift import Drift
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.operators.sensor import Sensor
 from hystmpc.models.simulator import Simulator
-from hystmpc.sim.plant import Effects, SimulatedPlant, mismatched
+from hystmpc.sim.plants.simulated import Effects, SimulatedPlant, mismatched
 from hystmpc.trials.errors import ConfigError, ModelError
 
 from .small import catheter

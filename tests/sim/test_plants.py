@@ -15,8 +15,8 @@ from hystmpc.cli.device import make_plant as bench_plant
 from hystmpc.models.contract.metadata import Range
 from hystmpc.sim.config import PlantSettings, SimulationConfig, load_simulation
 from hystmpc.sim.devices.names import DEVICES, parameter_lines
-from hystmpc.sim.plant import ComputedPlant
-from hystmpc.sim.plants import make_plant
+from hystmpc.sim.plants.computed import ComputedPlant
+from hystmpc.sim.plants.make import make_plant
 from hystmpc.sim.study import prepare
 from hystmpc.sim.sweep.plan import Plan
 from hystmpc.sim.sweep.settings import SweepSettings

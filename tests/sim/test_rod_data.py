@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from hystmpc.ctrl.protocols import Plant
-from hystmpc.sim.devices.names import DevicePlant
 from hystmpc.sim.devices.paper_data import RodSettings, S2Settings, make_dataset
 from hystmpc.sim.devices.rod import RodBench, RodCatheter, RodRecorder, simulate_rod
 from hystmpc.sim.devices.rod_parameters import RodParameters, RodVariation
+from hystmpc.sim.plants.device import DevicePlant
 from hystmpc.trajectories.excitation import s2_sinusoid
 from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError

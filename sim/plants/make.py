@@ -11,9 +11,11 @@ from hystmpc.models.library import model_path
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.errors import ConfigError
 
-from .config import PlantSettings
-from .devices.names import DEVICES, DevicePlant, named_device, plain_parameters
-from .plant import ComputedPlant, Effects, SimulatedPlant
+from ..config import PlantSettings
+from ..devices.names import DEVICES, named_device, plain_parameters
+from .computed import ComputedPlant
+from .device import DevicePlant
+from .simulated import Effects, SimulatedPlant
 
 _NAMES = {"simulator", "device", "parameters"}
 
