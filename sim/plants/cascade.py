@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import EFFECTS
-from hystmpc.models.kernels.chain_kernels import compile_step
+from hystmpc.models.kernels.chain_kernels import ChainKernels, compile_step
 from hystmpc.models.operators.creep import Creep
 from hystmpc.models.operators.delay import Delay
 from hystmpc.models.operators.lag import Lag
@@ -63,6 +63,7 @@ class OperatorCascade:
 
     def __init__(self, operators: Sequence[Operator], dt_s: float) -> None:
         self._chain = Chain(operators[0], after=tuple(operators[1:])) if operators else None
+        self._kernels = compile_step(self._chain.transition) if self._chain else None
         self._dt_s = dt_s
 
     @property
@@ -78,16 +79,20 @@ class OperatorCascade:
 
     def run(self, state: Vec, signal: Vec) -> tuple[Vec, Vec]:
         """What becomes of a signal (T,), and the state after it."""
-        return (signal, state) if self._chain is None else run_chain(self._chain, self._dt_s, state, signal)
+        return (
+            (signal, state) if self._chain is None else run_chain(self._chain, self._dt_s, state, signal, self._kernels)
+        )
 
     def settle(self, state: Vec, signal: Vec) -> tuple[Vec, Vec]:
         """As `run`, with everything that follows a clock standing still and its clock at zero afterwards."""
         if self._chain is None:
             return signal, state
-        return run_chain(self._chain, self._dt_s, state, signal, settle=True)
+        return run_chain(self._chain, self._dt_s, state, signal, self._kernels, settle=True)
 
 
-def run_chain(chain: Chain, dt_s: float, state: Vec, signal: Vec, settle: bool = False) -> tuple[Vec, Vec]:
+def run_chain(
+    chain: Chain, dt_s: float, state: Vec, signal: Vec, kernels: ChainKernels | None = None, settle: bool = False
+) -> tuple[Vec, Vec]:
     """Output of a chain (T,) for a signal (T,), and its state afterwards.
 
     Args:
@@ -95,9 +100,10 @@ def run_chain(chain: Chain, dt_s: float, state: Vec, signal: Vec, settle: bool =
         dt_s: sample time [s].
         state: before the first sample (S,); left as it is.
         signal: one value a sample.
+        kernels: of the chain, looked up where left out, which takes longer than a sample.
         settle: let everything that follows a clock stand still, and set its clock to zero afterwards.
     """
-    kernels = compile_step(chain.transition)
+    kernels = kernels or compile_step(chain.transition)
     after, shown = state.reshape(1, -1).copy(), np.empty((1, signal.size))
     row, values = np.ascontiguousarray(signal, dtype=np.float64)[None], still(chain) if settle else chain.values
     kernels.simulate(after, row, values, np.array([dt_s]), kernels.step_constants, shown)
