@@ -25,7 +25,6 @@ class ClosedLoopRun:
         true_deg: angles without sensor noise at the ends of the samples (N,) [deg].
         rest_command: the command that the plant held before the first sample.
         dt: sample time [s].
-        unit: of the command.
     """
 
     log: LoopLog

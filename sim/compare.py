@@ -28,7 +28,6 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
     where nothing was.
 
     Args:
-        config: the study.
         out: a new or empty folder; nothing is written where left out.
         progress: called with the steps done and their number, first for the tuning, then for the runs.
 

@@ -27,7 +27,6 @@ class EffectSettings(Settings):
     """One effect of the library; see `hystmpc effects` for names, parameters, units and bounds.
 
     Attributes:
-        effect: name.
         side: of the core; the effect's first where left out.
         parameters: by name; those left out have their neutral values, if they have any.
         terms, ways, harmonics, seed: sizes of creep, lag, periodic disturbance and sensor; all but the seed also follow
@@ -123,22 +122,18 @@ class SimulationConfig(Settings):
     """A closed-loop study: every controller follows every motion on one simulated plant.
 
     Attributes:
-        plant: the device.
         model: what controllers know of it: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
         actuator_lag_s: first-order lag of the command that the model does not contain and controllers are told of.
         inverse: simulator (.yaml) that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else,
             predictive controllers take their first guess from it. For networks, which have no inverse of their own;
             where left out, a backlash fitted to the network's free run. Or an inverse map (.onnx, or .yaml for
             an operator), which is asked for the command and runs beside the model.
-        motions: references by name.
-        controllers: controllers by name.
         limits: hard limits of command and rate; those of the model where left out. Wider ones are refused unless
             `limits.beyond_model` is true.
         tune_pid: search the gains of every `pid` and `inverse_pid` on this plant and these motions first; where left
             out the gains stand as given.
         tuned: controllers whose gains such a search has found; a run writes them here beside the gains, so that its
             configuration repeats the run without the search.
-        seed: of sensor noise and of the search.
     """
 
     plant: PlantSettings
@@ -157,7 +152,6 @@ def load_simulation(path: Path | str, overrides: Iterable[str] = ()) -> Simulati
     """Read a study; file names in it start at its own folder and come out absolute.
 
     Args:
-        path: a YAML file.
         overrides: changes such as `plant.lag_s=0.1`.
 
     Raises:
@@ -175,8 +169,6 @@ def located(
     """The study with every file name absolute, relative ones starting at `folder`; built-in models keep their names.
 
     Args:
-        config: the study.
-        folder: that it was read from.
         where: says where an entry of it stands, for messages.
 
     Raises:

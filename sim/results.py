@@ -39,7 +39,6 @@ class TrackingMetrics:
         command_travel: sum of all command changes [cmd].
         limit_violations: samples whose command or command change is beyond the limits; anything but 0 is a fault.
         step_mean_s, step_p99_s: execution time of a controller step, mean and 99th percentile [s].
-        ladder: samples by source of the command.
     """
 
     rmse_deg: float
@@ -115,8 +114,6 @@ def run_from(columns: Mapping[str, Column], rest_command: float, where: str) -> 
 
     Args:
         columns: of `log.csv`.
-        rest_command: the command that the plant held before.
-        where: file, for messages.
 
     Raises:
         LogError: if a column is missing.

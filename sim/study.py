@@ -36,16 +36,10 @@ class Study:
     """What `compare` and `tune_pid` run.
 
     Attributes:
-        config: the settings, with the limits that hold.
-        plant: the device.
-        predictor, inverse: what predictive controllers know of it.
         feedforward: predictor and inverse of the controllers that only invert: the same for a model that has an
             inverse and for an inverse map, else the operator that stands in for it. Corrected by the network at every
             sample, as predictive controllers want it for their first guess, that inverse would go back and forth across
             the dead band.
-        limits: hard limits of the device.
-        motions: references by name.
-        files: model files that were opened.
     """
 
     config: SimulationConfig
@@ -77,7 +71,6 @@ class Knowledge:
     """What controllers know of a device: the costly part of a study, which studies of one model may share.
 
     Attributes:
-        facts: of the model.
         predictor, inverse, feedforward: see `Study`.
     """
 
@@ -103,7 +96,6 @@ def prepare(config: SimulationConfig, known: Knowledge | None = None) -> Study:
     """Open and build everything that a study needs; whatever is wrong is found here.
 
     Args:
-        config: the settings.
         known: what `knowledge` has found for the same `model`, `inverse` and `actuator_lag_s`; opened where left out.
 
     Raises:

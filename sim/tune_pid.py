@@ -27,9 +27,7 @@ class PidTuning:
     """Result of a search.
 
     Attributes:
-        settings: the controller with the gains found.
         rmse_deg: root of the mean over motions of the mean square true error with them [deg].
-        start_rmse_deg: the same with the gains given.
         evaluations: times that all motions were run.
     """
 
@@ -48,7 +46,6 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
     given gains belong to the first population, so that the result is never worse than they are.
 
     Args:
-        study: plant, model and motions.
         settings: the controller whose `kp`, `ki`, `kd` and dead zone are searched; everything else stays.
         progress: called with the evaluations so far and their number.
 

@@ -22,10 +22,8 @@ class SignedRank:
     """Wilcoxon's signed-rank test of two models' errors over the same trials, row against column.
 
     Attributes:
-        row, column: the models.
         n: trials that differ; equal ones say nothing.
         p_less, p_greater: one-sided p that the row's errors are smaller, are greater.
-        p: two-sided.
         p_holm: two-sided, corrected by Holm for all tests of the family.
     """
 
@@ -109,7 +107,6 @@ def compared(errors: Mapping[str, ArrayLike], pairs: Sequence[tuple[str, str]]) 
 
     Args:
         errors: as for `pairwise`.
-        pairs: names of row and column.
 
     Raises:
         ConfigError: as `signed_rank`.

@@ -21,11 +21,7 @@ class StudyTable:
     """Rows of one table; floats are shown to four digits and written in full.
 
     Attributes:
-        name: stem of its CSV file, unique in a study.
-        columns: header.
-        rows: cells, as many as columns.
         caption: what it shows, and whether its numbers are simulated, real or printed in a paper.
-        shown: in the report, not only as CSV.
     """
 
     name: str

@@ -26,9 +26,7 @@ class Dataset:
 
     Attributes:
         name: `s1` or `s2`.
-        seed: of everything random in it.
         settings: device, sensor and signals it was made with, as plain data.
-        splits: trials by split, in order.
 
     Raises:
         ConfigError: if there is no split, or one without trials.

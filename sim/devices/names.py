@@ -21,8 +21,6 @@ class NamedDevice:
     """One entry of `DEVICES`.
 
     Attributes:
-        make: the device of some parameters.
-        parameters: their class.
         varied: those that differ from one specimen to the next, for tunings that are not told what to draw.
     """
 
@@ -46,7 +44,6 @@ class DeviceError(ConfigError):
     """A wrong description of a device.
 
     Args:
-        message: one line.
         at: keys from the description to the offending entry.
     """
 

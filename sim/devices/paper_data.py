@@ -40,7 +40,6 @@ class S1Settings:
     13.4 s at the 250 Hz of the laser give 8 x 3350 = 26 800 training samples; S1 has 26 798.
 
     Attributes:
-        recorder: the bench.
         group_s: duration of a training group and of test (a) [s].
         chirp_s: duration of tests (b) and (c) [s].
         tau_c_per_s: decay of test (c) [1/s]; S1 prints 0.05 and calls the signal ascending, which is -0.05.
@@ -79,7 +78,6 @@ class S2Settings:
     """What S2 leaves open, with our defaults; see docs/devices.md.
 
     Attributes:
-        recorder: the bench.
         train_hz, val_hz, test_hz: frequencies of the sinusoids [Hz], each with all three baselines.
         train_moves, val_moves, test_moves: numbers of point-to-point trials.
         check_offset: baseline of repeatability and frequency check.
@@ -146,7 +144,6 @@ class RodSettings:
     """What is recorded on the rod, and how.
 
     Attributes:
-        recorder: the bench with the rod.
         motions: which motions of S2, and how many; its own recorder, that of the tendon catheter, is not used.
     """
 

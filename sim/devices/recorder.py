@@ -112,7 +112,6 @@ class TrackedBench(ABC):
     and a rest at 0 mm, which are discarded as S2's protocol says unless `keep_flexure`.
 
     Attributes:
-        tracker: the sensor on the device's tip.
         command_rate_hz: rate of command and log [Hz].
         rate_hz: rate of the trial, by linear interpolation [Hz].
         rest_s: rest between flexure and motion [s].

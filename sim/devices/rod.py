@@ -96,12 +96,7 @@ class RodCatheter:
 @final
 @dataclass(frozen=True, kw_only=True)
 class RodRecorder(TrackedBench):
-    """The bench of S2 with a rod in the catheter's place.
-
-    Attributes:
-        device: the rod.
-        variation: how it differs from trial to trial.
-    """
+    """The bench of S2 with a rod in the catheter's place."""
 
     device: RodParameters = field(default_factory=RodParameters)
     variation: RodVariation = field(default_factory=RodVariation)
@@ -137,7 +132,6 @@ class RodBench:
 
     Attributes:
         device: numbers of the rod; alter them with `dataclasses.replace`.
-        tracker: the sensor on its tip.
     """
 
     device: RodParameters = field(default_factory=RodParameters)

@@ -247,12 +247,7 @@ def _share(dt_s: float, lag_s: float) -> float:
 @final
 @dataclass(frozen=True, kw_only=True)
 class TendonRecorder(TrackedBench):
-    """The bench of S2.
-
-    Attributes:
-        device: the catheter.
-        variation: how it differs from trial to trial.
-    """
+    """The bench of S2."""
 
     device: TendonParameters = field(default_factory=TendonParameters)
     variation: TendonVariation = field(default_factory=TendonVariation)

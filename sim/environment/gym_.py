@@ -43,13 +43,10 @@ class EnvironmentState:
     """Everything that the future of an environment depends on but the actions; never changed once taken.
 
     Attributes:
-        plant: with its random numbers.
         random: of the environment, for the seeds of coming resets.
-        motion: name.
         k: samples since the reset.
         u: command sent last.
         y: angle measured last [deg].
-        disturbance: what acts from outside.
     """
 
     plant: ComputedPlant
@@ -75,8 +72,6 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     Args:
         plant: the device; the environment has a copy.
-        motions: references by name.
-        limits: of command and rate.
         preview: H, samples at least 1.
         rate_weight: w [deg^2 per squared command unit].
         disturbance: see `disturb`.
@@ -115,7 +110,6 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """The environment of a closed-loop study: its plant, motions and limits; controllers are not looked at.
 
         Args:
-            config: the study or its file.
             options: `preview`, `rate_weight`, `disturbance`.
 
         Raises:

@@ -65,7 +65,6 @@ def backend_for(workers: int, cluster: str | None = None, where: str = "") -> Ba
         workers: processes, each on one thread; with 1 and no cluster the calls are made in this process.
         cluster: address of a Dask scheduler such as `tcp://host:8786`; None or `local` for processes of this machine,
             which talk through pipes: a scheduler of our own would listen, and run what anybody on the machine sends it.
-        where: what is worked on, for messages.
 
     Raises:
         ConfigError: if the address is none, or Dask is not installed.
@@ -87,12 +86,7 @@ _AHEAD = 2  # items a worker that are handed over before they are needed
 
 @final
 class Processes(Backend):
-    """A process pool, one thread a process.
-
-    Args:
-        workers: processes.
-        where: what is worked on, for messages.
-    """
+    """A process pool, one thread a process."""
 
     def __init__(self, workers: int, where: str = "") -> None:
         self.workers = workers

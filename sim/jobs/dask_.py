@@ -29,7 +29,6 @@ class DaskCluster(Backend):
 
     Args:
         address: of a scheduler, such as `tcp://host:8786`; `tls://` with the certificates that Dask is configured with.
-        where: what is worked on, for messages.
     """
 
     def __init__(self, address: str, where: str = "") -> None:

@@ -70,9 +70,7 @@ def run_jobs(
     """Results of the jobs that are not done yet, as they come, in any order.
 
     Args:
-        jobs: taken as they are needed.
         do: does one job, in another process where the backend has some.
-        backend: where the jobs are done.
         is_done: whether a job was done by an earlier call.
         total: number of jobs, for `progress`.
         progress: called after every job; jobs done earlier count.
@@ -80,7 +78,6 @@ def run_jobs(
 
     Raises:
         ConfigError: if workers die again and again, or there are none.
-        KeyboardInterrupt: if the user ended it.
     """
     kept = 0
 
@@ -136,14 +133,7 @@ def attempt(call: Callable[[], R]) -> Attempt[R]:
 
 @final
 class ResultFiles(Generic[F]):
-    """Results of jobs as one JSON file each, `results/KEY.json`, written whole or not at all.
-
-    Args:
-        folder: of the study.
-        kind: dataclass of a result.
-        form: name and version of the format.
-        encode: a result as plain data.
-    """
+    """Results of jobs as one JSON file each, `results/KEY.json`, written whole or not at all."""
 
     def __init__(self, folder: Path, kind: type[F], form: str, encode: Callable[[Any], dict[str, Any]] = asdict):
         self.folder, self._form, self._encode = folder, form, encode
@@ -208,7 +198,6 @@ class ResultFiles(Generic[F]):
             stages: jobs with different keys; each stage may need files that the stages before it leave.
             do: does one job and saves its result.
             fingerprint: hash of all that a job depends on.
-            backend: where the jobs are done.
             costs: expected processor time by key [s].
             progress: called at the start and after every job, in expected seconds, so that a bar's time left is that
                 of the jobs left.
@@ -246,9 +235,7 @@ def resumed_folder(path: Path, settings: Mapping[str, Any], seed: int, refusal: 
     """A new run folder, or the one in which the same work was begun; its settings are written anew.
 
     Args:
-        path: a new or empty folder, or a run folder.
         settings: resolved, as plain data.
-        seed: of the run.
         refusal: why a folder with these earlier settings cannot be gone on with; empty where it can.
 
     Raises:

@@ -99,7 +99,6 @@ def run_chain(
         chain: with its parameter values.
         dt_s: sample time [s].
         state: before the first sample (S,); left as it is.
-        signal: one value a sample.
         kernels: of the chain, looked up where left out, which takes longer than a sample.
         settle: let everything that follows a clock stand still, and set its clock to zero afterwards.
     """

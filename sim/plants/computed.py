@@ -41,9 +41,7 @@ class ComputedPlant(ABC):
 
     Args:
         dt_s: sample time [s].
-        rest_command: what the device holds at rest.
         command_unit: mm or bar.
-        sensing: of the angle.
         seed: of noise and of what is random in the device; equal seeds give the same run after every reset.
 
     Raises:

@@ -37,7 +37,6 @@ class DevicePlant(ComputedPlant):
     the lowest one, for 5 s and as long as its effects take to settle.
 
     Args:
-        device: what is controlled.
         effects: what it does beyond that; 0.05 deg of noise where left out. Its numbers are the device's own, so that
             `mismatch` has to be empty; see `devices.names.named_device`.
         dt_s: sample time [s].

@@ -29,7 +29,6 @@ def make_plant(
         settings: what it is, with its effects; file names absolute.
         dt_s: sample time [s]; a simulator's own, or 0.04 s, where left out.
         commands: between which it is flexed, the lowest being its rest; its own limits where left out.
-        seed: of noise and everything else random.
 
     Raises:
         ConfigError: if a mismatch names an unknown parameter, or the commands lie beyond what a device takes.

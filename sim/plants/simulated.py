@@ -143,8 +143,6 @@ class SimulatedPlant(ComputedPlant):
     count from the reset on, sensors start their random numbers anew.
 
     Args:
-        simulator: the device.
-        effects: what it does beyond that.
         dt_s: sample time [s]; the simulator's own where left out.
         commands: commands between which it is flexed, the lowest being its rest; the simulator's limits where left out.
         seed: of the sensor noise, mixed into the seed of every sensor among the effects; equal seeds give equal noise
@@ -189,9 +187,7 @@ def conditioned(simulator: Simulator, state: Vec, commands: Range) -> tuple[floa
     the clock starts with the run.
 
     Args:
-        simulator: the device with its effects.
         state: at rest at the lowest command.
-        commands: between which it is flexed.
     """
     flexure = initialisation_flexure(commands, simulator.dt_s, warmup_samples=1)
     samples = round(settling_s(simulator.chain) / simulator.dt_s)

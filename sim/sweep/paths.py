@@ -82,6 +82,5 @@ def place(file: Path | str | None, *keys: str) -> str:
 
     Args:
         file: that was read, None for settings that came from none.
-        keys: mapping keys from the top level down.
     """
     return "" if file is None else f"{place_in(file)(keys)}: "

@@ -29,10 +29,7 @@ class Row:
 
     Attributes:
         id: of settings and model files, 16 hexadecimal digits.
-        controller, motion: names.
         factors: what was varied, by path; names of grid values, values of draws.
-        draw: number of the draw.
-        seed: of noise.
         settings: the study with this controller and motion alone, as JSON.
         files: SHA-256 of plant, model and inverse.
     """
@@ -89,12 +86,7 @@ class Hashes:
 
 @dataclass(frozen=True)
 class Plan:
-    """All rows of a sweep, made as they are asked for.
-
-    Attributes:
-        settings: with the study in them.
-        source: file of the sweep, for messages.
-    """
+    """All rows of a sweep, made as they are asked for."""
 
     settings: SweepSettings
     source: Path | None = None

@@ -50,7 +50,6 @@ class SweepView:
 
     Attributes:
         table: columns (N,).
-        factors: kinds of the columns that were varied.
     """
 
     table: Mapping[str, Column]

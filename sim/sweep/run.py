@@ -30,12 +30,7 @@ class SweepOutcome:
     """What became of a sweep.
 
     Attributes:
-        table: the file of all rows.
-        report: the page.
-        rows: of the plan.
-        kept: rows that were done before.
         failed: rows whose run could not be made, with the first error.
-        message: that error, empty without one.
         others: rows of the table that are none of this plan, made by an earlier form of the sweep.
     """
 
@@ -60,9 +55,6 @@ def run_sweep(
     Args:
         settings: with the study in them, as `load_sweep` gives them.
         out: a new or empty folder, or one of a sweep, whose rows are kept; the sweep may have grown or changed.
-        backend: where the runs are made.
-        progress: called after every row, with its id.
-        source: file of the sweep, for messages.
 
     Raises:
         ConfigError: if settings do not fit the study, the folder holds something else, or workers die again and again.
@@ -139,7 +131,6 @@ def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) 
     """Run one row from nothing but what the table says of it.
 
     Args:
-        folder: of the sweep.
         identity: of the row, or its first digits where no other begins with them.
         out: a new or empty run folder for settings, log and report of the run.
 
@@ -150,7 +141,6 @@ def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) 
         ConfigError: if there is no such row, a model file has changed, or `out` is not vacant.
         LogError: if the folder holds no table, or the row's run could not be made before.
         HystmpcError: if it cannot be made now.
-        KeyboardInterrupt: if the user ended it.
     """
     row = _row(Path(folder), identity)
     config = SimulationConfig.parse(json.loads(str(row["settings"])), f"{folder}: row {row['id']}")

@@ -23,10 +23,7 @@ class DrawSettings(Settings):
     """One distribution, exactly one of these keys.
 
     Attributes:
-        uniform: lower and upper end.
         log_uniform: lower and upper end, both positive; the logarithm is uniform.
-        integer: lowest and highest whole number.
-        choice: values, each as likely as the others.
     """
 
     uniform: tuple[float, float] | None = None
@@ -86,7 +83,6 @@ class SweepSettings(Settings):
         grid: values by dotted path; a mapping names them, which long ones want.
         draw: distributions by dotted path. Draw k is the same at every grid point.
         count: draws.
-        draw_seed: of the draws.
         seeds: of sensor noise and disturbances; the study's own where left out.
     """
 

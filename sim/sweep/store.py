@@ -132,12 +132,7 @@ def _read(form: ModuleType, path: Path, names: Iterable[str]) -> dict[str, Colum
 
 @final
 class Store:
-    """Takes rows; what it took is on disk five seconds later at the latest row.
-
-    Args:
-        folder: of the sweep.
-        kinds: of the columns that new rows have.
-    """
+    """Takes rows; what it took is on disk five seconds later at the latest row."""
 
     def __init__(self, folder: Path, kinds: Mapping[str, str]) -> None:
         self._folder, self._kinds = folder, dict(kinds)

@@ -89,7 +89,6 @@ def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
 
     Raises:
         HystmpcError: what `prepare` raises.
-        KeyboardInterrupt: if the user ended it.
     """
     study = prepare(config, shared_knowledge(config))
     ((motion, trajectory),) = study.motions.items()

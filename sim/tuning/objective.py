@@ -63,7 +63,6 @@ def plant_score(config: SimulationConfig) -> PlantScore:
 
     Raises:
         HystmpcError: what `prepare` raises.
-        KeyboardInterrupt: if the user ended it.
     """
     study = prepare(config, shared_knowledge(config))
     ((name, controller),) = study.config.controllers.items()
@@ -126,12 +125,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Scores on the held-out plants, the same plants and noise for both.
-
-    Attributes:
-        given, tuned: score of every plant.
-        objective: how they are judged.
-    """
+    """Scores on the held-out plants, the same plants and noise for both."""
 
     given: tuple[PlantScore, ...]
     tuned: tuple[PlantScore, ...]
@@ -197,15 +191,8 @@ def held_out(
 ) -> HeldOut:
     """Run given and tuned settings on every held-out plant.
 
-    Args:
-        settings: of the tuning.
-        values: tuned settings by path.
-        backend: where the runs are made.
-        progress: called after every plant.
-
     Raises:
         ConfigError: if a draw does not fit the study.
-        KeyboardInterrupt: if the user ended it.
     """
     plain = settings.model_dump_json()
     names = {"given": "{}", "tuned": json.dumps(values)}
@@ -224,7 +211,6 @@ def run_case(case: Case) -> tuple[str, int, PlantScore]:
 
     Raises:
         HystmpcError: what preparing the study raises.
-        KeyboardInterrupt: if the user ended it.
     """
     settings = TuneSettings.parse(json.loads(case.settings), "case")
     controller = settings.with_values(json.loads(case.values))
@@ -241,8 +227,6 @@ class Ticket:
     Attributes:
         slot: number of the trial; slot 0 has the settings as they were given.
         storage: where the search is kept, as Optuna names it.
-        study: name of the search in it.
-        settings: of the tuning, as JSON.
     """
 
     slot: int
@@ -265,10 +249,8 @@ class Trial:
     """A trial of a search.
 
     Attributes:
-        slot: number.
         state: `done` or `pruned`.
         value: robust objective over the plants that it has seen [deg].
-        values: what was searched, by path.
         error_deg: robust objective of the bare errors [deg].
         travel: mean command travel over the need.
         plants: that it has seen.

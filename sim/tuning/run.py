@@ -31,11 +31,8 @@ class Tuning:
     """What a tuning found.
 
     Attributes:
-        settings: complete.
         trials: of the search, by slot, pruned ones among them.
-        best: the trial with the least objective.
         check: given and tuned settings on plants that the search has not seen.
-        failed: trials that raised, with what.
     """
 
     settings: TuneSettings
@@ -57,7 +54,6 @@ def run_tuning(
     Args:
         settings: complete, as `load_tuning` gives them.
         out: a new or empty folder, or one of a tuning, whose trials are kept; one for each machine.
-        backend: where trials are done.
         storage: of the search, as Optuna names it, such as `postgresql://...`; several machines that name the same one
             share the trials. A file in `out` where left out.
         progress: called with what is done, how much there is, and a note.
@@ -93,7 +89,6 @@ def search(
 
     Raises:
         ConfigError: if the storage cannot be opened, or optuna is not installed.
-        KeyboardInterrupt: if the user ended it.
     """
     optuna_ = _optuna()
     name = f"hystmpc-{settings.fingerprint}"

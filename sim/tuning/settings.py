@@ -114,12 +114,10 @@ class TuneSettings(Settings):
         controller: name of the one that is tuned; may be left out where the study has only one.
         search: range by dotted path below the controller; `spaces.default_space` of its kind where left out.
         draw: distribution by dotted path of what differs between plants; `spaces.default_draws` where left out.
-        plants: to search on.
         held_out: to judge by; drawn with another seed.
         objective: what is minimised.
         trials: points of the search, the given settings being the first.
         pruner: what ends a trial before it has seen all plants.
-        seed: of the search.
     """
 
     base: str | dict[str, Any]

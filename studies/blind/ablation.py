@@ -35,13 +35,9 @@ class Ablated:
     """One component and what became of its name.
 
     Attributes:
-        component: effect that was taken out.
         with_deg, without_deg: RMSE on trials left out, with it and without, the rest of the baseline refitted [deg].
         floor_deg: what no simulator can go below on these logs [deg].
         standard_errors: of the rise of the mean square error, that this rise is.
-        verdict: of the diagnosis; empty where not asked.
-        said: names that it puts forward.
-        left_open: names that it cannot tell from these.
     """
 
     component: str
@@ -81,7 +77,6 @@ def ablate(
         trials: of one device, in recording order.
         simulator: with effects around its core, such as the `sim.fixed.yaml` of a diagnosis.
         folder: gets `ablation.json` and a folder for each component that is needed, with its simulator and diagnosis.
-        seed: of the diagnoses.
         progress: called with components done, their number and the present one.
 
     Returns:

@@ -39,11 +39,7 @@ _ORDER = (
 
 @dataclass(frozen=True)
 class Rate:
-    """A share of cases.
-
-    Attributes:
-        hits, cases: how many of how many.
-    """
+    """A share of cases."""
 
     hits: int
     cases: int
@@ -75,7 +71,6 @@ class Confusion:
     """Truth by guess.
 
     Attributes:
-        truths, guesses: names of rows and columns.
         counts: cases (R, C).
     """
 
@@ -99,11 +94,7 @@ def confusion(cases: Sequence[Scored]) -> Confusion:
 
 @dataclass(frozen=True)
 class Overlap:
-    """Sets said against sets true, over all cases together.
-
-    Attributes:
-        both, said, true: members in both, said, true.
-    """
+    """Sets said against sets true, over all cases together."""
 
     both: int
     said: int
@@ -133,13 +124,7 @@ def overlap(pairs: Iterable[tuple[Iterable[str], Iterable[str]]]) -> Overlap:
 
 @dataclass(frozen=True)
 class Bin:
-    """Claims of like probability.
-
-    Attributes:
-        claims: how many.
-        confidence: their mean probability.
-        right: share of them that are true.
-    """
+    """Claims of like probability."""
 
     claims: int
     confidence: float
@@ -151,7 +136,6 @@ class Calibration:
     """Probabilities against truth.
 
     Attributes:
-        bins: those with claims in them.
         error: expected calibration error, the mean over claims of |confidence - right| of their bin.
     """
 
@@ -208,12 +192,8 @@ class Bar:
     """One bar.
 
     Attributes:
-        name: what is measured.
         value: the number; not-a-number where no case tells.
         wanted: `lower` and `upper` bound.
-        cases: that it rests on.
-        misses: names of the cases that speak against it.
-        ci90: interval of the number, for rates.
     """
 
     name: str

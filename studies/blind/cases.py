@@ -37,12 +37,6 @@ class Bench:
     Attributes:
         core: the device as the simulator knew it.
         mounting: how it is off by now.
-        device: the device of the case, without effects.
-        simulator: the nominal one.
-        baseline: its kind.
-        plan: what is recorded.
-        ruler: for sizes of effects.
-        random: for all further draws.
     """
 
     core: Core
@@ -83,9 +77,7 @@ def set_up(seed: Sequence[int], spread: float = 1.0, plan: str | None = None) ->
     """Draw a device, identify its simulator, draw what it is off by and what is recorded.
 
     Args:
-        seed: of everything in the case.
         spread: of the mounting; 0 keeps the device as it was identified.
-        plan: kind of plan, drawn where left out.
 
     Raises:
         FitError: if no drawn device can be identified.

@@ -30,7 +30,6 @@ class Mounting:
     """How far a device is from the one that its simulator was identified on.
 
     Attributes:
-        gain, friction: factors.
         offset_deg: added to every angle [deg].
     """
 

@@ -32,11 +32,8 @@ class BlindDevice:
     on a grid of 2 ms; the command goes in straight lines from sample to sample.
 
     Attributes:
-        core: its hysteresis.
         noise_deg: standard deviation of the white noise [deg].
         resolution_deg: step of the sensor [deg].
-        seed: of everything random in it.
-        effects: what is withheld.
     """
 
     core: Core

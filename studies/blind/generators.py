@@ -25,7 +25,6 @@ class Generator:
     """One way to produce an effect; its equation is not the library's.
 
     Attributes:
-        name: its own name, in the sealed answers only.
         label: name of the effect that a diagnosis should give; `unknown` where the library has none.
         site: what `apply` changes: the command on the fine grid, the friction factor (it gets the command there), the
             angle on the fine grid, or the sampled angle.
@@ -45,13 +44,7 @@ class Generator:
 
 @dataclass(frozen=True)
 class Withheld:
-    """A generator with its numbers.
-
-    Attributes:
-        generator: which.
-        size: its strength, in its own unit.
-        shape: its other numbers.
-    """
+    """A generator with its numbers."""
 
     generator: Generator
     size: float

@@ -28,7 +28,6 @@ class Injection:
     """One way to change measured angles.
 
     Attributes:
-        name, label: its own name, and the effect that it is.
         typical, greatest: size to begin with, and the largest that a log in use could have.
         change: angle (T,) [deg], its times [s] and the session's clock [s], size and draws to the changed angle.
     """

@@ -137,13 +137,8 @@ def make_blind(
 
     Args:
         folder: new or empty; gets `cases/NNN`, `answers.json` and `manifest.json`.
-        seed: of everything.
-        cases: how many.
         suite: one of `suites.SUITES`, or `all`.
         logs: real logs of one device, or folders of them, for `injection`.
-        jobs: processes.
-        progress: called with cases made and their number.
-        preset: layout of the logs.
 
     Raises:
         ConfigError: on an unknown suite, an occupied folder, a count below 1, or an injection without logs.

@@ -21,8 +21,6 @@ class MotionType:
     """A kind of motion and what it can show.
 
     Attributes:
-        name: in the sealed answers.
-        draw: one command of this kind.
         shows: features that `separability` asks for.
     """
 

@@ -47,10 +47,7 @@ class Plan:
     """What one case records.
 
     Attributes:
-        name: of the kind of plan.
-        types: motion type by trial.
         commands: command by trial, (T,) each [mm].
-        features: what these motions can show.
     """
 
     name: str
@@ -64,12 +61,7 @@ class Plan:
 
 
 def draw_plan(random: np.random.Generator, name: str | None = None) -> Plan:
-    """A plan; every third one is poor. Except where the plan says so, the opening motion is recorded again at the end.
-
-    Args:
-        random: draws.
-        name: kind of plan, drawn where left out.
-    """
+    """A plan; every third one is poor. Except where the plan says so, the opening motion is recorded again at the end."""
     if name is None:
         poor = random.random() < 1 / 3
         name = str(random.choice(POOR if poor else ("rich", "rich", "short")))

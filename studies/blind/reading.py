@@ -26,7 +26,6 @@ class Reading:
         verdict: one of `VERDICTS`, or `failed` where it ended with an error.
         effects: names in its order.
         probabilities: of these.
-        ambiguity: sets of names that it cannot tell apart.
         ranking: names with probabilities, most likely first.
         closed_share, closed_ci90: of the whole gap, with its interval where given.
         floor_deg: that the closed share counts from [deg], where given.
@@ -131,9 +130,6 @@ class Scored:
     """One case.
 
     Attributes:
-        name: of its folder.
-        answer: the truth.
-        reading: the blind diagnosis.
         followed: the diagnosis after the proposed motion was recorded, if it was.
         oracle: closed share of a diagnosis that was told the classes, if one was made.
         seconds: that the diagnosis took, if known.
@@ -177,7 +173,6 @@ def load_scored(folder: Path, partial: bool = False) -> list[Scored]:
     """Open the answers and set the diagnoses beside them.
 
     Args:
-        folder: of the blind check, with its diagnoses.
         partial: leave out cases without a diagnosis instead of refusing.
 
     Raises:

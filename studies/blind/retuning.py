@@ -26,7 +26,6 @@ class Retuned:
     """A baseline refitted to some angles.
 
     Attributes:
-        simulator: with the refitted chain.
         rmse_deg: that it leaves [deg].
         angles: its free runs, (T,) by trial [deg].
     """

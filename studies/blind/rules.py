@@ -84,10 +84,6 @@ def fit_rules(selection: Selection, runs: Sequence[Run]) -> dict[str, str]:
     """What each rule would name: `bic` and `single fit`; no fit is made that the selection has not made.
 
     A rule that chooses several names is asked for the one which alone lowers the error of the fit the most.
-
-    Args:
-        selection: with everything that it tried.
-        runs: the development runs that it fitted.
     """
     alone = {next(iter(names)): judged.hypothesis.mse for names, judged in selection.tried.items() if len(names) == 1}
     chosen = bic_choice(selection.tried, runs)

@@ -34,8 +34,6 @@ def record_motion(folder: Path, case: str, motion: Path) -> Path:
     """Run a motion on a case's simulated device and write the log; neither log nor message tells the answer.
 
     Args:
-        folder: of the blind check.
-        case: its folder's name.
         motion: CSV with columns `time_s` and `command`.
 
     Returns:
@@ -103,10 +101,6 @@ class Job:
     """One diagnosis to make.
 
     Attributes:
-        folder: of the blind check.
-        case: name of its folder.
-        seed: of the diagnosis.
-        without: classes left out of the library.
         only: classes that the library is cut down to: the oracle's; empty for the blind diagnosis.
         kind: `diagnoses`, `follow_up_diagnoses` or `oracle`: the folder of the result.
     """
@@ -139,8 +133,6 @@ def run_blind(
 
     Args:
         folder: made by `make_blind`.
-        jobs: processes.
-        seed: of the diagnoses.
         follow_up: record and diagnose again where a next motion is proposed.
         with_truth: run the oracle.
         progress: called with jobs done, jobs in all and a note.

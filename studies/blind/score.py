@@ -40,10 +40,7 @@ class Score:
     """All that the report shows.
 
     Attributes:
-        cases: with answers and diagnoses.
         bars: see `bars`.
-        confusion: over all cases.
-        calibration: of every name put forward.
         groups: share of right verdicts, by table and row.
         beside: top-1 on single effects of the diagnosis and of simpler rules.
     """
@@ -64,7 +61,6 @@ def score_blind(folder: Path, partial: bool = False) -> Score:
     """Open the answers, score the diagnoses, write `score.json`.
 
     Args:
-        folder: of the blind check.
         partial: score what is diagnosed so far instead of refusing.
 
     Raises:

@@ -33,9 +33,6 @@ class EffectAnswer(Settings):
     """One withheld effect.
 
     Attributes:
-        label: name that a diagnosis should give.
-        generator: what made it.
-        size, shape: its numbers.
         ratio: gap that it alone leaves after retuning, in floors.
         gap_deg: the same [deg].
         main: whether it counts as the cause, or is a smaller contaminant.
@@ -63,8 +60,6 @@ class Answer(Settings):
 
     Attributes:
         suite: which part of the check it belongs to; decoys and controls say more in `variant`.
-        effects: what was withheld.
-        without: classes that the diagnosis is not given.
         separable: whether these motions can tell the effects from their twins.
         plan, motions: kind of recording plan, and motion by trial.
         floor_deg, noise_deg, form_deg: noise and model-form error together, and each [deg].
@@ -74,7 +69,6 @@ class Answer(Settings):
             unaffected device [deg].
         where: density of the retuned error by region, 1 on average.
         device, mounting, seed: of the simulated device, to record more of it.
-        baseline: kind of the nominal simulator.
     """
 
     suite: Suite
@@ -135,7 +129,6 @@ class Case:
     Attributes:
         trials: in recording order.
         simulator: identified on other trials of the unaffected device.
-        answer: the truth.
     """
 
     trials: tuple[Trial, ...]
@@ -152,8 +145,6 @@ class Manifest(Settings):
     """What may be known before the answers are opened.
 
     Attributes:
-        format: of the folder.
-        cases: names of the case folders.
         answers_sha256: of the sealed file.
         without: classes that the diagnosis of a case is not given; every second such case is a decoy.
     """

@@ -41,8 +41,6 @@ def control_figures(
     that took longer than a sample on the machine as it was loaded; it is shown, and judged nowhere.
 
     Args:
-        run: what happened.
-        limits: that the controller had.
         half_width: half the width of the plant's hysteresis loop [cmd].
         preview: samples of the reference that the controller looks ahead.
         delay: samples of transport delay, begun ones included.
@@ -84,14 +82,7 @@ Run = tuple[str, float, str, str]
 
 @dataclass(frozen=True, eq=False)
 class ControlOutcome:
-    """The benchmark with the results of all its jobs.
-
-    Attributes:
-        settings: of the study.
-        results: in the order of its jobs.
-        folder: where results and signals lie.
-        meta: of the run folder.
-    """
+    """The benchmark with the results of all its jobs."""
 
     settings: ControlSettings
     results: tuple[ControlResult, ...]
@@ -164,10 +155,7 @@ class Bar:
     """One requirement: a figure of every run that it is about, and the most that it may be.
 
     Attributes:
-        name: in tables.
         limit: the most that is allowed.
-        figure: of a run; NaN where the run has none.
-        about: whether a run is judged.
     """
 
     name: str
@@ -178,16 +166,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class Verdict:
-    """How one controller on one plant at one rate stands to one bar.
-
-    Attributes:
-        bar: its name.
-        limit: the most that is allowed.
-        plant, rate_hz, controller: what is judged.
-        within, judged: motions that keep to it, and motions.
-        worst: the greatest figure.
-        motion: where that was.
-    """
+    """How one controller on one plant at one rate stands to one bar."""
 
     bar: str
     limit: float

@@ -139,11 +139,9 @@ class ControlResult:
     """What became of one job.
 
     Attributes:
-        job: what was asked.
         fingerprint: of all that the result depends on.
         status: `failed` if anything raised.
         message: the error of a failed job, else one line on how it went.
-        seconds: wall time of the job.
         figures: of a run, see `control_figures`; of a search its error; NaN where there is none.
         ladder: of a run, samples by source of the command.
     """

@@ -44,7 +44,6 @@ class RestedPredictor(Predictor):
     whoever knows the commands before.
 
     Args:
-        predictor: the model.
         before: commands (T,) that the device got before the first sample, the last of them its rest.
     """
 
@@ -92,7 +91,6 @@ class RehearsedController(Controller[State]):
     """A controller that starts from a recording instead of a single measurement.
 
     Args:
-        controller: what decides.
         commands, angles: see `GuardedController.replay`.
     """
 
@@ -127,7 +125,6 @@ def run_along(
 
     Raises:
         HystmpcError: what `sim.study.prepare` raises; ConfigError if gains are missing.
-        KeyboardInterrupt: if the user ended it.
     """
     study = study_of(job, settings, folder, (job.motion,))
     controller = _ready(study, job, settings.seed)
@@ -157,7 +154,6 @@ def tune(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[str,
 
     Raises:
         HystmpcError: what `sim.study.prepare` raises; ConfigError if the gains to start from are missing.
-        KeyboardInterrupt: if the user ended it.
     """
     study = study_of(job, settings, folder, settings.motions)
     evaluations = settings.tune_evaluations if job.stage == "tune" else settings.retune_evaluations

@@ -77,7 +77,6 @@ def save_network(plant: Plant, kind: str, folder: Path, updates: int, seed: int,
     Raises:
         FitError: if training fails or torch is missing.
         ExportError: if the exported model differs from its reference.
-        KeyboardInterrupt: if the user ended it.
     """
     request = FitRequest(preset=_NETWORK_PRESET, seed=seed, steps=updates)
     found = kind_named(kind).fit(recordings(plant, seed, quick), request)

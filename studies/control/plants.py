@@ -33,12 +33,9 @@ class Plant:
     """One device of the benchmark.
 
     Attributes:
-        name: in results.
         family: its name without mismatch: what models are identified on.
-        library: built-in simulator of its hysteresis.
         lag_s, delay_s: of its actuator [s].
         noise_deg: standard deviation of its sensor [deg].
-        before: operators on its command.
         factor: on all its parameters, lag and delay included; 1 for the device that models were identified on.
     """
 

@@ -33,7 +33,6 @@ class Rival:
     """One controller of the benchmark.
 
     Attributes:
-        name: in results.
         kind: of `ctrl.config.CONTROLLERS`.
         model: what it knows of the plant: `none`, a backlash, a network, or `oracle` for the plant itself.
         trusting: an oracle whose estimator knows that its model is exact.
@@ -76,7 +75,6 @@ class Rival:
 
         Args:
             dt_s: sample time [s].
-            delay_samples: whole samples of delay that it is told of.
             lag_s: of the actuator, that it is told of [s].
         """
         if self.kind == "pid":

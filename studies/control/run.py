@@ -39,15 +39,7 @@ _FAST_HZ, _LONG_HORIZON = 100.0, 3.0
 
 @dataclass(frozen=True, eq=False)
 class ControlStudy:
-    """The benchmark made ready: its folder is there, nothing has run yet.
-
-    Attributes:
-        settings: of the study.
-        jobs: all jobs, stage by stage.
-        folder: run folder.
-        costs: expected seconds by key of all jobs.
-        open: keys of the jobs that are not done yet.
-    """
+    """The benchmark made ready: its folder is there, nothing has run yet."""
 
     settings: ControlSettings
     jobs: tuple[ControlJob, ...]
@@ -64,7 +56,6 @@ def prepare_control(settings: ControlSettings, out: Path | str) -> ControlStudy:
     """Plan the jobs and open the folder.
 
     Args:
-        settings: of the study.
         out: a new or empty folder, or one in which the benchmark was begun; its finished jobs are kept.
 
     Raises:

@@ -33,8 +33,6 @@ def motion(name: str, rest_deg: float, seed: int, quick: bool = False) -> dict[s
     Args:
         name: one of `MOTIONS`.
         rest_deg: angle at which the plant rests at first [deg].
-        seed: of the random one.
-        quick: a short one.
 
     Raises:
         ConfigError: on an unknown motion.

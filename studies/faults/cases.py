@@ -33,13 +33,10 @@ class Case:
     """One fault.
 
     Attributes:
-        name: as the table shows it.
-        expected: how the run has to end.
         device: faults of the wire, as in a device's configuration.
         drive: other changes of the device's configuration, nested.
         settings: changes of the run's configuration, nested.
         kill: process that gets `signal` at `at_s`, or as soon as `height` and `rising_per_s` are reached.
-        signal: its name.
         at_s: when the fault begins, seconds after the first command.
         height: the signal waits until the device holds at least this command [mm]; None waits for `at_s`.
         rising_per_s: and until that command rises at least that fast [mm/s].
@@ -218,7 +215,6 @@ class Link:
     """How device and controller of a case find each other.
 
     Attributes:
-        kind: of the wire.
         port: of the device over UDP; 0 lets it choose.
         domain: of DDS; cases that are played at the same time need one each.
     """

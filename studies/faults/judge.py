@@ -31,10 +31,6 @@ class Verdict:
     """One row of the campaign's table.
 
     Attributes:
-        name: of the case.
-        wire: over which it was played.
-        expected, got: how the run had to end, and did.
-        commands: that the device received.
         beyond: of those and of the log's, beyond the limits on value or rate. Anything but 0 is a failure.
         safe_s: from the fault to the safe command held for good [s]; infinite where the device never came there, NaN
             where the run went on, nothing moved, or the device was gone.
@@ -43,7 +39,6 @@ class Verdict:
         log: `whole`, or what is wrong with it.
         second: what became of a second run: `refused`, something else, or nothing where there was none.
         claim: whether the user was told that the safe command is `held` or `sent`; `held, is not` is a failure.
-        seen: the last line that says what happened.
     """
 
     name: str

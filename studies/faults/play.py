@@ -157,11 +157,9 @@ class Played:
 
     Attributes:
         folder: with `device.csv`, `said.txt`, the run folder `run` and the configurations.
-        link: over which it was played.
         fault_ns: monotonic time at which a process got its signal [ns]; 0 where the device's own faults say when.
         ended_ns: monotonic time at which the controller had ended [ns].
         code: exit code of the controller, negative for a signal.
-        said: what it printed.
         second_code: exit code of the second run; None where there is none.
     """
 
@@ -178,9 +176,6 @@ def play(case: Case, folder: Path, link: Link = Link(), program: Sequence[str] =
     """Play one case in a new folder.
 
     Args:
-        case: what goes wrong.
-        folder: is made.
-        link: between device and controller.
         program: the command line that starts `hystmpc`.
 
     Raises:
@@ -344,7 +339,6 @@ def device_log(folder: Path, last_bytes: int | None = None) -> list[tuple[float,
     """Rows of `device.csv`: monotonic [ns], time [s], command received, held, angle [deg]; whole rows only.
 
     Args:
-        folder: of the case.
         last_bytes: read no more than the file's end.
     """
     rows: list[tuple[float, ...]] = []

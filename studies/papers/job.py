@@ -26,12 +26,9 @@ class Job:
     """What is trained; with the trials of its `Task` it determines the result.
 
     Attributes:
-        stage: part of the study.
-        kind, preset: of the model and its training.
         direction: `inverse` swaps command and angle of every trial.
         train: name of the training set: `sin`, `p2p`, `mixed`, `train`, or the log that is left out.
         constancy: beta of S2 eq. (12), None for the preset's.
-        seed: of the training.
         steps: epochs, updates or iterations; None for the preset's.
         skip_first_flexure: train without the first flexure, score with and without it.
         window: samples of a training window or a history buffer, see `WINDOWS`; None for the preset's.
@@ -70,13 +67,7 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A job with its trials, command to angle whatever the job's direction.
-
-    Attributes:
-        job: what is trained.
-        training, validation: trials to learn from and to stop by.
-        tests: trials to score, by split.
-    """
+    """A job with its trials, command to angle whatever the job's direction."""
 
     job: Job
     training: tuple[Trial, ...]

@@ -17,7 +17,6 @@ class Printed:
     """A number or sign of a paper.
 
     Attributes:
-        value: in the unit of its table.
         mark: how it is known.
         above: printed as "more than this".
     """
@@ -130,11 +129,9 @@ class PrintedTraining:
     """A row of S1 Table IV.
 
     Attributes:
-        iterations: of the identification.
         loss: training loss; the paper's header says deg^2 for all.
         change_percent: mean relative change of the loss over the last 10 % of the iterations [%].
         unit: that its number has by comparison with Table III.
-        time: of the whole identification.
     """
 
     iterations: Printed

@@ -56,7 +56,6 @@ class Candidate:
     """One kind, preset and beta with a score for every log.
 
     Attributes:
-        kind, preset: which.
         beta: None for the preset's.
         results: one for each log that is left out, in the order of the logs.
     """

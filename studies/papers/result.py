@@ -27,8 +27,6 @@ class Score:
     """A model's free run over one trial.
 
     Attributes:
-        split: of the data set.
-        trial: its source.
         errors: over the whole trial; in mm or bar for an inverse map.
         later: over the trial from the first reversal of the command on; None where that was not asked for, or the
             command never turns.
@@ -45,14 +43,10 @@ class JobResult:
     """What became of one job.
 
     Attributes:
-        job: what was asked.
         fingerprint: of job and trials.
         status: `failed` if the kind, the export or the free runs raised.
         message: the error of a failed job, else the fit's own report.
-        seconds: wall time of the job.
-        samples: trained on.
         history: step and best error so far, in the unit of the output.
-        scores: a free run each.
     """
 
     job: Job
@@ -85,15 +79,7 @@ def model_file(folder: Path, job: Job) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A study with the results of all its jobs.
-
-    Attributes:
-        settings: of the study.
-        splits: its trials.
-        results: in the order of its jobs.
-        folder: where models and results lie.
-        meta: of the run folder.
-    """
+    """A study with the results of all its jobs."""
 
     settings: StudySettings
     splits: Splits

@@ -40,10 +40,6 @@ class Study:
     """A study made ready: its folder is there, nothing is trained yet.
 
     Attributes:
-        settings: of the study.
-        splits: its trials.
-        tasks: its jobs.
-        folder: run folder.
         costs: expected seconds by key of the jobs that are not done yet.
     """
 
@@ -62,7 +58,6 @@ def prepare(settings: StudySettings, out: Path | str) -> Study:
     """Make or read the trials, plan the jobs, open the folder.
 
     Args:
-        settings: of the study.
         out: a new or empty folder, or one in which the same study was begun; its finished jobs are kept.
 
     Raises:

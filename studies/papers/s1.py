@@ -161,10 +161,6 @@ _QUICK_SCANS = 2
 def scan_study(outcome: Outcome, preset_of: dict[str, str]) -> Reconstruction | None:
     """Scan the cap with the simulated catheter and draw it from every forward model's angle; None without a model.
 
-    Args:
-        outcome: of the study.
-        preset_of: which preset of each kind is used.
-
     Raises:
         ConfigError: if a ray misses the cap or an angle is beyond its range.
         ModelError: if a model's angle is not finite or beyond the range.

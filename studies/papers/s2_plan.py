@@ -76,12 +76,7 @@ BASELINE = "fnn"
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """The models that were trained and tested on one motion, in one direction, with one preset.
-
-    Attributes:
-        outcome: of the study.
-        motion, direction, preset: which.
-    """
+    """The models that were trained and tested on one motion, in one direction, with one preset."""
 
     outcome: Outcome
     motion: str

@@ -48,10 +48,8 @@ class StudySettings(Settings):
             reported; None for the preset's own.
         epochs_scale: share of the papers' epochs that networks are trained for with the preset `paper`. 0.08 for S2,
             where all 100 would take hours on two cores; the report says so.
-        seed: of the simulated data and of the training.
         quick: a hundredth of the training on a few short trials: proves that everything runs, and nothing else.
         logs: recorded trials or folders of them, for `real`.
-        layout: of the logs.
         rate_hz: rate to which logs are resampled [Hz].
     """
 

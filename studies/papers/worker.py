@@ -122,7 +122,6 @@ def estimated_seconds(tasks: Sequence[Task], timed: bool = True) -> dict[str, fl
     Jobs of one kind, preset and constancy term on about as many samples are timed once.
 
     Args:
-        tasks: of a study.
         timed: False to go by the samples alone, without timing anything.
     """
     seconds: dict[tuple[object, ...], float | None] = {}

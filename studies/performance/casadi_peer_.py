@@ -36,7 +36,6 @@ class Method:
     """How the peer solves its problem.
 
     Attributes:
-        name: as rows are called.
         solver: CasADi plugin, `sqpmethod` or `ipopt`.
         gauss_newton: Hessian from the Jacobian of the angles, otherwise the solver's limited-memory one.
         iterations: bound; one makes the peer a real-time iteration like ours.
@@ -72,11 +71,8 @@ class SingleShooting:
 
     Args:
         function: step (state, u) -> (theta, next state).
-        limits: hard limits.
-        weights: of tracking, terminal and rate.
         horizon: H.
         dt: sample time [s].
-        method: solver and Hessian.
     """
 
     def __init__(

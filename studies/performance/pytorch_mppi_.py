@@ -26,9 +26,6 @@ class TorchMppi:
     [LSTM state, theta, u, du]. Its own limits are those of a box; the rate limit is kept by the dynamics.
 
     Args:
-        network: weights.
-        limits: hard limits.
-        weights: of tracking, terminal and rate.
         samples: N.
         horizon: H.
         dt: sample time [s].

@@ -26,16 +26,11 @@ class Row:
     """One comparison.
 
     Attributes:
-        section: what is measured, with the model.
-        ours, other: the two sides.
-        reads: what the ratio says.
         goal: of the ratio: at least for `FASTER`, at most for the others; None for none.
         state: `measured`, `not installed`, `interrupted`.
         ratio: None unless measured.
         times, other_times: of both sides; the limit has a duration only.
         limit_s: duration at the limit [s].
-        facts: further numbers, names with units.
-        note: one line.
     """
 
     section: str
@@ -89,7 +84,6 @@ class Growth:
     """How one step's time grows with one size.
 
     Attributes:
-        what: is measured.
         size: that is changed, `H`, `N` or `hidden`.
         values: of it, ascending (K,).
         times: of a step at each (K,).
@@ -116,16 +110,7 @@ class Growth:
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """A whole run.
-
-    Attributes:
-        settings: sizes and effort.
-        machine: processor, cores and versions.
-        models: what was controlled, by name.
-        rows: the comparisons.
-        growth: how steps take longer with their sizes.
-        interrupted: whether the keyboard ended the run.
-    """
+    """A whole run."""
 
     settings: Mapping[str, Any]
     machine: Mapping[str, Any]

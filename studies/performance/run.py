@@ -27,7 +27,6 @@ def run_bench(settings: BenchSettings, progress: Progress | None = None) -> Repo
     """Measure every section; after Ctrl-C the report holds what there is.
 
     Args:
-        settings: sizes and effort.
         progress: called before each section and after each round.
     """
     rows: list[Row] = []

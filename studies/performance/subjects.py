@@ -125,9 +125,6 @@ class Subject:
     """A model under control.
 
     Attributes:
-        name: short, for headings.
-        source: one line on where it comes from.
-        metadata: limits and ranges.
         predictor, inverse: as controllers use them; the model's own state stands first in the predictor's.
         own: predictor of the model alone, without a companion for the inverse.
         function: CasADi function (state (S, 1), u) -> (theta, next state) for peers.

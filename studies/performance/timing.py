@@ -80,7 +80,6 @@ class Clock:
     """Times jobs in turns and remembers whether the keyboard ended it.
 
     Args:
-        effort: how long.
         on_round: called with the number of turns that are done or left out.
     """
 
@@ -97,7 +96,6 @@ class Clock:
         and does not count; a job too long for bursts counts always.
 
         Args:
-            jobs: with different names.
             threads: of BLAS and OpenMP in this process.
         """
         samples: dict[str, list[float]] = {job.name: [] for job in jobs}
@@ -154,7 +152,6 @@ class BenchSettings:
         hidden: cells in each of the network's two layers; the goals are for 64.
         horizon: H.
         samples: N of the sampling controller and of the batched roll-outs.
-        effort: repetitions.
     """
 
     hidden: int = 64

@@ -91,8 +91,6 @@ def surface_distance(settings: ReconstructionSettings, pattern: Pattern, theta_d
     first.
 
     Args:
-        settings: segment and cap.
-        pattern: of the sector in the bending plane.
         theta_deg: bending angles (T,) [deg].
 
     Returns:
@@ -192,7 +190,6 @@ def measured_distance(distance_mm: Vec, oct_settings: Oct, random: np.random.Gen
 
     Args:
         distance_mm: true distances (T,) [mm].
-        oct_settings: the fibre.
         random: source of the noise; it is drawn from even where the noise is 0, so that settings do not shift seeds.
 
     Raises:

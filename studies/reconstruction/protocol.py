@@ -142,11 +142,6 @@ def session(protocol: Protocol) -> Session:
 def record_scans(protocol: Protocol, device: Device, models: Mapping[str, Estimator]) -> tuple[Scan, ...]:
     """Run device and models once over the whole session and cut the scans out.
 
-    Args:
-        protocol: what is sent.
-        device: command to true and sensed angles.
-        models: command to angle, by name.
-
     Raises:
         ConfigError: if the device's answer has another length than the command, or is not finite.
         ModelError: if that holds for a model's.

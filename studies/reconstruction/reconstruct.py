@@ -25,11 +25,8 @@ class RankTest:
     """Two-sided Mann-Whitney U test in one pattern. Source: S1 section III-B, p < .01 in every pattern.
 
     Attributes:
-        pattern: name of the pattern.
-        first, second: names of the models.
         unit: what is counted. `points` as S1 does; points of one scan follow each other in time, so they are not
             independent and this p is too small. `scans` takes the mean error of a scan as one observation.
-        n: observations of each model.
         u: pairs in which the first model's error is the greater one, ties counted by half.
         p: of the null hypothesis that neither model tends to the greater errors.
     """
@@ -68,7 +65,6 @@ class ErrorSummary:
         mean_mm: S1's reconstruction error [mm].
         std_mm: population standard deviation [mm].
         max_mm: greatest error [mm].
-        n: number of points.
     """
 
     mean_mm: float
@@ -82,7 +78,6 @@ class Reconstruction:
     """Points of all scans, one after another, P in all; paired row by row.
 
     Attributes:
-        settings: what was scanned with what.
         rotation_deg: of the cap at each point (P,) [deg].
         pattern: name of the pattern at each point (P,).
         distance_mm: measured distances (P,) [mm].
@@ -199,7 +194,6 @@ def reconstruct(
     point(theta, d, phi) = R_phi (tip(theta) + d tangent(theta));  error = | point(model) - point(sensed) |, same d, phi
 
     Args:
-        settings: what is scanned with what.
         scans: in the order of the session; every one with the same models.
         compared: two models for the Mann-Whitney tests, over points and over scans.
 

@@ -31,7 +31,6 @@ class PrintedValue:
     """A number of the paper.
 
     Attributes:
-        value: in the unit of its table.
         mark: `PRINTED`, or `INFERRED` where it was worked out from printed ones.
     """
 
@@ -164,9 +163,7 @@ def section_figure(result: Reconstruction, rotation_deg: float = 45.0, models: S
     """One scan: the cap, its ground truth and each model's points, and below the errors of all models.
 
     Args:
-        result: the reconstruction.
         rotation_deg: of the scan; S1 Fig. 7d is that of pattern I at 45 [deg].
-        models: which; all where left out.
 
     Raises:
         ConfigError: if there is no such scan.

@@ -39,7 +39,6 @@ class Pattern(Settings):
     """The surface of one sector of the cap.
 
     Attributes:
-        name: as in the tables.
         grooves: from the axis outwards; none for a smooth surface.
     """
 
@@ -139,9 +138,6 @@ class ReconstructionSettings(Settings):
     Attributes:
         segment_length_mm: L of the bending segment; from S1's "1-3 mm corresponds to 2.09-6.26 deg" [mm].
         max_angle_deg: angles beyond it, of device or model, are refused: the ray would look backwards [deg].
-        cap: what is scanned.
-        oct: what ranges it.
-        seed: of the distance noise.
     """
 
     segment_length_mm: Positive = 54.75
