@@ -1,4 +1,4 @@
-"""Every controller of a study along every motion, with a run folder for each."""
+"""Every controller of a study along every motion, with a run folder for each; and the study that ships as `demo`."""
 
 from __future__ import annotations
 

@@ -30,6 +30,18 @@ _LIMIT: Any = {"color": REFERENCE, "linestyle": (0, (4, 3)), "linewidth": 0.7}
 _WANTED: Any = {"color": REFERENCE, "linewidth": 2.4, "alpha": 0.45}
 _BINS = 61
 _ROWS = 3  # a loop plot smaller than a third of the width cannot be read
+_COLUMNS = (
+    "controller",
+    "RMSE [deg]",
+    "max abs [deg]",
+    "hold error [deg]",
+    "hold command range [{unit}]",
+    "command travel [{unit}]",
+    "limit violations",
+    "step mean [ms]",
+    "step p99 [ms]",
+)
+_WITH_GAINS = (PidControllerSettings, InversePidControllerSettings)
 
 
 def colours(controllers: Sequence[str]) -> dict[str, str]:
@@ -131,19 +143,6 @@ def _stage_times(results: Sequence[Result]) -> list[tuple[str, str, Any]]:
     return rows
 
 
-_COLUMNS = (
-    "controller",
-    "RMSE [deg]",
-    "max abs [deg]",
-    "hold error [deg]",
-    "hold command range [{unit}]",
-    "command travel [{unit}]",
-    "limit violations",
-    "step mean [ms]",
-    "step p99 [ms]",
-)
-
-
 def study_report(result: StudyResult) -> Report:
     """The page of a study."""
     colour = colours(result.controllers)
@@ -212,9 +211,6 @@ def _set_up(result: StudyResult) -> Iterator[Piece]:
         note = f" Found by search on this plant and these motions: {found}." if found else ""
         columns = ("controller", f"kp [{unit}/deg]", f"ki [{unit}/(deg s)]", f"kd [{unit} s/deg]", "dead zone [deg]")
         yield Table(columns, gains, f"PID gains.{note}")
-
-
-_WITH_GAINS = (PidControllerSettings, InversePidControllerSettings)
 
 
 def _gains(name: str, settings: PidControllerSettings | InversePidControllerSettings) -> tuple[object, ...]:

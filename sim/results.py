@@ -1,4 +1,4 @@
-"""What a closed-loop study found, in memory and in its run folder."""
+"""Results of a closed-loop study: metrics, runs as log columns, and run folders read back."""
 
 from __future__ import annotations
 
@@ -25,6 +25,16 @@ from .config import SimulationConfig
 HOLD_S = 0.5
 _STILL_DEG = 1e-9
 _ROUNDING = 1e-9  # of the command's range: a limit that is met exactly is not violated
+Column = Vec | tuple[str, ...]
+_STAGE = "stage_"
+_LOOP = {
+    "time_s": "time_s",
+    "angle_deg": "measured_deg",
+    "reference_deg": "reference_deg",
+    "predicted_deg": "predicted_deg",
+    "disturbance_deg": "disturbance_deg",
+}
+_TRUE = "true_angle_deg"
 
 
 @dataclass(frozen=True)
@@ -85,19 +95,6 @@ def violations(command: Vec, before: float, limits: CommandLimits, dt_s: float) 
     inside = (command >= limits.lower - slack) & (command <= limits.upper + slack)
     slow = np.abs(np.diff(command, prepend=before)) <= limits.rate * dt_s + slack
     return int(np.sum(~(inside & slow)))
-
-
-Column = Vec | tuple[str, ...]
-
-_STAGE = "stage_"
-_LOOP = {
-    "time_s": "time_s",
-    "angle_deg": "measured_deg",
-    "reference_deg": "reference_deg",
-    "predicted_deg": "predicted_deg",
-    "disturbance_deg": "disturbance_deg",
-}
-_TRUE = "true_angle_deg"
 
 
 def log_columns(run: ClosedLoopRun) -> dict[str, Sequence[str] | Vec]:

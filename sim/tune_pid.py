@@ -1,4 +1,4 @@
-"""PID gains by global search on the study's own plant and motions: the strongest PID that there is to compare with."""
+"""PID gains by global search on the study's own plant and motions: the best PID for comparison."""
 
 from __future__ import annotations
 

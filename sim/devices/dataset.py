@@ -1,4 +1,4 @@
-"""A data set: named splits of trials, with what it was made of."""
+"""Data sets: named splits of trials, in memory and as canonical CSV files with a manifest."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ from hystmpc.trials.presets import CANONICAL
 from hystmpc.trials.run_folder import require_vacant
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
+
+FORMAT = "hystmpc-dataset/1"
+MANIFEST = "manifest.yaml"
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +65,6 @@ class Dataset:
     def samples(self) -> dict[str, int]:
         """Samples by split."""
         return {split: sum(map(len, trials)) for split, trials in self.splits.items()}
-
-
-FORMAT = "hystmpc-dataset/1"
-MANIFEST = "manifest.yaml"
 
 
 def write_dataset(dataset: Dataset, folder: Path | str, progress: Progress | None = None) -> Path:

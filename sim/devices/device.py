@@ -1,4 +1,4 @@
-"""What a simulated device is to recorders and plants: explicit state, commands in, motion out."""
+"""Interface of simulated devices (explicit state, commands in, motion out), and parameters with unit and bounds."""
 
 from __future__ import annotations
 

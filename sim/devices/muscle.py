@@ -1,4 +1,4 @@
-"""The catheter of S1 as a simulated device: valve, bladder, braid friction and a segment that stiffens."""
+"""The catheter of S1 and its bench: valve, bladder, braid friction and a segment that stiffens."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from .recorder import LaserSensor, generator, sampled
 
 PRESSURE, BLADDER, FRICTION, LATE, BEND = range(5)
 STATES = 5
+_STEP_S = 1e-3  # longest step of the recursion
 
 
 class MuscleNumbers(NamedTuple):
@@ -66,9 +67,6 @@ def advance(state: Any, commands: Any, p: Any, dt: float, parts: int, angle: Any
         angle[k] = bend
         drive[k] = pressure
     state[0], state[1], state[2], state[3], state[4] = pressure, before, friction, late, bend
-
-
-_STEP_S = 1e-3  # longest step of the recursion
 
 
 @dataclass(frozen=True)

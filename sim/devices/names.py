@@ -1,4 +1,4 @@
-"""The devices by name, with their numbers as settings files give them."""
+"""Simulated devices by name, with their parameters as settings files give them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The data set of S1: eight training groups and the tests (a) to (d), on the simulated muscle catheter."""
+"""Data sets of the papers S1 and S2 recorded on the simulated devices; S2's motions on the rod too."""
 
 from __future__ import annotations
 
@@ -31,6 +31,8 @@ from .muscle import MuscleRecorder
 from .recorder import generator
 from .rod import RodRecorder
 from .tendon import TendonRecorder
+
+DATASETS = ("s1", "s2", "rod")
 
 
 @dataclass(frozen=True)
@@ -157,7 +159,6 @@ class RodSettings:
         return {"recorder": to_plain(self.recorder), "motions": kept}
 
 
-DATASETS = ("s1", "s2", "rod")
 Settings = S1Settings | S2Settings | RodSettings
 _SETTINGS: Mapping[str, type[Settings]] = {"s1": S1Settings, "s2": S2Settings, "rod": RodSettings}
 

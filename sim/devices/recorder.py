@@ -1,4 +1,4 @@
-"""What the papers' sensors make of a true motion: distortion, noise, quantisation."""
+"""Recording on a simulated bench: sampled commands, the papers' sensors, seeds by trial name, S2's tracked bench."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from hystmpc.trials.types import Vec
 from .device import Device, check_quantities, quantity
 
 _TURN_DEG = 40.0  # tip angle over which the field's distortion turns once
+_ROUNDING = 1e-9  # of a sample, so that a duration of whole samples is not cut short
 
 
 @dataclass(frozen=True)
@@ -87,9 +88,6 @@ class LaserSensor:
 def quantised(values: Vec, step: float) -> Vec:
     """Values rounded to multiples of `step`; as they are for step 0."""
     return np.round(values / step) * step if step > 0 else values
-
-
-_ROUNDING = 1e-9  # of a sample, so that a duration of whole samples is not cut short
 
 
 def sampled(excitation: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:

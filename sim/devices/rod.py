@@ -1,4 +1,4 @@
-"""A planar rod on a tendon as a simulated device: physics that no operator of this package contains."""
+"""The rod catheter: a planar rod on a tendon with friction, its recorder, and single trials of it."""
 
 from __future__ import annotations
 

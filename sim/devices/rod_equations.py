@@ -22,6 +22,10 @@ import numpy as np
 
 from hystmpc.models.kernels.numba_ import njit
 
+_UP, _STICKS, _DOWN, _LOOSE = 1, 0, -1, -2
+_ROUNDS = 400  # doubles are exhausted long before
+_EXACT = 1e-13  # [mm or N]
+
 
 class RodNumbers(NamedTuple):
     """Parameters as the equations read them; lengths mm, forces N, angles rad, stiffness N mm/rad, arrays by span."""
@@ -100,11 +104,6 @@ def gravity(bends: Any, moments: Any, p: RodNumbers) -> None:
         total += middle
         weights += 1.0
         moments[i] = -p.weight * (total - weights * joint)
-
-
-_UP, _STICKS, _DOWN, _LOOSE = 1, 0, -1, -2
-_ROUNDS = 400  # doubles are exhausted long before
-_EXACT = 1e-13  # [mm or N]
 
 
 class Knots(NamedTuple):

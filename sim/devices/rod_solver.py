@@ -28,6 +28,8 @@ TOLERANCE_MM = 1e-9
 """Greatest residual of the friction law that a step may leave [mm]."""
 
 _NEWTON = 20  # iterations before it is given up
+_GRAVITY_ROUNDS = 100
+_GRAVITY_MM = 1e-10
 
 
 class Work(NamedTuple):
@@ -138,10 +140,6 @@ def solve(place: float, s: Any, w: Work, k: Knots, p: RodNumbers, d: StepNumbers
     shoot(place, s, w, k, p, d)
     _spans(s, w, p, d)
     return _residual(s, w, p)
-
-
-_GRAVITY_ROUNDS = 100
-_GRAVITY_MM = 1e-10
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,4 +1,4 @@
-"""The tendon catheter of S2 as a simulated device: distributed friction between two lines."""
+"""The tendon catheter of S2 and its bench: distributed friction between two lines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Many calls of one function, in this process, in a pool of processes or on a Dask cluster.
+"""Resumable plans of jobs, done in this process, in a pool of processes or on a Dask cluster.
 
-`backend.Backend` is what all of them are; a worker that dies is replaced and its call made again.
+`runner` keeps what is finished and does the rest; `backend.Backend` is where jobs are done: a worker that dies is
+replaced and its job made again.
 """

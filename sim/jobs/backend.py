@@ -21,6 +21,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_DEATHS = 3  # in a row, without a result between them
+_AHEAD = 2  # items a worker that are handed over before they are needed
 
 
 class Backend(ABC):
@@ -78,10 +80,6 @@ def backend_for(workers: int, cluster: str | None = None, where: str = "") -> Ba
     except ModuleNotFoundError as error:
         raise ConfigError(f"--cluster {cluster}: {error.name} is not installed: pip install 'hystmpc[tune]'") from None
     return DaskCluster(cluster, where)
-
-
-_DEATHS = 3  # in a row, without a result between them
-_AHEAD = 2  # items a worker that are handed over before they are needed
 
 
 @final

@@ -1,4 +1,4 @@
-"""The plant that a block of settings names, simulator file or device: the one place where the two are told apart."""
+"""Plants from settings: a simulator file, or a device by name."""
 
 from __future__ import annotations
 

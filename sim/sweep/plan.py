@@ -1,4 +1,4 @@
-"""The rows of a sweep: what each runs, and an identity that depends on nothing but that."""
+"""The rows of a sweep: settings of each run, and an identity that depends on nothing else."""
 
 from __future__ import annotations
 

@@ -22,6 +22,11 @@ from ..report import colours
 from .store import Column, chosen, numbers, table_of, texts
 
 _FEW = ((100.0, (1,)), (8.0, (1, 2, 5)))  # from this ratio of the ends on only these leading digits are shown
+_FIGURES = ("rmse_deg", "max_abs_deg", "hold_error_deg", "command_travel", "limit_violations", "step_mean_s", "cpu_s")
+_NAMES = ("id", "status", "message", "controller", "motion", "seed", *_FIGURES)
+_WORST = 20
+_LEVELS = 8  # a factor with more numbers is shown by its quarters
+_SHORT = 28
 
 
 def plain_log(axis: Axis) -> None:
@@ -35,13 +40,6 @@ def plain_log(axis: Axis) -> None:
 
     axis.set_major_formatter(FuncFormatter(text))
     axis.set_minor_formatter(FuncFormatter(text))
-
-
-_FIGURES = ("rmse_deg", "max_abs_deg", "hold_error_deg", "command_travel", "limit_violations", "step_mean_s", "cpu_s")
-_NAMES = ("id", "status", "message", "controller", "motion", "seed", *_FIGURES)
-_WORST = 20
-_LEVELS = 8  # a factor with more numbers is shown by its quarters
-_SHORT = 28
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""A whole sweep: rows, table, report; in a run folder that it goes on from."""
+"""A whole sweep in a resumable run folder, and one of its rows made again."""
 
 from __future__ import annotations
 

@@ -18,6 +18,8 @@ from hystmpc.trials.yaml_lines import place_in
 
 from ..config import SimulationConfig, load_simulation, located
 
+NotNegative = Annotated[int, Field(ge=0)]
+
 
 class DrawSettings(Settings):
     """One distribution, exactly one of these keys.
@@ -70,9 +72,6 @@ def drawn(draws: Mapping[str, DrawSettings], seed: int, number: int) -> dict[str
     return {
         path: draw.sample(np.random.default_rng([seed, number, crc32(path.encode())])) for path, draw in draws.items()
     }
-
-
-NotNegative = Annotated[int, Field(ge=0)]
 
 
 class SweepSettings(Settings):

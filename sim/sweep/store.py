@@ -1,4 +1,4 @@
-"""The table of a sweep on disk: shards while it runs, one file when it rests, and no row lost or doubled between."""
+"""The table of a sweep on disk: shards while it runs, one file afterwards; no row lost or counted twice."""
 
 from __future__ import annotations
 
@@ -20,6 +20,10 @@ from hystmpc.trials.types import Vec
 from . import csv_rows
 
 Column = Vec | list[str | None]
+_NAME = "runs"
+_SHARDS = "shards"
+_EVERY_S = 5.0
+_BUFFERED = 500
 
 
 def as_column(values: Sequence[Any], kind: str) -> Column:
@@ -50,12 +54,6 @@ def chosen(table: Mapping[str, Column], rows: NDArray[np.bool_]) -> dict[str, Co
     """
     where = np.flatnonzero(rows)
     return {name: c[where] if isinstance(c, np.ndarray) else [c[k] for k in where] for name, c in table.items()}
-
-
-_NAME = "runs"
-_SHARDS = "shards"
-_EVERY_S = 5.0
-_BUFFERED = 500
 
 
 def format_of(folder: Path) -> ModuleType:

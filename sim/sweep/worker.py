@@ -1,4 +1,4 @@
-"""Doing one row of a sweep; runs in a process of its own, where what controllers know is kept between rows."""
+"""One row of a sweep; runs in a worker process, which keeps opened models between rows."""
 
 from __future__ import annotations
 

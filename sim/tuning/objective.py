@@ -1,4 +1,4 @@
-"""What a controller is worth: its error on each plant, and the mean of all with the mean of the worst."""
+"""Cost of a controller over a set of plants, in the search and on held-out plants."""
 
 from __future__ import annotations
 
@@ -24,6 +24,10 @@ from ..sweep.paths import changed
 from ..sweep.settings import drawn
 from ..sweep.worker import shared_knowledge
 from .settings import ObjectiveSettings, PlantsSettings, TuneSettings
+
+_RESAMPLES = 4000
+_NAMES = ("given", "tuned")
+State = Literal["done", "pruned", "failed", "elsewhere"]
 
 
 @dataclass(frozen=True)
@@ -107,10 +111,6 @@ def robust(costs: Sequence[float] | Vec, objective: ObjectiveSettings) -> float:
     worst = values[: max(1, round(objective.tail_share * len(values)))]
     total = objective.mean * float(np.mean(values)) + objective.tail * float(np.mean(worst))
     return total / (objective.mean + objective.tail)
-
-
-_RESAMPLES = 4000
-_NAMES = ("given", "tuned")
 
 
 @dataclass(frozen=True)
@@ -215,9 +215,6 @@ def run_case(case: Case) -> tuple[str, int, PlantScore]:
     settings = TuneSettings.parse(json.loads(case.settings), "case")
     controller = settings.with_values(json.loads(case.values))
     return case.name, case.plant, plant_score(plant_config(settings, settings.held_out, case.plant, controller))
-
-
-State = Literal["done", "pruned", "failed", "elsewhere"]
 
 
 @dataclass(frozen=True)

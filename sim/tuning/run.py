@@ -1,4 +1,4 @@
-"""A whole tuning: search, check on plants not seen, controller, report; in a folder that it goes on from."""
+"""A whole tuning in a resumable run folder: search, check on held-out plants, controller, report."""
 
 from __future__ import annotations
 

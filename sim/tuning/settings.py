@@ -1,4 +1,4 @@
-"""Settings of a tuning: a study, one controller of it, where its settings are searched, and on which plants."""
+"""Settings of a tuning: study, controller, search ranges by default or given, and the plants."""
 
 from __future__ import annotations
 
@@ -53,6 +53,9 @@ SPACES: dict[str, dict[str, DrawSettings]] = {
 _LAG_S = (0.0, 0.15)
 _NOISE_DEG = (0.05, 0.3)
 _FACTOR = (0.9, 1.1)
+Count = Annotated[int, Field(ge=1)]
+NotNegative = Annotated[float, Field(ge=0)]
+Seed = Annotated[int, Field(ge=0)]
 
 
 def default_space(settings: AnyControllerSettings) -> dict[str, DrawSettings]:
@@ -69,11 +72,6 @@ def default_draws(plant: PlantSettings) -> dict[str, DrawSettings]:
     draws = {"plant.lag_s": DrawSettings(uniform=_LAG_S), "plant.noise_deg": DrawSettings(uniform=_NOISE_DEG)}
     factor = DrawSettings(uniform=_FACTOR)
     return draws | {f'plant.mismatch."{label}"': factor for label in varied_parameters(plant)}
-
-
-Count = Annotated[int, Field(ge=1)]
-NotNegative = Annotated[float, Field(ge=0)]
-Seed = Annotated[int, Field(ge=0)]
 
 
 class PlantsSettings(Settings):
@@ -112,8 +110,8 @@ class TuneSettings(Settings):
     Attributes:
         base: the study: plant, model, motions; a file, or the settings themselves.
         controller: name of the one that is tuned; may be left out where the study has only one.
-        search: range by dotted path below the controller; `spaces.default_space` of its kind where left out.
-        draw: distribution by dotted path of what differs between plants; `spaces.default_draws` where left out.
+        search: range by dotted path below the controller; `default_space` of its kind where left out.
+        draw: distribution by dotted path of what differs between plants; `default_draws` where left out.
         held_out: to judge by; drawn with another seed.
         objective: what is minimised.
         trials: points of the search, the given settings being the first.

@@ -1,4 +1,4 @@
-"""Ablation on real logs: a component that the logs need is taken out of the simulator, and its name is asked for."""
+"""Ablation on real logs: each needed component is removed from the simulator, and the diagnosis must name it."""
 
 from __future__ import annotations
 

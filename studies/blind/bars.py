@@ -1,4 +1,4 @@
-"""The bars of the blind check: each with its number, how many cases it rests on, and the cases that missed."""
+"""Requirements of the blind check, and the measures behind them: rates, confusion, overlap, calibration."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.stats import binomtest
 
 from .generators import UNKNOWN
 from .plan import confusable
 from .reading import FAILED, VERDICTS, Reading, Scored, large, of_suites
 from .sealed import DENSE
 
-_Z90 = 1.6449
 # Twins beside each other, so that a wrong twin lies near the diagonal.
 _ORDER = (
     "lag",
@@ -35,6 +35,9 @@ _ORDER = (
     *(verdict for verdict in VERDICTS if verdict not in ("named", "one_of")),
     FAILED,
 )
+_CONFIDENT = 0.8
+_NEAR_ORACLE = 0.10
+_TRIAL = re.compile(r"trial_(\d+)")
 
 
 @dataclass(frozen=True)
@@ -54,11 +57,9 @@ class Rate:
         """Wilson's 90 % interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
         if not self.cases:
             return 0.0, 1.0
-        n, p, z = self.cases, self.value, _Z90
-        middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
-        half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+        found = binomtest(self.hits, self.cases).proportion_ci(0.9, method="wilson")
         # Rounding may put an end past the rate itself where that is 0 or 1.
-        return min(max(float(middle - half), 0.0), p), max(min(float(middle + half), 1.0), p)
+        return min(float(found.low), self.value), max(float(found.high), self.value)
 
 
 def rate(cases: Sequence[Scored], hit: Callable[[Scored], bool]) -> Rate:
@@ -180,11 +181,6 @@ def chance(cases: Sequence[Scored]) -> float:
     truths = Counter(case.answer.truth for case in cases)
     guesses = Counter(case.reading.guess for case in cases)
     return sum(truths[name] * guesses[name] for name in truths) / len(cases) ** 2
-
-
-_CONFIDENT = 0.8
-_NEAR_ORACLE = 0.10
-_TRIAL = re.compile(r"trial_(\d+)")
 
 
 @dataclass(frozen=True)

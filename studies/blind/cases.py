@@ -1,4 +1,4 @@
-"""A device, the simulator identified on it before it was affected, and the recording plan: what a case starts from."""
+"""Cases of the blind check: a device, its identified simulator, effects of a wanted size, negative controls."""
 
 from __future__ import annotations
 
@@ -28,6 +28,11 @@ from .sealed import Answer, Case, EffectAnswer, Suite, densities
 _RATE_MM_S = 40.0
 _TRIES = 5
 _PLAYS = 3
+_TOLERANCE = 0.055
+_SIZE_TRIES = 9
+_STEP = 6.0  # greatest change of size at once
+_AIM = 1.06  # a search that ends within its tolerance then ends above the wanted ratio
+CONTROLS = ("shuffled_residual", "simulator_and_noise", "mis_set")
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +123,6 @@ def _identified(baseline: str, trials: Sequence[Trial]) -> Simulator:
     return simulator_of(chain, trials, limits, "least_squares, preset best", seed=1)
 
 
-_TOLERANCE = 0.055
-_SIZE_TRIES = 9
-_STEP = 6.0  # greatest change of size at once
-
-
 def sized(effect: Withheld, wanted_deg: float, gap: Callable[[Withheld], float]) -> tuple[Withheld, float]:
     """Search the size at which `gap` is `wanted_deg`, by secants in the logarithms of size and gap.
 
@@ -157,9 +157,6 @@ def _power(before: tuple[float, float] | None, now: tuple[float, float], power: 
     if before is None or abs(math.log(now[0] / before[0])) < 1e-3:
         return power
     return min(max(math.log(now[1] / before[1]) / math.log(now[0] / before[0]), 0.4), 4.0)
-
-
-_AIM = 1.06  # a search that ends within its tolerance then ends above the wanted ratio
 
 
 @dataclass(frozen=True)
@@ -235,9 +232,6 @@ def _gap(bench: Bench, effects: Sequence[Withheld]) -> dict[str, Any]:
         ),
         "where": densities(trials, errors),
     }
-
-
-CONTROLS = ("shuffled_residual", "simulator_and_noise", "mis_set")
 
 
 def control_case(bench: Bench, variant: str) -> Case:

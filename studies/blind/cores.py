@@ -1,4 +1,4 @@
-"""Device cores of the blind cases: distributed capstan friction, and parallel Dahl elements."""
+"""Device cores of the blind cases: capstan friction, Dahl elements, and the rod; the grid of their time."""
 
 from __future__ import annotations
 
@@ -23,6 +23,15 @@ from . import kernels
 TRAVEL_MM = 6.0
 STROKE = 0.6
 """Share of the travel of the unlogged cycle before a trial, so that a trial does not open a virgin device."""
+
+_NODES = 16
+FINE_S = 0.002
+RATE_HZ = 25.0
+PARTS = round(1 / (RATE_HZ * FINE_S))
+_COARSE = 10  # fine steps in one of the rod, whose equations take a hundred times as long as those of the others
+_SETTLED_S = 1e6  # a step slow against every relaxation
+_BEFORE = 40
+_SHAFT, _SEGMENTS = 3, 6
 
 
 @dataclass(frozen=True)
@@ -75,9 +84,6 @@ class QuasiStatic(Core):
         whole = np.concatenate([before, x])
         factors = np.concatenate([np.full(before.size, scale[0]), scale])
         return self.offset_deg + self.gain * self.deflection(whole, factors)[before.size :]
-
-
-_NODES = 16
 
 
 @final
@@ -178,11 +184,6 @@ class DahlCore(QuasiStatic):
         )
 
 
-FINE_S = 0.002
-RATE_HZ = 25.0
-PARTS = round(1 / (RATE_HZ * FINE_S))
-
-
 @dataclass(frozen=True)
 class Scene:
     """One trial of one device.
@@ -219,12 +220,6 @@ def fine_times(samples: int) -> Vec:
 def rise(signal: Vec) -> Vec:
     """Speed by differences of the fine signal [1/s], zero at the start."""
     return np.asarray(np.diff(signal, prepend=signal[0]) / FINE_S, dtype=np.float64)
-
-
-_COARSE = 10  # fine steps in one of the rod, whose equations take a hundred times as long as those of the others
-_SETTLED_S = 1e6  # a step slow against every relaxation
-_BEFORE = 40
-_SHAFT, _SEGMENTS = 3, 6
 
 
 @final

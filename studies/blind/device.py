@@ -16,6 +16,8 @@ from .cores import PARTS, RATE_HZ, TRAVEL_MM, CapstanCore, Core, DahlCore, RodCo
 from .generators import Site, Withheld
 
 PAUSE_S = 4.0
+DEVICES: tuple[type[CapstanCore] | type[DahlCore] | type[RodCore], ...] = (CapstanCore, DahlCore, RodCore)
+"""None of them is made of play operators."""
 
 
 def lasts_s(samples: int) -> float:
@@ -97,10 +99,6 @@ class BlindDevice:
         for effect in self._at(site):
             signal = effect.generator.apply(signal, scene, effect.size, effect.shape)
         return signal
-
-
-DEVICES: tuple[type[CapstanCore] | type[DahlCore] | type[RodCore], ...] = (CapstanCore, DahlCore, RodCore)
-"""None of them is made of play operators."""
 
 
 def core_of(numbers: Mapping[str, Any]) -> Core:

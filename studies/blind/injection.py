@@ -1,4 +1,4 @@
-"""Effects injected into real logs: real noise, real hysteresis, and one thing more that is known."""
+"""Effects injected into real logs: real noise and hysteresis with one known effect added."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled recursions of the withheld physics; meaning and equations stand where they are used."""
+"""Compiled recursions of the device cores and withheld effects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Making a blind check: cases written under shuffled names, answers sealed at the end."""
+"""Suites of the blind check, and making one: cases under shuffled names, answers sealed."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ class Plan:
 
 
 def draw_plan(random: np.random.Generator, name: str | None = None) -> Plan:
-    """A plan; every third one is poor. Except where the plan says so, the opening motion is recorded again at the end."""
+    """A plan, every third one poor; unless it says otherwise, the opening motion is recorded again at the end."""
     if name is None:
         poor = random.random() < 1 / 3
         name = str(random.choice(POOR if poor else ("rich", "rich", "short")))

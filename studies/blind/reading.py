@@ -1,4 +1,4 @@
-"""A diagnosis as the score reads it."""
+"""A diagnosis as the score reads it, and the cases with their answers."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from .sealed import DENSE, REGIONS, Answer, open_answers
 
 VERDICTS = ("named", "one_of", "unknown", "none", "too_little")
 FAILED = "failed"
+LARGE = 3.0
+"""Gap in floors from which on the bars hold."""
 
 
 @dataclass(frozen=True)
@@ -119,10 +121,6 @@ def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None)
         {**data.get("baselines", {}), **(others or {})},
         tuple(str(name) for name in gap.get("final_trials", ())),
     )
-
-
-LARGE = 3.0
-"""Gap in floors from which on the bars hold."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The page of a blind check's score."""
+"""The page of a blind check's score, with its figures."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from hystmpc.trials.plot_style import MEASURED, MODEL, REFERENCE, new_figure
 from .bars import Bar, Calibration, Confusion, Rate, true_share
 from .plan import confusable
 from .score import Score, miss_json
+
+BAR_COLUMNS = ("measure", "number", "90 % interval", "goal", "cases", "state")
 
 
 def confusion_figure(confusion: Confusion) -> Figure:
@@ -93,9 +95,6 @@ def closed_figure(points: Sequence[tuple[float, float, bool]]) -> Figure:
         axes.set_xlabel("true closed share")
         axes.set_ylabel("closed share that was claimed")
     return figure
-
-
-BAR_COLUMNS = ("measure", "number", "90 % interval", "goal", "cases", "state")
 
 
 def write_report(score: Score, folder: Path) -> Path:

@@ -1,4 +1,4 @@
-"""How much of an effect a retuned baseline leaves: what sizes of withheld effects are counted in."""
+"""Gap of an effect: the error that a refitted baseline leaves of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A rule of thumb to set beside the diagnosis: the name whose signature correlates most with the residual."""
+"""Simple rules to compare the diagnosis with: correlation of signatures, BIC, largest single fit."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from hystmpc.trials.types import Vec
 from .retuning import retune, rms
 
 _NEWS = 1.5  # retuned error over the simulator's own, below which the rule says that there is nothing
+NOTHING = "none"
 
 
 def correlation_rule(trials: Sequence[Trial], simulator: Simulator) -> str:
@@ -75,9 +76,6 @@ def _correlation(a: Vec, b: Vec) -> float:
     a, b = a - a.mean(), b - b.mean()
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(a @ b) / size if size > 0 else 0.0
-
-
-NOTHING = "none"
 
 
 def fit_rules(selection: Selection, runs: Sequence[Run]) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Diagnosing every case of a blind check; what is done already is kept."""
+"""Diagnosing every case of a blind check, resumable; further motions recorded on a case's device."""
 
 from __future__ import annotations
 
@@ -28,6 +28,10 @@ from .rules import correlation_rule, fit_rules
 from .sealed import open_answers, read_case, read_manifest
 
 _ANOTHER_SESSION = 7919  # added to the seed of what is random in a device
+DIAGNOSIS = "diagnosis.json"
+FAILURE = "failure.txt"
+BESIDE = "beside.json"
+NEXT_MOTION = "next_motion.csv"
 
 
 def record_motion(folder: Path, case: str, motion: Path) -> Path:
@@ -88,12 +92,6 @@ def _command(path: Path) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
         )
     grid = np.arange(round((t[-1] - t[0]) * RATE_HZ) + 1) / RATE_HZ
     return np.clip(np.interp(grid, t - t[0], command), 0.0, TRAVEL_MM)
-
-
-DIAGNOSIS = "diagnosis.json"
-FAILURE = "failure.txt"
-BESIDE = "beside.json"
-NEXT_MOTION = "next_motion.csv"
 
 
 @dataclass(frozen=True)

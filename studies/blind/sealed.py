@@ -1,4 +1,4 @@
-"""The folder of a blind check: cases in the open, answers in one sealed file."""
+"""The folder of a blind check: cases in the open, answers in one sealed file, densities of the error by region."""
 
 from __future__ import annotations
 
@@ -27,6 +27,13 @@ from .device import BlindDevice, core_of
 from .generators import UNKNOWN, Withheld, generator_named
 
 Suite = Literal["single", "none", "misset", "pairs", "contaminated", "unknown", "without", "controls", "injection"]
+FORMAT = "hystmpc-blind/1"
+ANSWERS = "answers.json"
+MANIFEST = "manifest.json"
+REGIONS = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
+DENSE = 1.25
+"""Density from which on a region counts as one in which the gap lies."""
+_WIDTH = 0.1  # travel after a reversal, as a share of the range
 
 
 class EffectAnswer(Settings):
@@ -136,11 +143,6 @@ class Case:
     answer: Answer
 
 
-FORMAT = "hystmpc-blind/1"
-ANSWERS = "answers.json"
-MANIFEST = "manifest.json"
-
-
 class Manifest(Settings):
     """What may be known before the answers are opened.
 
@@ -235,12 +237,6 @@ def case_name(index: int, count: int) -> str:
 def digest(text: str) -> str:
     """SHA-256 of a text, in hexadecimal."""
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
-
-
-REGIONS = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
-DENSE = 1.25
-"""Density from which on a region counts as one in which the gap lies."""
-_WIDTH = 0.1  # travel after a reversal, as a share of the range
 
 
 def region_of(trial: Trial) -> NDArray[np.intp]:

@@ -1,4 +1,4 @@
-"""The bars of the benchmark: what it must show, computed and told, never asserted."""
+"""Requirements of the benchmark: figures of a run, results of all jobs, and what is met."""
 
 from __future__ import annotations
 
@@ -26,6 +26,13 @@ HOLD_RANGE_BAR = 0.1
 """Greatest range of a held command, in half-widths of the backlash."""
 _CYCLE_REVERSALS = 2  # up, down, up again: one whole period
 _JITTER = 0.01  # of the bar: smaller moves are none
+Run = tuple[str, float, str, str]
+HOLD_ERROR_DEG = 0.05
+SCAN_RMSE_DEG = 0.2
+OVER_ORACLE = 1.25
+OVER_BASELINE = 0.5
+BASELINE_LEAVES = 2.0
+"""The baselines' bar counts where the best of them leaves more than this many times the oracle's RMSE."""
 
 
 def control_figures(
@@ -75,9 +82,6 @@ def limit_cycle(command: Vec, band: float) -> bool:
     moves = np.diff(command)
     signs = np.sign(moves[np.abs(moves) > _JITTER * band])
     return int(np.count_nonzero(np.diff(signs))) >= _CYCLE_REVERSALS
-
-
-Run = tuple[str, float, str, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,13 +143,6 @@ def exact(run: ControlResult) -> bool:
 def _over(value: float, reference: float) -> float:
     return value / reference if reference > 0 else math.nan
 
-
-HOLD_ERROR_DEG = 0.05
-SCAN_RMSE_DEG = 0.2
-OVER_ORACLE = 1.25
-OVER_BASELINE = 0.5
-BASELINE_LEAVES = 2.0
-"""The baselines' bar counts where the best of them leaves more than this many times the oracle's RMSE."""
 
 Figure = Callable[[ControlOutcome, ControlResult], float]
 

@@ -1,4 +1,4 @@
-"""Jobs of the closed-loop benchmark: models, then gains, then runs; each with all that its result depends on."""
+"""Jobs of the closed-loop benchmark (models, gains, runs), what each depends on, and their results as files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A job of the benchmark as a closed-loop study: plant, model, motions and controller, tuned and run."""
+"""A job of the benchmark as a closed-loop study: plant, model, motion, controller; the oracle and rehearsals."""
 
 from __future__ import annotations
 
@@ -35,6 +35,11 @@ from .plants import PLANTS, Plant, half_width
 from .rivals import CONTROLLERS, NETWORKS, Rival
 from .settings import ControlSettings, motion
 
+State = GuardedState[Any]
+_WHOLE = 1e-9
+_REHEARSAL = 1000
+_SETTLED_LAGS = 20.0  # after the flexure, as `SimulatedPlant` waits
+
 
 @final
 class RestedPredictor(Predictor):
@@ -65,9 +70,6 @@ class RestedPredictor(Predictor):
 
     def linearise(self, state: Array, plan: Array) -> tuple[Array, Array]:
         return self._predictor.linearise(state, plan)
-
-
-State = GuardedState[Any]
 
 
 def watched_flexure(plant: ComputedPlant, seed: int) -> tuple[Vec, Vec]:
@@ -111,11 +113,6 @@ class RehearsedController(Controller[State]):
 
     def step(self, state: State, y: float, reference: Vec) -> tuple[Command, State]:
         return self._controller.step(state, y, reference)
-
-
-_WHOLE = 1e-9
-_REHEARSAL = 1000
-_SETTLED_LAGS = 20.0  # after the flexure, as `SimulatedPlant` waits
 
 
 def run_along(

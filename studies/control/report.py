@@ -1,4 +1,4 @@
-"""The report of the benchmark."""
+"""The report of the benchmark: tables, figures, page."""
 
 from __future__ import annotations
 
@@ -45,6 +45,18 @@ _FIGURES = (
     "fallbacks",
     "late_share",
 )
+_MARKS = "osD^vP"
+_WANTED: Any = {"color": REFERENCE, "linewidth": 2.4, "alpha": 0.45}
+_SCAN = "scan_0p25hz"
+_ABOUT = f"""Simulated tendon catheters. On a plant without "-off" models were identified on the very device; on one
+with it every parameter of the device, lag and delay included, is {MISMATCH} times what the models know. The gains of
+PID and of inverse with PID are searched on the very plant and motions with another realisation of the noise: the
+strongest opponents of their kind, not forecasts. All controllers are told of the nominal delay, those with a backlash
+as model of the nominal lag too; networks have learned it. The oracle is the linearised MPC with the same settings,
+whose model is the plant with lag, delay, creep and memory; oracle_trusting also knows that its model is exact and lets
+no noise in. Bars on ratios are for every model that is not exactly its plant, or whose plant has lag, delay or noise.
+"Range of a held command" counts the crossing of the dead band by which a controller with preview prepares the next
+move; beside it stands the range before that move shows."""
 
 
 def bars_table(verdicts: Sequence[Verdict]) -> StudyTable:
@@ -163,10 +175,6 @@ def _cell(value: float) -> Cell:
     return NOTHING if math.isnan(value) else value
 
 
-_MARKS = "osD^vP"
-_WANTED: Any = {"color": REFERENCE, "linewidth": 2.4, "alpha": 0.45}
-
-
 def rmse_figure(outcome: ControlOutcome, rate_hz: float) -> Figure:
     """RMSE of every run, a panel for each plant: a row for each controller, a mark for each motion."""
     plants = [plant for plant, rate in outcome.loops if rate == rate_hz]
@@ -231,18 +239,6 @@ def _chosen(outcome: ControlOutcome, plant: str, rate_hz: float, motion: str) ->
 def _colours(runs: Sequence[ControlResult]) -> Mapping[str, str]:
     known = (PALETTE[5], MEASURED, MODEL, COMMAND)
     return {run.job.subject: known[k % len(known)] for k, run in enumerate(runs)}
-
-
-_SCAN = "scan_0p25hz"
-_ABOUT = f"""Simulated tendon catheters. On a plant without "-off" models were identified on the very device; on one
-with it every parameter of the device, lag and delay included, is {MISMATCH} times what the models know. The gains of
-PID and of inverse with PID are searched on the very plant and motions with another realisation of the noise: the
-strongest opponents of their kind, not forecasts. All controllers are told of the nominal delay, those with a backlash
-as model of the nominal lag too; networks have learned it. The oracle is the linearised MPC with the same settings,
-whose model is the plant with lag, delay, creep and memory; oracle_trusting also knows that its model is exact and lets
-no noise in. Bars on ratios are for every model that is not exactly its plant, or whose plant has lag, delay or noise.
-"Range of a held command" counts the crossing of the dead band by which a controller with preview prepares the next
-move; beside it stands the range before that move shows."""
 
 
 def control_report(outcome: ControlOutcome) -> tuple[Report, list[StudyTable]]:

@@ -26,6 +26,8 @@ _RATE_WEIGHT = 3.0  # at 25 Hz
 _LEARNING_RATE_WEIGHT = 10.0  # a model that is being learned is not to be trusted with jumps
 _BASE_DT_S = 0.04
 _FAST_DT_S = 0.01
+ORACLE = "oracle"
+BASELINES = ("pid", "inverse", "inverse_pid")
 
 
 @dataclass(frozen=True)
@@ -100,8 +102,6 @@ def _named(*rivals: Rival) -> Mapping[str, Rival]:
     return MappingProxyType({rival.name: rival for rival in rivals})
 
 
-ORACLE = "oracle"
-BASELINES = ("pid", "inverse", "inverse_pid")
 CONTROLLERS: Mapping[str, Rival] = _named(
     Rival("pid", "pid", "none"),
     Rival("inverse", "inverse", "backlash"),

@@ -1,4 +1,4 @@
-"""Settings of the closed-loop benchmark: which plants, rates, controllers and motions."""
+"""Settings of the closed-loop benchmark, and its motions."""
 
 from __future__ import annotations
 
@@ -25,6 +25,16 @@ _MOVES = 6
 _CENTRE_DEG, _AMPLITUDE_DEG = 62.0, 15.0
 _SCAN_S = 12.0  # about; whole cycles, at least two
 _LIMITS = {"velocity_deg_s": 30.0, "acceleration_deg_s2": 200.0, "jerk_deg_s3": 3000.0}
+Rate = Annotated[float, Field(gt=0, le=1000)]
+RATES_HZ = (25.0, 250.0)
+_QUICK: dict[str, Any] = {
+    "rates_hz": (25.0,),
+    "plants": ("backlash", "noisy-off"),
+    "motions": ("point_to_point", "scan_0p5hz"),
+    "network_updates": 40,
+    "tune_evaluations": 12,
+    "retune_evaluations": 12,
+}
 
 
 def motion(name: str, rest_deg: float, seed: int, quick: bool = False) -> dict[str, Any]:
@@ -62,19 +72,6 @@ def motion(name: str, rest_deg: float, seed: int, quick: bool = False) -> dict[s
             "limits": _LIMITS,
         }
     raise ConfigError(f"no motion {name!r}, {did_you_mean(name, MOTIONS)}")
-
-
-Rate = Annotated[float, Field(gt=0, le=1000)]
-RATES_HZ = (25.0, 250.0)
-
-_QUICK: dict[str, Any] = {
-    "rates_hz": (25.0,),
-    "plants": ("backlash", "noisy-off"),
-    "motions": ("point_to_point", "scan_0p5hz"),
-    "network_updates": 40,
-    "tune_evaluations": 12,
-    "retune_evaluations": 12,
-}
 
 
 class ControlSettings(Settings):

@@ -1,4 +1,4 @@
-"""What goes wrong in the fault campaign, and what has to come of it."""
+"""Cases of the fault campaign: what goes wrong, the required outcome, and the configurations they start from."""
 
 from __future__ import annotations
 
@@ -13,6 +13,36 @@ from hystmpc.trials.config import dump_yaml
 # The run goes on to its end; is stopped safely by the controller; is left by a controller that is gone, so that the
 # device's own watchdog acts; ends before anything moves.
 Ending = Literal["goes on", "stops", "left alone", "refuses"]
+_AT_S = 3.0
+_DEAD_S = 1.0  # `dead_after_s` 0.5, and half a second for what is under way and for a busy machine
+_STRAY_S = 2.0  # a device that does not follow: twice `dead_after_s`, and the same
+_IMPLAUSIBLE_S = 4.0  # the command has to travel before an angle that stands still is implausible
+_FAILS = {"drill": {"solver_fails_from_s": 2.0, "solver_fails_for_s": 0.4}}
+_FAILS_ON = {"drill": {"solver_fails_from_s": 2.0, "solver_fails_for_s": 1000.0}}
+_LONG = {"reference": {"cycles": 16}}  # long enough for a second run to be refused meanwhile
+_FAST = {"reference": {"frequency_hz": 0.8, "cycles": 8}}
+_SLOW_RETURN = {"watchdog_rate_per_s": 0.1}  # a second run comes while the device is still on its way back
+_SOFT = {"ramps": {"brake_per_s2": 20.0}}  # v^2 / 2a is twenty times the overshoot
+_HIGHER = {"limits": {"lower": 1.0}, "safe_command": 1.0}  # the device holds 0
+RATE_HZ = 25.0
+LOWER, UPPER, RATE_PER_S, SAFE = 0.0, 6.0, 10.0, 0.0
+OVERSHOOT = min(0.2, 0.02 * (UPPER - LOWER))
+"""How far a device may move away from the safe command after a fault [mm]."""
+IN_FLIGHT_S = 1.5 / RATE_HZ
+"""How long after a fault a command that had left before may still come to the device and move it [s]."""
+Kind = Literal["udp", "dds"]
+KINDS: tuple[Kind, ...] = ("udp", "dds")
+DEVICE: Mapping[str, Any] = {
+    "rate_hz": RATE_HZ,
+    "command_unit": "mm",
+    "plant": {"simulator": "builtin:tendon-catheter", "noise_deg": 0.15},
+    "limits": {"lower": LOWER, "upper": UPPER, "rate_per_s": RATE_PER_S},
+    "link": {"kind": "udp", "bind_port": 0},
+    "watchdog_s": 0.5,
+    "watchdog_rate_per_s": 2.0,
+    "log": "device.csv",
+    "seed": 1,
+}
 
 
 @dataclass(frozen=True)
@@ -79,12 +109,6 @@ class Case:
         return self.kill == "device" and self.signal == "SIGKILL" and not self.restart
 
 
-_AT_S = 3.0
-_DEAD_S = 1.0  # `dead_after_s` 0.5, and half a second for what is under way and for a busy machine
-_STRAY_S = 2.0  # a device that does not follow: twice `dead_after_s`, and the same
-_IMPLAUSIBLE_S = 4.0  # the command has to travel before an angle that stands still is implausible
-
-
 def _wire(name: str, expected: Ending, fault: str, notice_s: float = _DEAD_S, **more: float) -> Case:
     return Case(name, expected, ({"fault": fault, "start_s": _AT_S, **more},), notice_s=notice_s)
 
@@ -98,15 +122,8 @@ def _strike(name: str, expected: Ending, signal: str, **more: Any) -> Case:
     return Case(name, expected, kill="controller", signal=signal, **more)
 
 
-_FAILS = {"drill": {"solver_fails_from_s": 2.0, "solver_fails_for_s": 0.4}}
-_FAILS_ON = {"drill": {"solver_fails_from_s": 2.0, "solver_fails_for_s": 1000.0}}
-_LONG = {"reference": {"cycles": 16}}  # long enough for a second run to be refused meanwhile
-_FAST = {"reference": {"frequency_hz": 0.8, "cycles": 8}}
-_SLOW_RETURN = {"watchdog_rate_per_s": 0.1}  # a second run comes while the device is still on its way back
 _OTHER_NAME = Second(("--set", "name=other", "--set", "latch_file=other.json"))
 _RESET = Second(("--reset", "--set", "start_command=0"), after_fault=True)
-_SOFT = {"ramps": {"brake_per_s2": 20.0}}  # v^2 / 2a is twenty times the overshoot
-_HIGHER = {"limits": {"lower": 1.0}, "safe_command": 1.0}  # the device holds 0
 
 CASES: tuple[Case, ...] = (
     Case("no fault", "goes on"),
@@ -162,27 +179,6 @@ CASES: tuple[Case, ...] = (
 )
 
 
-RATE_HZ = 25.0
-LOWER, UPPER, RATE_PER_S, SAFE = 0.0, 6.0, 10.0, 0.0
-OVERSHOOT = min(0.2, 0.02 * (UPPER - LOWER))
-"""How far a device may move away from the safe command after a fault [mm]."""
-IN_FLIGHT_S = 1.5 / RATE_HZ
-"""How long after a fault a command that had left before may still come to the device and move it [s]."""
-
-Kind = Literal["udp", "dds"]
-KINDS: tuple[Kind, ...] = ("udp", "dds")
-
-DEVICE: Mapping[str, Any] = {
-    "rate_hz": RATE_HZ,
-    "command_unit": "mm",
-    "plant": {"simulator": "builtin:tendon-catheter", "noise_deg": 0.15},
-    "limits": {"lower": LOWER, "upper": UPPER, "rate_per_s": RATE_PER_S},
-    "link": {"kind": "udp", "bind_port": 0},
-    "watchdog_s": 0.5,
-    "watchdog_rate_per_s": 2.0,
-    "log": "device.csv",
-    "seed": 1,
-}
 RUN: Mapping[str, Any] = {
     "name": "campaign",
     "rate_hz": RATE_HZ,

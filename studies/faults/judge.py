@@ -1,4 +1,4 @@
-"""What became of a case: commands in limits, the device's way to the safe state, log, what the user saw."""
+"""Verdict on a case: commands within limits, way to the safe state, log, what the user saw."""
 
 from __future__ import annotations
 

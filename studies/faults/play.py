@@ -1,4 +1,4 @@
-"""Playing one case: a device and a controller in processes of their own, over UDP or DDS on the loopback."""
+"""Playing one case: device and controller in processes of their own, over UDP or DDS on the loopback."""
 
 from __future__ import annotations
 
@@ -45,6 +45,12 @@ signal.signal(signal.SIGHUP, lambda number, frame: os.killpg(child, number))
 code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 sys.exit(code if code >= 0 else 128 - code)
 """
+_START_S = 60.0  # imports and compilation on a busy machine
+_END_S = 240.0
+_ENDLESS = 124
+_POLL_S = 0.002
+_SPARE_S = 5.0
+_ENDLESSLY = f"error: the controller did not end within {_END_S:g} s"
 
 
 def start(arguments: Sequence[object], program: Sequence[str] = PROGRAM, **more: Any) -> subprocess.Popen[str]:
@@ -142,13 +148,6 @@ class Terminal:
             except OSError:  # the program has ended
                 return
             self._said.append(data)
-
-
-_START_S = 60.0  # imports and compilation on a busy machine
-_END_S = 240.0
-_ENDLESS = 124
-_POLL_S = 0.002
-_SPARE_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -312,9 +311,6 @@ class _Stage:
                 return True
             time.sleep(_POLL_S)
         return False
-
-
-_ENDLESSLY = f"error: the controller did not end within {_END_S:g} s"
 
 
 def _output(process: subprocess.Popen[str]) -> tuple[int, str]:

@@ -1,4 +1,4 @@
-"""Parts of a report that every study has: what was asked, what failed, how long each job took."""
+"""Report parts of every study: set-up, failures, time of each job."""
 
 from __future__ import annotations
 

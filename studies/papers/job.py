@@ -1,4 +1,4 @@
-"""One job of a study: a model to be trained, exported and scored, and all that its result depends on."""
+"""Jobs of a study: a model to be trained, exported and scored, the trials, and the fingerprint of both."""
 
 from __future__ import annotations
 
@@ -19,6 +19,11 @@ from hystmpc.trials.trial import Trial
 from .settings import NETWORKS, PAPER_PRESETS, QUICK_SCALE, DirectionName, StudySettings
 
 Splits = Mapping[str, tuple[Trial, ...]]
+LOGS = "logs"
+"""The one split of the study on recorded logs."""
+_FEWEST_LOGS = 2
+_QUICK_TRIALS = {"train": 2, "val": 1, "test": 3}
+_QUICK_SAMPLES, _QUICK_S = 600, 5.0  # whichever is longer: a command has to turn in it
 
 
 @dataclass(frozen=True)
@@ -121,13 +126,6 @@ def steps_for(kind: str, preset: str, settings: StudySettings) -> int | None:
         return max(1, round(steps * QUICK_SCALE))
     scaled = kind in NETWORKS and preset in PAPER_PRESETS and settings.epochs_scale != 1.0
     return max(1, round(steps * settings.epochs_scale)) if scaled else None
-
-
-LOGS = "logs"
-"""The one split of the study on recorded logs."""
-_FEWEST_LOGS = 2
-_QUICK_TRIALS = {"train": 2, "val": 1, "test": 3}
-_QUICK_SAMPLES, _QUICK_S = 600, 5.0  # whichever is longer: a command has to turn in it
 
 
 def study_splits(settings: StudySettings) -> Splits:

@@ -10,6 +10,31 @@ from typing import Final, Literal
 
 Mark = Literal["P", "C", "I"]
 MARKS: Final = "[P] printed in the paper, [C] in its authors' published code, [I] inferred from its text"
+# S2 Table I: row against column; forward and inverse, point-to-point. The rows of the sinusoids are lost.
+_P2P: Final[dict[str, dict[str, str]]] = {
+    "backlash": {"fnn": "</<"},
+    "pi": {"fnn": "</<", "backlash": ">/>"},
+    "lstm": {"fnn": "</<", "backlash": "</~", "pi": "</<"},
+    "gru": {"fnn": "</<", "backlash": "~/~", "pi": "</~", "lstm": ">/~"},
+    "fnn_hib": {"fnn": "</<", "backlash": ">/>", "pi": "~/>", "lstm": ">/>", "gru": ">/>"},
+    "hb1": {"fnn": "</<", "backlash": "</~", "pi": "</<", "lstm": "~/~", "gru": "</~", "fnn_hib": "</<"},
+    "hb2": {"fnn": "</<", "backlash": "</<", "pi": "</<", "lstm": "~/<", "gru": "</<", "fnn_hib": "</<", "hb1": "~/<"},
+}
+# Of the sinusoids the text says: all networks but FNN-HIB and HB1 are equivalent and best; backlash and PI are inferior
+# to all hysteretic networks.
+_SIN: Final[dict[str, dict[str, str]]] = {
+    "lstm": {"fnn": "</<", "backlash": "</<", "pi": "</<"},
+    "gru": {"fnn": "</<", "backlash": "</<", "pi": "</<", "lstm": "~/~"},
+    "fnn_hib": {"fnn": "</<", "backlash": "</<", "pi": "</<", "lstm": ">/>", "gru": ">/>"},
+    "hb1": {"lstm": ">/>", "gru": ">/>"},
+    "hb2": {"fnn": "</<", "lstm": "~/~", "gru": "~/~", "fnn_hib": "</<", "hb1": "</<"},
+}
+# Order of the models by mean error, least first, as S2's conclusion has it; those in one group are not told apart.
+# Of point-to-point motions it does not place the GRU.
+S2_ORDER: Final = {
+    "p2p": (("hb2",), ("lstm", "hb1"), ("backlash",), ("pi", "fnn_hib"), ("fnn",)),
+    "sin": (("lstm", "gru", "hb2"), ("fnn_hib", "hb1"), ("backlash", "pi"), ("fnn",)),
+}
 
 
 @dataclass(frozen=True)
@@ -42,26 +67,6 @@ S2_RELATIVE: Final[dict[tuple[str, str, str], tuple[Printed, Printed]]] = {
 # Mean error of the FNN on a branch of the loop [deg].
 S2_FNN_BIAS_DEG: Final = {"sin": Printed(2.5), "p2p": Printed(2.25)}
 
-# S2 Table I: row against column; forward and inverse, point-to-point. The rows of the sinusoids are lost.
-_P2P: Final[dict[str, dict[str, str]]] = {
-    "backlash": {"fnn": "</<"},
-    "pi": {"fnn": "</<", "backlash": ">/>"},
-    "lstm": {"fnn": "</<", "backlash": "</~", "pi": "</<"},
-    "gru": {"fnn": "</<", "backlash": "~/~", "pi": "</~", "lstm": ">/~"},
-    "fnn_hib": {"fnn": "</<", "backlash": ">/>", "pi": "~/>", "lstm": ">/>", "gru": ">/>"},
-    "hb1": {"fnn": "</<", "backlash": "</~", "pi": "</<", "lstm": "~/~", "gru": "</~", "fnn_hib": "</<"},
-    "hb2": {"fnn": "</<", "backlash": "</<", "pi": "</<", "lstm": "~/<", "gru": "</<", "fnn_hib": "</<", "hb1": "~/<"},
-}
-# Of the sinusoids the text says: all networks but FNN-HIB and HB1 are equivalent and best; backlash and PI are inferior
-# to all hysteretic networks.
-_SIN: Final[dict[str, dict[str, str]]] = {
-    "lstm": {"fnn": "</<", "backlash": "</<", "pi": "</<"},
-    "gru": {"fnn": "</<", "backlash": "</<", "pi": "</<", "lstm": "~/~"},
-    "fnn_hib": {"fnn": "</<", "backlash": "</<", "pi": "</<", "lstm": ">/>", "gru": ">/>"},
-    "hb1": {"lstm": ">/>", "gru": ">/>"},
-    "hb2": {"fnn": "</<", "lstm": "~/~", "gru": "~/~", "fnn_hib": "</<", "hb1": "</<"},
-}
-
 
 def s2_symbol(motion: str, direction: str, row: str, column: str) -> Printed | None:
     """Sign of S2 Table I, None where it is not known."""
@@ -70,13 +75,6 @@ def s2_symbol(motion: str, direction: str, row: str, column: str) -> Printed | N
         return None
     return Printed(both.split("/")[0 if direction == "forward" else 1], "P" if motion == "p2p" else "I")
 
-
-# Order of the models by mean error, least first, as S2's conclusion has it; those in one group are not told apart.
-# Of point-to-point motions it does not place the GRU.
-S2_ORDER: Final = {
-    "p2p": (("hb2",), ("lstm", "hb1"), ("backlash",), ("pi", "fnn_hib"), ("fnn",)),
-    "sin": (("lstm", "gru", "hb2"), ("fnn_hib", "hb1"), ("backlash", "pi"), ("fnn",)),
-}
 
 # Root mean square error on validation windows, in names of published checkpoints: (direction, motion) by kind,
 # forward in deg, inverse in mm.

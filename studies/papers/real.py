@@ -1,4 +1,4 @@
-"""Which jobs the study on recorded logs has: every log is tested by models that have not seen it."""
+"""The study on recorded logs: every log is tested by models that have not seen it."""
 
 from __future__ import annotations
 
@@ -23,6 +23,10 @@ from .result import JobResult, Outcome, Score, title_of
 from .settings import StudySettings
 
 BASELINE = "backlash"
+COUNTS = {"later": "without the first flexure", "errors": "with the first flexure"}
+_DEVICE: Any = {"color": REFERENCE, "linewidth": 2.2, "alpha": 0.5}
+_COLOURS = (MODEL, MEASURED, COMMAND, *ACCENTS)
+_SHOWN = 2  # of the best models beside the backlash
 
 
 def real_tasks(settings: StudySettings, splits: Splits) -> tuple[Task, ...]:
@@ -46,9 +50,6 @@ def real_tasks(settings: StudySettings, splits: Splits) -> tuple[Task, ...]:
                         others = tuple(log for log in logs if log is not held_out)
                         tasks.append(Task(job, others, (), {LOGS: (held_out,)}))
     return tuple(tasks)
-
-
-COUNTS = {"later": "without the first flexure", "errors": "with the first flexure"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,11 +169,6 @@ def presets_table(found: Sequence[Candidate], direction: str, unit: str) -> Stud
         f"Real logs, {direction} map, {COUNTS['later']}: mean offset-free RMSE [{unit}] by preset of the training."
     )
     return StudyTable(f"real_presets_{direction}", ["model", *presets], rows, caption) if rows else None
-
-
-_DEVICE: Any = {"color": REFERENCE, "linewidth": 2.2, "alpha": 0.5}
-_COLOURS = (MODEL, MEASURED, COMMAND, *ACCENTS)
-_SHOWN = 2  # of the best models beside the backlash
 
 
 def real_report(outcome: Outcome) -> tuple[Report, list[StudyTable]]:

@@ -1,4 +1,4 @@
-"""Which jobs the study of S1 has."""
+"""The study of S1: jobs, Tables III and IV, Figures 4 and 5, the reconstruction, and the page."""
 
 from __future__ import annotations
 
@@ -33,6 +33,17 @@ TESTS = {
     "test_d": "(d) arbitrary with plateaus",
 }
 S1_PRESET = "s1"
+_TAIL = 0.1
+_FIGURES = (
+    ("rmse_deg", "RMSE", "deg", 1.0),
+    ("max_abs_error_deg", "max abs", "deg", 1.0),
+    ("nrmse", "NRMSE", "%", 100.0),
+)
+COMPARED = ("lstm", "drdpi")
+_QUICK_SCANS = 2
+_DEVICE: Any = {"color": REFERENCE, "linewidth": 2.2, "alpha": 0.5}
+_COLOURS = (COMMAND, MODEL, MEASURED, *ACCENTS)
+_LINE: Any = {"linewidth": 0.9}
 
 
 def s1_tasks(settings: StudySettings, splits: Splits) -> tuple[Task, ...]:
@@ -48,14 +59,6 @@ def s1_tasks(settings: StudySettings, splits: Splits) -> tuple[Task, ...]:
                 job = Job("main", kind, preset, direction, "train", None, settings.seed, steps)
                 tasks.append(Task(job, splits["train"], (), {test: splits[test] for test in TESTS}))
     return tuple(tasks)
-
-
-_TAIL = 0.1
-_FIGURES = (
-    ("rmse_deg", "RMSE", "deg", 1.0),
-    ("max_abs_error_deg", "max abs", "deg", 1.0),
-    ("nrmse", "NRMSE", "%", 100.0),
-)
 
 
 def errors_table(outcome: Outcome) -> StudyTable:
@@ -154,10 +157,6 @@ def relative_change(result: JobResult) -> float:
     return float(np.mean(change[steps[1:] > (1 - _TAIL) * steps[-1]]))
 
 
-COMPARED = ("lstm", "drdpi")
-_QUICK_SCANS = 2
-
-
 def scan_study(outcome: Outcome, preset_of: dict[str, str]) -> Reconstruction | None:
     """Scan the cap with the simulated catheter and draw it from every forward model's angle; None without a model.
 
@@ -207,11 +206,6 @@ def _device(seed: int, dt_s: float) -> Device:
         return done.angle, recorder.laser.conversion.angles_of_group(voltage)
 
     return run
-
-
-_DEVICE: Any = {"color": REFERENCE, "linewidth": 2.2, "alpha": 0.5}
-_COLOURS = (COMMAND, MODEL, MEASURED, *ACCENTS)
-_LINE: Any = {"linewidth": 0.9}
 
 
 def loops_figure(splits: Splits) -> Figure:

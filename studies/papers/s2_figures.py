@@ -1,4 +1,4 @@
-"""Figures 7 to 9 of S2: what the motion trained on does, errors by model, example trials."""
+"""Figures of the study of S2: the device (5, 6), training motion (7), errors (8), example trials (9)."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ from .s2_plan import MOTION_NAMES, MOTIONS, UNITS, Matched, split_tested_on
 
 _DEVICE: Any = {"color": REFERENCE, "linewidth": 2.2, "alpha": 0.5}
 _COLOURS = (MODEL, MEASURED, COMMAND, *ACCENTS)
+FREQUENCY, REPEATS = "frequency", "repeatability"
+TENSION, TIP_Y = "tension_n", "y_mm"
 
 
 def errors_figure(views: Sequence[Matched]) -> Figure:
@@ -118,10 +120,6 @@ def _example(above: Axes, below: Axes, view: Matched, kinds: Sequence[str], tria
     what = "tip angle" if view.direction == "forward" else "displacement"
     above.set(title=f"{view.direction}: {trial.source}", ylabel=f"{what} [{unit}]")
     below.set(xlabel="time [s]", ylabel=f"error [{unit}]")
-
-
-FREQUENCY, REPEATS = "frequency", "repeatability"
-TENSION, TIP_Y = "tension_n", "y_mm"
 
 
 def hysteresis_figure(splits: Splits) -> Figure | None:

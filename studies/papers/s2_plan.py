@@ -1,4 +1,4 @@
-"""Which jobs the study of S2 has."""
+"""Jobs of the study of S2, and their results grouped by motion, direction and preset."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ from .worker import WINDOWS
 
 MOTIONS = ("sin", "p2p")
 TRAINING_SETS = {"sin": ("sin",), "p2p": ("p2p",), "mixed": MOTIONS}
+MOTION_NAMES = {"sin": "sinusoids", "p2p": "point-to-point"}
+UNITS = {"forward": "deg", "inverse": "mm"}
+BASELINE = "fnn"
 
 
 def split_tested_on(motion: str) -> str:
@@ -67,11 +70,6 @@ def _task(job: Job, splits: Splits) -> Task:
     return Task(
         job, training, validation, {split_tested_on(motion): splits[split_tested_on(motion)] for motion in MOTIONS}
     )
-
-
-MOTION_NAMES = {"sin": "sinusoids", "p2p": "point-to-point"}
-UNITS = {"forward": "deg", "inverse": "mm"}
-BASELINE = "fnn"
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Errors of the study of S2: by model, by trial, and relative to the FNN as in the paper's Figure 8."""
+"""Tables of the study of S2: errors by model, signed-rank tests (Table I), training motions and windows."""
 
 from __future__ import annotations
 

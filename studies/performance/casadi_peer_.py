@@ -29,6 +29,10 @@ _IPOPT = {
     "ipopt.warm_start_slack_bound_frac": 1e-6,
     "ipopt.warm_start_mult_bound_push": 1e-6,
 }
+_QUIET: Mapping[str, dict[str, Any]] = {
+    "osqp": {"osqp": {"verbose": False, "eps_abs": _PRIMAL, "eps_rel": _PRIMAL}},
+    "qrqp": {"print_iter": False, "print_header": False},
+}
 
 
 @dataclass(frozen=True)
@@ -154,9 +158,3 @@ def _options(method: Method) -> dict[str, Any]:
         "error_on_fail": False,
         **dict.fromkeys(("print_header", "print_iteration", "print_status", "print_time"), False),
     }
-
-
-_QUIET: Mapping[str, dict[str, Any]] = {
-    "osqp": {"osqp": {"verbose": False, "eps_abs": _PRIMAL, "eps_rel": _PRIMAL}},
-    "qrqp": {"print_iter": False, "print_header": False},
-}

@@ -1,4 +1,4 @@
-"""Section: whole steps of the linearised controller against single shooting in CasADi."""
+"""Sections: whole steps of the controllers against CasADi and pytorch-mppi; quadratic programs."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ from .timing import WEIGHTS, BenchSettings, Clock, Job, Times
 
 OURS = "linearised MPC, whole step"
 _SPEED, _TAIL = 60.0, 2.0
+_PROGRAM, _DAQP = "DAQP, cold", "OSQP, updated workspace"
+_SAMPLING, _MPPI = "sampling MPC, whole step", "pytorch-mppi, torch nn.LSTM"
+_GOAL = 5.0  # on two threads
 
 
 def linearised_controller(subject: Subject, settings: BenchSettings) -> GuardedController[Any]:
@@ -115,9 +118,6 @@ def _median(values: Sequence[float]) -> float:
     return float(np.median(values))
 
 
-_PROGRAM, _DAQP = "DAQP, cold", "OSQP, updated workspace"
-
-
 def program_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Row]:
     """One row: the programs of a recorded scan, each around the last plan shifted by one sample."""
     qp, programs = recorded_programs(subject, settings, WEIGHTS)
@@ -147,10 +147,6 @@ def recorded_programs(subject: Subject, settings: BenchSettings, weights: Weight
         angles, jacobian = subject.predictor.linearise(problem.state, plan)
         programs.append(qp.data(problem, Plan(plan, angles, 0.0), jacobian))
     return qp, programs
-
-
-_SAMPLING, _MPPI = "sampling MPC, whole step", "pytorch-mppi, torch nn.LSTM"
-_GOAL = 5.0  # on two threads
 
 
 def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads: int) -> list[Row]:

@@ -1,4 +1,4 @@
-"""Section: how the time of a step grows with horizon, samples and size of the network."""
+"""Section: growth of a step's time with horizon, samples and size of the network, and its figure."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ Series = Callable[[BenchSettings, Clock], list[Growth]]
 _QUADRATIC = 2.0
 _LINEAR = 1.1  # with what the exponent of a finite interval may be off
 _LARGEST = 4  # times the benchmark's own size
+_LABELS = {"H": "horizon H [samples]", "N": "plans N", "hidden": "cells in each of two layers"}
 
 
 def _linearised_horizon(settings: BenchSettings, clock: Clock) -> list[Growth]:
@@ -80,9 +81,6 @@ def _measured(
     if len(times) < len(values):
         return []
     return [Growth(what, size, values, tuple(times[str(v)] for v in values), goal)]
-
-
-_LABELS = {"H": "horizon H [samples]", "N": "plans N", "hidden": "cells in each of two layers"}
 
 
 def growth_figure(series: Sequence[Growth]) -> Figure:

@@ -1,4 +1,4 @@
-"""Section: roll-outs and Jacobian of the network against the matrix-product limit."""
+"""Section: roll-outs and Jacobian of the network against the matrix-product limit of the machine."""
 
 from __future__ import annotations
 
@@ -19,6 +19,9 @@ from .subjects import Subject
 from .timing import BenchSettings, Clock, Job, Times
 
 Float32 = NDArray[np.float32]
+_RUN_FLOPS = 2e7  # a run of one job: long enough for the clock, short enough to be interrupted
+_GOAL, _PLAIN_GOAL = 1.0 / 0.6, 1.0 / 0.4  # at least 60 % of the limit, 40 % by the plain route
+_JACOBIAN, _ROLLOUT, _PLAIN = "Jacobian", "roll-outs", "Jacobian by the plain route"
 
 
 def product_call(a: Float32, b: Float32, threads: int) -> Callable[[], object]:
@@ -37,9 +40,6 @@ def product_call(a: Float32, b: Float32, threads: int) -> Callable[[], object]:
     binding.bind_ortvalue_input("a", onnxruntime.OrtValue.ortvalue_from_numpy(a))
     binding.bind_ortvalue_output("c", onnxruntime.OrtValue.ortvalue_from_numpy(np.empty(shapes["c"], np.float32)))
     return lambda: session.run_with_iobinding(binding)
-
-
-_RUN_FLOPS = 2e7  # a run of one job: long enough for the clock, short enough to be interrupted
 
 
 def step_flops(hidden: int, layers: int) -> int:
@@ -119,10 +119,6 @@ def best_rate(candidates: Sequence[Product], times: Mapping[str, Times]) -> tupl
     """Product with the greatest rate, and that rate [FLOP/s] by the median; None where none has been timed."""
     rates = {p.name: p.run_flops / times[p.name].median_s for p in candidates if p.name in times}
     return max(rates.items(), key=lambda item: item[1]) if rates else None
-
-
-_GOAL, _PLAIN_GOAL = 1.0 / 0.6, 1.0 / 0.4  # at least 60 % of the limit, 40 % by the plain route
-_JACOBIAN, _ROLLOUT, _PLAIN = "Jacobian", "roll-outs", "Jacobian by the plain route"
 
 
 def kernel_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads: int) -> list[Row]:

@@ -1,4 +1,4 @@
-"""The result of a benchmark: rows of one ratio each, and their JSON."""
+"""The result of a benchmark: rows of one ratio each, as JSON and as a table of text."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from typing import Any
 from .timing import Times
 
 FORMAT = "hystmpc-bench/1"
+COLUMNS = ("measured", "median", "p99", "against", "median", "ratio", "goal", "note")
+_DASH = "-"
+_DISTURBED = 1.3
 
 
 class Reads(StrEnum):
@@ -168,11 +171,6 @@ def _times_json(times: Times | None) -> dict[str, Any]:
     if times is None:
         return {}
     return {"median_s": times.median_s, "p99_s": times.p99_s, "least_s": times.least_s, "calls": times.seconds.size}
-
-
-COLUMNS = ("measured", "median", "p99", "against", "median", "ratio", "goal", "note")
-_DASH = "-"
-_DISTURBED = 1.3
 
 
 def table_rows(report: Report) -> list[list[str]]:

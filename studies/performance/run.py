@@ -1,4 +1,4 @@
-"""All sections in one run."""
+"""All sections of the benchmark in one run."""
 
 from __future__ import annotations
 

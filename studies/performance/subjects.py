@@ -1,4 +1,4 @@
-"""What the benchmark controls: a model with its fast predictor, its inverse and its CasADi function."""
+"""Controlled models of the benchmark, and the recorded loop whose steps are timed."""
 
 from __future__ import annotations
 
@@ -42,6 +42,10 @@ _ANGLE = Range(lower=29.0, upper=89.0)  # 10 deg/mm
 _RATE = 12.0  # mm/s
 _DT_S = 0.04
 _WARMUP = 50
+_SCAN_HZ = 0.25
+_SCAN_SHARE = 0.25  # amplitude as a share of the angle range
+T = TypeVar("T")
+_SETTLING = 25  # samples from rest to the scan, left out
 
 
 def lstm_model(hidden: int) -> tuple[OnnxModel, str]:
@@ -114,10 +118,6 @@ def _settled(weights: LstmWeights, u: float) -> float:
 def _size(model: OnnxModel) -> tuple[int, int]:
     weights = LstmWeights.from_arrays(model.initializers)
     return len(weights.layers), weights.hidden
-
-
-_SCAN_HZ = 0.25
-_SCAN_SHARE = 0.25  # amplitude as a share of the angle range
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,10 +203,6 @@ def _catheter(chain: Chain) -> Simulator:
         trained_rate_per_s=12.0,
         identification=Identification(method="chosen by hand"),
     )
-
-
-T = TypeVar("T")
-_SETTLING = 25  # samples from rest to the scan, left out
 
 
 @dataclass(frozen=True, eq=False)

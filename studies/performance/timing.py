@@ -1,4 +1,4 @@
-"""Timing in turns: what is compared runs alternately, so that a machine's moods meet all alike."""
+"""Timing in turns, so that other load on the machine meets all jobs alike; settings of a benchmark."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from threadpoolctl import ThreadpoolController
 
 from hystmpc.ctrl.planning import Weights
 from hystmpc.trials.errors import ConfigError
+
+# Effort is measured from the inverse plan, which peers do not have: without it all solve the same problem.
+WEIGHTS = Weights(effort=0.0)
 
 
 @dataclass(frozen=True)
@@ -137,9 +140,6 @@ def _once(job: Job) -> float:
     job.run()
     return perf_counter() - since
 
-
-# Effort is measured from the inverse plan, which peers do not have: without it all solve the same problem.
-WEIGHTS = Weights(effort=0.0)
 
 THOROUGH = Effort(rounds=25, burst_s=0.04, burst_most=25)
 

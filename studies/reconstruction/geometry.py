@@ -1,4 +1,4 @@
-"""A bending segment of constant curvature, with a ray along the tip's tangent."""
+"""Geometry of the scan: a bent segment of constant curvature, its ray, and the measured distance to the cap."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from hystmpc.trials.types import Mat, Vec
 from .settings import Groove, Oct, Pattern, ReconstructionSettings
 
 _SERIES_RAD = 1e-2  # below it the closed form of dz/dtheta loses digits; the next term of the series is 1e-15
+_ARC_POINTS = 200
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,6 @@ def rotated(points: Mat, rotation_deg: ArrayLike) -> Mat:
 def _sinc(t: Vec) -> Vec:
     """sin(t) / t, 1 where t = 0."""
     return np.sinc(t / np.pi)
-
-
-_ARC_POINTS = 200
 
 
 def surface_distance(settings: ReconstructionSettings, pattern: Pattern, theta_deg: ArrayLike) -> Vec:

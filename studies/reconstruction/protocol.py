@@ -1,4 +1,4 @@
-"""The session of scans: what is sent to device and models, and the scans that come of it."""
+"""The session of scans: commands to device and models, and the recorded scans."""
 
 from __future__ import annotations
 
@@ -15,6 +15,12 @@ from hystmpc.trials.errors import ConfigError, ModelError
 from hystmpc.trials.types import Vec
 
 from .settings import NotNegative, Positive
+
+# Command (N,) [bar] at the session's rate to true and sensed angles (N,) [deg]; starts at rest at command 0.
+Device = Callable[[Vec], tuple[Vec, Vec]]
+# Command (N,) [bar] to the model's angles (N,) [deg], over the whole session.
+Estimator = Callable[[Vec], Vec]
+_INTEGER = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +65,6 @@ class Scan:
             return f"got shape {angles.shape}, expected {self.true_deg.shape}"
         bad = ~np.isfinite(angles)
         return f"got {angles[bad][0]} at sample {int(np.argmax(bad))}, expected finite angles" if np.any(bad) else ""
-
-
-# Command (N,) [bar] at the session's rate to true and sensed angles (N,) [deg]; starts at rest at command 0.
-Device = Callable[[Vec], tuple[Vec, Vec]]
-# Command (N,) [bar] to the model's angles (N,) [deg], over the whole session.
-Estimator = Callable[[Vec], Vec]
-
-_INTEGER = 1e-9
 
 
 class Protocol(Settings):

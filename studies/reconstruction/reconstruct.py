@@ -1,4 +1,4 @@
-"""From scans to clouds of points and their errors."""
+"""Point clouds from scans, their errors, and rank tests between models."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from .protocol import Scan
 from .settings import ReconstructionSettings
 
 Unit = Literal["points", "scans"]
+_SAME_DEG = 1e-6
 
 
 @dataclass(frozen=True)
@@ -52,9 +53,6 @@ def rank_test(names: tuple[str, str], errors_mm: tuple[Vec, Vec], pattern: str, 
         return RankTest(pattern, *names, unit, first.size, first.size**2 / 2, 1.0)
     found = mannwhitneyu(first, second, alternative="two-sided")
     return RankTest(pattern, *names, unit, first.size, float(found.statistic), float(found.pvalue))
-
-
-_SAME_DEG = 1e-6
 
 
 @dataclass(frozen=True)

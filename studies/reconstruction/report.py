@@ -1,4 +1,4 @@
-"""A reconstruction as pieces of a report."""
+"""A reconstruction as pieces of a report: tables beside the paper's numbers, and figures."""
 
 from __future__ import annotations
 
@@ -24,6 +24,34 @@ from .settings import ReconstructionSettings
 
 PRINTED: Final = "printed in the paper"
 INFERRED: Final = "inferred [I]"
+ERROR_COLUMNS = ("pattern", "model", "mean [mm]", "std [mm]", "max [mm]", "n", "mean printed in the paper [mm]")
+TEST_COLUMNS = (
+    "pattern",
+    "models",
+    "counted",
+    "n each",
+    "U",
+    "p (two-sided)",
+    "P(first < second)",
+    "mean, first / second",
+    "p in the paper",
+)
+SECTION_DEG = 45.0  # the section of pattern I of which the paper gives errors
+_SMALLEST_P = 1e-300
+_BACKBONE_POINTS = 50
+_RING_MM = 0.5
+_COLOURS = "cividis"  # even in lightness, for readers of any colour vision
+_MARGIN_MM = 0.8
+_SECTOR_MIDDLE = 0.5
+_MAP_CAPTION = (
+    "Error maps seen along the axis, one colour scale for all models; white where a groove's wall hides its bottom."
+)
+_SECTION_CAPTION = "Section of one scan, both strokes; the line is the cap's profile. The axes have different scales."
+_DEPENDENCE = (
+    "Points of one scan follow each other in time and are not independent, so the test over points, which is the "
+    "paper's, gives too small a p. The test over scans takes the mean error of a scan as one observation; scans of "
+    "one device that repeats itself are not independent either."
+)
 
 
 @dataclass(frozen=True)
@@ -71,23 +99,6 @@ def paper_section(model: str) -> str:
     return str(PAPER_SECTION_I_MM.get(model.upper(), "-"))
 
 
-ERROR_COLUMNS = ("pattern", "model", "mean [mm]", "std [mm]", "max [mm]", "n", "mean printed in the paper [mm]")
-TEST_COLUMNS = (
-    "pattern",
-    "models",
-    "counted",
-    "n each",
-    "U",
-    "p (two-sided)",
-    "P(first < second)",
-    "mean, first / second",
-    "p in the paper",
-)
-SECTION_DEG = 45.0  # the section of pattern I of which the paper gives errors
-
-_SMALLEST_P = 1e-300
-
-
 def error_rows(result: Reconstruction) -> list[list[str]]:
     """A row for every pattern and model, then for the section of pattern I at 45 deg where it was scanned."""
     rows = [
@@ -125,12 +136,6 @@ def _p_value(p: float) -> str:
 def _has_section(result: Reconstruction) -> bool:
     at = result.pattern[abs(result.rotation_deg - SECTION_DEG) < 1e-6]
     return at.size > 0 and at[0] == "I"
-
-
-_BACKBONE_POINTS = 50
-_RING_MM = 0.5
-_COLOURS = "cividis"  # even in lightness, for readers of any colour vision
-_MARGIN_MM = 0.8
 
 
 def colours(models: Sequence[str]) -> dict[str, str]:
@@ -268,18 +273,6 @@ def _polar_labels(axes: PolarAxes, result: Reconstruction, outermost: float) -> 
         axes.plot([math.radians(k * cap.sector_deg)] * 2, [0.0, outermost], color=REFERENCE, linewidth=0.6)
     axes.set_rlim(0.0, outermost)
     axes.set_rgrids([r for r in (5.0, 10.0, 15.0, 20.0) if r < outermost], angle=-45.0)
-
-
-_SECTOR_MIDDLE = 0.5
-_MAP_CAPTION = (
-    "Error maps seen along the axis, one colour scale for all models; white where a groove's wall hides its bottom."
-)
-_SECTION_CAPTION = "Section of one scan, both strokes; the line is the cap's profile. The axes have different scales."
-_DEPENDENCE = (
-    "Points of one scan follow each other in time and are not independent, so the test over points, which is the "
-    "paper's, gives too small a p. The test over scans takes the mean error of a scan as one observation; scans of "
-    "one device that repeats itself are not independent either."
-)
 
 
 def reconstruction_pieces(result: Reconstruction, label: str = "simulated") -> tuple[Piece, ...]:

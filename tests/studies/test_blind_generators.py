@@ -21,12 +21,12 @@ from hystmpc.studies.blind.generators import (
     UNKNOWN,
     Generator,
     Withheld,
+    cascaded_servo,
     generator_named,
     generators_of,
     jittered_delay,
     log_relaxation,
     lugre_tip,
-    servo,
 )
 from hystmpc.studies.blind.motions import RAMP_HOLD, SINE, STEPS, TRIANGLES
 from hystmpc.trials.errors import ConfigError
@@ -169,14 +169,14 @@ def test_log_creep_in_a_hold_is_linear_in_the_logarithm_of_time() -> None:
 def test_a_servo_starts_flat_overshoots_lags_by_its_size_and_has_a_top_speed(lag: float, inner: float) -> None:
     shape = {"inner": inner, "strokes_per_s": 1e6}
     step = np.concatenate([np.zeros(5), np.ones(round(40 * lag / FINE_S))])
-    out = servo(step, SCENE, lag, shape)
+    out = cascaded_servo(step, SCENE, lag, shape)
     first = 1 - np.exp(-FINE_S / lag)  # what a first-order lag of that size would have made of the first step
     assert out[5] < 2 * inner * FINE_S / lag * first + 1e-9
     assert out.max() > 1.0
     assert out[-1] == pytest.approx(1.0, abs=1e-3)
     ramp = np.arange(round(40 * lag / FINE_S)) * FINE_S
-    assert ramp[-1] - servo(ramp, SCENE, lag, shape)[-1] == pytest.approx(lag, abs=1.5 * FINE_S)
-    slow = servo(step, SCENE, lag, {"inner": inner, "strokes_per_s": 0.1 / lag / SCENE.travel})
+    assert ramp[-1] - cascaded_servo(ramp, SCENE, lag, shape)[-1] == pytest.approx(lag, abs=1.5 * FINE_S)
+    slow = cascaded_servo(step, SCENE, lag, {"inner": inner, "strokes_per_s": 0.1 / lag / SCENE.travel})
     assert np.diff(slow).max() < 1.4 * 0.1 / lag * FINE_S
 
 
