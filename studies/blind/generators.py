@@ -27,9 +27,6 @@ _SPEED_S = 0.03
 _LUGRE = np.array([150.0, 0.02, 0.01])  # presliding stiffness, its damping [s], viscous friction [s]
 _WALK_S = 1.0
 _SESSION_S = 1800.0
-GENERATORS = tuple(_REGISTERED)
-FOREIGN_EFFECTS = tuple(generator for generator in GENERATORS if generator.label == UNKNOWN)
-LABELS: tuple[str, ...] = tuple(dict.fromkeys(g.label for g in GENERATORS if g.label != UNKNOWN))
 
 
 @dataclass(frozen=True)
@@ -303,6 +300,11 @@ def tip_resonance(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     out = np.empty(angle.size)
     kernels.second_order(angle, FINE_S, 2 * np.pi * shape["frequency_hz"], shape["damping"], out)
     return angle + size * (out - angle)
+
+
+GENERATORS = tuple(_REGISTERED)
+FOREIGN_EFFECTS = tuple(generator for generator in GENERATORS if generator.label == UNKNOWN)
+LABELS: tuple[str, ...] = tuple(dict.fromkeys(g.label for g in GENERATORS if g.label != UNKNOWN))
 
 
 def generator_named(name: str) -> Generator:
