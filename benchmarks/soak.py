@@ -39,7 +39,7 @@ from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.rig.config import RunSettings
 from hystmpc.rig.review import judged, review
 from hystmpc.sim.plants.simulated import at_sample_time
-from hystmpc.studies.control.rivals import CONTROLLERS, NETWORKS
+from hystmpc.studies.control.controllers import CONTROLLERS, NETWORKS
 from hystmpc.studies.faults.cases import DEVICE, RUN
 from hystmpc.studies.faults.play import end, start, start_device
 from hystmpc.trials.config import dump_yaml

@@ -18,7 +18,7 @@ from .outputs import BENCHMARK, Force, check_output
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hystmpc.studies.performance.report import Report
+    from hystmpc.studies.performance.report import BenchReport
 
 INTERRUPTED = 130
 _WIDTH = 220  # of the table in a file
@@ -65,7 +65,7 @@ def bench(
         raise typer.Exit(INTERRUPTED)
 
 
-def _print(report: Report, console: Console) -> None:
+def _print(report: BenchReport, console: Console) -> None:
     from hystmpc.studies.performance.report import COLUMNS, table_rows
 
     for name, source in report.models.items():
@@ -82,14 +82,14 @@ def _print(report: Report, console: Console) -> None:
         console.print(f"{one.what} grows as {one.size}^{one.exponent:.2f} from {sizes}{verdict}", highlight=False)
 
 
-def _title(report: Report) -> str:
+def _title(report: BenchReport) -> str:
     machine = report.machine
     load, cores = machine["load_at_start"], machine["cores"]
     busy = "" if load is None or load < 0.5 else f"; load {load:.1f} at the start: close other work for clean figures"
     return f"medians on {machine['processor']}, {cores} cores, Python {machine['python']}{busy}"
 
 
-def _write_table(report: Report, path: Path) -> None:
+def _write_table(report: BenchReport, path: Path) -> None:
     text = io.StringIO()
     _print(report, plain_console(width=_WIDTH, file=text))
     write_atomically(path, text.getvalue())

@@ -14,7 +14,7 @@ from hystmpc.trials.types import Vec
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class DeviceMotion:
     """What a device did under T commands, without any sensor.
 
     Attributes:
@@ -47,7 +47,7 @@ class Device(Protocol):
         """State (S,) of a device that rests at its least command and has never been moved."""
         ...
 
-    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> Motion:
+    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> DeviceMotion:
         """Run commands (T,), each held for `dt_s` [s]; commands beyond the limits are clipped. `state` is kept."""
         ...
 

@@ -13,7 +13,7 @@ from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
-from .device import Motion, check_quantities, quantity
+from .device import DeviceMotion, check_quantities, quantity
 from .recorder import LaserSensor, generator, sampled
 
 PRESSURE, BLADDER, FRICTION, LATE, BEND = range(5)
@@ -158,7 +158,7 @@ class MuscleCatheter:
         """State (5,) of the straight, vented catheter."""
         return np.array([0.0, 0.0, -1.0, 0.0, 0.0])
 
-    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> Motion:
+    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> DeviceMotion:
         """Run commands (T,) [bar], each held for `dt_s` [s]; see `Device.advance`. Draws nothing from `random`."""
         del random
         after = np.array(state, dtype=np.float64)
@@ -166,7 +166,7 @@ class MuscleCatheter:
         angle, drive = np.empty(clipped.size), np.empty(clipped.size)
         parts = max(math.ceil(dt_s / _STEP_S - 1e-9), 1)
         advance(after, clipped, self._numbers(dt_s / parts), dt_s, parts, angle, drive)
-        return Motion(angle, drive, np.full(clipped.size, np.nan), after)
+        return DeviceMotion(angle, drive, np.full(clipped.size, np.nan), after)
 
     def _numbers(self, step_s: float) -> MuscleNumbers:
         p = self.parameters

@@ -13,7 +13,7 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from . import rod_solver
-from .device import Device, Motion
+from .device import Device, DeviceMotion
 from .recorder import EmTracker, TrackedBench
 from .rod_equations import new_knots
 from .rod_parameters import RodParameters, RodVariation
@@ -65,7 +65,7 @@ class RodCatheter:
         pull = np.linspace(-p.pretension_mm, 0.0, _PULL)
         return self._run(state, pull, _PULL_DT_S, 1).state
 
-    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> Motion:  # noqa: ARG002
+    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> DeviceMotion:  # noqa: ARG002
         """Run commands (T,) [mm], each held for `dt_s` [s]; see `Device.advance`. Nothing here is random."""
         clipped = np.clip(np.asarray(commands, dtype=np.float64), *self.commands)
         parts = max(math.ceil(dt_s / self.parameters.longest_step_s - 1e-9), 1)
@@ -84,13 +84,13 @@ class RodCatheter:
         begin = 1 + 2 * self.parameters.contacts
         return np.array(state[begin : begin + self.parameters.segments])
 
-    def _run(self, state: Vec, commands: Vec, step_s: float, parts: int) -> Motion:
+    def _run(self, state: Vec, commands: Vec, step_s: float, parts: int) -> DeviceMotion:
         p = self.parameters
         angle, drive, tension = (np.empty(commands.size) for _ in range(3))
         numbers, step, work, knots = self._numbers, p.step_numbers(step_s), new_work(p.contacts), new_knots(p.contacts)
         residual = rod_solver.advance(state, commands, numbers, step, parts, work, knots, angle, drive, tension)
         self.residual_mm = max(self.residual_mm, float(residual))
-        return Motion(angle + p.mount_deg, drive, tension, state)
+        return DeviceMotion(angle + p.mount_deg, drive, tension, state)
 
 
 @final
@@ -116,7 +116,7 @@ class RodTrial:
         residual_mm: greatest residual of the friction law in any step; see `rod_solver.TOLERANCE_MM`.
     """
 
-    motion: Motion
+    motion: DeviceMotion
     measured: Vec
     residual_mm: float
 

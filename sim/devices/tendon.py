@@ -12,7 +12,7 @@ from hystmpc.models.kernels.numba_ import njit
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
-from .device import Device, Motion, check_quantities, quantity
+from .device import Device, DeviceMotion, check_quantities, quantity
 from .recorder import TrackedBench
 
 DRIVE, ROUGHNESS, VISCOUS, CREEP, REACHED = range(5)  # of the state, after the elements
@@ -198,7 +198,7 @@ class TendonCatheter:
         bend = float(elements.mean())
         return np.concatenate([elements, [0.0, 0.0, bend, bend, 0.0]])
 
-    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> Motion:
+    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> DeviceMotion:
         """Run commands (T,) [mm], each held for `dt_s` [s]; see `Device.advance`."""
         after = np.array(state, dtype=np.float64)
         clipped = np.clip(np.asarray(commands, dtype=np.float64), *self.commands)
@@ -206,7 +206,7 @@ class TendonCatheter:
         bumps = random.standard_normal(clipped.size)
         numbers = self._numbers(dt_s)
         advance(after, self._widths, clipped, bumps, numbers, dt_s, angle, drive, tension)
-        return Motion(angle, drive, tension, after)
+        return DeviceMotion(angle, drive, tension, after)
 
     @property
     def state_size(self) -> int:

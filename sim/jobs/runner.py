@@ -25,7 +25,7 @@ from .backend import Backend, R, T
 Status = Literal["done", "failed"]
 
 
-class Job(Protocol):
+class PlannedJob(Protocol):
     """A job of a plan."""
 
     @property
@@ -34,11 +34,11 @@ class Job(Protocol):
         ...
 
 
-class JobResult(Protocol):
+class PlannedResult(Protocol):
     """Outcome of a job."""
 
     @property
-    def job(self) -> Job:
+    def job(self) -> PlannedJob:
         """What was done."""
         ...
 
@@ -53,8 +53,8 @@ class JobResult(Protocol):
         ...
 
 
-J = TypeVar("J", bound=Job)
-F = TypeVar("F", bound=JobResult)
+J = TypeVar("J", bound=PlannedJob)
+F = TypeVar("F", bound=PlannedResult)
 
 
 def run_jobs(
@@ -139,7 +139,7 @@ class ResultFiles(Generic[F]):
         self.folder, self._form, self._encode = folder, form, encode
         self._adapter = TypeAdapter(kind)
 
-    def path(self, job: Job) -> Path:
+    def path(self, job: PlannedJob) -> Path:
         """File of a job's result."""
         return self.folder / "results" / f"{job.key}.json"
 
@@ -148,7 +148,7 @@ class ResultFiles(Generic[F]):
         data = {"format": self._form} | self._encode(result)
         return write_atomically(self.path(result.job), json.dumps(data, indent=1) + "\n")
 
-    def load(self, job: Job) -> F | None:
+    def load(self, job: PlannedJob) -> F | None:
         """The result of a job, None where there is none yet.
 
         Raises:

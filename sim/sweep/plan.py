@@ -24,7 +24,7 @@ _ID_DIGITS = 16
 
 
 @dataclass(frozen=True)
-class Row:
+class SweepRow:
     """One closed-loop run.
 
     Attributes:
@@ -85,7 +85,7 @@ class Hashes:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """All rows of a sweep, made as they are asked for."""
 
     settings: SweepSettings
@@ -98,7 +98,7 @@ class Plan:
         values = [list(self.settings.grid[path].items()) for path in paths]
         return tuple(dict(zip(paths, point, strict=True)) for point in itertools.product(*values))
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[SweepRow]:
         """Row after row, none twice.
 
         Raises:
@@ -178,7 +178,7 @@ class Plan:
         return found[1]
 
 
-def _rows(config: SimulationConfig, factors: Mapping[str, Any], number: int, hashes: Hashes) -> Iterator[Row]:
+def _rows(config: SimulationConfig, factors: Mapping[str, Any], number: int, hashes: Hashes) -> Iterator[SweepRow]:
     files = hashes.of(config)
     for motion in config.motions:
         for controller in config.controllers:
@@ -189,11 +189,11 @@ def _rows(config: SimulationConfig, factors: Mapping[str, Any], number: int, has
                     "tuned": (),
                 }
             )
-            row = Row("", controller, motion, factors, number, config.seed, _text(alone), files)
+            row = SweepRow("", controller, motion, factors, number, config.seed, _text(alone), files)
             yield replace(row, id=row_id(row))
 
 
-def row_id(row: Row) -> str:
+def row_id(row: SweepRow) -> str:
     """SHA-256 over a row's settings and model files, first 16 digits."""
     text = json.dumps([row.settings, list(row.files)])
     return hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS]

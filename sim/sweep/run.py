@@ -16,7 +16,7 @@ from ..compare import compare
 from ..config import SimulationConfig
 from ..jobs.backend import Backend
 from ..jobs.runner import alone_in, resumed_folder, run_jobs
-from .plan import Hashes, Plan, Row
+from .plan import Hashes, SweepPlan, SweepRow
 from .report import SweepView, sweep_report
 from .settings import SweepSettings, sweep_in
 from .store import Store, files_of, table_of
@@ -62,7 +62,7 @@ def run_sweep(
         ModelError: on an unknown built-in model.
         KeyboardInterrupt: if the user ended it; finished rows are kept.
     """
-    plan = Plan(settings, source)
+    plan = SweepPlan(settings, source)
     total = plan.check()
     backend.check()
     folder = open_folder(Path(out), settings)
@@ -71,7 +71,7 @@ def run_sweep(
         done = store.done()
         ids: set[str] = set()
 
-        def is_done(row: Row) -> bool:
+        def is_done(row: SweepRow) -> bool:
             ids.add(row.id)
             return row.id in done
 
@@ -91,7 +91,7 @@ def run_sweep(
     return SweepOutcome(table, report, len(ids), len(ids & done), len(failed), message, len(done - ids))
 
 
-def columns_of(plan: Plan) -> dict[str, str]:
+def columns_of(plan: SweepPlan) -> dict[str, str]:
     """Kinds of all columns of the table, in their order."""
     return {**ROW_COLUMNS, **plan.columns(), **RESULT_COLUMNS, **COST_COLUMNS}
 
@@ -113,7 +113,7 @@ def open_folder(path: Path, settings: SweepSettings) -> RunFolder:
 
 
 @dataclass(frozen=True)
-class Figure:
+class ReproducedFigure:
     """One figure of a row: as the table has it, as it came out again."""
 
     name: str
@@ -127,7 +127,7 @@ class Figure:
         return both_nan or bool(self.before == self.again)
 
 
-def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) -> tuple[Figure, ...]:
+def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) -> tuple[ReproducedFigure, ...]:
     """Run one row from nothing but what the table says of it.
 
     Args:
@@ -151,7 +151,7 @@ def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) 
     else:
         metrics, _ = run_settings(config)
     again = metrics_columns(metrics)
-    return tuple(Figure(name, _plain(row[name], kind), again[name]) for name, kind in RESULT_COLUMNS.items())
+    return tuple(ReproducedFigure(name, _plain(row[name], kind), again[name]) for name, kind in RESULT_COLUMNS.items())
 
 
 def _row(folder: Path, identity: str) -> dict[str, Any]:

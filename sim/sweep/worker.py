@@ -16,7 +16,7 @@ from ..config import SimulationConfig
 from ..jobs.runner import attempt
 from ..results import TrackingMetrics, result_of
 from ..study import Knowledge, knowledge, prepare
-from .plan import Hashes, Row
+from .plan import Hashes, SweepRow
 
 # Columns of every row besides the factors, in the order of the table.
 ROW_COLUMNS: Mapping[str, str] = {
@@ -50,7 +50,7 @@ COST_COLUMNS: Mapping[str, str] = {
 _KEPT = 4  # models a process keeps ready
 
 
-def run_row(row: Row) -> dict[str, Any]:
+def run_row(row: SweepRow) -> dict[str, Any]:
     """One row of the table; an error becomes a row that says so.
 
     Raises:
@@ -77,7 +77,7 @@ def run_row(row: Row) -> dict[str, Any]:
     }
 
 
-def _figures(row: Row) -> dict[str, Any]:
+def _figures(row: SweepRow) -> dict[str, Any]:
     if Hashes().of(row.config()) != row.files:
         raise ConfigError("a model file has changed since the row was planned")
     metrics, samples = run_settings(row.config())

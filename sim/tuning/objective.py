@@ -114,7 +114,7 @@ def robust(costs: Sequence[float] | Vec, objective: ObjectiveSettings) -> float:
 
 
 @dataclass(frozen=True)
-class Case:
+class HeldOutCase:
     """One controller on one held-out plant, as it is handed to a worker."""
 
     name: str
@@ -197,7 +197,7 @@ def held_out(
     plain = settings.model_dump_json()
     names = {"given": "{}", "tuned": json.dumps(values)}
     count = settings.held_out.count
-    cases = [Case(name, number, text, plain) for number in range(count) for name, text in names.items()]
+    cases = [HeldOutCase(name, number, text, plain) for number in range(count) for name, text in names.items()]
     found: dict[str, dict[int, PlantScore]] = {name: {} for name in names}
     done = run_jobs(cases, run_case, backend, total=len(cases), progress=progress, note=lambda _: "held-out plants")
     for name, number, score in done:
@@ -206,7 +206,7 @@ def held_out(
     return HeldOut(given, tuned, settings.objective)
 
 
-def run_case(case: Case) -> tuple[str, int, PlantScore]:
+def run_case(case: HeldOutCase) -> tuple[str, int, PlantScore]:
     """One controller on one held-out plant.
 
     Raises:
@@ -233,7 +233,7 @@ class Ticket:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TicketOutcome:
     """What became of a ticket; `elsewhere` is being done by another process."""
 
     slot: int
@@ -242,7 +242,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Trial:
+class SearchTrial:
     """A trial of a search.
 
     Attributes:
@@ -262,9 +262,9 @@ class Trial:
     plants: int
 
 
-def pareto_front(trials: Sequence[Trial]) -> tuple[Trial, ...]:
+def pareto_front(trials: Sequence[SearchTrial]) -> tuple[SearchTrial, ...]:
     """Trials than which no other has both less error and less travel, from the least error on; pruned ones left out."""
-    front: list[Trial] = []
+    front: list[SearchTrial] = []
     for trial in sorted((t for t in trials if t.state == "done"), key=lambda t: (t.error_deg, t.travel)):
         if not front or trial.travel < front[-1].travel:
             front.append(trial)

@@ -13,7 +13,7 @@ from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Repo
 from hystmpc.trials.plot_style import COMMAND, MEASURED, MODEL, REFERENCE, new_figure
 
 from ..sweep.report import plain_log
-from .objective import HeldOut, Trial, pareto_front
+from .objective import HeldOut, SearchTrial, pareto_front
 
 if TYPE_CHECKING:
     from .run import Tuning
@@ -81,7 +81,7 @@ def _values(found: Tuning) -> Table:
     return Table(("setting", "given", "tuned", "searched"), rows, f"Trial {found.best.slot}; controller.yaml has all.")
 
 
-def _history(trials: tuple[Trial, ...]) -> Figure:
+def _history(trials: tuple[SearchTrial, ...]) -> Figure:
     done = [trial for trial in trials if trial.state == "done"]
     pruned = [trial for trial in trials if trial.state == "pruned"]
     with new_figure(7.0, 2.8) as figure:
@@ -96,7 +96,7 @@ def _history(trials: tuple[Trial, ...]) -> Figure:
     return figure
 
 
-def _front(trials: tuple[Trial, ...], best: Trial) -> Figure:
+def _front(trials: tuple[SearchTrial, ...], best: SearchTrial) -> Figure:
     done, front = [t for t in trials if t.state == "done"], pareto_front(trials)
     with new_figure(5.0, 3.4) as figure:
         axes: Axes = figure.subplots()

@@ -19,7 +19,7 @@ from hystmpc.trials.types import Progress
 
 from ..jobs.backend import Backend
 from ..jobs.runner import alone_in, resumed_folder
-from .objective import HeldOut, Outcome, Ticket, Trial, held_out
+from .objective import HeldOut, SearchTrial, Ticket, TicketOutcome, held_out
 from .report import tuning_report
 from .settings import TuneSettings
 
@@ -36,10 +36,10 @@ class Tuning:
     """
 
     settings: TuneSettings
-    trials: tuple[Trial, ...]
-    best: Trial
+    trials: tuple[SearchTrial, ...]
+    best: SearchTrial
     check: HeldOut
-    failed: tuple[Outcome, ...]
+    failed: tuple[TicketOutcome, ...]
 
 
 def run_tuning(
@@ -84,7 +84,7 @@ def run_tuning(
 
 def search(
     settings: TuneSettings, backend: Backend, storage: str, progress: Progress | None = None
-) -> tuple[tuple[Trial, ...], tuple[Outcome, ...]]:
+) -> tuple[tuple[SearchTrial, ...], tuple[TicketOutcome, ...]]:
     """Do the trials that are not done yet; those that others do are waited for.
 
     Raises:
@@ -95,7 +95,7 @@ def search(
     optuna_.open_search(storage, name)  # made before the workers meet
     plain = settings.model_dump_json()
     slots: Sequence[int] = range(settings.trials)
-    failed: list[Outcome] = []
+    failed: list[TicketOutcome] = []
     ended = 0
     while slots:
         later = []

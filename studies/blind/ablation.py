@@ -22,7 +22,7 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
-from .reading import Reading, reading_of
+from .reading import DiagnosisReading, reading_of
 
 FORMAT = "hystmpc-ablation/1"
 RESULT = "ablation.json"
@@ -127,7 +127,7 @@ def without(simulator: Simulator, component: str) -> Simulator:
     return replace(simulator, chain=chain, identification=known)
 
 
-def answered(row: Ablated, said: Reading) -> Ablated:
+def answered(row: Ablated, said: DiagnosisReading) -> Ablated:
     """The row with what a diagnosis said."""
     groups = sorted({name for group in said.ambiguity for name in group} - set(said.claims))
     return replace(row, verdict=said.verdict, said=said.claims, left_open=tuple(groups) if said.claims else ())

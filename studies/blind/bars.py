@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 
 from .generators import UNKNOWN
 from .plan import confusable
-from .reading import FAILED, VERDICTS, Reading, Scored, large, of_suites
+from .reading import FAILED, VERDICTS, DiagnosisReading, ScoredCase, large, of_suites
 from .sealed import DENSE
 
 # Twins beside each other, so that a wrong twin lies near the diagonal.
@@ -62,7 +62,7 @@ class Rate:
         return min(float(found.low), self.value), max(float(found.high), self.value)
 
 
-def rate(cases: Sequence[Scored], hit: Callable[[Scored], bool]) -> Rate:
+def rate(cases: Sequence[ScoredCase], hit: Callable[[ScoredCase], bool]) -> Rate:
     """Share of cases for which `hit` holds."""
     return Rate(sum(map(hit, cases)), len(cases))
 
@@ -80,7 +80,7 @@ class Confusion:
     counts: np.ndarray[tuple[int, int], np.dtype[np.int64]]
 
 
-def confusion(cases: Sequence[Scored]) -> Confusion:
+def confusion(cases: Sequence[ScoredCase]) -> Confusion:
     """Largest cause against best single answer; names first, then verdicts, empty ones left out."""
     pairs = Counter((case.answer.truth, case.reading.guess) for case in cases)
     seen = {name for pair in pairs for name in pair}
@@ -144,7 +144,7 @@ class Calibration:
     error: float
 
 
-def calibration(cases: Sequence[Scored], bins: int = 10) -> Calibration:
+def calibration(cases: Sequence[ScoredCase], bins: int = 10) -> Calibration:
     """Calibration of every name put forward with a probability (M. P. Naeini et al., AAAI 2015)."""
     claims = [
         (probability, name in truths_of(case))
@@ -164,17 +164,17 @@ def calibration(cases: Sequence[Scored], bins: int = 10) -> Calibration:
     return Calibration(tuple(found), float(error))
 
 
-def _probabilities(reading: Reading) -> tuple[float, ...]:
+def _probabilities(reading: DiagnosisReading) -> tuple[float, ...]:
     return reading.probabilities if reading.effects else (reading.confidence,)
 
 
-def truths_of(case: Scored) -> set[str]:
+def truths_of(case: ScoredCase) -> set[str]:
     """Every name that would be true to say, contaminants included."""
     gone = (UNKNOWN, *case.answer.without)
     return {effect.label for effect in case.answer.effects if effect.label not in gone}
 
 
-def chance(cases: Sequence[Scored]) -> float:
+def chance(cases: Sequence[ScoredCase]) -> float:
     """Top-1 that the same guesses would have, dealt to the cases at random: what the mere frequencies give."""
     if not cases:
         return float("nan")
@@ -215,7 +215,7 @@ class Bar:
         return f">= {low:g}" if high >= 1 else f"{low:g} to {high:g}"
 
 
-def bars(cases: Sequence[Scored]) -> list[Bar]:
+def bars(cases: Sequence[ScoredCase]) -> list[Bar]:
     """All bars of the design's section 5, at three floors or more on motions that can tell the effects apart."""
     clear = [case for case in large(cases) if case.answer.separable]
     single, foreign = of_suites(clear, "single"), _foreign(clear)
@@ -239,18 +239,18 @@ def bars(cases: Sequence[Scored]) -> list[Bar]:
     ]
 
 
-def alarm(case: Scored) -> bool:
+def alarm(case: ScoredCase) -> bool:
     """Whether a structural gap is claimed, with a name or without."""
     return case.reading.verdict not in ("none", "too_little")
 
 
-def confidently_wrong(case: Scored) -> bool:
+def confidently_wrong(case: ScoredCase) -> bool:
     """Whether a name that is not true is given as the answer, with a probability of 0.8 or more."""
     said = case.reading
     return said.verdict == "named" and said.guess not in truths_of(case) and said.confidence >= _CONFIDENT
 
 
-def true_share(case: Scored) -> float:
+def true_share(case: ScoredCase) -> float:
     """Share of the gap that the effects make up on the final trials, from the floor that the diagnosis counts from.
 
     closed = (MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor) with MSE_with = noise^2 + form^2 and
@@ -266,26 +266,28 @@ def true_share(case: Scored) -> float:
     return float(np.clip((retuned - form) / max(gap, 1e-12), 0.0, 1.0))
 
 
-def _on_final(case: Scored, by_trial: Sequence[float]) -> float:
+def _on_final(case: ScoredCase, by_trial: Sequence[float]) -> float:
     """Mean square over the final trials of an error given by trial [deg^2]; 0 where they are not known."""
     numbers = [int(found.group(1)) for name in case.reading.final_trials if (found := _TRIAL.search(name))]
     kept = [by_trial[n - 1] ** 2 for n in numbers if n <= len(by_trial)]
     return float(np.mean(kept)) if kept else 0.0
 
 
-def _foreign(cases: Sequence[Scored]) -> list[Scored]:
+def _foreign(cases: Sequence[ScoredCase]) -> list[ScoredCase]:
     """Cases whose cause the library does not have: foreign effects, and classes left out."""
     return [case for case in of_suites(cases, "unknown", "without") if case.answer.truth == "unknown"]
 
 
-def _share(name: str, cases: Sequence[Scored], hit: Callable[[Scored], bool], bound: float, good: bool = True) -> Bar:
+def _share(
+    name: str, cases: Sequence[ScoredCase], hit: Callable[[ScoredCase], bool], bound: float, good: bool = True
+) -> Bar:
     found: Rate = rate(cases, hit)
     misses = tuple(case.name for case in cases if hit(case) is not good)
     wanted = (bound, 1.0) if good else (0.0, bound)
     return Bar(name, found.value, wanted, found.cases, misses, found.ci90)
 
 
-def _oracle(cases: Sequence[Scored]) -> Bar:
+def _oracle(cases: Sequence[ScoredCase]) -> Bar:
     """Mean of how far the closed share stays behind that of a diagnosis that was told the class."""
     behind = {
         case.name: max(case.oracle - (case.reading.closed_share or 0.0), 0.0)
@@ -297,14 +299,14 @@ def _oracle(cases: Sequence[Scored]) -> Bar:
     return Bar("closed share behind the oracle", value, (0.0, _NEAR_ORACLE), len(behind), misses)
 
 
-def _coverage(cases: Sequence[Scored]) -> Bar:
+def _coverage(cases: Sequence[ScoredCase]) -> Bar:
     """Share of intervals of the closed share that hold what is closed in another session of the device.
 
     Only where exactly the true effects were named: what a wrong name closes is nobody's truth.
     """
     told = [case for case in rightly_named(cases) if case.again is not None]
 
-    def covered(case: Scored) -> bool:
+    def covered(case: ScoredCase) -> bool:
         low, high = case.reading.closed_ci90 or (0.0, 0.0)
         return low <= (case.again or 0.0) <= high
 
@@ -313,15 +315,15 @@ def _coverage(cases: Sequence[Scored]) -> Bar:
     return Bar("90 % intervals cover", found.value, (0.85, 0.95), found.cases, misses, found.ci90)
 
 
-def rightly_named(cases: Sequence[Scored]) -> list[Scored]:
+def rightly_named(cases: Sequence[ScoredCase]) -> list[ScoredCase]:
     """Cases with an interval of the closed share in which exactly the true effects were named."""
     return [c for c in cases if c.reading.closed_ci90 and set(c.reading.claims) == truths_of(c) != set()]
 
 
-def covers_perfection(cases: Sequence[Scored]) -> Rate:
+def covers_perfection(cases: Sequence[ScoredCase]) -> Rate:
     """Share of those intervals that hold what a perfect equation of the named class would close (`true_share`)."""
 
-    def covered(case: Scored) -> bool:
+    def covered(case: ScoredCase) -> bool:
         low, high = case.reading.closed_ci90 or (0.0, 0.0)
         return low <= true_share(case) <= high
 
@@ -329,7 +331,7 @@ def covers_perfection(cases: Sequence[Scored]) -> Rate:
     return rate(rightly_named(clear), covered)
 
 
-def _localisation(cases: Sequence[Scored]) -> Bar:
+def _localisation(cases: Sequence[ScoredCase]) -> Bar:
     """F1 of the dense regions, over those regions of which the diagnosis says anything."""
     told = [case for case in cases if case.reading.densities]
     truth = {
@@ -343,16 +345,16 @@ def _localisation(cases: Sequence[Scored]) -> Bar:
     return Bar("localisation F1", found.f1, (0.8, 1.0), len(told), misses)
 
 
-def _calibrated(cases: Sequence[Scored]) -> Bar:
+def _calibrated(cases: Sequence[ScoredCase]) -> Bar:
     found = calibration(cases)
     return Bar("calibration error", found.error, (0.0, 0.10), sum(b.claims for b in found.bins))
 
 
-def _resolved(cases: Sequence[Scored]) -> Bar:
+def _resolved(cases: Sequence[ScoredCase]) -> Bar:
     """Share of ambiguities of which, after the proposed motion was recorded, the truth is left and nothing else."""
     asked = [case for case in cases if case.reading.verdict == "one_of" and case.followed is not None]
 
-    def resolved(case: Scored) -> bool:
+    def resolved(case: ScoredCase) -> bool:
         said = case.followed
         if said is None or said.verdict != "named":
             return False

@@ -113,7 +113,7 @@ def _together(key: tuple[int, int, int], suite: Suite) -> Case:
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class _CaseJob:
     """One case to make."""
 
     folder: Path
@@ -154,7 +154,9 @@ def make_blind(
     real = tuple(resample(trial, RATE_HZ) for trial in (read_trials(logs, preset) if logs else ()))
     order = np.random.default_rng([seed, 0]).permutation(cases)
     todo = [
-        _Job(folder / "cases" / case_name(int(place), cases), seed, name, number, real if name == "injection" else ())
+        _CaseJob(
+            folder / "cases" / case_name(int(place), cases), seed, name, number, real if name == "injection" else ()
+        )
         for place, (name, number) in zip(order, wanted, strict=True)
     ]
     backend = backend_for(jobs, where=str(folder))
@@ -162,7 +164,7 @@ def make_blind(
     return seal(folder, [answers[name] for name in sorted(answers)])
 
 
-def _make(job: _Job) -> tuple[str, Answer]:
+def _make(job: _CaseJob) -> tuple[str, Answer]:
     case = make_case(job.seed, job.suite, job.number, job.logs)
     write_case(job.folder, case)
     return job.folder.name, case.answer

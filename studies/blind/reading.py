@@ -21,7 +21,7 @@ LARGE = 3.0
 
 
 @dataclass(frozen=True)
-class Reading:
+class DiagnosisReading:
     """What a diagnosis said.
 
     Attributes:
@@ -83,7 +83,7 @@ class Reading:
         return frozenset(name for name, density in self.densities.items() if density >= DENSE)
 
 
-def read_diagnosis(path: Path, others: Mapping[str, str] | None = None) -> Reading:
+def read_diagnosis(path: Path, others: Mapping[str, str] | None = None) -> DiagnosisReading:
     """Read `diagnosis.json`.
 
     Raises:
@@ -96,7 +96,7 @@ def read_diagnosis(path: Path, others: Mapping[str, str] | None = None) -> Readi
         raise LogError(f"{path}: not a diagnosis ({type(error).__name__}: {error})") from None
 
 
-def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None) -> Reading:
+def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None) -> DiagnosisReading:
     """What the plain data of a diagnosis say.
 
     Raises:
@@ -108,7 +108,7 @@ def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None)
         raise ValueError(f"verdict {verdict!r}, expected one of {', '.join(VERDICTS)}")
     effects, gap = data["effects"], data["gap"]
     interval = gap.get("closed_ci90")
-    return Reading(
+    return DiagnosisReading(
         verdict,
         tuple(str(e["name"]) for e in effects),
         tuple(float(e["probability"]) for e in effects),
@@ -124,7 +124,7 @@ def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None)
 
 
 @dataclass(frozen=True)
-class Scored:
+class ScoredCase:
     """One case.
 
     Attributes:
@@ -136,8 +136,8 @@ class Scored:
 
     name: str
     answer: Answer
-    reading: Reading
-    followed: Reading | None = None
+    reading: DiagnosisReading
+    followed: DiagnosisReading | None = None
     oracle: float | None = None
     seconds: float | None = None
     again: float | None = None
@@ -167,7 +167,7 @@ class Scored:
         return self.right or confusable(self.reading.guess, self.answer.truth)
 
 
-def load_scored(folder: Path, partial: bool = False) -> list[Scored]:
+def load_scored(folder: Path, partial: bool = False) -> list[ScoredCase]:
     """Open the answers and set the diagnoses beside them.
 
     Args:
@@ -190,17 +190,17 @@ def load_scored(folder: Path, partial: bool = False) -> list[Scored]:
     return found
 
 
-def _one(folder: Path, name: str, answer: Answer) -> Scored:
+def _one(folder: Path, name: str, answer: Answer) -> ScoredCase:
     path, seconds, again = folder / "diagnoses" / name, None, None
     others: dict[str, str] = {}
     if not (path / DIAGNOSIS).is_file():
-        return Scored(name, answer, Reading(FAILED))
+        return ScoredCase(name, answer, DiagnosisReading(FAILED))
     if (path / BESIDE).is_file():
         beside = json.loads((path / BESIDE).read_text(encoding="utf-8"))
         seconds, others, again = beside.get("seconds"), beside.get("others", {}), beside.get("closed_again")
     followed = folder / "follow_up_diagnoses" / name / DIAGNOSIS
     oracle = folder / "oracle" / name / DIAGNOSIS
-    return Scored(
+    return ScoredCase(
         name,
         answer,
         read_diagnosis(path / DIAGNOSIS, others),
@@ -211,11 +211,11 @@ def _one(folder: Path, name: str, answer: Answer) -> Scored:
     )
 
 
-def of_suites(cases: Sequence[Scored], *suites: str) -> list[Scored]:
+def of_suites(cases: Sequence[ScoredCase], *suites: str) -> list[ScoredCase]:
     """Cases of some suites."""
     return [case for case in cases if case.answer.suite in suites]
 
 
-def large(cases: Sequence[Scored]) -> list[Scored]:
+def large(cases: Sequence[ScoredCase]) -> list[ScoredCase]:
     """Cases whose largest cause leaves a gap of `LARGE` floors or more."""
     return [case for case in cases if case.answer.ratio >= LARGE]

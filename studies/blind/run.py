@@ -95,7 +95,7 @@ def _command(path: Path) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
 
 
 @dataclass(frozen=True)
-class Job:
+class DiagnosisJob:
     """One diagnosis to make.
 
     Attributes:
@@ -143,20 +143,20 @@ def run_blind(
         ConfigError: if a worker process died.
     """
     manifest = read_manifest(folder)
-    blind = [Job(folder, name, seed, manifest.without.get(name, ())) for name in manifest.cases]
+    blind = [DiagnosisJob(folder, name, seed, manifest.without.get(name, ())) for name in manifest.cases]
     failed = _all(blind, jobs, progress)
     if follow_up:
         open_cases = [job for job in blind if (job.out / NEXT_MOTION).is_file()]
-        again = [Job(folder, job.case, seed, job.without, (), "follow_up_diagnoses") for job in open_cases]
+        again = [DiagnosisJob(folder, job.case, seed, job.without, (), "follow_up_diagnoses") for job in open_cases]
         failed += _all([job for job in again if _recorded(job)], jobs, progress)
     if with_truth:
         answers = open_answers(folder)
-        told = [Job(folder, name, seed, (), a.labels, "oracle") for name, a in answers.items() if a.labels]
+        told = [DiagnosisJob(folder, name, seed, (), a.labels, "oracle") for name, a in answers.items() if a.labels]
         failed += _all(told, jobs, progress)
     return failed
 
 
-def diagnose_job(job: Job) -> tuple[Job, bool]:
+def diagnose_job(job: DiagnosisJob) -> tuple[DiagnosisJob, bool]:
     """Make one diagnosis and write it; an error of the diagnosis is written too. Returns whether it worked."""
 
     def diagnose() -> tuple[dict[str, Any], dict[str, Any]]:
@@ -174,7 +174,9 @@ def diagnose_job(job: Job) -> tuple[Job, bool]:
     return job, True
 
 
-def _diagnose(trials: Sequence[Trial], simulator: Simulator, job: Job) -> tuple[dict[str, Any], dict[str, Any]]:
+def _diagnose(
+    trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """The diagnosis in its fixed form, and what goes beside it; the motion that it proposes is written."""
     from hystmpc.gap.next_motion import write_motion
     from hystmpc.gap.procedure import conclude, investigate
@@ -187,7 +189,7 @@ def _diagnose(trials: Sequence[Trial], simulator: Simulator, job: Job) -> tuple[
     return dict(found.as_json()), beside
 
 
-def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: Job) -> dict[str, Any]:
+def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob) -> dict[str, Any]:
     """What rules of thumb would say, and what the causes close in another session of the device, if it can have one."""
     from hystmpc.gap.fresh_session import closed_again
 
@@ -199,12 +201,12 @@ def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, j
     return found
 
 
-def _all(todo: Sequence[Job], processes: int, progress: Progress | None) -> int:
+def _all(todo: Sequence[DiagnosisJob], processes: int, progress: Progress | None) -> int:
     """Do the jobs without a diagnosis; returns how many failed."""
     if not todo:
         return 0
 
-    def is_done(job: Job) -> bool:
+    def is_done(job: DiagnosisJob) -> bool:
         return (job.out / DIAGNOSIS).is_file()
 
     if progress:
@@ -221,7 +223,7 @@ def _all(todo: Sequence[Job], processes: int, progress: Progress | None) -> int:
     return sum(not worked for _, worked in done)
 
 
-def _recorded(job: Job) -> bool:
+def _recorded(job: DiagnosisJob) -> bool:
     """Record the proposed motion on the case's device; False where there is no such device or the motion is unfit."""
     if _followed(job):
         return True
@@ -233,7 +235,7 @@ def _recorded(job: Job) -> bool:
     return True
 
 
-def _followed(job: Job) -> list[Trial]:
+def _followed(job: DiagnosisJob) -> list[Trial]:
     """Trials recorded because a diagnosis asked for them."""
     logs = job.folder / "follow_up" / job.case
     return read_trials([logs]) if job.kind == "follow_up_diagnoses" and logs.is_dir() else []

@@ -30,7 +30,7 @@ from .bars import (
 from .generators import LABELS
 from .make import RATIOS, SUITES
 from .plan import confusable
-from .reading import Scored, load_scored, of_suites
+from .reading import ScoredCase, load_scored, of_suites
 
 FORMAT = "hystmpc-blind-score/1"
 
@@ -45,14 +45,14 @@ class Score:
         beside: top-1 on single effects of the diagnosis and of simpler rules.
     """
 
-    cases: tuple[Scored, ...]
+    cases: tuple[ScoredCase, ...]
     bars: tuple[Bar, ...]
     confusion: Confusion
     calibration: Calibration
     groups: dict[str, dict[str, Rate]]
     beside: dict[str, float]
 
-    def misses(self) -> list[Scored]:
+    def misses(self) -> list[ScoredCase]:
         """Cases whose verdict is wrong, in the order of their folders."""
         return [case for case in self.cases if not case.right]
 
@@ -71,7 +71,7 @@ def score_blind(folder: Path, partial: bool = False) -> Score:
     return result
 
 
-def score_of(cases: Sequence[Scored]) -> Score:
+def score_of(cases: Sequence[ScoredCase]) -> Score:
     """The score of some cases."""
     single = of_suites(cases, "single")
     return Score(
@@ -97,10 +97,10 @@ def score_of(cases: Sequence[Scored]) -> Score:
 
 
 def _by(
-    cases: Sequence[Scored], keys: Callable[[Scored], tuple[str, ...]], order: Sequence[str] = ()
+    cases: Sequence[ScoredCase], keys: Callable[[ScoredCase], tuple[str, ...]], order: Sequence[str] = ()
 ) -> dict[str, Rate]:
     """Share of right verdicts by key; a case may count under several."""
-    groups: dict[str, list[Scored]] = {}
+    groups: dict[str, list[ScoredCase]] = {}
     for case in cases:
         for key in keys(case):
             groups.setdefault(key, []).append(case)
@@ -108,12 +108,12 @@ def _by(
     return {name: rate(groups[name], lambda c: c.right) for name in names}
 
 
-def _size(case: Scored) -> str:
+def _size(case: ScoredCase) -> str:
     """The wanted ratio that the found one is nearest to."""
     return f"{min(RATIOS, key=lambda r: abs(math.log(max(case.answer.ratio, 1e-3) / r))):g}"
 
 
-def _beside(single: Sequence[Scored]) -> dict[str, float]:
+def _beside(single: Sequence[ScoredCase]) -> dict[str, float]:
     """Top-1 on single effects: ours, ours counting twins, rules beside it, and what chance would give."""
     if not single:
         return {}
@@ -129,7 +129,7 @@ def _beside(single: Sequence[Scored]) -> dict[str, float]:
     return found
 
 
-def _left_alone(healthy: Sequence[Scored]) -> dict[str, Rate]:
+def _left_alone(healthy: Sequence[ScoredCase]) -> dict[str, Rate]:
     """Share of devices without a gap of which nothing is named: by the diagnosis, and by the rules beside it."""
     if not healthy:
         return {}
@@ -164,7 +164,7 @@ def score_json(score: Score) -> dict[str, Any]:
     return _plain(data)
 
 
-def miss_json(case: Scored) -> dict[str, Any]:
+def miss_json(case: ScoredCase) -> dict[str, Any]:
     """One wrong verdict: the truth, what was said, and how large the gap was."""
     answer, said = case.answer, case.reading
     return {

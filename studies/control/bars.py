@@ -17,9 +17,9 @@ from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.results import holds, tracking_metrics
 from hystmpc.trials.types import Vec
 
+from .controllers import BASELINES, CONTROLLERS, ORACLE
 from .job import ControlResult
 from .plants import PLANTS
-from .rivals import BASELINES, CONTROLLERS, ORACLE
 from .settings import SCANS_HZ, ControlSettings
 
 HOLD_RANGE_BAR = 0.1
@@ -144,11 +144,11 @@ def _over(value: float, reference: float) -> float:
     return value / reference if reference > 0 else math.nan
 
 
-Figure = Callable[[ControlOutcome, ControlResult], float]
+FigureOfRun = Callable[[ControlOutcome, ControlResult], float]
 
 
 @dataclass(frozen=True)
-class Bar:
+class ControlBar:
     """One requirement: a figure of every run that it is about, and the most that it may be.
 
     Attributes:
@@ -157,12 +157,12 @@ class Bar:
 
     name: str
     limit: float
-    figure: Figure
-    about: Figure
+    figure: FigureOfRun
+    about: FigureOfRun
 
 
 @dataclass(frozen=True)
-class Verdict:
+class BarVerdict:
     """How one controller on one plant at one rate stands to one bar."""
 
     bar: str
@@ -181,7 +181,7 @@ class Verdict:
         return self.within == self.judged
 
 
-def _named(name: str) -> Figure:
+def _named(name: str) -> FigureOfRun:
     return lambda outcome, run: run.figures[name]
 
 
@@ -200,34 +200,36 @@ def _beatable(outcome: ControlOutcome, run: ControlResult) -> bool:
     return _inexact(outcome, run) and outcome.baseline(run) > BASELINE_LEAVES * oracle
 
 
-BARS: tuple[Bar, ...] = (
-    Bar(
+BARS: tuple[ControlBar, ...] = (
+    ControlBar(
         "hold error, exactly known plant [deg]",
         HOLD_ERROR_DEG,
         _named("hold_error_deg"),
         lambda _, r: exact(r) and _predictive(r),
     ),
-    Bar(
+    ControlBar(
         "scan RMSE, exactly known plant [deg]",
         SCAN_RMSE_DEG,
         _named("rmse_deg"),
         lambda _, r: exact(r) and _predictive(r) and r.job.motion in SCANS_HZ,
     ),
-    Bar("RMSE over the oracle's", OVER_ORACLE, ControlOutcome.over_oracle, _inexact),
-    Bar("RMSE over the best of PID, inverse, both", OVER_BASELINE, ControlOutcome.over_baseline, _beatable),
-    Bar("range of a held command [half-widths]", HOLD_RANGE_BAR, _named("hold_range"), lambda _, r: _predictive(r)),
-    Bar("share of holds with a limit cycle", 0.0, _named("cycling_holds"), lambda _, r: _predictive(r)),
-    Bar("samples beyond a limit", 0.0, _named("violations"), lambda _, r: True),
-    Bar("samples on a rung of the ladder", 0.0, _named("fallbacks"), lambda _, r: True),
+    ControlBar("RMSE over the oracle's", OVER_ORACLE, ControlOutcome.over_oracle, _inexact),
+    ControlBar("RMSE over the best of PID, inverse, both", OVER_BASELINE, ControlOutcome.over_baseline, _beatable),
+    ControlBar(
+        "range of a held command [half-widths]", HOLD_RANGE_BAR, _named("hold_range"), lambda _, r: _predictive(r)
+    ),
+    ControlBar("share of holds with a limit cycle", 0.0, _named("cycling_holds"), lambda _, r: _predictive(r)),
+    ControlBar("samples beyond a limit", 0.0, _named("violations"), lambda _, r: True),
+    ControlBar("samples on a rung of the ladder", 0.0, _named("fallbacks"), lambda _, r: True),
 )
 
 
-def verdicts(outcome: ControlOutcome) -> tuple[Verdict, ...]:
+def verdicts(outcome: ControlOutcome) -> tuple[BarVerdict, ...]:
     """Every bar on every controller, plant and rate that it is about."""
     return tuple(verdict for bar in BARS for verdict in _of_bar(bar, outcome))
 
 
-def _of_bar(bar: Bar, outcome: ControlOutcome) -> Iterable[Verdict]:
+def _of_bar(bar: ControlBar, outcome: ControlOutcome) -> Iterable[BarVerdict]:
     for plant, rate in outcome.loops:
         for controller in outcome.settings.controllers:
             runs = [
@@ -240,4 +242,4 @@ def _of_bar(bar: Bar, outcome: ControlOutcome) -> Iterable[Verdict]:
             if known:
                 worst, motion = max(known)
                 within = sum(value <= bar.limit for value, _ in known)
-                yield Verdict(bar.name, bar.limit, plant, rate, controller, within, len(known), worst, motion)
+                yield BarVerdict(bar.name, bar.limit, plant, rate, controller, within, len(known), worst, motion)

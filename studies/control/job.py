@@ -19,14 +19,14 @@ from hystmpc.trials.errors import LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
 
+from .controllers import CONTROLLERS, NETWORKS
 from .models import backlash_file, companion_file, network_file
 from .plants import PLANTS
-from .rivals import CONTROLLERS, NETWORKS
 from .settings import ControlSettings
 
 FORMAT = "hystmpc-control-job/1"
 SIGNALS = ("time_s", "reference_deg", "true_deg", "command")
-Figure = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+FigureOrNull = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 Stage = Literal["fit", "tune", "retune", "run"]
 STAGES: tuple[Stage, ...] = ("fit", "tune", "retune", "run")
 """In this order: every stage needs what the ones before it leave."""
@@ -151,7 +151,7 @@ class ControlResult:
     status: Status
     message: str
     seconds: float
-    figures: Mapping[str, Figure] = field(default_factory=dict)
+    figures: Mapping[str, FigureOrNull] = field(default_factory=dict)
     ladder: Mapping[str, int] = field(default_factory=dict)
 
 

@@ -29,10 +29,10 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
 
 from .bars import control_figures
+from .controllers import CONTROLLERS, NETWORKS, BenchmarkController
 from .job import ControlJob, gains_file, save_signals
 from .models import backlash_file, companion_file, network_file
 from .plants import PLANTS, Plant, half_width
-from .rivals import CONTROLLERS, NETWORKS, Rival
 from .settings import ControlSettings, motion
 
 State = GuardedState[Any]
@@ -205,7 +205,7 @@ def _effects(plant: Plant) -> dict[str, float]:
     return {"lag_s": effects.lag_s, "delay_s": effects.delay_s, "noise_deg": effects.noise_deg}
 
 
-def _gains(job: ControlJob, rival: Rival, settings: ControlSettings, folder: Path) -> dict[str, Any]:
+def _gains(job: ControlJob, rival: BenchmarkController, settings: ControlSettings, folder: Path) -> dict[str, Any]:
     """The gains that a search has found, at this rate or, to start another search, at the first one."""
     if not rival.tuned or job.stage == "tune":
         return {}

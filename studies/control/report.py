@@ -13,10 +13,10 @@ from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Repo
 from hystmpc.trials.plot_style import COMMAND, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
 
 from ..tables import NOTHING, Cell, StudyTable
-from .bars import BARS, ControlOutcome, Verdict, verdicts
+from .bars import BARS, BarVerdict, ControlOutcome, verdicts
+from .controllers import CONTROLLERS, NETWORK_RATE_HZ, NETWORKS, ORACLE
 from .job import ControlResult, load_signals
 from .plants import MISMATCH
-from .rivals import CONTROLLERS, NETWORK_RATE_HZ, NETWORKS, ORACLE
 from .settings import POINT_TO_POINT, SCANS_HZ, ControlSettings
 
 _RUN_COLUMNS = (
@@ -59,7 +59,7 @@ no noise in. Bars on ratios are for every model that is not exactly its plant, o
 move; beside it stands the range before that move shows."""
 
 
-def bars_table(verdicts: Sequence[Verdict]) -> StudyTable:
+def bars_table(verdicts: Sequence[BarVerdict]) -> StudyTable:
     """Each bar over everything that it is about: how many controllers on how many plants meet it."""
     rows: list[list[Cell]] = []
     for bar in BARS:
@@ -76,7 +76,7 @@ def bars_table(verdicts: Sequence[Verdict]) -> StudyTable:
     return StudyTable("bars", columns, rows, caption)
 
 
-def verdicts_table(verdicts: Sequence[Verdict], met: bool | None = None) -> StudyTable:
+def verdicts_table(verdicts: Sequence[BarVerdict], met: bool | None = None) -> StudyTable:
     """Every bar on every loop, or only those met or missed."""
     rows: list[list[Cell]] = [
         [v.bar, v.limit, v.plant, v.rate_hz, v.controller, f"{v.within} of {v.judged}", v.worst, v.motion, _word(v.met)]

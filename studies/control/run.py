@@ -15,13 +15,13 @@ from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 
 from ..tables import other_study
-from .bars import ControlOutcome, Verdict, verdicts
+from .bars import BarVerdict, ControlOutcome, verdicts
+from .controllers import CONTROLLERS
 from .job import STAGES, ControlJob, ControlResult, control_jobs, fingerprint, result_files
 from .loop import run_along, tune
 from .models import save_backlash, save_network
 from .plants import PLANTS
 from .report import control_report
-from .rivals import CONTROLLERS
 from .settings import ControlSettings, motion
 
 # Seconds on one core of a two-core x86-64 machine, from runs of the benchmark itself.
@@ -101,7 +101,7 @@ def run_control(study: ControlStudy, workers: int = 1, progress: Progress | None
     return outcome
 
 
-def _plain(outcome: ControlOutcome, bars: tuple[Verdict, ...]) -> str:
+def _plain(outcome: ControlOutcome, bars: tuple[BarVerdict, ...]) -> str:
     """Runs and bars as JSON; what is not there is null."""
     runs = [
         {

@@ -9,8 +9,8 @@ from pydantic import Field
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
+from .controllers import CONTROLLERS
 from .plants import PLANTS
-from .rivals import CONTROLLERS
 
 POINT_TO_POINT = "point_to_point"
 RANDOM = "random_ruckig"

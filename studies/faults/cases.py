@@ -46,7 +46,7 @@ DEVICE: Mapping[str, Any] = {
 
 
 @dataclass(frozen=True)
-class Second:
+class SecondRun:
     """A second run on the same device, which has to be refused.
 
     Attributes:
@@ -59,7 +59,7 @@ class Second:
 
 
 @dataclass(frozen=True)
-class Case:
+class FaultCase:
     """One fault.
 
     Attributes:
@@ -94,7 +94,7 @@ class Case:
     notice_s: float = 0.0
     terminal: bool = False
     restart: bool = False
-    second: Second | None = None
+    second: SecondRun | None = None
     file_limit_bytes: int | None = None
     corrupt_model: bool = False
 
@@ -109,24 +109,24 @@ class Case:
         return self.kill == "device" and self.signal == "SIGKILL" and not self.restart
 
 
-def _wire(name: str, expected: Ending, fault: str, notice_s: float = _DEAD_S, **more: float) -> Case:
-    return Case(name, expected, ({"fault": fault, "start_s": _AT_S, **more},), notice_s=notice_s)
+def _wire(name: str, expected: Ending, fault: str, notice_s: float = _DEAD_S, **more: float) -> FaultCase:
+    return FaultCase(name, expected, ({"fault": fault, "start_s": _AT_S, **more},), notice_s=notice_s)
 
 
-def _commands(name: str, expected: Ending, fault: str, **more: float) -> Case:
+def _commands(name: str, expected: Ending, fault: str, **more: float) -> FaultCase:
     faults = ({"fault": fault, "of": "commands", "start_s": _AT_S, **more},)
-    return Case(name, expected, faults, notice_s=_STRAY_S + more.get("delay_s", 0.0))
+    return FaultCase(name, expected, faults, notice_s=_STRAY_S + more.get("delay_s", 0.0))
 
 
-def _strike(name: str, expected: Ending, signal: str, **more: Any) -> Case:
-    return Case(name, expected, kill="controller", signal=signal, **more)
+def _strike(name: str, expected: Ending, signal: str, **more: Any) -> FaultCase:
+    return FaultCase(name, expected, kill="controller", signal=signal, **more)
 
 
-_OTHER_NAME = Second(("--set", "name=other", "--set", "latch_file=other.json"))
-_RESET = Second(("--reset", "--set", "start_command=0"), after_fault=True)
+_OTHER_NAME = SecondRun(("--set", "name=other", "--set", "latch_file=other.json"))
+_RESET = SecondRun(("--reset", "--set", "start_command=0"), after_fault=True)
 
-CASES: tuple[Case, ...] = (
-    Case("no fault", "goes on"),
+CASES: tuple[FaultCase, ...] = (
+    FaultCase("no fault", "goes on"),
     _wire("sensor frozen", "stops", "freeze"),
     _wire("sensor NaN", "stops", "nan"),
     _wire("sensor out of range", "stops", "out_of_range"),
@@ -157,25 +157,25 @@ CASES: tuple[Case, ...] = (
     _commands("all commands corrupted", "stops", "corrupt"),
     _wire("device clock back by 1 h", "stops", "stamp_jump", delay_s=-3600.0),
     _wire("device clock ahead by 1 h", "goes on", "stamp_jump", delay_s=3600.0),
-    Case("device beyond the limits", "refuses", settings=_HIGHER),
-    Case("a brake that is too weak", "refuses", settings=_SOFT),
-    Case("device killed", "stops", kill="device"),
-    Case("device killed, restarted", "stops", kill="device", restart=True),
-    Case("device paused 0.3 s", "goes on", kill="device", signal="SIGSTOP", pause_s=0.3),
-    Case("device paused 2 s", "stops", kill="device", signal="SIGSTOP", notice_s=_DEAD_S),
+    FaultCase("device beyond the limits", "refuses", settings=_HIGHER),
+    FaultCase("a brake that is too weak", "refuses", settings=_SOFT),
+    FaultCase("device killed", "stops", kill="device"),
+    FaultCase("device killed, restarted", "stops", kill="device", restart=True),
+    FaultCase("device paused 0.3 s", "goes on", kill="device", signal="SIGSTOP", pause_s=0.3),
+    FaultCase("device paused 2 s", "stops", kill="device", signal="SIGSTOP", notice_s=_DEAD_S),
     _strike("controller killed", "left alone", "SIGKILL"),
     _strike("killed, then a refused run", "left alone", "SIGKILL", height=4.0, drive=_SLOW_RETURN, second=_RESET),
-    Case("second run of another name", "goes on", settings=_LONG, second=_OTHER_NAME),
+    FaultCase("second run of another name", "goes on", settings=_LONG, second=_OTHER_NAME),
     _strike("the same, then the first one killed", "left alone", "SIGKILL", settings=_LONG, second=_OTHER_NAME),
     _strike("controller SIGTERM", "stops", "SIGTERM"),
     _strike("controller Ctrl-C", "stops", "SIGINT", terminal=True),
     _strike("Ctrl-C while rising fast", "stops", "SIGINT", height=1.0, rising_per_s=5.0, settings=_FAST, terminal=True),
     _strike("terminal closed", "stops", "SIGHUP", terminal=True),
     _strike("controller paused 3 s at 4 mm", "stops", "SIGSTOP", height=4.0, pause_s=3.0),
-    Case("disk full", "goes on", file_limit_bytes=20_000),
-    Case("model file corrupt", "refuses", corrupt_model=True),
-    Case("solver fails for 0.4 s", "goes on", settings=_FAILS),
-    Case("solver fails for good", "stops", settings=_FAILS_ON, notice_s=2.0),
+    FaultCase("disk full", "goes on", file_limit_bytes=20_000),
+    FaultCase("model file corrupt", "refuses", corrupt_model=True),
+    FaultCase("solver fails for 0.4 s", "goes on", settings=_FAILS),
+    FaultCase("solver fails for good", "stops", settings=_FAILS_ON, notice_s=2.0),
 )
 
 
@@ -234,7 +234,7 @@ class Link:
         return {"kind": "dds", "message": "float64_stamped", "domain": self.domain}
 
 
-def write_device(case: Case, folder: Path, link: Link = Link()) -> Path:
+def write_device(case: FaultCase, folder: Path, link: Link = Link()) -> Path:
     """Write `device.yaml`."""
     settings = {**_merged(DEVICE, case.drive), "link": link.of_device, "faults": [dict(f) for f in case.device]}
     path = folder / "device.yaml"
@@ -242,7 +242,7 @@ def write_device(case: Case, folder: Path, link: Link = Link()) -> Path:
     return path
 
 
-def write_run(case: Case, folder: Path, link: Link) -> Path:
+def write_run(case: FaultCase, folder: Path, link: Link) -> Path:
     """Write `run.yaml` for a device at a link."""
     settings = {**_merged(RUN, case.settings), "transport": link.of_run}
     if case.corrupt_model:
@@ -254,7 +254,7 @@ def write_run(case: Case, folder: Path, link: Link) -> Path:
     return path
 
 
-def watchdog_s(case: Case) -> float:
+def watchdog_s(case: FaultCase) -> float:
     """The longest time that the device's own watchdog takes to bring it to the safe command [s]."""
     drive = _merged(DEVICE, case.drive)
     return float(drive["watchdog_s"] + (UPPER - LOWER) / drive["watchdog_rate_per_s"])

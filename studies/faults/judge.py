@@ -16,7 +16,7 @@ from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.presets import CANONICAL
 from hystmpc.trials.run_folder import RunFolder
 
-from .cases import IN_FLIGHT_S, LOWER, OVERSHOOT, RATE_HZ, RATE_PER_S, SAFE, UPPER, Case, Ending
+from .cases import IN_FLIGHT_S, LOWER, OVERSHOOT, RATE_HZ, RATE_PER_S, SAFE, UPPER, Ending, FaultCase
 from .play import Played, device_log
 
 _CLOSE = 1e-6
@@ -27,7 +27,7 @@ Rows = Sequence[tuple[float, ...]]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class FaultVerdict:
     """One row of the campaign's table.
 
     Attributes:
@@ -74,12 +74,12 @@ class Verdict:
         return not self.failures
 
 
-def judge(case: Case, played: Played) -> Verdict:
+def judge(case: FaultCase, played: Played) -> FaultVerdict:
     """The row of a case."""
     rows = device_log(played.folder)
     received = [(row[0], row[2]) for row in rows if math.isfinite(row[2])]
     log, beyond = _log(played.folder / "run", case)
-    return Verdict(
+    return FaultVerdict(
         name=case.name,
         wire=played.link.kind,
         expected=case.expected,
@@ -95,7 +95,7 @@ def judge(case: Case, played: Played) -> Verdict:
     )
 
 
-def _ending(case: Case, played: Played, commands: int) -> str:
+def _ending(case: FaultCase, played: Played, commands: int) -> str:
     code = played.code
     if code == 0:
         return "goes on"
@@ -127,11 +127,11 @@ def _beyond(received: Sequence[tuple[float, float]]) -> int:
     return count + sum(not LOWER - _CLOSE <= u <= UPPER + _CLOSE for _, u in received)
 
 
-def _fault_ns(case: Case, played: Played, received: Sequence[tuple[float, float]]) -> float:
+def _fault_ns(case: FaultCase, played: Played, received: Sequence[tuple[float, float]]) -> float:
     return played.fault_ns or received[0][0] + 1e9 * case.at_s
 
 
-def _safe_s(case: Case, played: Played, rows: Rows, received: Sequence[tuple[float, float]]) -> float:
+def _safe_s(case: FaultCase, played: Played, rows: Rows, received: Sequence[tuple[float, float]]) -> float:
     """Time from the fault until the device holds the safe command for good; none for one that is gone."""
     if case.expected in ("goes on", "refuses") or case.device_gone or not received:
         return math.nan
@@ -141,7 +141,7 @@ def _safe_s(case: Case, played: Played, rows: Rows, received: Sequence[tuple[flo
     return max(0.0, 1e-9 * (moving[-1] - _fault_ns(case, played, received)) + 1 / RATE_HZ)
 
 
-def _rise_mm(case: Case, played: Played, rows: Rows, received: Sequence[tuple[float, float]]) -> float:
+def _rise_mm(case: FaultCase, played: Played, rows: Rows, received: Sequence[tuple[float, float]]) -> float:
     """The greatest way away from the safe command since the controller had to notice the fault."""
     if case.expected in ("goes on", "refuses") or case.device_gone or not received:
         return math.nan
@@ -161,7 +161,7 @@ def rise(distances: Sequence[float]) -> float:
     return greatest
 
 
-def _second(case: Case, played: Played) -> str:
+def _second(case: FaultCase, played: Played) -> str:
     if case.second is None:
         return ""
     if played.second_code == _REFUSED:
@@ -179,7 +179,7 @@ def _claim(played: Played, rows: Rows) -> str:
     return found[1] if found[1] == "sent" or there else "held, is not"
 
 
-def _log(folder: Path, case: Case) -> tuple[str, int]:
+def _log(folder: Path, case: FaultCase) -> tuple[str, int]:
     """Whether the log is whole, and commands in it beyond the limits: sample by sample, without grace.
 
     A sample in which nothing was sent has the source `wait` and the command that the device says it holds, which may be
@@ -200,7 +200,7 @@ def _log(folder: Path, case: Case) -> tuple[str, int]:
     return _wholeness(folder, case, sources, sequence), beyond
 
 
-def _wholeness(folder: Path, case: Case, sources: Sequence[str], sequence: np.ndarray) -> str:
+def _wholeness(folder: Path, case: FaultCase, sources: Sequence[str], sequence: np.ndarray) -> str:
     if not np.all(np.diff(sequence) > 0):
         return "rows out of order"
     if case.file_limit_bytes is not None or case.expected not in ("stops", "goes on"):

@@ -21,7 +21,7 @@ from typing import Any, final
 
 from hystmpc.trials.errors import ConfigError
 
-from .cases import RATE_HZ, SAFE, Case, Link, watchdog_s, write_device, write_run
+from .cases import RATE_HZ, SAFE, FaultCase, Link, watchdog_s, write_device, write_run
 
 PROGRAM = (sys.executable, "-c", "from hystmpc.cli.main import main; main()")
 """The command line that starts `hystmpc` with this interpreter."""
@@ -171,7 +171,7 @@ class Played:
     second_code: int | None = None
 
 
-def play(case: Case, folder: Path, link: Link = Link(), program: Sequence[str] = PROGRAM) -> Played:
+def play(case: FaultCase, folder: Path, link: Link = Link(), program: Sequence[str] = PROGRAM) -> Played:
     """Play one case in a new folder.
 
     Args:
@@ -192,7 +192,7 @@ def play(case: Case, folder: Path, link: Link = Link(), program: Sequence[str] =
 class _Stage:
     """The processes of one case."""
 
-    def __init__(self, case: Case, folder: Path, link: Link, program: Sequence[str]) -> None:
+    def __init__(self, case: FaultCase, folder: Path, link: Link, program: Sequence[str]) -> None:
         self._case, self._folder, self._link, self._program = case, folder, link, program
         self._processes: list[subprocess.Popen[str]] = []
         self._terminal: Terminal | None = None

@@ -8,7 +8,7 @@ from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece
 
 from ..tables import NOTHING, Cell, StudyTable
 from .printed import MARKS
-from .result import Outcome, title_of
+from .result import StudyOutcome, title_of
 from .settings import StudySettings
 
 SOURCES = {
@@ -23,7 +23,7 @@ def label(study: str) -> str:
     return SOURCES[study].partition(":")[0]
 
 
-def set_up(outcome: Outcome) -> Iterator[Piece]:
+def set_up(outcome: StudyOutcome) -> Iterator[Piece]:
     """What was asked for, what was left out, what failed."""
     settings = outcome.settings
     yield Heading("Set-up")
@@ -66,7 +66,7 @@ def training_note(settings: StudySettings) -> str:
     )
 
 
-def jobs_table(outcome: Outcome) -> StudyTable:
+def jobs_table(outcome: StudyOutcome) -> StudyTable:
     """A row for every job, failed ones included."""
     rows: list[list[Cell]] = []
     for result in outcome.results:
@@ -80,7 +80,7 @@ def jobs_table(outcome: Outcome) -> StudyTable:
     return StudyTable("jobs", (*columns, "status", "fit or error"), rows, caption)
 
 
-def jobs_pieces(outcome: Outcome) -> Iterator[Piece]:
+def jobs_pieces(outcome: StudyOutcome) -> Iterator[Piece]:
     """Heading and table of the jobs."""
     yield Heading("Jobs")
     yield jobs_table(outcome).piece

@@ -27,8 +27,8 @@ _QUICK_SAMPLES, _QUICK_S = 600, 5.0  # whichever is longer: a command has to tur
 
 
 @dataclass(frozen=True)
-class Job:
-    """What is trained; with the trials of its `Task` it determines the result.
+class TrainingJob:
+    """What is trained; with the trials of its `TrainingTask` it determines the result.
 
     Attributes:
         direction: `inverse` swaps command and angle of every trial.
@@ -71,10 +71,10 @@ class Job:
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class TrainingTask:
     """A job with its trials, command to angle whatever the job's direction."""
 
-    job: Job
+    job: TrainingJob
     training: tuple[Trial, ...]
     validation: tuple[Trial, ...]
     tests: Splits

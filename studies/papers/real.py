@@ -18,8 +18,8 @@ from hystmpc.trials.types import Vec
 from ..statistics import compared, least_p
 from ..tables import NOTHING, Cell, StudyTable
 from .common import jobs_pieces, jobs_table, set_up
-from .job import LOGS, Job, Splits, Task, betas_for, preset_for, steps_for
-from .result import JobResult, Outcome, Score, title_of
+from .job import LOGS, Splits, TrainingJob, TrainingTask, betas_for, preset_for, steps_for
+from .result import JobResult, Score, StudyOutcome, title_of
 from .settings import StudySettings
 
 BASELINE = "backlash"
@@ -29,7 +29,7 @@ _COLOURS = (MODEL, MEASURED, COMMAND, *ACCENTS)
 _SHOWN = 2  # of the best models beside the backlash
 
 
-def real_tasks(settings: StudySettings, splits: Splits) -> tuple[Task, ...]:
+def real_tasks(settings: StudySettings, splits: Splits) -> tuple[TrainingTask, ...]:
     """Leave-one-trial-out over the logs, for every kind, preset and direction; training skips the first flexure.
 
     The backlash is always among the kinds: the others are measured against it.
@@ -44,16 +44,16 @@ def real_tasks(settings: StudySettings, splits: Splits) -> tuple[Task, ...]:
                 for beta in betas_for(kind, preset, settings):
                     for k, held_out in enumerate(logs):
                         fold = f"{k + 1}_{Path(held_out.source).stem}"
-                        job = Job(
+                        job = TrainingJob(
                             "main", kind, preset, direction, fold, beta, settings.seed, steps, skip_first_flexure=True
                         )
                         others = tuple(log for log in logs if log is not held_out)
-                        tasks.append(Task(job, others, (), {LOGS: (held_out,)}))
+                        tasks.append(TrainingTask(job, others, (), {LOGS: (held_out,)}))
     return tuple(tasks)
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class RealCandidate:
     """One kind, preset and beta with a score for every log.
 
     Attributes:
@@ -86,28 +86,28 @@ def _counted(score: Score, count: str) -> Errors:
     return score.later or score.errors if count == "later" else score.errors
 
 
-def candidates(outcome: Outcome, direction: str) -> tuple[tuple[Candidate, ...], tuple[Candidate, ...]]:
+def candidates(outcome: StudyOutcome, direction: str) -> tuple[tuple[RealCandidate, ...], tuple[RealCandidate, ...]]:
     """Those with a score for every log, and those that lack some, which are not compared."""
     groups: dict[tuple[str, str, float | None], list[JobResult]] = {}
     for result in outcome.results:
         if result.job.direction == direction:
             key = result.job.kind, result.job.preset, result.job.constancy
             groups.setdefault(key, []).append(result)
-    whole: list[Candidate] = []
-    broken: list[Candidate] = []
+    whole: list[RealCandidate] = []
+    broken: list[RealCandidate] = []
     for key, results in groups.items():
         complete = all(result.status == "done" for result in results)
-        (whole if complete else broken).append(Candidate(*key, tuple(results)))
+        (whole if complete else broken).append(RealCandidate(*key, tuple(results)))
     return tuple(whole), tuple(broken)
 
 
-def baseline_of(found: Sequence[Candidate]) -> Candidate | None:
+def baseline_of(found: Sequence[RealCandidate]) -> RealCandidate | None:
     """The 4-parameter backlash that the others are measured against: of its presets the one with the lowest error."""
     own = [candidate for candidate in found if candidate.kind == BASELINE]
     return min(own, key=lambda c: float(np.mean(c.figures("offset_free_rmse_deg", "later"))), default=None)
 
 
-def errors_table(found: Sequence[Candidate], direction: str, unit: str, count: str) -> StudyTable:
+def errors_table(found: Sequence[RealCandidate], direction: str, unit: str, count: str) -> StudyTable:
     """Means over the logs, best model first."""
     base = baseline_of(found)
     names = ("offset_free_rmse_deg", "rmse_deg", "max_abs_error_deg", "nrmse", "hold_drift_deg")
@@ -127,7 +127,7 @@ def errors_table(found: Sequence[Candidate], direction: str, unit: str, count: s
     return StudyTable(f"real_{direction}_{count}", columns, rows, caption)
 
 
-def trials_table(found: Sequence[Candidate], direction: str, unit: str, count: str) -> StudyTable:
+def trials_table(found: Sequence[RealCandidate], direction: str, unit: str, count: str) -> StudyTable:
     """Offset-free RMSE of every model on every log."""
     logs = [Path(score.trial).name for score in found[0].scores] if found else []
     rows: list[list[Cell]] = [[c.name, *map(float, c.figures("offset_free_rmse_deg", count))] for c in found]
@@ -135,7 +135,7 @@ def trials_table(found: Sequence[Candidate], direction: str, unit: str, count: s
     return StudyTable(f"real_trials_{direction}_{count}", ["model", *logs], rows, caption)
 
 
-def signed_rank_table(found: Sequence[Candidate], direction: str, count: str) -> StudyTable | None:
+def signed_rank_table(found: Sequence[RealCandidate], direction: str, count: str) -> StudyTable | None:
     """Every model against the backlash by Wilcoxon's signed-rank test over the trials; None without both."""
     base = baseline_of(found)
     if base is None or len(found) < len((base, "another")):
@@ -156,7 +156,7 @@ def signed_rank_table(found: Sequence[Candidate], direction: str, count: str) ->
     return StudyTable(f"real_wilcoxon_{direction}_{count}", columns, rows, caption) if rows else None
 
 
-def presets_table(found: Sequence[Candidate], direction: str, unit: str) -> StudyTable | None:
+def presets_table(found: Sequence[RealCandidate], direction: str, unit: str) -> StudyTable | None:
     """For every kind the presets side by side; None where each has but one."""
     presets = tuple(dict.fromkeys(c.preset for c in found))
     means = {(c.kind, c.preset): float(np.mean(c.figures("offset_free_rmse_deg", "later"))) for c in found}
@@ -171,7 +171,7 @@ def presets_table(found: Sequence[Candidate], direction: str, unit: str) -> Stud
     return StudyTable(f"real_presets_{direction}", ["model", *presets], rows, caption) if rows else None
 
 
-def real_report(outcome: Outcome) -> tuple[Report, list[StudyTable]]:
+def real_report(outcome: StudyOutcome) -> tuple[Report, list[StudyTable]]:
     """The page and all tables that are written as CSV."""
     pieces = [piece for direction in outcome.settings.directions for piece in _direction(outcome, direction)]
     tables = [piece for piece in pieces if isinstance(piece, StudyTable)]
@@ -185,7 +185,7 @@ def real_report(outcome: Outcome) -> tuple[Report, list[StudyTable]]:
     return page, [*tables, jobs_table(outcome)]
 
 
-def _direction(outcome: Outcome, direction: str) -> Iterator[Piece | StudyTable]:
+def _direction(outcome: StudyOutcome, direction: str) -> Iterator[Piece | StudyTable]:
     units = outcome.splits[LOGS][0].units
     unit = units.angle if direction == "forward" else units.command
     found, broken = candidates(outcome, direction)
@@ -210,7 +210,7 @@ def _direction(outcome: Outcome, direction: str) -> Iterator[Piece | StudyTable]
             yield tests
 
 
-def examples_figure(outcome: Outcome, found: Sequence[Candidate], unit: str) -> Figure:
+def examples_figure(outcome: StudyOutcome, found: Sequence[RealCandidate], unit: str) -> Figure:
     """Error over time on every log, of the backlash and the best models; each has not seen the log."""
     base = baseline_of(found)
     ranked = sorted(found, key=lambda c: float(np.mean(c.figures("offset_free_rmse_deg", "later"))))

@@ -16,7 +16,7 @@ from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .job import Job, Splits
+from .job import Splits, TrainingJob
 from .settings import StudySettings
 
 FORMAT = "hystmpc-study-job/1"
@@ -49,7 +49,7 @@ class JobResult:
         history: step and best error so far, in the unit of the output.
     """
 
-    job: Job
+    job: TrainingJob
     fingerprint: str
     status: Status
     message: str
@@ -72,13 +72,13 @@ def result_files(folder: Path) -> ResultFiles[JobResult]:
     return ResultFiles(folder, JobResult, FORMAT)
 
 
-def model_file(folder: Path, job: Job) -> Path:
+def model_file(folder: Path, job: TrainingJob) -> Path:
     """File of a job's model."""
     return folder / "models" / f"{job.key}.onnx"
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class StudyOutcome:
     """A study with the results of all its jobs."""
 
     settings: StudySettings
@@ -120,7 +120,7 @@ class Outcome:
         found = [result for result in self.matching(**wanted) if result.figures("rmse_deg", splits).size]
         return min(found, key=lambda r: float(np.mean(r.figures("rmse_deg", splits))), default=None)
 
-    def model(self, job: Job) -> OnnxModel:
+    def model(self, job: TrainingJob) -> OnnxModel:
         """The model that a job left.
 
         Raises:
@@ -128,7 +128,7 @@ class Outcome:
         """
         return load_onnx(model_file(self.folder, job))
 
-    def free_run(self, job: Job, trial: Trial) -> TrialEvaluation:
+    def free_run(self, job: TrainingJob, trial: Trial) -> TrialEvaluation:
         """Free run of a job's model over a trial, swapped by itself for an inverse map.
 
         Raises:

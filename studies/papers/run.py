@@ -14,21 +14,21 @@ from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 
 from ..tables import StudyTable, other_study
-from .job import Splits, Task, study_splits
+from .job import Splits, TrainingTask, study_splits
 from .real import real_report, real_tasks
-from .result import Outcome, result_files
+from .result import StudyOutcome, result_files
 from .s1 import s1_report, s1_tasks
 from .s2_plan import s2_tasks
 from .s2_report import s2_report
 from .settings import StudySettings
 from .worker import do_job, estimated_seconds
 
-_PLANS: dict[str, Callable[[StudySettings, Splits], tuple[Task, ...]]] = {
+_PLANS: dict[str, Callable[[StudySettings, Splits], tuple[TrainingTask, ...]]] = {
     "s1": s1_tasks,
     "s2": s2_tasks,
     "real": real_tasks,
 }
-_REPORTS: dict[str, Callable[[Outcome], tuple[Report, list[StudyTable]]]] = {
+_REPORTS: dict[str, Callable[[StudyOutcome], tuple[Report, list[StudyTable]]]] = {
     "s1": s1_report,
     "s2": s2_report,
     "real": real_report,
@@ -36,7 +36,7 @@ _REPORTS: dict[str, Callable[[Outcome], tuple[Report, list[StudyTable]]]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class PaperStudy:
     """A study made ready: its folder is there, nothing is trained yet.
 
     Attributes:
@@ -45,7 +45,7 @@ class Study:
 
     settings: StudySettings
     splits: Splits
-    tasks: tuple[Task, ...]
+    tasks: tuple[TrainingTask, ...]
     folder: RunFolder
     costs: Mapping[str, float]
 
@@ -54,7 +54,7 @@ class Study:
         return wall_minutes(self.costs, workers)
 
 
-def prepare(settings: StudySettings, out: Path | str) -> Study:
+def prepare(settings: StudySettings, out: Path | str) -> PaperStudy:
     """Make or read the trials, plan the jobs, open the folder.
 
     Args:
@@ -71,10 +71,10 @@ def prepare(settings: StudySettings, out: Path | str) -> Study:
     )
     kept = result_files(folder.path).kept(tasks, lambda task: task.fingerprint)
     costs = estimated_seconds([task for task in tasks if task.key not in kept], timed=not settings.quick)
-    return Study(settings, splits, tasks, folder, costs)
+    return PaperStudy(settings, splits, tasks, folder, costs)
 
 
-def run_study(study: Study, workers: int = 1, progress: Progress | None = None) -> Outcome:
+def run_study(study: PaperStudy, workers: int = 1, progress: Progress | None = None) -> StudyOutcome:
     """Do the open jobs and write report and tables.
 
     Args:
@@ -97,7 +97,7 @@ def run_study(study: Study, workers: int = 1, progress: Progress | None = None) 
         study.costs,
         progress,
     )
-    outcome = Outcome(study.settings, study.splits, results, folder, study.folder.meta)
+    outcome = StudyOutcome(study.settings, study.splits, results, folder, study.folder.meta)
     page, tables = _REPORTS[study.settings.study](outcome)
     for table in tables:
         table.save(folder)

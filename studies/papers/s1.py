@@ -21,9 +21,9 @@ from ..reconstruction.report import ERROR_COLUMNS, TEST_COLUMNS, error_rows, ran
 from ..reconstruction.settings import ReconstructionSettings
 from ..tables import NOTHING, Cell, StudyTable
 from .common import jobs_pieces, jobs_table, label, set_up
-from .job import Job, Splits, Task, preset_for, steps_for
+from .job import Splits, TrainingJob, TrainingTask, preset_for, steps_for
 from .printed import S1_ERRORS, S1_HALF_RANGE_DEG, S1_TRAINING
-from .result import JobResult, Outcome, title_of
+from .result import JobResult, StudyOutcome, title_of
 from .settings import StudySettings
 
 TESTS = {
@@ -46,7 +46,7 @@ _COLOURS = (COMMAND, MODEL, MEASURED, *ACCENTS)
 _LINE: Any = {"linewidth": 0.9}
 
 
-def s1_tasks(settings: StudySettings, splits: Splits) -> tuple[Task, ...]:
+def s1_tasks(settings: StudySettings, splits: Splits) -> tuple[TrainingTask, ...]:
     """Every model on the eight training groups, tested on (a) to (d).
 
     Networks are trained with their preset `s1` where `paper` is asked for. S1 knows no constant-in, constant-out term.
@@ -56,12 +56,12 @@ def s1_tasks(settings: StudySettings, splits: Splits) -> tuple[Task, ...]:
         for preset in dict.fromkeys(preset_for(kind, asked, S1_PRESET) for asked in settings.presets):
             steps = steps_for(kind, preset, settings)
             for direction in settings.directions:
-                job = Job("main", kind, preset, direction, "train", None, settings.seed, steps)
-                tasks.append(Task(job, splits["train"], (), {test: splits[test] for test in TESTS}))
+                job = TrainingJob("main", kind, preset, direction, "train", None, settings.seed, steps)
+                tasks.append(TrainingTask(job, splits["train"], (), {test: splits[test] for test in TESTS}))
     return tuple(tasks)
 
 
-def errors_table(outcome: Outcome) -> StudyTable:
+def errors_table(outcome: StudyOutcome) -> StudyTable:
     """Table III: a row for every model and test."""
     rows: list[list[Cell]] = []
     for result in outcome.matching(direction="forward"):
@@ -81,7 +81,7 @@ def errors_table(outcome: Outcome) -> StudyTable:
     return StudyTable("table_3", columns, rows, caption)
 
 
-def inverse_table(outcome: Outcome) -> StudyTable | None:
+def inverse_table(outcome: StudyOutcome) -> StudyTable | None:
     """Errors of inverse maps, of which the paper has none; None where none was trained."""
     rows: list[list[Cell]] = []
     for result in outcome.matching(direction="inverse"):
@@ -93,7 +93,7 @@ def inverse_table(outcome: Outcome) -> StudyTable | None:
     return StudyTable("inverse_maps", columns, rows, caption) if rows else None
 
 
-def improvement_table(outcome: Outcome) -> StudyTable | None:
+def improvement_table(outcome: StudyOutcome) -> StudyTable | None:
     """How much lower the LSTM's NRMSE is than the others', ours and the paper's; None without an LSTM."""
     rows: list[list[Cell]] = []
     for lstm in outcome.matching(kind="lstm", direction="forward"):
@@ -113,7 +113,7 @@ def improvement_table(outcome: Outcome) -> StudyTable | None:
     return StudyTable("lstm_against_others", columns, rows, caption) if rows else None
 
 
-def training_table(outcome: Outcome) -> StudyTable:
+def training_table(outcome: StudyOutcome) -> StudyTable:
     """Table IV: iterations, loss and how much it still changed."""
     half = float(S1_HALF_RANGE_DEG.value)
     rows: list[list[Cell]] = []
@@ -157,7 +157,7 @@ def relative_change(result: JobResult) -> float:
     return float(np.mean(change[steps[1:] > (1 - _TAIL) * steps[-1]]))
 
 
-def scan_study(outcome: Outcome, preset_of: dict[str, str]) -> Reconstruction | None:
+def scan_study(outcome: StudyOutcome, preset_of: dict[str, str]) -> Reconstruction | None:
     """Scan the cap with the simulated catheter and draw it from every forward model's angle; None without a model.
 
     Raises:
@@ -175,7 +175,7 @@ def scan_study(outcome: Outcome, preset_of: dict[str, str]) -> Reconstruction | 
     quick = {"scans": _QUICK_SCANS} if outcome.settings.quick else {}
     protocol = Protocol(rate_hz=rate, **quick)
 
-    def estimator(job: Job) -> Estimator:
+    def estimator(job: TrainingJob) -> Estimator:
         model = outcome.model(job)
 
         def angles(command: Vec) -> Vec:
@@ -224,7 +224,7 @@ def loops_figure(splits: Splits) -> Figure:
     return figure
 
 
-def tracking_figure(outcome: Outcome, results: tuple[JobResult, ...]) -> Figure:
+def tracking_figure(outcome: StudyOutcome, results: tuple[JobResult, ...]) -> Figure:
     """Figure 5: angle and error over time, a pair of axes for each test."""
     with new_figure(7.0, 7.5) as figure:
         grid = figure.subplots(4, 2, height_ratios=(3, 2, 3, 2))
@@ -243,7 +243,7 @@ def tracking_figure(outcome: Outcome, results: tuple[JobResult, ...]) -> Figure:
     return figure
 
 
-def s1_report(outcome: Outcome) -> tuple[Report, list[StudyTable]]:
+def s1_report(outcome: StudyOutcome) -> tuple[Report, list[StudyTable]]:
     """The page and all tables that are written as CSV."""
     found = (errors_table(outcome), improvement_table(outcome), inverse_table(outcome), training_table(outcome))
     tables = [table for table in found if table is not None]
@@ -263,7 +263,7 @@ def s1_report(outcome: Outcome) -> tuple[Report, list[StudyTable]]:
     return page, [*tables, *scan_tables, long_table(outcome), jobs_table(outcome)]
 
 
-def long_table(outcome: Outcome) -> StudyTable:
+def long_table(outcome: StudyOutcome) -> StudyTable:
     """Every figure of every job on every test; CSV only."""
     rows = [
         [r.job.kind, r.job.preset, r.job.direction, s.split, s.trial, *vars(s.errors).values()]
@@ -274,7 +274,7 @@ def long_table(outcome: Outcome) -> StudyTable:
     return StudyTable("per_trial", ("kind", "preset", "direction", "split", "trial", *figures), rows, "", shown=False)
 
 
-def _figures(outcome: Outcome) -> Iterator[Piece]:
+def _figures(outcome: StudyOutcome) -> Iterator[Piece]:
     yield Heading("Models on the four tests (Figure 5)")
     for preset in outcome.presets:
         results = outcome.matching(preset=preset, direction="forward")
@@ -284,7 +284,7 @@ def _figures(outcome: Outcome) -> Iterator[Piece]:
     yield Plot(loops_figure(outcome.splits), "Simulated: the training groups, zero baseline first.")
 
 
-def _reconstruction(outcome: Outcome) -> tuple[list[Piece], list[StudyTable]]:
+def _reconstruction(outcome: StudyOutcome) -> tuple[list[Piece], list[StudyTable]]:
     """The scanning experiment; what it raises is said in its place."""
     if "reconstruction" not in outcome.settings.stages:
         return [], []

@@ -11,8 +11,8 @@ import numpy as np
 from hystmpc.trials.types import Vec
 
 from ..statistics import SignedRank, pairwise
-from .job import Job, Splits, Task, betas_for, preset_for, steps_for
-from .result import JobResult, Outcome
+from .job import Splits, TrainingJob, TrainingTask, betas_for, preset_for, steps_for
+from .result import JobResult, StudyOutcome
 from .settings import StudySettings
 from .worker import WINDOWS
 
@@ -28,12 +28,12 @@ def split_tested_on(motion: str) -> str:
     return f"{motion}/test"
 
 
-def s2_tasks(settings: StudySettings, splits: Splits) -> tuple[Task, ...]:
+def s2_tasks(settings: StudySettings, splits: Splits) -> tuple[TrainingTask, ...]:
     """Every model on each motion (`main`), on both together (`cross`), and with other windows (`window`).
 
     Everything is tested on both motions. Mixed training has the last beta alone: what it is for, holds, is in the data.
     """
-    jobs: list[Job] = []
+    jobs: list[TrainingJob] = []
     if "main" in settings.stages:
         jobs += [job for train in MOTIONS for job in _jobs(settings, "main", train, settings)]
     if "cross" in settings.stages:
@@ -44,30 +44,30 @@ def s2_tasks(settings: StudySettings, splits: Splits) -> tuple[Task, ...]:
     return tuple(_task(job, splits) for job in jobs)
 
 
-def _jobs(settings: StudySettings, stage: str, train: str, betas: StudySettings) -> Iterator[Job]:
+def _jobs(settings: StudySettings, stage: str, train: str, betas: StudySettings) -> Iterator[TrainingJob]:
     kinds = [kind for kind in settings.kinds if kind not in settings.left_out]
     for kind in kinds:
         for preset in dict.fromkeys(preset_for(kind, asked) for asked in settings.presets):
             steps = steps_for(kind, preset, settings)
             for direction in settings.directions:
                 for beta in betas_for(kind, preset, betas):
-                    yield Job(stage, kind, preset, direction, train, beta, settings.seed, steps)
+                    yield TrainingJob(stage, kind, preset, direction, train, beta, settings.seed, steps)
 
 
-def _window_jobs(settings: StudySettings) -> Iterator[Job]:
+def _window_jobs(settings: StudySettings) -> Iterator[TrainingJob]:
     """Forward, sinusoids, beta 0: as the published code's numbers are."""
     for kind, windows in WINDOWS.items():
         if kind in settings.kinds and kind not in settings.left_out:
             steps = steps_for(kind, "paper", settings)
             for window in windows:
-                yield Job("window", kind, "paper", "forward", "sin", 0.0, settings.seed, steps, window=window)
+                yield TrainingJob("window", kind, "paper", "forward", "sin", 0.0, settings.seed, steps, window=window)
 
 
-def _task(job: Job, splits: Splits) -> Task:
+def _task(job: TrainingJob, splits: Splits) -> TrainingTask:
     parts = TRAINING_SETS[job.train]
     training = tuple(trial for part in parts for trial in splits[f"{part}/train"])
     validation = tuple(trial for part in parts for trial in splits[f"{part}/val"])
-    return Task(
+    return TrainingTask(
         job, training, validation, {split_tested_on(motion): splits[split_tested_on(motion)] for motion in MOTIONS}
     )
 
@@ -76,7 +76,7 @@ def _task(job: Job, splits: Splits) -> Task:
 class Matched:
     """The models that were trained and tested on one motion, in one direction, with one preset."""
 
-    outcome: Outcome
+    outcome: StudyOutcome
     motion: str
     direction: str
     preset: str
@@ -117,7 +117,7 @@ class Matched:
         return f"{self.direction} map, {MOTION_NAMES[self.motion]}, preset {self.preset}"
 
 
-def matched(outcome: Outcome) -> list[Matched]:
+def matched(outcome: StudyOutcome) -> list[Matched]:
     """Every combination that has results."""
     views = [
         Matched(outcome, motion, direction, preset)

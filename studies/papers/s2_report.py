@@ -12,7 +12,7 @@ from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report
 from ..tables import StudyTable
 from .common import jobs_pieces, jobs_table, set_up
 from .printed import S2_FNN_BIAS_DEG
-from .result import Outcome
+from .result import StudyOutcome
 from .s2_figures import (
     errors_figure,
     example_figure,
@@ -37,7 +37,7 @@ from .s2_tables import (
 _FIGURE_9 = ("fnn", "hb2", "fnn_hib")
 
 
-def s2_report(outcome: Outcome) -> tuple[Report, list[StudyTable]]:
+def s2_report(outcome: StudyOutcome) -> tuple[Report, list[StudyTable]]:
     """The page and all tables that are written as CSV."""
     views = matched(outcome)
     sections = [*_overview(outcome, views), *_device(outcome), *_training(outcome), *_details(views)]
@@ -55,7 +55,7 @@ def _is_shown(piece: Piece | StudyTable) -> bool:
     return not isinstance(piece, StudyTable) or piece.shown
 
 
-def _overview(outcome: Outcome, views: list[Matched]) -> Iterator[Piece | StudyTable]:
+def _overview(outcome: StudyOutcome, views: list[Matched]) -> Iterator[Piece | StudyTable]:
     """Figure 8 and Table I."""
     yield Heading("Errors by model (Figure 8)")
     for preset in outcome.presets:
@@ -107,7 +107,7 @@ def branch_bias(view: Matched) -> tuple[float, float]:
     return float(np.mean(np.concatenate(rising))), float(np.mean(np.concatenate(falling)))
 
 
-def _device(outcome: Outcome) -> Iterator[Piece | StudyTable]:
+def _device(outcome: StudyOutcome) -> Iterator[Piece | StudyTable]:
     """Figures 5 and 6."""
     loops = hysteresis_figure(outcome.splits)
     if loops is not None:
@@ -133,7 +133,7 @@ def _device(outcome: Outcome) -> Iterator[Piece | StudyTable]:
         )
 
 
-def _training(outcome: Outcome) -> Iterator[Piece | StudyTable]:
+def _training(outcome: StudyOutcome) -> Iterator[Piece | StudyTable]:
     """Figure 7, the cross table and the window study."""
     yield Heading("Training motion against test motion (Figure 7)")
     for preset in outcome.presets:

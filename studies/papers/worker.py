@@ -21,7 +21,7 @@ from hystmpc.sim.jobs.runner import attempt
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.trial import Trial
 
-from .job import Task
+from .job import TrainingTask
 from .result import JobResult, Score, model_file, result_files
 
 WINDOWS = {"lstm": (2, 10, 20, 30, 40, 50, 100), "fnn_hib": (1, 2, 10, 20, 30, 40, 50, 100)}
@@ -62,7 +62,7 @@ def windowed(settings: NetworkSettings, window: int) -> NetworkSettings:
     return NetworkSettings.parse(data, f"window of {window} samples")
 
 
-def do_job(task: Task, folder: Path) -> JobResult:
+def do_job(task: TrainingTask, folder: Path) -> JobResult:
     """Train, export into `folder`/models, score on every test trial and write the result; an error is a result too.
 
     Raises:
@@ -80,7 +80,7 @@ def do_job(task: Task, folder: Path) -> JobResult:
     return result
 
 
-def _trained(task: Task, folder: Path) -> tuple[Identified, tuple[Score, ...]]:
+def _trained(task: TrainingTask, folder: Path) -> tuple[Identified, tuple[Score, ...]]:
     found = _identified(task)
     if found.interrupted:
         raise KeyboardInterrupt
@@ -90,7 +90,7 @@ def _trained(task: Task, folder: Path) -> tuple[Identified, tuple[Score, ...]]:
     return found, tuple(_scores(load_onnx(path), task))
 
 
-def _identified(task: Task) -> Identified:
+def _identified(task: TrainingTask) -> Identified:
     job = task.job
     training, validation = directed(task.training, job.direction), directed(task.validation, job.direction)
     request = replace(job.request, validation=validation)
@@ -104,7 +104,7 @@ def directed(trials: Iterable[Trial], direction: str) -> tuple[Trial, ...]:
     return tuple(trial.swapped() if direction == "inverse" else trial for trial in trials)
 
 
-def _scores(model: OnnxModel, task: Task) -> Iterable[Score]:
+def _scores(model: OnnxModel, task: TrainingTask) -> Iterable[Score]:
     for split, trials in task.tests.items():
         for trial in trials:
             later = None
@@ -116,7 +116,7 @@ def _scores(model: OnnxModel, task: Task) -> Iterable[Score]:
             yield Score(split, trial.source, evaluate(model, trial).errors, later)
 
 
-def estimated_seconds(tasks: Sequence[Task], timed: bool = True) -> dict[str, float]:
+def estimated_seconds(tasks: Sequence[TrainingTask], timed: bool = True) -> dict[str, float]:
     """Processor time by key of the job that each is expected to take on this machine as it is loaded now [s].
 
     Jobs of one kind, preset and constancy term on about as many samples are timed once.
@@ -138,7 +138,7 @@ def estimated_seconds(tasks: Sequence[Task], timed: bool = True) -> dict[str, fl
     return found
 
 
-def _training_seconds(task: Task) -> float | None:
+def _training_seconds(task: TrainingTask) -> float | None:
     job = task.job
     trials = directed(task.training, job.direction)
     request = replace(job.request, validation=directed(task.validation, job.direction))
@@ -148,6 +148,6 @@ def _training_seconds(task: Task) -> float | None:
         return None
 
 
-def _scoring_seconds(task: Task) -> float:
+def _scoring_seconds(task: TrainingTask) -> float:
     samples = sum(len(trial) for trials in task.tests.values() for trial in trials)
     return _SCORING_S_PER_SAMPLE * samples * (2 if task.job.skip_first_flexure else 1)

@@ -20,9 +20,9 @@ from hystmpc.ctrl.planning import Plan, Weights
 
 from . import pytorch_mppi_
 from .casadi_peer_ import METHODS, SQP_ONCE, Answer, Method, SingleShooting
-from .report import Reads, Row
+from .report import Comparison, Reads
 from .subjects import Instant, Subject, in_turn, record_scan
-from .timing import WEIGHTS, BenchSettings, Clock, Job, Times
+from .timing import WEIGHTS, BenchSettings, Clock, TimedCall, Times
 
 OURS = "linearised MPC, whole step"
 _SPEED, _TAIL = 60.0, 2.0
@@ -38,7 +38,7 @@ def linearised_controller(subject: Subject, settings: BenchSettings) -> GuardedC
     return build_controller(wanted, subject.predictor, subject.inverse, subject.limits)
 
 
-def linearised_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Row]:
+def linearised_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Comparison]:
     """One row a peer, and one on our own tail.
 
     Ours is the whole step: estimate, candidates, roll-out, Jacobian, quadratic program, line search, ladder. The peers
@@ -51,11 +51,11 @@ def linearised_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> 
     peers = {m: SingleShooting(subject.function, subject.limits, WEIGHTS, horizon, dt, m) for m in METHODS}
     answers: dict[Method, list[tuple[int, Answer]]] = defaultdict(list)
 
-    def peer_job(method: Method) -> Job:
+    def peer_job(method: Method) -> TimedCall:
         def solve(k: int, instant: Instant) -> None:
             answers[method].append((k, peers[method].solve(instant.problem)))
 
-        return Job(method.name, in_turn(instants, solve))
+        return TimedCall(method.name, in_turn(instants, solve))
 
     stages: dict[str, list[float]] = defaultdict(list)
 
@@ -64,12 +64,12 @@ def linearised_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> 
         for stage, seconds in command.timing.stages.items():
             stages[stage].append(seconds)
 
-    ours = Job(OURS, in_turn(instants, step))
+    ours = TimedCall(OURS, in_turn(instants, step))
     times = clock.measure([ours, *(peer_job(method) for method in METHODS)])
     goals = subject.weights is not None
     rows = [_tail(subject, stages, times.get(OURS), _TAIL if goals else None)]
     for method in METHODS:
-        row = Row(
+        row = Comparison(
             section=_section(subject),
             ours=OURS,
             other=method.name,
@@ -86,8 +86,10 @@ def _section(subject: Subject) -> str:
     return f"{subject.name}, linearised MPC, one thread"
 
 
-def _tail(subject: Subject, stages: Mapping[str, Sequence[float]], times: Times | None, goal: float | None) -> Row:
-    row = Row(_section(subject), OURS, "its own median", Reads.TAIL, goal, times=times)
+def _tail(
+    subject: Subject, stages: Mapping[str, Sequence[float]], times: Times | None, goal: float | None
+) -> Comparison:
+    row = Comparison(_section(subject), OURS, "its own median", Reads.TAIL, goal, times=times)
     if times is None:
         return row
     facts = {f"{name}_s": _median(seconds) for name, seconds in stages.items()}
@@ -95,7 +97,7 @@ def _tail(subject: Subject, stages: Mapping[str, Sequence[float]], times: Times 
     return row.measured(times.p99_s / times.median_s, facts=facts, note=f"{note} us")
 
 
-def _compared(row: Row, instants: Sequence[Instant], answers: Sequence[tuple[int, Answer]]) -> Row:
+def _compared(row: Comparison, instants: Sequence[Instant], answers: Sequence[tuple[int, Answer]]) -> Comparison:
     """The ratio, and whether the peer does the same job; its first answer, from a cold start, is left out."""
     if row.times is None or row.other_times is None or len(answers) < 2:
         return row
@@ -118,13 +120,13 @@ def _median(values: Sequence[float]) -> float:
     return float(np.median(values))
 
 
-def program_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Row]:
+def program_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Comparison]:
     """One row: the programs of a recorded scan, each around the last plan shifted by one sample."""
     qp, programs = recorded_programs(subject, settings, WEIGHTS)
     ours, peer = DaqpSolver(qp.pattern, DaqpOptions()), OsqpSolver(qp.pattern, OsqpOptions())
-    own = Job(_PROGRAM, in_turn(programs, lambda _, p: ours.solve(p)))
-    times = clock.measure([own, Job(_DAQP, in_turn(programs, lambda _, p: peer.solve(p)))])
-    row = Row(f"{subject.name}, QP alone H={settings.horizon}", _PROGRAM, _DAQP, Reads.FASTER)
+    own = TimedCall(_PROGRAM, in_turn(programs, lambda _, p: ours.solve(p)))
+    times = clock.measure([own, TimedCall(_DAQP, in_turn(programs, lambda _, p: peer.solve(p)))])
+    row = Comparison(f"{subject.name}, QP alone H={settings.horizon}", _PROGRAM, _DAQP, Reads.FASTER)
     row = row.with_times(times.get(_PROGRAM), times.get(_DAQP))
     if row.times is None or row.other_times is None:
         return [row]
@@ -149,7 +151,7 @@ def recorded_programs(subject: Subject, settings: BenchSettings, weights: Weight
     return qp, programs
 
 
-def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads: int) -> list[Row]:
+def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads: int) -> list[Comparison]:
     """One row: N samples over H steps, one iteration of both; ours with estimate, candidates and ladder.
 
     The peer runs on one thread and on as many as there are, and is taken at its faster: on a busy machine its threads
@@ -161,7 +163,7 @@ def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threa
         iterations=1,
         weights=WeightsSettings(effort=WEIGHTS.effort),
     )
-    row = Row(
+    row = Comparison(
         section=f"{subject.name}, sampling MPC N={settings.samples}, {threads} thread{'s' if threads > 1 else ''}",
         ours=_SAMPLING,
         other=_MPPI,
@@ -170,7 +172,7 @@ def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threa
     )
     controller = build_controller(wanted, subject.predictor, subject.inverse, subject.limits)
     instants = record_scan(controller, subject)
-    jobs = [Job(_SAMPLING, in_turn(instants, lambda _, i: controller.step(i.state, i.measured, i.reference)))]
+    jobs = [TimedCall(_SAMPLING, in_turn(instants, lambda _, i: controller.step(i.state, i.measured, i.reference)))]
     apart: list[float] = []
     if pytorch_mppi_.installed():
         jobs += [_peer_job(subject, settings, wanted.sigma, k, instants, apart) for k in sorted({1, threads})]
@@ -178,7 +180,7 @@ def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threa
     return [_sampling_compared(row.with_times(times.get(_SAMPLING), None), times, apart)]
 
 
-def _sampling_compared(row: Row, times: Mapping[str, Times], apart: Sequence[float]) -> Row:
+def _sampling_compared(row: Comparison, times: Mapping[str, Times], apart: Sequence[float]) -> Comparison:
     if not pytorch_mppi_.installed():
         return row.without_peer()
     peers = {name: peer for name, peer in times.items() if name != _SAMPLING}
@@ -200,7 +202,7 @@ def _peer_job(
     threads: int,
     instants: list[Instant],
     apart: list[float],
-) -> Job:
+) -> TimedCall:
     """The peer on the recorded planning problems; `apart` takes how far its commands are from ours."""
     if subject.weights is None:
         raise TypeError(f"{subject.name}: the peer wants a network")
@@ -218,4 +220,4 @@ def _peer_job(
         peer.use_threads(threads)
         apart.append(abs(peer.solve(instant.problem) - instant.command.u))
 
-    return Job(f"{threads} thread{'s' if threads > 1 else ''}", in_turn(instants, solve))
+    return TimedCall(f"{threads} thread{'s' if threads > 1 else ''}", in_turn(instants, solve))

@@ -13,7 +13,7 @@ from hystmpc.ctrl.config import AnyControllerSettings, LinearisedMpcSettings, Sa
 
 from .report import Growth
 from .subjects import Subject, in_turn, lstm_subject, record_scan
-from .timing import BenchSettings, Clock, Job
+from .timing import BenchSettings, Clock, TimedCall
 
 Series = Callable[[BenchSettings, Clock], list[Growth]]
 _QUADRATIC = 2.0
@@ -66,14 +66,14 @@ def _sampling(horizon: int, samples: int) -> SamplingMpcSettings:
     return SamplingMpcSettings(horizon=max(horizon, 6), samples=samples, iterations=1)
 
 
-def _job(subject: Subject, wanted: AnyControllerSettings) -> Job:
+def _job(subject: Subject, wanted: AnyControllerSettings) -> TimedCall:
     controller = build_controller(wanted, subject.predictor, subject.inverse, subject.limits)
     instants = record_scan(controller, subject)
-    return Job("", in_turn(instants, lambda _, i: controller.step(i.state, i.measured, i.reference)))
+    return TimedCall("", in_turn(instants, lambda _, i: controller.step(i.state, i.measured, i.reference)))
 
 
 def _measured(
-    clock: Clock, what: str, size: str, values: tuple[int, ...], jobs: list[Job], goal: float
+    clock: Clock, what: str, size: str, values: tuple[int, ...], jobs: list[TimedCall], goal: float
 ) -> list[Growth]:
     """The series; none where the keyboard ended it before every size was timed."""
     named = [replace(job, name=str(value)) for job, value in zip(jobs, values, strict=True)]

@@ -14,9 +14,9 @@ from hystmpc.models.kernels.lstm_plain import PlainRoute
 from hystmpc.models.model import Predictor
 from hystmpc.models.prediction.lstm import LstmPredictor
 
-from .report import Reads, Row
+from .report import Comparison, Reads
 from .subjects import Subject
-from .timing import BenchSettings, Clock, Job, Times
+from .timing import BenchSettings, Clock, TimedCall, Times
 
 Float32 = NDArray[np.float32]
 _RUN_FLOPS = 2e7  # a run of one job: long enough for the clock, short enough to be interrupted
@@ -93,7 +93,7 @@ class Product:
     def _flops(self) -> int:
         return 2 * self.rows * self.inner * self.columns
 
-    def job(self, threads: int) -> Job:
+    def job(self, threads: int) -> TimedCall:
         """The product, as often as one run needs."""
         rng = np.random.default_rng(0)
         a = rng.standard_normal((self.rows, self.inner)).astype(np.float32)
@@ -105,7 +105,7 @@ class Product:
             for _ in range(self.calls):
                 once()
 
-        return Job(self.name, run)
+        return TimedCall(self.name, run)
 
 
 def products(hidden: int, plans: int, horizon: int) -> list[Product]:
@@ -121,7 +121,7 @@ def best_rate(candidates: Sequence[Product], times: Mapping[str, Times]) -> tupl
     return max(rates.items(), key=lambda item: item[1]) if rates else None
 
 
-def kernel_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads: int) -> list[Row]:
+def kernel_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads: int) -> list[Comparison]:
     """Jacobian (on one thread only: it has too few rows for two) and N roll-outs over the limit of this very section.
 
     The limit is the job's unavoidable operations (`jacobian_flops`, `rollout_flops`) at the rate of the best float32
@@ -143,7 +143,7 @@ def kernel_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads
     rows = []
     for job in jobs:
         plain = job.name == _PLAIN or (job.name == _JACOBIAN and _route(subject.own) == PlainRoute.name)
-        row = Row(
+        row = Comparison(
             section=f"{subject.name}, kernels, {_threads(threads)}",
             ours=names[job.name],
             other="matrix-product limit",
@@ -156,18 +156,18 @@ def kernel_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads
     return rows
 
 
-def _jobs(subject: Subject, settings: BenchSettings, threads: int) -> list[Job]:
+def _jobs(subject: Subject, settings: BenchSettings, threads: int) -> list[TimedCall]:
     state = subject.own.initial(subject.metadata.trained_angle.lower, subject.limits.lower)
     rng = np.random.default_rng(0)
     box = subject.limits
     plans = rng.uniform(box.lower, box.upper, (settings.samples, settings.horizon))
-    rollouts = Job(_ROLLOUT, lambda: subject.own.rollout(state, plans))
+    rollouts = TimedCall(_ROLLOUT, lambda: subject.own.rollout(state, plans))
     if threads > 1:
         return [rollouts]
-    jobs = [Job(_JACOBIAN, lambda: subject.own.linearise(state, plans[0])), rollouts]
+    jobs = [TimedCall(_JACOBIAN, lambda: subject.own.linearise(state, plans[0])), rollouts]
     if subject.weights is not None and _route(subject.own) != PlainRoute.name:
         plain = LstmPredictor(subject.weights, subject.metadata, route=PlainRoute(subject.weights))
-        jobs.append(Job(_PLAIN, lambda: plain.linearise(state, plans[0])))
+        jobs.append(TimedCall(_PLAIN, lambda: plain.linearise(state, plans[0])))
     return jobs
 
 
@@ -175,7 +175,7 @@ def _route(predictor: Predictor) -> str:
     return predictor.route.name if isinstance(predictor, LstmPredictor) else ""
 
 
-def _over_limit(row: Row, flops: int, best: tuple[str, float] | None) -> Row:
+def _over_limit(row: Comparison, flops: int, best: tuple[str, float] | None) -> Comparison:
     if row.times is None or best is None:
         return row
     name, rate = best

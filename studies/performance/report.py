@@ -25,7 +25,7 @@ class Reads(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class Comparison:
     """One comparison.
 
     Attributes:
@@ -49,15 +49,15 @@ class Row:
     facts: Mapping[str, float] = field(default_factory=dict)
     note: str = ""
 
-    def with_times(self, ours: Times | None, other: Times | None) -> Row:
+    def with_times(self, ours: Times | None, other: Times | None) -> Comparison:
         """The row with the times of both sides, as far as there are any."""
         return replace(self, times=ours, other_times=other)
 
-    def measured(self, ratio: float, **more: Any) -> Row:
+    def measured(self, ratio: float, **more: Any) -> Comparison:
         """The row with its ratio, and values for further fields."""
         return replace(self, ratio=ratio, state="measured", **more)
 
-    def without_peer(self) -> Row:
+    def without_peer(self) -> Comparison:
         """The row of a peer that is not there."""
         return replace(self, state="not installed")
 
@@ -112,18 +112,18 @@ class Growth:
 
 
 @dataclass(frozen=True, eq=False)
-class Report:
+class BenchReport:
     """A whole run."""
 
     settings: Mapping[str, Any]
     machine: Mapping[str, Any]
     models: Mapping[str, str]
-    rows: Sequence[Row]
+    rows: Sequence[Comparison]
     interrupted: bool
     growth: Sequence[Growth] = ()
 
 
-def report_json(report: Report) -> dict[str, Any]:
+def report_json(report: BenchReport) -> dict[str, Any]:
     """Plain data in format `hystmpc-bench/1`; durations in seconds."""
     return {
         "format": FORMAT,
@@ -136,7 +136,7 @@ def report_json(report: Report) -> dict[str, Any]:
     }
 
 
-def _row_json(row: Row) -> dict[str, Any]:
+def _row_json(row: Comparison) -> dict[str, Any]:
     other = {"name": row.other, **_times_json(row.other_times)}
     if row.limit_s is not None:
         other["median_s"] = row.limit_s
@@ -173,7 +173,7 @@ def _times_json(times: Times | None) -> dict[str, Any]:
     return {"median_s": times.median_s, "p99_s": times.p99_s, "least_s": times.least_s, "calls": times.seconds.size}
 
 
-def table_rows(report: Report) -> list[list[str]]:
+def table_rows(report: BenchReport) -> list[list[str]]:
     """One list of texts a row, in the order of `COLUMNS`; what is measured is named in its first row."""
     rows, before = [], ""
     for row in report.rows:
@@ -184,18 +184,18 @@ def table_rows(report: Report) -> list[list[str]]:
     return rows
 
 
-def _own(row: Row) -> list[str]:
+def _own(row: Comparison) -> list[str]:
     return [_duration(row.times.median_s), _duration(row.times.p99_s)] if row.times else [_DASH, _DASH]
 
 
-def _against(row: Row) -> list[str]:
+def _against(row: Comparison) -> list[str]:
     other_s = row.limit_s if row.limit_s is not None else row.other_times.median_s if row.other_times else None
     ratio = row.state if row.ratio is None else f"{_ratio(row.ratio)} {row.reads}"
     note = "; ".join(filter(None, (_disturbed(row), row.note)))
     return [row.other, _duration(other_s), ratio, _goal(row), note]
 
 
-def _disturbed(row: Row) -> str:
+def _disturbed(row: Comparison) -> str:
     """The ratio of the shortest calls where it is far from that of the medians: other work has taken part."""
     least = row.least_ratio
     if row.ratio is None or least is None or 1 / _DISTURBED < row.ratio / least < _DISTURBED:
@@ -203,7 +203,7 @@ def _disturbed(row: Row) -> str:
     return f"{_ratio(least)} by the shortest calls"
 
 
-def _goal(row: Row) -> str:
+def _goal(row: Comparison) -> str:
     if row.goal is None:
         return _DASH
     sign = "≥" if row.reads is Reads.FASTER else "≤"

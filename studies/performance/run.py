@@ -15,7 +15,7 @@ from hystmpc.trials.types import Progress
 from .controllers import linearised_rows, program_rows, sampling_rows
 from .growth import GROWTHS
 from .kernels import kernel_rows
-from .report import Growth, Report, Row
+from .report import BenchReport, Comparison, Growth
 from .subjects import lstm_subject, operator_subjects
 from .timing import BenchSettings, Clock, thread_limit
 
@@ -23,13 +23,13 @@ _PACKAGES = ("numpy", "numba", "casadi", "osqp", "onnxruntime", "daqp", "torch",
 _SECTIONS = 8 + len(GROWTHS)
 
 
-def run_bench(settings: BenchSettings, progress: Progress | None = None) -> Report:
+def run_bench(settings: BenchSettings, progress: Progress | None = None) -> BenchReport:
     """Measure every section; after Ctrl-C the report holds what there is.
 
     Args:
         progress: called before each section and after each round.
     """
-    rows: list[Row] = []
+    rows: list[Comparison] = []
     models: dict[str, str] = {}
     growth: list[Growth] = []
     done, title = 0, ""
@@ -56,12 +56,12 @@ def run_bench(settings: BenchSettings, progress: Progress | None = None) -> Repo
                 growth += series(settings, clock)
     except KeyboardInterrupt:  # between two measurements
         clock.interrupted = True
-    return Report(settings.plain(), surroundings, models, rows, clock.interrupted, growth)
+    return BenchReport(settings.plain(), surroundings, models, rows, clock.interrupted, growth)
 
 
 def _sections(
     settings: BenchSettings, clock: Clock, models: dict[str, str]
-) -> Iterator[tuple[str, Callable[[], list[Row]]]]:
+) -> Iterator[tuple[str, Callable[[], list[Comparison]]]]:
     """Titles and measurements; models are built when their turn comes."""
     lstm = lstm_subject(settings.hidden)
     models[lstm.name] = lstm.source

@@ -20,7 +20,7 @@ WEIGHTS = Weights(effort=0.0)
 
 
 @dataclass(frozen=True)
-class Job:
+class TimedCall:
     """Something to be timed: its name and one call of it."""
 
     name: str
@@ -91,7 +91,7 @@ class Clock:
         self._on_round = on_round
         self.interrupted = False
 
-    def measure(self, jobs: Sequence[Job], threads: int = 1) -> Mapping[str, Times]:
+    def measure(self, jobs: Sequence[TimedCall], threads: int = 1) -> Mapping[str, Times]:
         """Times by name; after Ctrl-C those of the jobs that have run by then.
 
         Every job is called before it counts: to compile and warm up, and to see how long it takes. The order
@@ -111,7 +111,7 @@ class Clock:
             self.interrupted = True
         return {name: Times(np.array(seconds)) for name, seconds in samples.items() if seconds}
 
-    def _take_turns(self, jobs: Sequence[Job], samples: dict[str, list[float]]) -> None:
+    def _take_turns(self, jobs: Sequence[TimedCall], samples: dict[str, list[float]]) -> None:
         until = perf_counter() + self._effort.longest_s
         bursts = [self._burst(job) for job in jobs]
         for turn in range(self._effort.rounds):
@@ -124,18 +124,18 @@ class Clock:
             if last:
                 break
 
-    def _burst(self, job: Job) -> int:
+    def _burst(self, job: TimedCall) -> int:
         once = min(_once(job), _once(job))  # one of them may have been interrupted by other work
         return int(min(max(self._effort.burst_s / max(once, 1e-9), 1), self._effort.burst_most))
 
 
-def _timed(job: Job, count: int) -> list[float]:
+def _timed(job: TimedCall, count: int) -> list[float]:
     if count > 1:
         job.run()
     return [_once(job) for _ in range(count)]
 
 
-def _once(job: Job) -> float:
+def _once(job: TimedCall) -> float:
     since = perf_counter()
     job.run()
     return perf_counter() - since

@@ -162,10 +162,10 @@ def test_a_tuning_does_not_go_on_in_anothers_folder(tmp_path: Path, capsys: pyte
 
 
 def test_the_examples_are_right() -> None:
-    from hystmpc.sim.sweep.plan import Plan
+    from hystmpc.sim.sweep.plan import SweepPlan
 
     file = EXAMPLES / "sweep.yaml"
-    assert Plan(load_sweep(file), file).check() == 200
+    assert SweepPlan(load_sweep(file), file).check() == 200
     assert load_tuning(EXAMPLES / "tune.yaml").controller == "linearised_mpc"
 
 

@@ -20,7 +20,7 @@ from hystmpc.sim.jobs.backend import InTurn, Processes
 from hystmpc.sim.study import prepare
 from hystmpc.sim.tuning.objective import (
     PlantScore,
-    Trial,
+    SearchTrial,
     needed_travel,
     pareto_front,
     plant_config,
@@ -101,8 +101,8 @@ points = st.lists(st.tuples(st.floats(0.1, 5.0), st.floats(0.1, 5.0)), min_size=
 
 @given(points=points)
 def test_the_front_holds_exactly_the_trials_that_no_other_beats(points: list[tuple[float, float]]) -> None:
-    trials = [Trial(k, "done", error, {}, error, travel, 3) for k, (error, travel) in enumerate(points)]
-    front = {(t.error_deg, t.travel) for t in pareto_front([*trials, Trial(99, "pruned", 0, {}, 0.0, 0.0, 1)])}
+    trials = [SearchTrial(k, "done", error, {}, error, travel, 3) for k, (error, travel) in enumerate(points)]
+    front = {(t.error_deg, t.travel) for t in pareto_front([*trials, SearchTrial(99, "pruned", 0, {}, 0.0, 0.0, 1)])}
     expected = {(e, t) for e, t in points if not any((a <= e and b <= t) and (a < e or b < t) for a, b in points)}
     assert front == expected
 

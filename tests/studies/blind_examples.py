@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hystmpc.studies.blind.generators import LABELS
-from hystmpc.studies.blind.reading import Reading, Scored
+from hystmpc.studies.blind.reading import DiagnosisReading, ScoredCase
 from hystmpc.studies.blind.sealed import Answer, EffectAnswer, Suite
 
 
@@ -28,9 +28,9 @@ def answer(
     )
 
 
-def named(*effects: str, probability: float = 0.9) -> Reading:
+def named(*effects: str, probability: float = 0.9) -> DiagnosisReading:
     """A diagnosis that names these."""
-    return Reading(
+    return DiagnosisReading(
         "named",
         effects,
         (probability,) * len(effects),
@@ -57,15 +57,15 @@ def all_answers() -> list[Answer]:
     ]
 
 
-def perfect(cases: Sequence[Answer]) -> list[Scored]:
+def perfect(cases: Sequence[Answer]) -> list[ScoredCase]:
     """A diagnoser that knows everything."""
     found = []
     for k, truth in enumerate(cases):
-        reading = named(*truth.labels, probability=1.0) if truth.labels else Reading(truth.truth)
-        found.append(Scored(f"{k:03d}", truth, reading, oracle=0.9 if truth.labels else None, again=0.9))
+        reading = named(*truth.labels, probability=1.0) if truth.labels else DiagnosisReading(truth.truth)
+        found.append(ScoredCase(f"{k:03d}", truth, reading, oracle=0.9 if truth.labels else None, again=0.9))
     return found
 
 
-def always(cases: Sequence[Answer], reading: Reading) -> list[Scored]:
+def always(cases: Sequence[Answer], reading: DiagnosisReading) -> list[ScoredCase]:
     """A diagnoser that says one thing."""
-    return [Scored(f"{k:03d}", truth, reading) for k, truth in enumerate(cases)]
+    return [ScoredCase(f"{k:03d}", truth, reading) for k, truth in enumerate(cases)]

@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from hystmpc.models.chain_model import ChainModel
-from hystmpc.studies.papers.job import Job, Splits
+from hystmpc.studies.papers.job import Splits, TrainingJob
 from hystmpc.studies.papers.result import JobResult
 from hystmpc.trials.trial import Trial
 
 from ..models.zoo import CHAINS, simulator
 
-JOB = JobResult(Job("main", "backlash", "paper", "forward", "sin", None, 1, None), "abc", "done", "fine", 1.5, 100)
+JOB = JobResult(
+    TrainingJob("main", "backlash", "paper", "forward", "sin", None, 1, None), "abc", "done", "fine", 1.5, 100
+)
 
 
 def small_trial(source: str, phase: float = 0.0, seconds: float = 20.0) -> Trial:

@@ -15,7 +15,7 @@ from hystmpc.models.operators.nonlinear_gain import NonlinearGain
 from hystmpc.models.operators.servo import Servo
 from hystmpc.models.simulator import load_simulator
 from hystmpc.studies.blind.ablation import RESULT, Ablated, ablate, answered, components, effect_of, without
-from hystmpc.studies.blind.reading import Reading
+from hystmpc.studies.blind.reading import DiagnosisReading
 from hystmpc.trials.errors import ConfigError
 
 from ..gap.engine_examples import moves, simulator_of, sine, trials_of
@@ -61,16 +61,16 @@ def test_a_core_alone_has_nothing_to_take_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("said", "right", "found"),
     [
-        (Reading("named", ("lag", "creep"), (0.9, 0.8)), True, True),
-        (Reading("named", ("creep", "lag"), (0.9, 0.8)), False, True),
-        (Reading("one_of", ("delay",), (0.5,), (frozenset(("delay", "lag")),)), False, True),
-        (Reading("named", ("creep",), (0.9,)), False, False),
-        (Reading("unknown", ("lag",), (0.2,), (frozenset(("delay", "lag")),)), False, False),
-        (Reading("none"), False, False),
+        (DiagnosisReading("named", ("lag", "creep"), (0.9, 0.8)), True, True),
+        (DiagnosisReading("named", ("creep", "lag"), (0.9, 0.8)), False, True),
+        (DiagnosisReading("one_of", ("delay",), (0.5,), (frozenset(("delay", "lag")),)), False, True),
+        (DiagnosisReading("named", ("creep",), (0.9,)), False, False),
+        (DiagnosisReading("unknown", ("lag",), (0.2,), (frozenset(("delay", "lag")),)), False, False),
+        (DiagnosisReading("none"), False, False),
     ],
 )
 def test_an_answer_is_right_by_its_first_name_and_found_among_its_names(
-    said: Reading, right: bool, found: bool
+    said: DiagnosisReading, right: bool, found: bool
 ) -> None:
     row = answered(ROW, said)
     assert (row.right, row.found, row.verdict) == (right, found, said.verdict)

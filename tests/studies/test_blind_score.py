@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from hystmpc.studies.blind.bars import Rate, bars, calibration, chance, confusion, overlap, true_share
 from hystmpc.studies.blind.generators import LABELS
 from hystmpc.studies.blind.plan import confusable
-from hystmpc.studies.blind.reading import Reading, Scored, reading_of
+from hystmpc.studies.blind.reading import DiagnosisReading, ScoredCase, reading_of
 from hystmpc.studies.blind.report import blind_report
 from hystmpc.studies.blind.score import score_json, score_of
 
 from .blind_examples import all_answers, always, answer, named, perfect
 
 
-def by_name(cases: list[Scored]) -> dict[str, float]:
+def by_name(cases: list[ScoredCase]) -> dict[str, float]:
     return {bar.name: bar.value for bar in bars(cases)}
 
 
@@ -37,7 +37,7 @@ def test_a_perfect_diagnoser_meets_every_bar_that_is_measured() -> None:
 
 
 def test_always_none_has_no_false_alarm_and_no_recall() -> None:
-    found = by_name(always(all_answers(), Reading("none")))
+    found = by_name(always(all_answers(), DiagnosisReading("none")))
     assert found["false alarms"] == 0.0
     assert found["class top-1"] == found["set recall (pairs)"] == found["out of library: abstains"] == 0.0
     assert math.isnan(found["set precision (pairs)"])
@@ -54,13 +54,13 @@ def test_always_one_name_alarms_everywhere() -> None:
 
 
 def test_an_unnamed_gap_is_an_alarm_where_there_is_none() -> None:
-    assert by_name(always([answer("none")], Reading("unknown")))["false alarms"] == 1.0
-    assert by_name(always([answer("none")], Reading("too_little")))["false alarms"] == 0.0
+    assert by_name(always([answer("none")], DiagnosisReading("unknown")))["false alarms"] == 1.0
+    assert by_name(always([answer("none")], DiagnosisReading("too_little")))["false alarms"] == 0.0
 
 
 def test_rules_beside_are_asked_where_there_is_nothing_too() -> None:
     healthy = [answer("none"), answer("misset"), answer("controls")]
-    said = replace(Reading("none"), others={"bic": "creep", "correlation": "none"})
+    said = replace(DiagnosisReading("none"), others={"bic": "creep", "correlation": "none"})
     found = score_of(always([*healthy, answer("single", ["lag"])], said)).groups["nothing wrong, left alone by"]
     assert {name: (r.hits, r.cases) for name, r in found.items()} == {
         "diagnosis": (3, 3),
@@ -73,7 +73,7 @@ def test_rules_beside_are_asked_where_there_is_nothing_too() -> None:
 def test_random_guesses_score_near_chance() -> None:
     random = np.random.default_rng(0)
     cases = [
-        Scored(str(k), answer("single", [str(random.choice(LABELS))]), named(str(random.choice(LABELS))))
+        ScoredCase(str(k), answer("single", [str(random.choice(LABELS))]), named(str(random.choice(LABELS))))
         for k in range(3000)
     ]
     found = by_name(cases)["class top-1"]
@@ -82,12 +82,14 @@ def test_random_guesses_score_near_chance() -> None:
 
 
 def test_leaving_it_open_is_right_only_where_the_motions_cannot_tell() -> None:
-    both = Reading("one_of", ("delay",), (0.5,), (frozenset(("lag", "delay")),), (("delay", 0.5), ("lag", 0.4)))
-    assert not Scored("a", answer("single", ["lag"]), both).right
-    assert Scored("b", answer("single", ["lag"], separable=False), both).right
-    assert not Scored("c", answer("single", ["creep"], separable=False), both).right
-    assert Scored("d", answer("single", ["creep"], separable=False), Reading("too_little")).right
-    assert not Scored("e", answer("single", ["creep"], separable=False), Reading("none")).right
+    both = DiagnosisReading(
+        "one_of", ("delay",), (0.5,), (frozenset(("lag", "delay")),), (("delay", 0.5), ("lag", 0.4))
+    )
+    assert not ScoredCase("a", answer("single", ["lag"]), both).right
+    assert ScoredCase("b", answer("single", ["lag"], separable=False), both).right
+    assert not ScoredCase("c", answer("single", ["creep"], separable=False), both).right
+    assert ScoredCase("d", answer("single", ["creep"], separable=False), DiagnosisReading("too_little")).right
+    assert not ScoredCase("e", answer("single", ["creep"], separable=False), DiagnosisReading("none")).right
 
 
 def test_small_gaps_do_not_count_for_the_bars() -> None:
@@ -112,14 +114,14 @@ def test_confusion_rows_add_up_to_the_cases_of_their_truth() -> None:
 
 def test_the_true_share_counts_from_the_reported_floor() -> None:
     truth = answer("single", ["lag"]).model_copy(update={"retuned_deg": 1.0, "form_deg": 0.4, "noise_deg": 0.1})
-    shares = [true_share(Scored("a", truth, replace(named("lag"), floor_deg=floor))) for floor in (0.1, 0.3, 0.6)]
+    shares = [true_share(ScoredCase("a", truth, replace(named("lag"), floor_deg=floor))) for floor in (0.1, 0.3, 0.6)]
     assert shares[0] == pytest.approx(1 - 0.4**2)
     assert shares[0] < shares[1] < shares[2] == 1.0
 
 
 def test_calibration_error_is_the_distance_of_confidence_and_truth() -> None:
-    right = [Scored(str(k), answer("single", ["lag"]), named("lag", probability=0.7)) for k in range(6)]
-    wrong = [Scored(str(k), answer("single", ["lag"]), named("creep", probability=0.7)) for k in range(4)]
+    right = [ScoredCase(str(k), answer("single", ["lag"]), named("lag", probability=0.7)) for k in range(6)]
+    wrong = [ScoredCase(str(k), answer("single", ["lag"]), named("creep", probability=0.7)) for k in range(4)]
     assert calibration([*right, *wrong]).error == pytest.approx(0.1)
 
 

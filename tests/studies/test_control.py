@@ -12,7 +12,8 @@ import pytest
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.sim.closed_loop import ClosedLoopRun
-from hystmpc.studies.control.bars import BARS, ControlOutcome, Verdict, control_figures, exact, limit_cycle, verdicts
+from hystmpc.studies.control.bars import BARS, BarVerdict, ControlOutcome, control_figures, exact, limit_cycle, verdicts
+from hystmpc.studies.control.controllers import CONTROLLERS
 from hystmpc.studies.control.job import (
     ControlJob,
     ControlResult,
@@ -23,7 +24,6 @@ from hystmpc.studies.control.job import (
 )
 from hystmpc.studies.control.plants import MISMATCH, PLANTS, half_width
 from hystmpc.studies.control.report import bars_table, loop_table
-from hystmpc.studies.control.rivals import CONTROLLERS
 from hystmpc.studies.control.settings import MOTIONS, ControlSettings, motion
 from hystmpc.trajectories.config import parse_motion
 from hystmpc.trials.errors import ConfigError, LogError
@@ -69,7 +69,7 @@ def result(plant: str, controller: str, motion: str = "point_to_point", **figure
     return ControlResult(ControlJob("run", plant, 25.0, controller, motion), "", "done", "", 1.0, FIGURES | figures)
 
 
-def judged(*results: ControlResult) -> dict[tuple[str, str], Verdict]:
+def judged(*results: ControlResult) -> dict[tuple[str, str], BarVerdict]:
     """Verdicts by bar and controller."""
     return {(v.bar, v.controller): v for v in verdicts(outcome(*results))}
 

@@ -15,20 +15,20 @@ from hystmpc.rig.device.config import DeviceSettings
 from hystmpc.rig.device.faults import FaultSettings
 from hystmpc.rig.device.faulty_wire import FaultyReadings
 from hystmpc.rig.transports.link import Outgoing
-from hystmpc.studies.faults.cases import CASES, KINDS, Case, Kind, Link, Second, write_device, write_run
-from hystmpc.studies.faults.judge import Verdict, judge
+from hystmpc.studies.faults.cases import CASES, KINDS, FaultCase, Kind, Link, SecondRun, write_device, write_run
+from hystmpc.studies.faults.judge import FaultVerdict, judge
 from hystmpc.studies.faults.play import Played, Terminal, device_log
 from hystmpc.trials.config import load_settings
 from hystmpc.trials.run_folder import RunFolder
 
 MS = 1_000_000
 PLAYABLE = [(case, kind) for kind in KINDS for case in CASES if kind == "udp" or not case.of_datagrams]
-STOPS = Case("a stop", "stops", kill="controller", signal="SIGTERM", at_s=0.4)
+STOPS = FaultCase("a stop", "stops", kill="controller", signal="SIGTERM", at_s=0.4)
 HEADER = "monotonic_ns,time_s,received,held,angle_deg\n"
 
 
 @pytest.mark.parametrize(("case", "kind"), PLAYABLE, ids=lambda x: x if isinstance(x, str) else x.name)
-def test_both_configurations_of_every_case_are_valid(case: Case, kind: Kind, tmp_path: Path) -> None:
+def test_both_configurations_of_every_case_are_valid(case: FaultCase, kind: Kind, tmp_path: Path) -> None:
     """All but what has to be refused; the device of the case and the run know the same wire."""
     link = Link(kind, domain=12)
     device = load_settings(DeviceSettings, write_device(case, tmp_path, link), ())
@@ -46,13 +46,13 @@ def test_names_of_cases_are_one_each_and_two_wires_get_most() -> None:
 def verdict(
     folder: Path,
     held: list[float],
-    case: Case = STOPS,
+    case: FaultCase = STOPS,
     said: str = "stopped: SIGTERM; safe command 0 mm held 0.5 s later; latched until --reset",
     code: int = 3,
     sources: str = "stop",
     samples: int = 30,
     second_code: int | None = None,
-) -> Verdict:
+) -> FaultVerdict:
     """The verdict on a device that got and held these commands, one in 40 ms; the fault is after the tenth."""
     rows = [f"{(1000 + 40 * k) * MS},{0.04 * k:.2f},{u!r},{u!r},30.0\n" for k, u in enumerate(held)]
     (folder / "device.csv").write_text(HEADER + "".join(rows))
@@ -117,7 +117,7 @@ def test_a_log_that_lacks_the_stop_is_a_failure(sources: str, samples: int, log:
     ("code", "expected"), [(2, ()), (0, ("second run: exit code 0",)), (None, ("second run: did not start",))]
 )
 def test_a_second_run_has_to_be_refused(code: int | None, expected: tuple[str, ...], tmp_path: Path) -> None:
-    case = replace(STOPS, second=Second(()))
+    case = replace(STOPS, second=SecondRun(()))
     assert verdict(tmp_path, UP + DOWN, case, second_code=code).failures == expected
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.evaluate import Errors
-from hystmpc.studies.papers.job import Task, study_splits
+from hystmpc.studies.papers.job import TrainingTask, study_splits
 from hystmpc.studies.papers.printed import (
     S1_ERRORS,
     S1_TRAINING,
@@ -118,7 +118,7 @@ def test_relative_change_by_hand() -> None:
     assert math.isnan(relative_change(replace(JOB, history=((1, 2.0),))))
 
 
-def tasks_of(**changes: object) -> tuple[Task, ...]:
+def tasks_of(**changes: object) -> tuple[TrainingTask, ...]:
     settings = StudySettings.for_study("s2", **changes)
     return s2_tasks(settings, small_splits())
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from hystmpc.sim.jobs.backend import backend_for
-from hystmpc.studies.papers.job import Job, Task
-from hystmpc.studies.papers.result import JobResult, Outcome, model_file, result_files
+from hystmpc.studies.papers.job import TrainingJob, TrainingTask
+from hystmpc.studies.papers.result import JobResult, StudyOutcome, model_file, result_files
 from hystmpc.studies.papers.run import prepare, run_study
 from hystmpc.studies.papers.settings import StudySettings
 from hystmpc.studies.papers.worker import do_job
@@ -30,17 +30,17 @@ SETTINGS = StudySettings.for_study(
 )
 
 
-def job(**changes: object) -> Job:
-    return replace(Job("main", "backlash", "paper", "forward", "sin", None, 1, None), **changes)  # type: ignore[arg-type]
+def job(**changes: object) -> TrainingJob:
+    return replace(TrainingJob("main", "backlash", "paper", "forward", "sin", None, 1, None), **changes)  # type: ignore[arg-type]
 
 
-def task(**changes: object) -> Task:
+def task(**changes: object) -> TrainingTask:
     splits = small_splits()
-    return Task(job(**changes), splits["sin/train"], (), {"sin/test": splits["sin/test"]})
+    return TrainingTask(job(**changes), splits["sin/train"], (), {"sin/test": splits["sin/test"]})
 
 
 def run_jobs(
-    tasks: Sequence[Task], folder: Path, workers: int = 1, progress: Progress | None = None
+    tasks: Sequence[TrainingTask], folder: Path, workers: int = 1, progress: Progress | None = None
 ) -> tuple[JobResult, ...]:
     return result_files(folder).complete(
         [tasks], partial(do_job, folder=folder), lambda task: task.fingerprint, backend_for(workers), {}, progress
@@ -53,7 +53,7 @@ def stable(result: JobResult) -> JobResult:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyOutcome]:
     """A quick study of S2, made in one go."""
     pytest.importorskip("torch", reason="torch is an extra")
     folder = tmp_path_factory.mktemp("study") / "s2"
@@ -65,7 +65,7 @@ def tables(folder: Path) -> dict[str, str]:
     return {path.name: path.read_text() for path in (folder / "tables").glob("*.csv") if path.name != "jobs.csv"}
 
 
-def test_a_study_leaves_models_results_tables_and_a_report(whole: tuple[Path, Outcome]) -> None:
+def test_a_study_leaves_models_results_tables_and_a_report(whole: tuple[Path, StudyOutcome]) -> None:
     folder, outcome = whole
     assert outcome.failed == ()
     assert len(outcome.done) == 2 * 2  # motions and kinds
@@ -76,7 +76,7 @@ def test_a_study_leaves_models_results_tables_and_a_report(whole: tuple[Path, Ou
     assert float(rows[1]["mean RMSE [deg]"]) < float(rows[0]["mean RMSE [deg]"])
 
 
-def test_the_report_opens_offline_and_says_what_is_whose(whole: tuple[Path, Outcome]) -> None:
+def test_the_report_opens_offline_and_says_what_is_whose(whole: tuple[Path, StudyOutcome]) -> None:
     html = (whole[0] / "report.html").read_text()
     page = Page(html)
     assert page.open == []
@@ -91,7 +91,7 @@ def test_the_report_opens_offline_and_says_what_is_whose(whole: tuple[Path, Outc
         assert name == "per_trial.csv" or f"({name})" in text
 
 
-def test_resuming_skips_what_is_done(whole: tuple[Path, Outcome]) -> None:
+def test_resuming_skips_what_is_done(whole: tuple[Path, StudyOutcome]) -> None:
     folder, outcome = whole
     written = {path: path.stat().st_mtime_ns for path in (folder / "models").iterdir()}
     seen: list[str] = []
@@ -101,7 +101,7 @@ def test_resuming_skips_what_is_done(whole: tuple[Path, Outcome]) -> None:
     assert {path: path.stat().st_mtime_ns for path in (folder / "models").iterdir()} == written
 
 
-def test_a_killed_study_resumes_to_the_identical_tables(whole: tuple[Path, Outcome], tmp_path: Path) -> None:
+def test_a_killed_study_resumes_to_the_identical_tables(whole: tuple[Path, StudyOutcome], tmp_path: Path) -> None:
     def stop(done: float, total: float, note: str = "") -> None:
         assert 0 <= done <= total  # expected seconds
         if note.startswith("2 of 4 jobs"):
@@ -131,7 +131,7 @@ def test_a_failing_job_is_reported_and_tried_again_and_stops_nothing(tmp_path: P
     seen: list[str] = []
     run_jobs(tasks, tmp_path, progress=lambda done, total, note="": seen.append(note))
     assert seen == ["1 of 2 jobs ", f"2 of 2 jobs {failed.job.key} failed"]
-    outcome = Outcome(SETTINGS.model_copy(update={"study": "s2"}), small_splits(), (failed, done), tmp_path)
+    outcome = StudyOutcome(SETTINGS.model_copy(update={"study": "s2"}), small_splits(), (failed, done), tmp_path)
     assert outcome.failed == (failed,)
 
 
@@ -151,7 +151,7 @@ def test_two_processes_find_what_one_finds(tmp_path: Path) -> None:
     assert [stable(result) for result in both] == [stable(result) for result in alone]
 
 
-def test_a_folder_of_something_else_is_refused(whole: tuple[Path, Outcome], tmp_path: Path) -> None:
+def test_a_folder_of_something_else_is_refused(whole: tuple[Path, StudyOutcome], tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(ConfigError, match="not empty"):
         prepare(SETTINGS, tmp_path)

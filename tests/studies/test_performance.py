@@ -25,10 +25,10 @@ from hystmpc.studies.performance.controllers import (
     sampling_rows,
 )
 from hystmpc.studies.performance.kernels import jacobian_flops, products, rollout_flops, step_flops
-from hystmpc.studies.performance.report import COLUMNS, FORMAT, Reads, Report, Row, report_json, table_rows
+from hystmpc.studies.performance.report import COLUMNS, FORMAT, BenchReport, Comparison, Reads, report_json, table_rows
 from hystmpc.studies.performance.run import run_bench
 from hystmpc.studies.performance.subjects import Instant, Subject, in_turn, lstm_subject, operator_subjects, record_scan
-from hystmpc.studies.performance.timing import QUICK, WEIGHTS, BenchSettings, Clock, Effort, Job, Times
+from hystmpc.studies.performance.timing import QUICK, WEIGHTS, BenchSettings, Clock, Effort, TimedCall, Times
 from hystmpc.trials.errors import ConfigError
 
 pytestmark = pytest.mark.slow
@@ -180,7 +180,7 @@ def test_both_libraries_multiply_at_every_shape() -> None:
 def test_jobs_take_turns_and_warm_up() -> None:
     calls: list[str] = []
     effort = Effort(rounds=4, burst_s=1e-9, burst_most=1)
-    times = Clock(effort).measure([Job(name, lambda name=name: calls.append(name)) for name in "abc"])
+    times = Clock(effort).measure([TimedCall(name, lambda name=name: calls.append(name)) for name in "abc"])
     assert {name: t.seconds.size for name, t in times.items()} == dict.fromkeys("abc", 4)
     counted = "".join(calls[-12:])
     assert [counted[k : k + 3] for k in range(0, 12, 3)] == ["abc", "bca", "cab", "abc"]
@@ -196,7 +196,7 @@ def test_the_keyboard_leaves_what_there_is() -> None:
             raise KeyboardInterrupt
 
     clock = Clock(Effort(rounds=50, burst_s=1e-9, burst_most=1))
-    times = clock.measure([Job("first", lambda: None), Job("second", second)])
+    times = clock.measure([TimedCall("first", lambda: None), TimedCall("second", second)])
     assert clock.interrupted
     assert 0 < times["second"].seconds.size < 50
 
@@ -225,25 +225,27 @@ def test_an_interrupted_run_reports_the_sections_before() -> None:
 def test_goals_are_judged_by_what_the_ratio_says(
     reads: Reads, ratio: float | None, goal: float | None, reached: bool | None
 ) -> None:
-    assert Row("s", "ours", "other", reads, goal, ratio=ratio).reached is reached
+    assert Comparison("s", "ours", "other", reads, goal, ratio=ratio).reached is reached
 
 
 def test_a_goal_that_only_stalls_have_reached_is_not_reached() -> None:
     ours, stalled = Times(np.array([1.0, 1.0, 1.0])), Times(np.array([2.0, 9.0, 9.0]))
-    row = Row("s", "ours", "peer", Reads.FASTER, 5.0).with_times(ours, stalled).measured(9.0)
+    row = Comparison("s", "ours", "peer", Reads.FASTER, 5.0).with_times(ours, stalled).measured(9.0)
     assert row.least_ratio == 2.0
     assert row.reached is False
-    (cells,) = table_rows(Report({}, {}, {}, [row], interrupted=False))
+    (cells,) = table_rows(BenchReport({}, {}, {}, [row], interrupted=False))
     assert cells[-2:] == ["≥ 5 no", "2.00 by the shortest calls"]
 
 
 def test_durations_and_missing_values_are_readable() -> None:
     times = Times(np.array([173e-6]))
     rows = [
-        Row("s", "ours", "peer", Reads.FASTER, 60.0).with_times(times, Times(np.array([0.0173]))).measured(100.0),
-        Row("s", "ours", "absent", Reads.FASTER).with_times(times, None).without_peer(),
+        Comparison("s", "ours", "peer", Reads.FASTER, 60.0)
+        .with_times(times, Times(np.array([0.0173])))
+        .measured(100.0),
+        Comparison("s", "ours", "absent", Reads.FASTER).with_times(times, None).without_peer(),
     ]
-    first, second = table_rows(Report({}, {}, {}, rows, interrupted=False))
+    first, second = table_rows(BenchReport({}, {}, {}, rows, interrupted=False))
     assert first == ["s: ours", "173 us", "173 us", "peer", "17.3 ms", "100 x faster", "≥ 60 yes", ""]
     assert second == ["", "", "", "absent", "-", "not installed", "-", ""]
 

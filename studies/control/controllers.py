@@ -31,7 +31,7 @@ BASELINES = ("pid", "inverse", "inverse_pid")
 
 
 @dataclass(frozen=True)
-class Rival:
+class BenchmarkController:
     """One controller of the benchmark.
 
     Attributes:
@@ -98,21 +98,21 @@ class Rival:
         return dict(_LEARNING if self.learns else _TRUST if self.trusting else _ESTIMATOR)
 
 
-def _named(*rivals: Rival) -> Mapping[str, Rival]:
+def _named(*rivals: BenchmarkController) -> Mapping[str, BenchmarkController]:
     return MappingProxyType({rival.name: rival for rival in rivals})
 
 
-CONTROLLERS: Mapping[str, Rival] = _named(
-    Rival("pid", "pid", "none"),
-    Rival("inverse", "inverse", "backlash"),
-    Rival("inverse_pid", "inverse_pid", "backlash"),
-    Rival("linearised_backlash", "linearised_mpc", "backlash"),
-    Rival("linearised_lstm", "linearised_mpc", "lstm"),
-    Rival("linearised_hb2", "linearised_mpc", "hb2"),
-    Rival("sampling_backlash", "sampling_mpc", "backlash"),
-    Rival("sampling_lstm", "sampling_mpc", "lstm"),
-    Rival("sampling_hb2", "sampling_mpc", "hb2"),
-    Rival(ORACLE, "linearised_mpc", "oracle"),
-    Rival("oracle_trusting", "linearised_mpc", "oracle", trusting=True),
+CONTROLLERS: Mapping[str, BenchmarkController] = _named(
+    BenchmarkController("pid", "pid", "none"),
+    BenchmarkController("inverse", "inverse", "backlash"),
+    BenchmarkController("inverse_pid", "inverse_pid", "backlash"),
+    BenchmarkController("linearised_backlash", "linearised_mpc", "backlash"),
+    BenchmarkController("linearised_lstm", "linearised_mpc", "lstm"),
+    BenchmarkController("linearised_hb2", "linearised_mpc", "hb2"),
+    BenchmarkController("sampling_backlash", "sampling_mpc", "backlash"),
+    BenchmarkController("sampling_lstm", "sampling_mpc", "lstm"),
+    BenchmarkController("sampling_hb2", "sampling_mpc", "hb2"),
+    BenchmarkController(ORACLE, "linearised_mpc", "oracle"),
+    BenchmarkController("oracle_trusting", "linearised_mpc", "oracle", trusting=True),
 )
 """All controllers by name; `oracle` is `linearised_backlash` with the plant as its model and nothing to learn."""
