@@ -92,9 +92,9 @@ def tuned_study(study: Study, progress: Progress | None = None) -> Study:
     found: dict[str, AnyControllerSettings] = {}
     for k, (name, settings) in enumerate(chosen.items()):
 
-        def overall(done: int, total: int, before: int = k) -> None:
+        def overall(done: float, total: float, note: str = "", before: int = k) -> None:
             if progress is not None:
-                progress(before * total + done, len(chosen) * total)
+                progress(before * total + done, len(chosen) * total, note)
 
         found[name] = tuned_gains(study, settings, overall).settings
     controllers = {**study.config.controllers, **found}

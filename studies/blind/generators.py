@@ -20,6 +20,7 @@ from .cores import FINE_S, PARTS, Scene, rise
 
 Shape = Mapping[str, float]
 Site = Literal["drive", "friction", "tip", "sensor"]
+Draw = Callable[[np.random.Generator], dict[str, float]]
 Apply = Callable[[Vec, Scene, float, Shape], Vec]
 UNKNOWN = "unknown"
 _REGISTERED: list[Generator] = []
@@ -47,7 +48,7 @@ class Generator:
     site: Site
     typical: float
     greatest: float
-    draw: Callable[[np.random.Generator], dict[str, float]]
+    draw: Draw
     apply: Apply
 
 
@@ -64,33 +65,25 @@ class Withheld:
         return replace(self, size=size)
 
 
+def between(**ranges: tuple[float, float]) -> Draw:
+    """Draw uniform shape numbers."""
+    return lambda random: {name: float(random.uniform(*ends)) for name, ends in ranges.items()}
+
+
 def generates(
-    label: str,
-    site: Site,
-    typical: float,
-    greatest: float,
-    draw: Callable[[np.random.Generator], dict[str, float]] | None = None,
-    **ranges: tuple[float, float],
+    label: str, site: Site, typical: float, greatest: float, draw: Draw = between()
 ) -> Callable[[Apply], Apply]:
-    """Register a function as a generator of its own name; see `Generator`.
-
-    Args:
-        label, site, typical, greatest: of the generator.
-        draw: shape numbers; where left out they are uniform within `ranges`.
-    """
-
-    def uniform(random: np.random.Generator) -> dict[str, float]:
-        return {name: float(random.uniform(*ends)) for name, ends in ranges.items()}
+    """Register a function as a generator of its own name; arguments as the attributes of `Generator`."""
 
     def register(apply: Apply) -> Apply:
         name = str(getattr(apply, "__name__", label))
-        _REGISTERED.append(Generator(name, label, site, typical, greatest, draw or uniform, apply))
+        _REGISTERED.append(Generator(name, label, site, typical, greatest, draw, apply))
         return apply
 
     return register
 
 
-@generates("lag", "drive", 0.05, 1.0, inner=(1.2, 2.6), strokes_per_s=(3.0, 12.0))
+@generates("lag", "drive", 0.05, 1.0, between(inner=(1.2, 2.6), strokes_per_s=(3.0, 12.0)))
 def cascaded_servo(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Servo of a position over a velocity loop, limited in speed, that stays behind a ramp by `size` [s]."""
     out = np.empty(u.size)
@@ -98,7 +91,7 @@ def cascaded_servo(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     return out
 
 
-@generates("delay", "drive", 0.05, 1.0, jitter=(0.05, 0.25))
+@generates("delay", "drive", 0.05, 1.0, between(jitter=(0.05, 0.25)))
 def jittered_delay(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Packets at the sample rate, each late by `size` (1 + jitter |n|) [s] and never before the one ahead of it."""
     sent = np.arange(0, u.size, PARTS)
@@ -115,7 +108,7 @@ def fibre_toe(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     return u - size * (1 - np.exp(-np.maximum(u, 0.0) / size))
 
 
-@generates("rate_dependence", "friction", 1.0, 60.0, power=(0.7, 1.2))
+@generates("rate_dependence", "friction", 1.0, 60.0, between(power=(0.7, 1.2)))
 def viscous_wrap(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Friction factor 1 + `size` (|v| / v0)^a with a speed v that lags by a lubricant film's 30 ms."""
     weights = np.exp(-np.arange(0, 5 * _SPEED_S, FINE_S) / _SPEED_S)
@@ -130,14 +123,14 @@ def log_relaxation(signal: Vec, share: float, onset_s: float) -> Vec:
     return np.asarray(fftconvolve(np.diff(signal, prepend=signal[0]), kernel)[: signal.size])
 
 
-@generates("creep", "drive", 0.03, 0.4, onset_s=(0.2, 1.0))
+@generates("creep", "drive", 0.03, 0.4, between(onset_s=(0.2, 1.0)))
 def tendon_log_creep(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Tendon that stretches by a logarithmic law: x = u - log_relaxation(u); `size` is the share per decade."""
     del scene
     return u - log_relaxation(u, size, shape["onset_s"])
 
 
-@generates("stick_slip", "tip", 2.0, 25.0, ratio=(0.3, 0.5), stribeck_deg_s=(5.0, 20.0))
+@generates("stick_slip", "tip", 2.0, 25.0, between(ratio=(0.3, 0.5), stribeck_deg_s=(5.0, 20.0)))
 def lugre_tip(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Tip that sticks in its lumen by LuGre friction; `size` is the break-away [deg of bending]."""
     del scene
@@ -146,7 +139,7 @@ def lugre_tip(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     return out
 
 
-@generates("contact", "tip", 1.0, 400.0, at=(0.5, 0.72))
+@generates("contact", "tip", 1.0, 400.0, between(at=(0.5, 0.72)))
 def hertz_contact(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Wall that pushes back by Hertz's law beyond a bend a: free = y + `size` span ((y - a) / span)^1.5."""
     free, at = scene.unit(angle), shape["at"]
@@ -157,14 +150,14 @@ def hertz_contact(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     return scene.rest_deg + scene.span_deg * (free - deep + y)
 
 
-@generates("nonlinear_gain", "tip", 3.0, 50.0, mounting_deg=(-65.0, -20.0))
+@generates("nonlinear_gain", "tip", 3.0, 50.0, between(mounting_deg=(-65.0, -20.0)))
 def weight(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Bending under its own weight: theta + `size` (sin(theta - phi) - sin(rest - phi)), phi the mounting [deg]."""
     turned, rest = (np.deg2rad(a - shape["mounting_deg"]) for a in (angle, scene.rest_deg))
     return angle + size * (np.sin(turned) - np.sin(rest))
 
 
-@generates("asymmetry", "tip", 2.0, 30.0, turn=(0.02, 0.06), power=(1.6, 2.4))
+@generates("asymmetry", "tip", 2.0, 30.0, between(turn=(0.02, 0.06), power=(1.6, 2.4)))
 def directional_stiffness(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Elasticity that depends on the direction: theta + `size` d p(theta), d a smoothed direction in -1..1."""
     d, bend = np.empty(angle.size), scene.unit(angle)
@@ -172,7 +165,7 @@ def directional_stiffness(angle: Vec, scene: Scene, size: float, shape: Shape) -
     return angle + size * d * np.clip(bend, 0.0, 1.2) ** shape["power"]
 
 
-@generates("creep", "tip", 0.03, 0.4, onset_s=(0.2, 1.0))
+@generates("creep", "tip", 0.03, 0.4, between(onset_s=(0.2, 1.0)))
 def wall_log_creep(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Wall that gives way by a logarithmic law: theta + log_relaxation(theta), `size` the share per decade."""
     del scene
@@ -187,7 +180,7 @@ def _drift_shape(random: np.random.Generator) -> dict[str, float]:
     }
 
 
-@generates("drift", "tip", 0.3, 10.0, draw=_drift_shape)
+@generates("drift", "tip", 0.3, 10.0, _drift_shape)
 def thermal_drift(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Trend of `size` [deg/min] and a random walk about it over the whole session; it scales the bend or shifts it."""
     random = scene.random("thermal_drift", every_trial=False)
@@ -199,7 +192,11 @@ def thermal_drift(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 
 @generates(
-    "first_flexure", "tip", 2.0, 40.0, **{"yield": (0.1, 0.35), "exponent": (1.3, 2.0), "rate_per_s": (3.0, 12.0)}
+    "first_flexure",
+    "tip",
+    2.0,
+    40.0,
+    between(**{"yield": (0.1, 0.35), "exponent": (1.3, 2.0), "rate_per_s": (3.0, 12.0)}),
 )
 def plastic_set(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Set by viscoplastic flow with hardening beyond a yield bend, about `size` [deg]; it heals between trials."""
@@ -208,7 +205,7 @@ def plastic_set(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     return angle + size * out / max(1 - shape["yield"], 0.05)
 
 
-@generates("trial_shift", "tip", 0.6, 20.0, gain=(0.3, 0.8))
+@generates("trial_shift", "tip", 0.6, 20.0, between(gain=(0.3, 0.8)))
 def remounting(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Every trial has its own shift, `size` [deg] times Student's t (5 degrees), and its own gain."""
     random = scene.random("remounting")
@@ -216,7 +213,7 @@ def remounting(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     return angle + size * shift + size * shape["gain"] * gain * scene.unit(angle)
 
 
-@generates("periodic_disturbance", "tip", 1.0, 20.0, rate_hz=(0.9, 1.7))
+@generates("periodic_disturbance", "tip", 1.0, 20.0, between(rate_hz=(0.9, 1.7)))
 def heartbeat(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Pulse wave with a dicrotic notch, `size` [deg] high, at a rate that wanders by 2 % from beat to beat."""
     random = scene.random("heartbeat")
@@ -227,7 +224,7 @@ def heartbeat(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     return angle + size * (pulse - pulse.mean())
 
 
-@generates("periodic_disturbance", "tip", 1.0, 20.0, rate_hz=(0.18, 0.35))
+@generates("periodic_disturbance", "tip", 1.0, 20.0, between(rate_hz=(0.18, 0.35)))
 def breathing(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Breathing that rests at the end of expiration: `size` [deg] (1 - cos^4(pi f t)), Lujan's law."""
     phase = scene.random("breathing").uniform(0, 1)
@@ -235,7 +232,7 @@ def breathing(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     return angle + size * (move - move.mean())
 
 
-@generates("sensor", "sensor", 1.0, 30.0, dither=(0.1, 0.5))
+@generates("sensor", "sensor", 1.0, 30.0, between(dither=(0.1, 0.5)))
 def dithered_quantiser(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Steps of `size` [deg] after a triangular dither of a share of a step."""
     random = scene.random("dithered_quantiser")
@@ -243,13 +240,13 @@ def dithered_quantiser(angle: Vec, scene: Scene, size: float, shape: Shape) -> V
     return np.round((angle + dither) / size) * size
 
 
-@generates("sensor", "sensor", 0.2, 5.0, freedom=(2.2, 4.0))
+@generates("sensor", "sensor", 0.2, 5.0, between(freedom=(2.2, 4.0)))
 def heavy_tails(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Noise of `size` [deg] with Student's t of 2 to 4 degrees of freedom."""
     return angle + size * np.clip(scene.random("heavy_tails").standard_t(shape["freedom"], angle.size), -30, 30)
 
 
-@generates("sensor", "sensor", 10.0, 200.0, length_s=(0.3, 0.8))
+@generates("sensor", "sensor", 10.0, 200.0, between(length_s=(0.3, 0.8)))
 def dropouts(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Stretches of `length_s`, about `size` of them a minute, in which the last value stands still."""
     random = scene.random("dropouts")
@@ -262,7 +259,7 @@ def dropouts(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     return angle[keep]
 
 
-@generates(UNKNOWN, "friction", 1.0, 20.0, turn_s=(7.0, 19.0))
+@generates(UNKNOWN, "friction", 1.0, 20.0, between(turn_s=(7.0, 19.0)))
 def orientation_friction(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Friction that follows the unlogged, slowly changing roll of the shaft: 1 + `size` (1 + sin(roll)) / 2."""
     t = np.arange(u.size) * FINE_S
@@ -271,7 +268,7 @@ def orientation_friction(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec
     return 1 + size * (1 + np.sin(roll)) / 2
 
 
-@generates(UNKNOWN, "tip", 0.05, 1.0, dwell_s=(3.0, 9.0))
+@generates(UNKNOWN, "tip", 0.05, 1.0, between(dwell_s=(3.0, 9.0)))
 def telegraph_gain(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Gain that jumps between two values at random times (a lead that slips in its grip); `size` is the jump."""
     random = scene.random("telegraph_gain")
@@ -280,7 +277,7 @@ def telegraph_gain(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     return angle + size * (high - 0.5) * scene.span_deg * scene.unit(angle)
 
 
-@generates(UNKNOWN, "tip", 2.0, 30.0, pause_s=(3.0, 8.0))
+@generates(UNKNOWN, "tip", 2.0, 30.0, between(pause_s=(3.0, 8.0)))
 def cross_talk(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """A second tendon, moved by somebody and not logged, bends the tip by up to `size` [deg]."""
     random = scene.random("cross_talk")
@@ -293,7 +290,7 @@ def cross_talk(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     return angle + size * moved * (1 + 0.5 * scene.unit(angle))
 
 
-@generates(UNKNOWN, "tip", 0.5, 20.0, frequency_hz=(1.2, 2.5), damping=(0.02, 0.06))
+@generates(UNKNOWN, "tip", 0.5, 20.0, between(frequency_hz=(1.2, 2.5), damping=(0.02, 0.06)))
 def tip_resonance(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     """Lightly damped tip that rings after every acceleration: theta + `size` (ringing - theta)."""
     del scene

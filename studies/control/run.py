@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -127,11 +127,10 @@ def do_job(job: ControlJob, settings: ControlSettings, folder: Path) -> ControlR
     """
     mark = fingerprint(job, settings, folder)
     made = attempt(lambda: _done(job, settings, folder))
-    if made.value is None:
-        result = ControlResult(job, mark, "failed", made.error, made.seconds)
-    else:
+    result = ControlResult(job, mark, "failed", made.error, made.seconds)
+    if made.value is not None:
         message, figures, ladder = made.value
-        result = ControlResult(job, mark, "done", message, made.seconds, figures, ladder)
+        result = replace(result, status="done", message=message, figures=figures, ladder=ladder)
     result_files(folder).save(result)
     return result
 

@@ -69,13 +69,11 @@ def do_job(task: TrainingTask, folder: Path) -> JobResult:
         KeyboardInterrupt: if the user ended it; a model that was cut short is no result.
     """
     made = attempt(lambda: _trained(task, folder))
-    about = {"job": task.job, "fingerprint": task.fingerprint, "seconds": made.seconds, "samples": task.samples}
-    if made.value is None:
-        result = JobResult(status="failed", message=made.error, **about)
-    else:
+    result = JobResult(task.job, task.fingerprint, "failed", made.error, made.seconds, task.samples)
+    if made.value is not None:
         found, scores = made.value
         history = tuple((int(step), float(error)) for step, error in found.history if math.isfinite(error))
-        result = JobResult(status="done", message=found.report, history=history, scores=scores, **about)
+        result = replace(result, status="done", message=found.report, history=history, scores=scores)
     result_files(folder).save(result)
     return result
 
