@@ -19,7 +19,8 @@ from hystmpc.trials.plot_style import REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
 from ..report import colours
-from .store import Column, chosen, numbers, table_of, texts
+from .csv_rows import Column, chosen, numbers, texts
+from .store import table_of
 
 _FEW = ((100.0, (1,)), (8.0, (1, 2, 5)))  # from this ratio of the ends on only these leading digits are shown
 _FIGURES = ("rmse_deg", "max_abs_deg", "hold_error_deg", "command_travel", "limit_violations", "step_mean_s", "cpu_s")

@@ -14,9 +14,10 @@ import pytest
 
 from hystmpc.sim.jobs.backend import Backend, InTurn, Processes, backend_for
 from hystmpc.sim.results import load_results
+from hystmpc.sim.sweep.csv_rows import texts
 from hystmpc.sim.sweep.run import SweepOutcome, reproduce, run_sweep
 from hystmpc.sim.sweep.settings import SweepSettings, with_base
-from hystmpc.sim.sweep.store import files_of, table_of, texts
+from hystmpc.sim.sweep.store import files_of, table_of
 from hystmpc.sim.sweep.worker import RESULT_COLUMNS
 from hystmpc.trials.errors import ConfigError, LogError
 
