@@ -57,20 +57,23 @@ def quantity(default: float, unit: str, lower: float, upper: float, meaning: str
     return field(default=default, metadata={"unit": unit, "bounds": (lower, upper), "meaning": meaning})
 
 
-def check_quantities(block: Any) -> None:
-    """Compare every `quantity` of a dataclass with its bounds.
+@dataclass(frozen=True)
+class Quantities:
+    """A block of parameters; every `quantity` in it is compared with its bounds.
 
     Raises:
         ConfigError: naming the block, the parameter, the value and the bounds.
     """
-    for f in fields(block):
-        if "bounds" in f.metadata:
-            value, (lower, upper) = getattr(block, f.name), f.metadata["bounds"]
-            if not (math.isfinite(value) and lower <= value <= upper):
-                raise ConfigError(
-                    f"{type(block).__name__}.{f.name}: got {value} {f.metadata['unit']}, "
-                    f"expected {lower:g} to {upper:g} {f.metadata['unit']}"
-                )
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            if "bounds" in f.metadata:
+                value, (lower, upper) = getattr(self, f.name), f.metadata["bounds"]
+                if not (math.isfinite(value) and lower <= value <= upper):
+                    raise ConfigError(
+                        f"{type(self).__name__}.{f.name}: got {value} {f.metadata['unit']}, "
+                        f"expected {lower:g} to {upper:g} {f.metadata['unit']}"
+                    )
 
 
 def to_plain(block: Any) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
-from .device import DeviceMotion, check_quantities, quantity
+from .device import DeviceMotion, Quantities, quantity
 from .recorder import LaserSensor, generator, sampled
 
 PRESSURE, BLADDER, FRICTION, LATE, BEND = range(5)
@@ -70,12 +70,8 @@ def advance(state: Any, commands: Any, p: Any, dt: float, parts: int, angle: Any
 
 
 @dataclass(frozen=True)
-class MuscleParameters:
-    """Numbers of the muscle-driven catheter; S1 prints none of them, docs/devices.md says how they were set.
-
-    Raises:
-        ConfigError: if a number is out of its bounds.
-    """
+class MuscleParameters(Quantities):
+    """Numbers of the muscle-driven catheter; S1 prints none of them, docs/devices.md says how they were set."""
 
     greatest_bar: float = quantity(3.0, "bar", 0.1, 20.0, "greatest pressure (S1)")
     supply_bar: float = quantity(5.0, "bar", 0.2, 30.0, "supply of the valve")
@@ -92,24 +88,14 @@ class MuscleParameters:
     late_s: float = quantity(0.4, "s", 1e-3, 100.0, "time constant of that share")
     bend_lag_s: float = quantity(0.01, "s", 0.0, 10.0, "first-order lag of the segment")
 
-    def __post_init__(self) -> None:
-        check_quantities(self)
-
 
 @dataclass(frozen=True)
-class MuscleVariation:
-    """How one recording's device differs from the next: standard deviations of normal draws.
-
-    Raises:
-        ConfigError: if a number is out of its bounds.
-    """
+class MuscleVariation(Quantities):
+    """How one recording's device differs from the next: standard deviations of normal draws."""
 
     gain: float = quantity(0.005, "1", 0.0, 0.2, "relative change of the greatest angle")
     friction: float = quantity(0.03, "1", 0.0, 0.3, "relative change of the friction")
     slack_bar: float = quantity(0.005, "bar", 0.0, 0.5, "shift of the slack")
-
-    def __post_init__(self) -> None:
-        check_quantities(self)
 
     def __call__(self, parameters: MuscleParameters, random: np.random.Generator) -> MuscleParameters:
         """The device of one recording."""
@@ -188,7 +174,7 @@ class MuscleCatheter:
 
 
 @dataclass(frozen=True)
-class MuscleRecorder:
+class MuscleRecorder(Quantities):
     """The bench of S1.
 
     S1 eq. (3) takes the greatest distance of a group as that of the straight catheter. A motion that never comes to
@@ -202,9 +188,6 @@ class MuscleRecorder:
         rate_hz: rate of command, laser and trial [Hz].
         rest_s: time at 0 bar before, time of the ramp to the first command, and of the hold there [s].
         straight: what the straight catheter's distance is taken from: `rest` (and trial) or `group` (trial alone).
-
-    Raises:
-        ConfigError: if a number is out of its bounds.
     """
 
     device: MuscleParameters = field(default_factory=MuscleParameters)
@@ -213,9 +196,6 @@ class MuscleRecorder:
     rate_hz: float = quantity(250.0, "Hz", 1.0, 10_000.0, "rate of command and laser (S1 for the laser)")
     rest_s: float = quantity(1.0, "s", 0.0, 1000.0, "time straight, of the ramp, and of the hold before the motion")
     straight: Literal["rest", "group"] = "rest"
-
-    def __post_init__(self) -> None:
-        check_quantities(self)
 
     def record(self, excitation: Trajectory, seed: int, source: str) -> Trial:
         """One trial; equal seed and source give equal trials, either of them another gives another device and noise.

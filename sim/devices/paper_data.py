@@ -26,7 +26,7 @@ from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.types import Progress
 
 from .dataset import Dataset
-from .device import check_quantities, quantity, to_plain
+from .device import Quantities, quantity, to_plain
 from .muscle import MuscleRecorder
 from .recorder import generator
 from .rod import RodRecorder
@@ -36,7 +36,7 @@ DATASETS = ("s1", "s2", "rod")
 
 
 @dataclass(frozen=True)
-class S1Settings:
+class S1Settings(Quantities):
     """What S1 leaves open, with our defaults.
 
     13.4 s at the 250 Hz of the laser give 8 x 3350 = 26 800 training samples; S1 has 26 798.
@@ -45,18 +45,12 @@ class S1Settings:
         group_s: duration of a training group and of test (a) [s].
         chirp_s: duration of tests (b) and (c) [s].
         tau_c_per_s: decay of test (c) [1/s]; S1 prints 0.05 and calls the signal ascending, which is -0.05.
-
-    Raises:
-        ConfigError: if a number is out of its bounds.
     """
 
     recorder: MuscleRecorder = field(default_factory=MuscleRecorder)
     group_s: float = quantity(13.4, "s", 0.1, 1000.0, "duration of a training group and of test (a)")
     chirp_s: float = quantity(3.5, "s", 0.1, 20.0, "duration of tests (b) and (c)")
     tau_c_per_s: float = quantity(-0.05, "1/s", -1.0, 1.0, "decay of test (c)")
-
-    def __post_init__(self) -> None:
-        check_quantities(self)
 
 
 def s1_motions(settings: S1Settings, seed: int) -> Mapping[str, Mapping[str, Trajectory]]:
@@ -76,7 +70,7 @@ def s1_motions(settings: S1Settings, seed: int) -> Mapping[str, Mapping[str, Tra
 
 
 @dataclass(frozen=True)
-class S2Settings:
+class S2Settings(Quantities):
     """What S2 leaves open, with our defaults; see docs/devices.md.
 
     Attributes:
@@ -102,7 +96,7 @@ class S2Settings:
     check_hz: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5)
 
     def __post_init__(self) -> None:
-        check_quantities(self)
+        super().__post_init__()
         if self.check_offset not in S2_OFFSETS:
             raise ConfigError(f"check_offset: got {self.check_offset!r}, {did_you_mean(self.check_offset, S2_OFFSETS)}")
 

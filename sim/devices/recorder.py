@@ -15,23 +15,20 @@ from hystmpc.trials.resample import resample
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
-from .device import Device, check_quantities, quantity
+from .device import Device, Quantities, quantity
 
 _TURN_DEG = 40.0  # tip angle over which the field's distortion turns once
 _ROUNDING = 1e-9  # of a sample, so that a duration of whole samples is not cut short
 
 
 @dataclass(frozen=True)
-class EmTracker:
+class EmTracker(Quantities):
     """The electromagnetic tracker of S2 on the tip: angle, and X, Y by the quadratic map of S2.
 
     S2 states an accuracy of +-0.35 deg and +-1.4 mm. Such an error is mostly distortion of the field: it depends on
     the pose and comes back in every trial. Here it is a sine of the tip angle, of half the stated size for the angle,
     and of 0.3 mm for the position, whose rest would be a shift of the frame. The noise is white; its size is of the
     order that recorded logs of such a device show once they are resampled to 25 Hz.
-
-    Raises:
-        ConfigError: if a number is out of its bounds.
     """
 
     distortion_deg: float = quantity(0.175, "deg", 0.0, 10.0, "amplitude of the distortion of the angle")
@@ -40,9 +37,6 @@ class EmTracker:
     distortion_mm: float = quantity(0.3, "mm", 0.0, 10.0, "amplitude of the distortion of X and Y")
     noise_mm: float = quantity(0.05, "mm", 0.0, 10.0, "standard deviation of the noise of X and Y")
     tip: TipMap = field(default_factory=lambda: S2_TIP_MAP)
-
-    def __post_init__(self) -> None:
-        check_quantities(self)
 
     def __call__(self, angle_deg: Vec, random: np.random.Generator) -> tuple[Vec, Vec, Vec]:
         """Measured angle [deg], X and Y [mm] from true angles, all (T,)."""
@@ -56,23 +50,17 @@ class EmTracker:
 
 
 @dataclass(frozen=True)
-class LaserSensor:
+class LaserSensor(Quantities):
     """The laser distance sensor of S1 beside the tip, read by a converter: voltage from true angle (S1 eq. (2)-(4)).
 
     S1 prints neither noise nor resolution: 0.02 mm (0.04 deg near straight), and the 9.8 mV (0.04 mm) of a 10 V range
     on the 10 bits of its Arduino.
-
-    Raises:
-        ConfigError: if a number is out of its bounds.
     """
 
     straight_mm: float = quantity(60.0, "mm", 0.0, 1000.0, "distance to the tip of the straight catheter")
     noise_mm: float = quantity(0.02, "mm", 0.0, 10.0, "standard deviation of the noise of the distance")
     quantisation_v: float = quantity(10.0 / 2**10, "V", 0.0, 10.0, "step of the converter")
     conversion: LaserConversion = field(default_factory=LaserConversion)
-
-    def __post_init__(self) -> None:
-        check_quantities(self)
 
     def __call__(self, angle_deg: Vec, random: np.random.Generator) -> Vec:
         """Voltage [V] at true angles (T,) [deg].
@@ -103,7 +91,7 @@ def generator(seed: int, name: str, purpose: str) -> np.random.Generator:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackedBench(ABC):
+class TrackedBench(Quantities, ABC):
     """The bench of S2, whatever device is on it.
 
     Every trial begins with a virgin device, the initialisation flexure (0.1 Hz to the end of the travel and back)
@@ -114,9 +102,6 @@ class TrackedBench(ABC):
         rate_hz: rate of the trial, by linear interpolation [Hz].
         rest_s: rest between flexure and motion [s].
         keep_flexure: leave flexure and rest in the trial.
-
-    Raises:
-        ConfigError: if a number is out of its bounds.
     """
 
     tracker: EmTracker = field(default_factory=EmTracker)
@@ -124,9 +109,6 @@ class TrackedBench(ABC):
     rate_hz: float = quantity(25.0, "Hz", 1.0, 10_000.0, "rate of the trial (S2)")
     rest_s: float = quantity(2.0, "s", 0.0, 1000.0, "rest between flexure and motion")
     keep_flexure: bool = False
-
-    def __post_init__(self) -> None:
-        check_quantities(self)
 
     @abstractmethod
     def mounted(self, random: np.random.Generator) -> Device:

@@ -9,14 +9,14 @@ import numpy as np
 
 from hystmpc.trials.errors import ConfigError
 
-from .device import check_quantities, quantity
+from .device import Quantities, quantity
 from .rod_equations import RodNumbers, StepNumbers
 
 _SINKING = 0.5  # greatest weight moment over stiffness: beyond, a rod buckles under its own weight
 
 
 @dataclass(frozen=True)
-class RodParameters:
+class RodParameters(Quantities):
     """Numbers of the rod device; the defaults were identified, see docs/devices.md. Altered by `dataclasses.replace`.
 
     Raises:
@@ -50,7 +50,7 @@ class RodParameters:
     segments: int = quantity(10, "1", 1, 50, "segments of the rod, with a contact each")
 
     def __post_init__(self) -> None:
-        check_quantities(self)
+        super().__post_init__()
         for f in fields(self):
             if f.type == "float":  # the kernel is compiled for floats: a 2 is a 2.0
                 object.__setattr__(self, f.name, float(getattr(self, f.name)))
@@ -102,19 +102,12 @@ class RodParameters:
 
 
 @dataclass(frozen=True)
-class RodVariation:
-    """How one trial's device differs from the next: standard deviations of normal draws.
-
-    Raises:
-        ConfigError: if a number is out of its bounds.
-    """
+class RodVariation(Quantities):
+    """How one trial's device differs from the next: standard deviations of normal draws."""
 
     mount_deg: float = quantity(0.3, "deg", 0.0, 10.0, "shift of all angles")
     pretension_mm: float = quantity(0.02, "mm", 0.0, 1.0, "change of the pretension")
     friction: float = quantity(0.04, "1", 0.0, 0.3, "relative change of friction and drags")
-
-    def __post_init__(self) -> None:
-        check_quantities(self)
 
     def __call__(self, parameters: RodParameters, random: np.random.Generator) -> RodParameters:
         """The device of one trial."""

@@ -12,7 +12,7 @@ from hystmpc.models.kernels.numba_ import njit
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
-from .device import Device, DeviceMotion, check_quantities, quantity
+from .device import Device, DeviceMotion, Quantities, quantity
 from .recorder import TrackedBench
 
 DRIVE, ROUGHNESS, VISCOUS, CREEP, REACHED = range(5)  # of the state, after the elements
@@ -77,7 +77,7 @@ def advance(
 
 
 @dataclass(frozen=True)
-class TendonParameters:
+class TendonParameters(Quantities):
     """Numbers of the tendon catheter; `friction`, widths and noise were set as docs/devices.md says.
 
     Raises:
@@ -111,7 +111,7 @@ class TendonParameters:
     elements: int = quantity(40, "1", 2, 1000, "friction elements")
 
     def __post_init__(self) -> None:
-        check_quantities(self)
+        super().__post_init__()
         if min(self.gap(0.0), self.gap(self.travel_mm)) <= 0:
             raise ConfigError("TendonParameters: the lines cross within the travel, expected unloading above loading")
         if not self.core_from <= self.core_to:
@@ -132,21 +132,15 @@ class TendonParameters:
 
 
 @dataclass(frozen=True)
-class TendonVariation:
+class TendonVariation(Quantities):
     """How one trial's device differs from the next: standard deviations of normal draws.
 
     S2 accepts a pretension when the standard deviation over trials is below 0.5 deg.
-
-    Raises:
-        ConfigError: if a number is out of its bounds.
     """
 
     offset_deg: float = quantity(0.3, "deg", 0.0, 10.0, "shift of all angles")
     slope: float = quantity(0.004, "1", 0.0, 0.2, "relative change of both slopes")
     friction: float = quantity(0.04, "1", 0.0, 0.3, "relative change of the friction")
-
-    def __post_init__(self) -> None:
-        check_quantities(self)
 
     def __call__(self, parameters: TendonParameters, random: np.random.Generator) -> TendonParameters:
         """The device of one trial."""
