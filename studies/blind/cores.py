@@ -5,9 +5,10 @@ from __future__ import annotations
 import itertools
 import zlib
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from typing import Any, final
+from typing import Any, ClassVar, Self, final
 
 import numpy as np
 
@@ -47,8 +48,21 @@ class Mounting:
     offset_deg: float = 0.0
 
 
+@dataclass(frozen=True)
 class Core(ABC):
-    """Hysteresis from displacement [mm] to angle [deg]."""
+    """Hysteresis from displacement [mm] to angle [deg].
+
+    Attributes:
+        gain: of the angle over a displacement [deg/mm].
+        offset_deg: angle at zero displacement [deg].
+        DRAWN: range of each parameter between devices.
+        FRICTION: parameters that are multiplied by the friction factor of a mounting.
+    """
+
+    DRAWN: ClassVar[Mapping[str, tuple[float, float]]]
+    FRICTION: ClassVar[tuple[str, ...]]
+    gain: float
+    offset_deg: float
 
     @abstractmethod
     def run(self, x: Vec, scale: Vec) -> Vec:
@@ -57,20 +71,26 @@ class Core(ABC):
         An unlogged cycle of `STROKE` goes before.
         """
 
-    @abstractmethod
-    def mounted(self, mounting: Mounting) -> Core:
+    def mounted(self, mounting: Mounting) -> Self:
         """The same device off its nominal numbers."""
+        rubbing = {name: getattr(self, name) * mounting.friction for name in self.FRICTION}
+        return replace(
+            self, gain=self.gain * mounting.gain, offset_deg=self.offset_deg + mounting.offset_deg, **rubbing
+        )
+
+    @classmethod
+    def draw(cls, random: np.random.Generator) -> Self:
+        """A device of this kind."""
+        return cls(**{name: random.uniform(*ends) for name, ends in cls.DRAWN.items()})
 
     def numbers(self) -> dict[str, Any]:
         """Parameters, for the sealed answers."""
-        return {"core": type(self).__name__, **asdict(self)}  # type: ignore[call-overload]
+        return {"core": type(self).__name__, **asdict(self)}
 
 
+@dataclass(frozen=True)
 class QuasiStatic(Core):
     """A core whose angle depends on the path of the displacement alone, not on its speed."""
-
-    gain: float
-    offset_deg: float
 
     @abstractmethod
     def deflection(self, x: Vec, scale: Vec) -> Vec:
@@ -103,6 +123,16 @@ class CapstanCore(QuasiStatic):
         bending: share of the tendon's wrap that lies in the part that bends.
     """
 
+    DRAWN: ClassVar = {
+        "gain": (9, 13),
+        "offset_deg": (10, 30),
+        "wrap": (0.18, 0.34),
+        "load": (1.5, 2.5),
+        "compliance": (0.05, 0.08),
+        "pretension": (7, 12),
+        "bending": (0.35, 0.7),
+    }
+    FRICTION = ("wrap",)
     gain: float = 11.0
     offset_deg: float = 20.0
     wrap: float = 0.25
@@ -119,27 +149,6 @@ class CapstanCore(QuasiStatic):
         kernels.capstan(x, self.wrap * scale, tension, shares, weights, self.pretension, out)
         return out
 
-    def mounted(self, mounting: Mounting) -> CapstanCore:
-        return replace(
-            self,
-            gain=self.gain * mounting.gain,
-            wrap=self.wrap * mounting.friction,
-            offset_deg=self.offset_deg + mounting.offset_deg,
-        )
-
-    @classmethod
-    def draw(cls, random: np.random.Generator) -> CapstanCore:
-        """A device of this kind."""
-        return cls(
-            gain=random.uniform(9, 13),
-            offset_deg=random.uniform(10, 30),
-            wrap=random.uniform(0.18, 0.34),
-            load=random.uniform(1.5, 2.5),
-            compliance=random.uniform(0.05, 0.08),
-            pretension=random.uniform(7, 12),
-            bending=random.uniform(0.35, 0.7),
-        )
-
 
 @final
 @dataclass(frozen=True)
@@ -153,6 +162,8 @@ class DahlCore(QuasiStatic):
         spread: widest over narrowest element.
     """
 
+    DRAWN: ClassVar = {"gain": (9, 12), "offset_deg": (10, 30), "friction": (0.15, 0.35), "spread": (4, 9)}
+    FRICTION = ("friction",)
     gain: float = 10.0
     offset_deg: float = 20.0
     friction: float = 0.25
@@ -164,24 +175,6 @@ class DahlCore(QuasiStatic):
         out, state = np.empty(x.size), np.zeros(8)
         kernels.dahl(x, scale, widths, shares, state, out)
         return x - out
-
-    def mounted(self, mounting: Mounting) -> DahlCore:
-        return replace(
-            self,
-            gain=self.gain * mounting.gain,
-            friction=self.friction * mounting.friction,
-            offset_deg=self.offset_deg + mounting.offset_deg,
-        )
-
-    @classmethod
-    def draw(cls, random: np.random.Generator) -> DahlCore:
-        """A device of this kind."""
-        return cls(
-            gain=random.uniform(9, 12),
-            offset_deg=random.uniform(10, 30),
-            friction=random.uniform(0.15, 0.35),
-            spread=random.uniform(4, 9),
-        )
 
 
 @dataclass(frozen=True)
@@ -242,6 +235,18 @@ class RodCore(Core):
         slow_s: relaxation time of the slow branch [s].
     """
 
+    DRAWN: ClassVar = {
+        "gain": (28, 38),
+        "offset_deg": (-20, 5),
+        "friction": (0.03, 0.09),
+        "drag_n": (0.6, 1.6),
+        "stiffness_nmm": (5.5, 8.5),
+        "pretension_mm": (3.0, 4.5),
+        "fast_share": (0.05, 0.25),
+        "slow_share": (0.005, 0.02),
+        "slow_s": (1.0, 4.0),
+    }
+    FRICTION = ("friction", "drag_n")
     gain: float = 32.0
     offset_deg: float = -8.5
     friction: float = 0.06
@@ -259,31 +264,6 @@ class RodCore(Core):
         places, factors = (np.interp(knots, times, signal) for signal in (x, scale))
         ways = _ways(replace(self, gain=1.0, offset_deg=0.0), places.tobytes(), factors.tobytes())
         return self.offset_deg + self.gain * np.interp(times, knots, ways)
-
-    def mounted(self, mounting: Mounting) -> RodCore:
-        """The friction of the lumen and its drag go together; see `Core.mounted`."""
-        return replace(
-            self,
-            gain=self.gain * mounting.gain,
-            friction=self.friction * mounting.friction,
-            drag_n=self.drag_n * mounting.friction,
-            offset_deg=self.offset_deg + mounting.offset_deg,
-        )
-
-    @classmethod
-    def draw(cls, random: np.random.Generator) -> RodCore:
-        """A device of this kind."""
-        return cls(
-            gain=random.uniform(28, 38),
-            offset_deg=random.uniform(-20, 5),
-            friction=random.uniform(0.03, 0.09),
-            drag_n=random.uniform(0.6, 1.6),
-            stiffness_nmm=random.uniform(5.5, 8.5),
-            pretension_mm=random.uniform(3.0, 4.5),
-            fast_share=random.uniform(0.05, 0.25),
-            slow_share=random.uniform(0.005, 0.02),
-            slow_s=random.uniform(1.0, 4.0),
-        )
 
     def rod(self) -> RodParameters:
         """The numbers of the simulated rod."""

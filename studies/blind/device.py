@@ -16,7 +16,7 @@ from .cores import PARTS, RATE_HZ, TRAVEL_MM, CapstanCore, Core, DahlCore, RodCo
 from .generators import Site, Withheld
 
 PAUSE_S = 4.0
-DEVICES: tuple[type[CapstanCore] | type[DahlCore] | type[RodCore], ...] = (CapstanCore, DahlCore, RodCore)
+DEVICES: tuple[type[Core], ...] = (CapstanCore, DahlCore, RodCore)
 """None of them is made of play operators."""
 
 
