@@ -11,7 +11,8 @@ behind contact j, j = 0..m, span 0 before the first. With s_j the tendon's displ
     T_j <= T_{j-1} exp(mu phi_j) + h_j,  with equality where it slips towards the tip, and no slip otherwise
 
 phi_j is the wrap angle at the contact: a constant share of the shaft's bend, or |q_j|. With h = 0 the last two are the
-capstan equation of Euler and Eytelwein; h is the drag of a contact load that does not come from the tension."""
+capstan equation of Euler and Eytelwein; h is the drag of a contact load that does not come from the tension.
+"""
 
 from __future__ import annotations
 

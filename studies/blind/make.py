@@ -137,7 +137,7 @@ def make_blind(
 
     Args:
         folder: new or empty; gets `cases/NNN`, `answers.json` and `manifest.json`.
-        suite: one of `suites.SUITES`, or `all`.
+        suite: one of `SUITES`, or `all`.
         logs: real logs of one device, or folders of them, for `injection`.
 
     Raises:

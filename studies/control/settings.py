@@ -80,9 +80,9 @@ class ControlSettings(Settings):
     Attributes:
         study: always `control`.
         rates_hz: sample rates of the loop [Hz].
-        plants: by name, see `control_plants.PLANTS`.
-        controllers: by name, see `control_rivals.CONTROLLERS`.
-        motions: by name, see `control_motions.MOTIONS`.
+        plants: by name, see `plants.PLANTS`.
+        controllers: by name, see `controllers.CONTROLLERS`.
+        motions: by name, see `MOTIONS`.
         network_updates: updates of every network's training.
         tune_evaluations: runs over all motions that the search of a PID's gains takes at the first rate.
         retune_evaluations: the same at every further rate, where it starts from the gains found before.
