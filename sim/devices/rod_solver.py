@@ -12,7 +12,8 @@ the choice of stick or slip overshoots):
 
 It is piecewise smooth, F+ rises with both neighbours' displacements and falls with its own (F- the other way round), so
 the Newton matrix is tridiagonal with a dominant diagonal (Facchinei and Pang, 2003, ch. 7). Three to six iterations are
-usual; where it circles, at the edge of slack or after jumps, `rod_equations.shoot` solves the same law by roots of scalars.
+usual; where it circles, at the edge of slack or after jumps, `rod_equations.shoot` solves the same law by roots of
+scalars.
 """
 
 from __future__ import annotations
