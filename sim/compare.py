@@ -29,7 +29,6 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
 
     Args:
         out: a new or empty folder; nothing is written where left out.
-        progress: called with the steps done and their number, first for the tuning, then for the runs.
 
     Raises:
         HystmpcError: what `prepare` raises; ConfigError also if `out` is not vacant.
@@ -113,10 +112,6 @@ def demo_config() -> SimulationConfig:
 
 def demo(out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
     """Track a point-to-point motion and a scan with every controller; see `compare`.
-
-    Args:
-        out: a new or empty folder for logs and report.html.
-        progress: called with the steps done and their number.
 
     Raises:
         ConfigError: if `out` is not vacant.

@@ -168,9 +168,6 @@ def located(
 ) -> SimulationConfig:
     """The study with every file name absolute, relative ones starting at `folder`; built-in models keep their names.
 
-    Args:
-        where: says where an entry of it stands, for messages.
-
     Raises:
         ModelError: on an unknown built-in model.
     """

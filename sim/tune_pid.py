@@ -15,7 +15,6 @@ from .closed_loop import run_closed_loop
 from .study import Study
 
 PidLike = PidControllerSettings | InversePidControllerSettings
-
 _PER_PARAMETER = 3
 _KP_KI = ((1e-4, 1.0), (1e-2, 10.0))  # [cmd/deg], [cmd/(deg s)], searched by their logarithms
 _KD = (0.0, 0.05)  # [cmd s/deg]
@@ -28,7 +27,6 @@ class PidTuning:
 
     Attributes:
         rmse_deg: root of the mean over motions of the mean square true error with them [deg].
-        evaluations: times that all motions were run.
     """
 
     settings: PidLike
@@ -47,7 +45,6 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
 
     Args:
         settings: the controller whose `kp`, `ki`, `kd` and dead zone are searched; everything else stays.
-        progress: called with the evaluations so far and their number.
 
     Raises:
         ConfigError: if the study has no `tune_pid`.

@@ -184,7 +184,6 @@ class MuscleRecorder(Quantities):
     above the true one, in the papers as here.
 
     Attributes:
-        variation: how it differs from recording to recording.
         rate_hz: rate of command, laser and trial [Hz].
         rest_s: time at 0 bar before, time of the ramp to the first command, and of the hold there [s].
         straight: what the straight catheter's distance is taken from: `rest` (and trial) or `group` (trial alone).

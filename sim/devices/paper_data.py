@@ -170,7 +170,6 @@ def make_dataset(
             frequency) or `rod` (the motions and splits of `s2`).
         seed: zero or above.
         settings: `S1Settings`, `S2Settings` or `RodSettings`; defaults where left out.
-        progress: called with the trials done and their number.
 
     Raises:
         ConfigError: on an unknown name, settings of the other set, or a negative seed.

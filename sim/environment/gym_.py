@@ -44,8 +44,6 @@ class EnvironmentState:
 
     Attributes:
         random: of the environment, for the seeds of coming resets.
-        k: samples since the reset.
-        u: command sent last.
         y: angle measured last [deg].
     """
 

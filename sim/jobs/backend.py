@@ -19,7 +19,6 @@ from hystmpc.trials.errors import ConfigError
 
 T = TypeVar("T")
 R = TypeVar("R")
-
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _DEATHS = 3  # in a row, without a result between them
 _AHEAD = 2  # items a worker that are handed over before they are needed

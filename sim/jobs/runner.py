@@ -101,7 +101,6 @@ class Attempt(Generic[R]):
 
     Attributes:
         value: what it returned, None if it failed.
-        raised: the exception, None if it did not fail.
         seconds: wall time [s].
     """
 
@@ -235,7 +234,6 @@ def resumed_folder(path: Path, settings: Mapping[str, Any], seed: int, refusal: 
     """A new run folder, or the one in which the same work was begun; its settings are written anew.
 
     Args:
-        settings: resolved, as plain data.
         refusal: why a folder with these earlier settings cannot be gone on with; empty where it can.
 
     Raises:

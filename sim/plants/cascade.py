@@ -96,7 +96,6 @@ def run_chain(
     """Output of a chain (T,) for a signal (T,), and its state afterwards.
 
     Args:
-        chain: with its parameter values.
         dt_s: sample time [s].
         state: before the first sample (S,); left as it is.
         kernels: of the chain, looked up where left out, which takes longer than a sample.

@@ -26,7 +26,6 @@ def make_plant(
     """The plant of a study.
 
     Args:
-        settings: what it is, with its effects; file names absolute.
         dt_s: sample time [s]; a simulator's own, or 0.04 s, where left out.
         commands: between which it is flexed, the lowest being its rest; its own limits where left out.
 

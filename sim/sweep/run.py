@@ -132,7 +132,6 @@ def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) 
 
     Args:
         identity: of the row, or its first digits where no other begins with them.
-        out: a new or empty run folder for settings, log and report of the run.
 
     Returns:
         Every figure that does not depend on how fast the machine is.

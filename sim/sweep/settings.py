@@ -81,7 +81,6 @@ class SweepSettings(Settings):
         base: the study; a file, or the settings themselves.
         grid: values by dotted path; a mapping names them, which long ones want.
         draw: distributions by dotted path. Draw k is the same at every grid point.
-        count: draws.
         seeds: of sensor noise and disturbances; the study's own where left out.
     """
 

@@ -250,7 +250,6 @@ class SearchTrial:
         value: robust objective over the plants that it has seen [deg].
         error_deg: robust objective of the bare errors [deg].
         travel: mean command travel over the need.
-        plants: that it has seen.
     """
 
     slot: int

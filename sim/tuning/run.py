@@ -56,7 +56,6 @@ def run_tuning(
         out: a new or empty folder, or one of a tuning, whose trials are kept; one for each machine.
         storage: of the search, as Optuna names it, such as `postgresql://...`; several machines that name the same one
             share the trials. A file in `out` where left out.
-        progress: called with what is done, how much there is, and a note.
 
     Raises:
         ConfigError: if the folder holds something else, the storage cannot be opened, workers die again and again, or

@@ -113,7 +113,6 @@ class TuneSettings(Settings):
         search: range by dotted path below the controller; `default_space` of its kind where left out.
         draw: distribution by dotted path of what differs between plants; `default_draws` where left out.
         held_out: to judge by; drawn with another seed.
-        objective: what is minimised.
         trials: points of the search, the given settings being the first.
         pruner: what ends a trial before it has seen all plants.
     """

@@ -74,10 +74,8 @@ def ablate(
     else is known: what it left of these logs would hold the component.
 
     Args:
-        trials: of one device, in recording order.
         simulator: with effects around its core, such as the `sim.fixed.yaml` of a diagnosis.
         folder: gets `ablation.json` and a folder for each component that is needed, with its simulator and diagnosis.
-        progress: called with components done, their number and the present one.
 
     Returns:
         The components, the one that is needed most first.

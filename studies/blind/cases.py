@@ -37,12 +37,7 @@ CONTROLS = ("shuffled_residual", "simulator_and_noise", "mis_set")
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """What a case is made from.
-
-    Attributes:
-        core: the device as the simulator knew it.
-        mounting: how it is off by now.
-    """
+    """What a case is made from."""
 
     core: Core
     mounting: Mounting
@@ -127,7 +122,6 @@ def sized(effect: Withheld, wanted_deg: float, gap: Callable[[Withheld], float])
     """Search the size at which `gap` is `wanted_deg`, by secants in the logarithms of size and gap.
 
     Args:
-        effect: its size is where the search starts.
         wanted_deg: gap to reach [deg].
         gap: of an effect [deg]; about rising with the size.
 

@@ -12,7 +12,6 @@ from hystmpc.trials.types import Vec
 from .cores import RATE_HZ, TRAVEL_MM
 
 Draw = Callable[[np.random.Generator], Vec]
-
 _REST_S = 1.0
 
 

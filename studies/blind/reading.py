@@ -26,8 +26,6 @@ class DiagnosisReading:
 
     Attributes:
         verdict: one of `VERDICTS`, or `failed` where it ended with an error.
-        effects: names in its order.
-        probabilities: of these.
         ranking: names with probabilities, most likely first.
         closed_share, closed_ci90: of the whole gap, with its interval where given.
         floor_deg: that the closed share counts from [deg], where given.
@@ -169,9 +167,6 @@ class ScoredCase:
 
 def load_scored(folder: Path, partial: bool = False) -> list[ScoredCase]:
     """Open the answers and set the diagnoses beside them.
-
-    Args:
-        partial: leave out cases without a diagnosis instead of refusing.
 
     Raises:
         LogError: if the answers are not those sealed, a diagnosis is damaged, or one is missing.

@@ -132,8 +132,6 @@ def run_blind(
     Args:
         folder: made by `make_blind`.
         follow_up: record and diagnose again where a next motion is proposed.
-        with_truth: run the oracle.
-        progress: called with jobs done, jobs in all and a note.
 
     Returns:
         Diagnoses that failed, in this call.

@@ -60,9 +60,6 @@ class Score:
 def score_blind(folder: Path, partial: bool = False) -> Score:
     """Open the answers, score the diagnoses, write `score.json`.
 
-    Args:
-        partial: score what is diagnosed so far instead of refusing.
-
     Raises:
         LogError: if diagnoses are missing, or the answers are not those that were sealed.
     """

@@ -134,7 +134,6 @@ class Case:
     """Logs and nominal simulator of one device.
 
     Attributes:
-        trials: in recording order.
         simulator: identified on other trials of the unaffected device.
     """
 

@@ -139,7 +139,6 @@ class ControlResult:
     """What became of one job.
 
     Attributes:
-        fingerprint: of all that the result depends on.
         status: `failed` if anything raised.
         message: the error of a failed job, else one line on how it went.
         figures: of a run, see `control_figures`; of a search its error; NaN where there is none.

@@ -83,7 +83,6 @@ class ControlSettings(Settings):
         plants: by name, see `plants.PLANTS`.
         controllers: by name, see `controllers.CONTROLLERS`.
         motions: by name, see `MOTIONS`.
-        network_updates: updates of every network's training.
         tune_evaluations: runs over all motions that the search of a PID's gains takes at the first rate.
         retune_evaluations: the same at every further rate, where it starts from the gains found before.
         seed: of noise, search, random motion and training.

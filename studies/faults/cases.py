@@ -74,8 +74,6 @@ class FaultCase:
         notice_s: the longest time from the fault until the controller must stop moving away from the safe command [s]:
             what its sensor's and plausibility's settings allow.
         terminal: the controller runs in a terminal of its own: SIGINT is a typed Ctrl-C, SIGHUP closes the terminal.
-        restart: start the device again after the signal.
-        second: a second run on the same device.
         file_limit_bytes: greatest size of any file that the controller may write, None for no limit: a full disk.
         corrupt_model: give the controller half of a model file.
     """
@@ -177,7 +175,6 @@ CASES: tuple[FaultCase, ...] = (
     FaultCase("solver fails for 0.4 s", "goes on", settings=_FAILS),
     FaultCase("solver fails for good", "stops", settings=_FAILS_ON, notice_s=2.0),
 )
-
 
 RUN: Mapping[str, Any] = {
     "name": "campaign",

@@ -22,7 +22,6 @@ from .play import Played, device_log
 _CLOSE = 1e-6
 _REFUSED, _STOPPED = 2, 3
 _CLAIM = re.compile(r"safe command \S+ \S+ (held|sent)")
-
 Rows = Sequence[tuple[float, ...]]
 
 

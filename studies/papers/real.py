@@ -57,7 +57,6 @@ class RealCandidate:
     """One kind, preset and beta with a score for every log.
 
     Attributes:
-        beta: None for the preset's.
         results: one for each log that is left out, in the order of the logs.
     """
 

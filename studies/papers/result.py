@@ -43,7 +43,6 @@ class JobResult:
     """What became of one job.
 
     Attributes:
-        fingerprint: of job and trials.
         status: `failed` if the kind, the export or the free runs raised.
         message: the error of a failed job, else the fit's own report.
         history: step and best error so far, in the unit of the output.

@@ -156,7 +156,6 @@ class TipMapping:
     """Direct and composite map to the tip's Y by a backlash, on one test trial (S2 Fig. 6).
 
     Attributes:
-        trial: the test trial with its channel Y.
         direct: backlash from command to Y [mm], (T,).
         composite: backlash from command to angle, then a parabola [mm], (T,).
         direct_rmse_mm, composite_rmse_mm: mean over all test trials of the RMSE of Y.

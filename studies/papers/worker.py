@@ -27,7 +27,6 @@ from .result import JobResult, Score, model_file, result_files
 WINDOWS = {"lstm": (2, 10, 20, 30, 40, 50, 100), "fnn_hib": (1, 2, 10, 20, 30, 40, 50, 100)}
 """Lengths that the code of S2 compares [samples]: of a training window, and of a history buffer."""
 
-
 _FIXED_S = 3.0  # to load libraries, to export and to compare
 _OPERATOR_S_PER_SAMPLE = 5e-4  # least squares on free runs
 _SCORING_S_PER_SAMPLE = 8e-5  # a step of a model file by onnxruntime

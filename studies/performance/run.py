@@ -24,11 +24,7 @@ _SECTIONS = 8 + len(GROWTHS)
 
 
 def run_bench(settings: BenchSettings, progress: Progress | None = None) -> BenchReport:
-    """Measure every section; after Ctrl-C the report holds what there is.
-
-    Args:
-        progress: called before each section and after each round.
-    """
+    """Measure every section; after Ctrl-C the report holds what there is."""
     rows: list[Comparison] = []
     models: dict[str, str] = {}
     growth: list[Growth] = []

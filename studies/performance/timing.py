@@ -80,11 +80,7 @@ def thread_limit(count: int) -> AbstractContextManager[object]:
 
 @final
 class Clock:
-    """Times jobs in turns and remembers whether the keyboard ended it.
-
-    Args:
-        on_round: called with the number of turns that are done or left out.
-    """
+    """Times jobs in turns and remembers whether the keyboard ended it."""
 
     def __init__(self, effort: Effort, on_round: Callable[[int], None] | None = None) -> None:
         self._effort = effort

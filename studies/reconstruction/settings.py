@@ -12,7 +12,6 @@ from hystmpc.trials.errors import ConfigError, did_you_mean
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-
 _FULL_TURN = 360.0
 
 
