@@ -18,7 +18,7 @@ from .plants.computed import ComputedPlant
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoopRun:
-    """What happened.
+    """Signals of one closed-loop run.
 
     Attributes:
         log: the loop's own log, with measured angles, N samples.

@@ -75,7 +75,7 @@ class PlantSettings(Settings):
 
     @property
     def name(self) -> str:
-        """What the plant is called: its file, `builtin:NAME`, or the device's name."""
+        """Name of the plant: its file, `builtin:NAME`, or the device's name."""
         return str(self.simulator) if self.device is None else f"device {self.device}"
 
     @model_validator(mode="after")
@@ -99,7 +99,7 @@ class PlantSettings(Settings):
 
 
 class TuningSettings(Settings):
-    """How PID gains are searched for; see `tune_pid`.
+    """Settings of the search for PID gains; see `tune_pid`.
 
     Attributes:
         evaluations: closed-loop runs over all motions, about, for each controller.

@@ -230,7 +230,7 @@ def _metrics_table(runs: tuple[Result, ...], unit: str) -> Table:
 
 
 def _stability(result: StudyResult) -> Iterator[Piece]:
-    """What the describing function of the identified model says about every loop with a PID in it."""
+    """Limit cycles of every loop with a PID, predicted by the describing function of the identified model."""
     config, unit = result.config, result.unit
     loops = {name: config.controllers[name] for name in result.controllers}
     delay = max(

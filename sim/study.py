@@ -33,7 +33,7 @@ from .plants.make import make_plant, plant_files
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What `compare` and `tune_pid` run.
+    """A closed-loop study ready to run: plant, model, limits, motions.
 
     Attributes:
         feedforward: predictor and inverse of the controllers that only invert: the same for a model that has an
@@ -68,7 +68,7 @@ class Study:
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What controllers know of a device: the costly part of a study, which studies of one model may share.
+    """Opened models of a device: the costly part of a study, which studies of one model may share.
 
     Attributes:
         predictor, inverse, feedforward: see `Study`.

@@ -15,7 +15,7 @@ from hystmpc.trials.types import Vec
 
 @dataclass(frozen=True, eq=False)
 class DeviceMotion:
-    """What a device did under T commands, without any sensor.
+    """Motion of a device under T commands, without any sensor.
 
     Attributes:
         angle: true tip angle at the end of each sample [deg], (T,).

@@ -91,7 +91,7 @@ class MuscleParameters(Quantities):
 
 @dataclass(frozen=True)
 class MuscleVariation(Quantities):
-    """How one recording's device differs from the next: standard deviations of normal draws."""
+    """Variation of the device between recordings: standard deviations of normal draws."""
 
     gain: float = quantity(0.005, "1", 0.0, 0.2, "relative change of the greatest angle")
     friction: float = quantity(0.03, "1", 0.0, 0.3, "relative change of the friction")

@@ -37,7 +37,7 @@ DATASETS = ("s1", "s2", "rod")
 
 @dataclass(frozen=True)
 class S1Settings(Quantities):
-    """What S1 leaves open, with our defaults.
+    """Choices that S1 leaves open, with our defaults.
 
     13.4 s at the 250 Hz of the laser give 8 x 3350 = 26 800 training samples; S1 has 26 798.
 
@@ -71,7 +71,7 @@ def s1_motions(settings: S1Settings, seed: int) -> Mapping[str, Mapping[str, Tra
 
 @dataclass(frozen=True)
 class S2Settings(Quantities):
-    """What S2 leaves open, with our defaults; see docs/devices.md.
+    """Choices that S2 leaves open, with our defaults; see docs/devices.md.
 
     Attributes:
         train_hz, val_hz, test_hz: frequencies of the sinusoids [Hz], each with all three baselines.
@@ -137,7 +137,7 @@ def _hz(frequency: float) -> str:
 
 @dataclass(frozen=True)
 class RodSettings:
-    """What is recorded on the rod, and how.
+    """Settings of the recordings on the rod.
 
     Attributes:
         motions: which motions of S2, and how many; its own recorder, that of the tendon catheter, is not used.

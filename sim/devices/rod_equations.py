@@ -49,7 +49,7 @@ class RodNumbers(NamedTuple):
 
 
 class StepNumbers(NamedTuple):
-    """What a step of one length has of constants; z_b after a step is keep z_b + old q_before + new q_after."""
+    """Constants of a step of one length; z_b after a step is keep z_b + old q_before + new q_after."""
 
     keep: tuple[float, float]
     old: tuple[float, float]
@@ -108,7 +108,7 @@ def gravity(bends: Any, moments: Any, p: RodNumbers) -> None:
 
 
 class Knots(NamedTuple):
-    """Where each contact changes its way, by contact 0..m (entry 0 unused), and room for one evaluation."""
+    """Direction changes of each contact, by contact 0..m (entry 0 unused), and room for one evaluation."""
 
     sticks: Any  # (m + 1,) sigma below which it no longer sticks, of the curve beyond it
     width: Any  # (m + 1,) of sigma in which it sticks [N]

@@ -103,7 +103,7 @@ class RodParameters(Quantities):
 
 @dataclass(frozen=True)
 class RodVariation(Quantities):
-    """How one trial's device differs from the next: standard deviations of normal draws."""
+    """Variation of the device between trials: standard deviations of normal draws."""
 
     mount_deg: float = quantity(0.3, "deg", 0.0, 10.0, "shift of all angles")
     pretension_mm: float = quantity(0.02, "mm", 0.0, 1.0, "change of the pretension")

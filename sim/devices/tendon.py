@@ -133,7 +133,7 @@ class TendonParameters(Quantities):
 
 @dataclass(frozen=True)
 class TendonVariation(Quantities):
-    """How one trial's device differs from the next: standard deviations of normal draws.
+    """Variation of the device between trials: standard deviations of normal draws.
 
     S2 accepts a pretension when the standard deviation over trials is below 0.5 deg.
     """

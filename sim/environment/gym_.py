@@ -27,7 +27,7 @@ _ANGLE_DEG = 720.0  # observations are clipped here, so that the space is bounde
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What acts on the device from outside, by the time since the reset [s].
+    """External disturbances as functions of the time since the reset [s].
 
     Attributes:
         angle_deg: added to the tip angle: a load, breathing.
@@ -176,7 +176,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._observation()
 
     def _beside(self) -> float:
-        """What acts on the angle now [deg]."""
+        """Disturbance of the angle now [deg]."""
         load = self._disturbance.angle_deg
         return 0.0 if load is None else load(self._k * self.dt)
 
@@ -185,7 +185,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return np.clip(seen.astype(np.float32), self._seen_low, self._seen_high)
 
     def _info(self) -> dict[str, Any]:
-        """What is true now; the reference is that of the end of the sample just done, the first one's before it."""
+        """True values now; the reference is that at the end of the last sample, before it the first one's."""
         theta = self._plant.true_angle + self._beside()
         reference = float(self._tables[self._motion].at(max(self._k - 1, 0))[0])
         return {

@@ -39,7 +39,7 @@ class PlannedResult(Protocol):
 
     @property
     def job(self) -> PlannedJob:
-        """What was done."""
+        """The job."""
         ...
 
     @property

@@ -44,7 +44,7 @@ def still(chain: Chain) -> Vec:
 
 
 def clocks(chain: Chain) -> NDArray[np.bool_]:
-    """Which entries of the state are clocks."""
+    """Mask of the state's entries that are clocks."""
     found = []
     for operator in chain.operators:
         effect = EFFECTS.get(operator.name)
@@ -78,7 +78,7 @@ class OperatorCascade:
         return np.asarray(self._chain.rest(signal, signal, self._chain.values), dtype=np.float64).ravel()
 
     def run(self, state: Vec, signal: Vec) -> tuple[Vec, Vec]:
-        """What becomes of a signal (T,), and the state after it."""
+        """Output for a signal (T,), and the state after it."""
         return (
             (signal, state) if self._chain is None else run_chain(self._chain, self._dt_s, state, signal, self._kernels)
         )

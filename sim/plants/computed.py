@@ -20,7 +20,7 @@ from .cascade import OperatorCascade
 
 @dataclass(frozen=True)
 class Sensing:
-    """What measures the angle.
+    """The angle sensor.
 
     Attributes:
         noise_deg: standard deviation of white noise [deg].

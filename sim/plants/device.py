@@ -22,7 +22,7 @@ _REST_S = 5.0
 
 @dataclass(frozen=True, eq=False)
 class DeviceState:
-    """What a device with effects remembers: operators on its command, the device, operators on its angle."""
+    """State of a device with effects: operators on its command, the device, operators on its angle."""
 
     command: Vec
     device: Vec

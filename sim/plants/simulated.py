@@ -27,7 +27,7 @@ from .computed import ComputedPlant, Sensing
 
 @dataclass(frozen=True)
 class Effects:
-    """What the device does beyond its simulator.
+    """Effects of the device that its simulator does not contain.
 
     Attributes:
         lag_s: time constant of a first-order lag of the actuator, 0 for none [s].
@@ -70,7 +70,7 @@ class Effects:
         return tuple(e.operator for e in self._placed() if isinstance(e.operator, Sensor))
 
     def sensing(self, before: tuple[Sensor, ...] = ()) -> Sensing:
-        """What measures the angle; `before` are sensors that the device has of its own."""
+        """The angle sensor; `before` are sensors that the device has of its own."""
         return Sensing(self.noise_deg, self.quantisation_deg, (*before, *self.sensors))
 
     @property

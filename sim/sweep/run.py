@@ -27,7 +27,7 @@ _NEAR = 20  # ids that an error names
 
 @dataclass(frozen=True)
 class SweepOutcome:
-    """What became of a sweep.
+    """Outcome of a sweep.
 
     Attributes:
         failed: rows whose run could not be made, with the first error.

@@ -100,7 +100,7 @@ def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
 
 
 def shared_knowledge(config: SimulationConfig) -> Knowledge:
-    """What controllers know, opened once a process for each model, inverse and lag.
+    """Opened models, once a process for each model, inverse and lag.
 
     Raises:
         HystmpcError: what `knowledge` raises.

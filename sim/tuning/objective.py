@@ -234,7 +234,7 @@ class Ticket:
 
 @dataclass(frozen=True)
 class TicketOutcome:
-    """What became of a ticket; `elsewhere` is being done by another process."""
+    """Outcome of a ticket; `elsewhere`: another process does it."""
 
     slot: int
     state: State

@@ -28,7 +28,7 @@ _WAIT_S = 3.0  # until trials that another process does are asked for again
 
 @dataclass(frozen=True)
 class Tuning:
-    """What a tuning found.
+    """Outcome of a tuning.
 
     Attributes:
         trials: of the search, by slot, pruned ones among them.

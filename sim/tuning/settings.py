@@ -82,7 +82,7 @@ class PlantsSettings(Settings):
 
 
 class ObjectiveSettings(Settings):
-    """What is minimised, in degrees; see `objective.robust`.
+    """Weights of the objective [deg]; see `objective.robust`.
 
     Attributes:
         mean, tail: weights of the mean over the plants and of the mean over the worst of them.

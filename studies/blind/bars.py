@@ -16,7 +16,7 @@ from .plan import confusable
 from .reading import FAILED, VERDICTS, DiagnosisReading, ScoredCase, large, of_suites
 from .sealed import DENSE
 
-# Twins beside each other, so that a wrong twin lies near the diagonal.
+# Confounders beside each other, so that a confusion of the two lies near the diagonal.
 _ORDER = (
     "lag",
     "delay",
@@ -254,7 +254,7 @@ def true_share(case: ScoredCase) -> float:
     """Share of the gap that the effects make up on the final trials, from the floor that the diagnosis counts from.
 
     closed = (MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor) with MSE_with = noise^2 + form^2 and
-    MSE_retuned = noise^2 + retuned^2, cut to 0..1: a floor above what is left counts model-form error as no news.
+    MSE_retuned = noise^2 + retuned^2, cut to 0..1: a floor above what is left counts model-form error as floor.
     """
     answer, floor = case.answer, case.reading.floor_deg
     retuned, form = _on_final(case, answer.retuned_by_trial), _on_final(case, answer.form_by_trial)

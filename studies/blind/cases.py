@@ -37,7 +37,7 @@ CONTROLS = ("shuffled_residual", "simulator_and_noise", "mis_set")
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """What a case is made from."""
+    """Device, simulator and recording plan from which a case is made."""
 
     core: Core
     mounting: Mounting
@@ -211,7 +211,7 @@ def _effect(bench: Bench, wish: Wish) -> tuple[Withheld, EffectAnswer]:
 
 
 def _gap(bench: Bench, effects: Sequence[Withheld]) -> dict[str, Any]:
-    """What a refit of the baseline leaves, noise apart; how much of it goes with the effects, and where it lies."""
+    """Error that a refit of the baseline leaves, without noise; share of the effects in it; its density by region."""
     angles = bench.angles(effects)
     tuned = retune(bench.simulator, bench.plan.commands, angles)
     form, whole = bench.ruler.base.rmse_deg**2, tuned.rmse_deg**2

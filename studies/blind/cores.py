@@ -37,7 +37,7 @@ _SHAFT, _SEGMENTS = 3, 6
 
 @dataclass(frozen=True)
 class Mounting:
-    """How far a device is from the one that its simulator was identified on.
+    """Deviation of a device from the one on which its simulator was identified.
 
     Attributes:
         offset_deg: added to every angle [deg].

@@ -124,7 +124,7 @@ def _changed(logs: Sequence[Trial], injection: Injection, size: float, seed: int
 
 
 def _gap(simulator: Simulator, logs: Sequence[Trial], changed: Sequence[Trial]) -> float:
-    """What a refit leaves of the change, added to the simulator's own runs [deg]."""
+    """RMSE that a refit leaves of the change, added to the simulator's own runs [deg]."""
     commands = [trial.command for trial in logs]
     base = retune(simulator, commands, [trial.angle for trial in logs])
     target = [run + (b.angle - a.angle) for run, a, b in zip(base.angles, logs, changed, strict=True)]

@@ -22,7 +22,7 @@ LARGE = 3.0
 
 @dataclass(frozen=True)
 class DiagnosisReading:
-    """What a diagnosis said.
+    """Statements of one diagnosis.
 
     Attributes:
         verdict: one of `VERDICTS`, or `failed` where it ended with an error.
@@ -95,7 +95,7 @@ def read_diagnosis(path: Path, others: Mapping[str, str] | None = None) -> Diagn
 
 
 def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None) -> DiagnosisReading:
-    """What the plain data of a diagnosis say.
+    """The statements in the plain data of a diagnosis.
 
     Raises:
         ValueError: on an unknown verdict.
@@ -145,7 +145,7 @@ class ScoredCase:
         """Whether the verdict is right.
 
         With nothing to find: `none`. With a foreign cause: `unknown` or `too_little`. Else the first name is the
-        largest cause, or either of a pair; on motions that cannot tell it from its twins, leaving it open or
+        largest cause, or either of a pair; on motions that do not separate it from its confounders, leaving it open or
         `too_little` is right too.
         """
         truth, said = self.answer.truth, self.reading
@@ -161,7 +161,7 @@ class ScoredCase:
 
     @property
     def right_family(self) -> bool:
-        """Whether the verdict is right, or names a twin of the truth."""
+        """Whether the verdict is right, or names a confounder of the truth."""
         return self.right or confusable(self.reading.guess, self.answer.truth)
 
 

@@ -128,7 +128,7 @@ class GapRuler:
         return cls(tuple(commands), tuple(plain), retune(simulator, commands, plain))
 
     def gap(self, affected: Sequence[Vec]) -> float:
-        """What a refit of the baseline leaves of the effect [deg].
+        """RMSE that a refit of the baseline leaves of the effect [deg].
 
         The change that the effect makes is added to what the baseline reproduces exactly, so that the model-form
         error does not count.

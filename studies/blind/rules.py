@@ -79,7 +79,7 @@ def _correlation(a: Vec, b: Vec) -> float:
 
 
 def fit_rules(selection: Selection, runs: Sequence[Run]) -> dict[str, str]:
-    """What each rule would name: `bic` and `single fit`; no fit is made that the selection has not made.
+    """Answers of the rules `bic` and `single fit`, from the selection's own fits.
 
     A rule that chooses several names is asked for the one which alone lowers the error of the fit the most.
     """

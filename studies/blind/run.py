@@ -112,7 +112,7 @@ class DiagnosisJob:
 
     @property
     def out(self) -> Path:
-        """Where the result goes."""
+        """Folder of the result."""
         return self.folder / self.kind / self.case
 
 
@@ -188,7 +188,7 @@ def _diagnose(
 
 
 def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob) -> dict[str, Any]:
-    """What rules of thumb would say, and what the causes close in another session of the device, if it can have one."""
+    """Answers of simple rules, and the share that the causes close in another session, if the device can have one."""
     from hystmpc.gap.fresh_session import closed_again
 
     rules = fit_rules(findings.selection, findings.prepared.development)

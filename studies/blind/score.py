@@ -111,7 +111,7 @@ def _size(case: ScoredCase) -> str:
 
 
 def _beside(single: Sequence[ScoredCase]) -> dict[str, float]:
-    """Top-1 on single effects: ours, ours counting twins, rules beside it, and what chance would give."""
+    """Top-1 on single effects: the diagnosis, with confounders counted as right, simple rules, and chance."""
     if not single:
         return {}
     found = {

@@ -67,7 +67,7 @@ class Answer(Settings):
 
     Attributes:
         suite: which part of the check it belongs to; decoys and controls say more in `variant`.
-        separable: whether these motions can tell the effects from their twins.
+        separable: whether these motions separate the effects from their confounders.
         plan, motions: kind of recording plan, and motion by trial.
         floor_deg, noise_deg, form_deg: noise and model-form error together, and each [deg].
         retuned_deg: what a refit of the baseline leaves of the affected device, noise apart [deg].
@@ -143,7 +143,7 @@ class Case:
 
 
 class Manifest(Settings):
-    """What may be known before the answers are opened.
+    """Public facts of a blind check, before the answers are opened.
 
     Attributes:
         answers_sha256: of the sealed file.

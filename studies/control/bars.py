@@ -163,7 +163,7 @@ class ControlBar:
 
 @dataclass(frozen=True)
 class BarVerdict:
-    """How one controller on one plant at one rate stands to one bar."""
+    """One controller on one plant at one rate, judged by one bar."""
 
     bar: str
     limit: float

@@ -117,7 +117,7 @@ def needed_files(job: ControlJob, settings: ControlSettings, folder: Path) -> tu
 
 
 def gains_file(folder: Path, plant: str, rate_hz: float, controller: str) -> Path:
-    """Where the gains lie that a search has found."""
+    """File of the gains that a search has found."""
     return folder / "models" / f"{plant}-{controller}-{rate_hz:g}hz.json"
 
 
@@ -136,7 +136,7 @@ def _design(job: ControlJob) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class ControlResult:
-    """What became of one job.
+    """Outcome of one job.
 
     Attributes:
         status: `failed` if anything raised.

@@ -89,17 +89,17 @@ def save_network(plant: Plant, kind: str, folder: Path, updates: int, seed: int,
 
 
 def backlash_file(folder: Path, plant: Plant, rate_hz: float) -> Path:
-    """Where the backlash of a plant's family lies."""
+    """File of the backlash of a plant's family."""
     return folder / "models" / f"{plant.family}-backlash-{rate_hz:g}hz.yaml"
 
 
 def companion_file(folder: Path, plant: Plant) -> Path:
-    """Where the backlash behind the lag lies that stands in for a network's inverse."""
+    """File of the backlash behind the lag: the surrogate for a network's inverse."""
     return folder / "models" / f"{plant.family}-companion.yaml"
 
 
 def network_file(folder: Path, plant: Plant, kind: str) -> Path:
-    """Where a network of a plant's family lies."""
+    """File of a network of a plant's family."""
     return folder / "models" / f"{plant.family}-{kind}.onnx"
 
 

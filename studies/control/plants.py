@@ -60,7 +60,7 @@ class Plant:
 
     @property
     def effects(self) -> Effects:
-        """What the device does beyond its simulator."""
+        """Effects of the device that its simulator does not contain."""
         return Effects(lag_s=self.factor * self.lag_s, delay_s=self.factor * self.delay_s, noise_deg=self.noise_deg)
 
     def nominal(self) -> Plant:

@@ -75,7 +75,7 @@ def motion(name: str, rest_deg: float, seed: int, quick: bool = False) -> dict[s
 
 
 class ControlSettings(Settings):
-    """What the study `control` needs to know.
+    """Settings of the study `control`.
 
     Attributes:
         study: always `control`.

@@ -205,7 +205,7 @@ RUN: Mapping[str, Any] = {
 
 @dataclass(frozen=True)
 class Link:
-    """How device and controller of a case find each other.
+    """Connection between device and controller of a case.
 
     Attributes:
         port: of the device over UDP; 0 lets it choose.

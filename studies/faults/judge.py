@@ -55,7 +55,7 @@ class FaultVerdict:
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """What is not as it has to be, in words."""
+        """Requirements that are not met, in words."""
         found = {
             f"{self.got} instead of {self.expected}": self.got != self.expected,
             f"{self.beyond} commands beyond the limits": self.beyond != 0,
@@ -169,7 +169,7 @@ def _second(case: FaultCase, played: Played) -> str:
 
 
 def _claim(played: Played, rows: Rows) -> str:
-    """What the user was told of the safe command, against what the device held when the controller had ended."""
+    """Claim to the user about the safe command, compared with the command that the device held at the end."""
     found = _CLAIM.search(" ".join(played.said.split()))
     if found is None:
         return ""

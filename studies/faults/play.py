@@ -113,7 +113,7 @@ class Terminal:
 
     @property
     def said(self) -> str:
-        """What the program has written, without the colours."""
+        """Output of the program, without the colours."""
         text = b"".join(self._said).decode("utf-8", "replace").replace("\r", "")
         return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
 
@@ -152,7 +152,7 @@ class Terminal:
 
 @dataclass(frozen=True)
 class Played:
-    """What one case left behind.
+    """Files and exit codes of one played case.
 
     Attributes:
         folder: with `device.csv`, `said.txt`, the run folder `run` and the configurations.

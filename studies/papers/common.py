@@ -24,7 +24,7 @@ def label(study: str) -> str:
 
 
 def set_up(outcome: StudyOutcome) -> Iterator[Piece]:
-    """What was asked for, what was left out, what failed."""
+    """Set-up of the study: settings, kinds left out, failed jobs."""
     settings = outcome.settings
     yield Heading("Set-up")
     yield KeyValues(
@@ -52,7 +52,7 @@ def set_up(outcome: StudyOutcome) -> Iterator[Piece]:
 
 
 def training_note(settings: StudySettings) -> str:
-    """How much of the papers' training was done."""
+    """Share of the papers' training that was done, in words."""
     if settings.quick:
         return (
             "QUICK: a hundredth of the training on a few shortened trials. The numbers below show that everything "

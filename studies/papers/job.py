@@ -28,7 +28,7 @@ _QUICK_SAMPLES, _QUICK_S = 600, 5.0  # whichever is longer: a command has to tur
 
 @dataclass(frozen=True)
 class TrainingJob:
-    """What is trained; with the trials of its `TrainingTask` it determines the result.
+    """A training; with the trials of its `TrainingTask` it determines the result.
 
     Attributes:
         direction: `inverse` swaps command and angle of every trial.

@@ -40,7 +40,7 @@ class Score:
 
 @dataclass(frozen=True)
 class JobResult:
-    """What became of one job.
+    """Outcome of one job.
 
     Attributes:
         status: `failed` if the kind, the export or the free runs raised.

@@ -94,7 +94,7 @@ def inverse_table(outcome: StudyOutcome) -> StudyTable | None:
 
 
 def improvement_table(outcome: StudyOutcome) -> StudyTable | None:
-    """How much lower the LSTM's NRMSE is than the others', ours and the paper's; None without an LSTM."""
+    """Reduction of the NRMSE by the LSTM against the others, ours and the paper's; None without an LSTM."""
     rows: list[list[Cell]] = []
     for lstm in outcome.matching(kind="lstm", direction="forward"):
         for other in (r for r in outcome.matching(direction="forward") if r.job.kind in S1_ERRORS and r is not lstm):

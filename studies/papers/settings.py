@@ -36,7 +36,7 @@ _DEFAULTS: dict[str, dict[str, Any]] = {
 
 
 class StudySettings(Settings):
-    """What `run_study` needs to know; `for_study` fills in each study's own defaults.
+    """Settings of a study; `for_study` fills in each study's own defaults.
 
     Attributes:
         study: `s1` and `s2` on the simulated devices of the two papers, `real` on recorded logs.

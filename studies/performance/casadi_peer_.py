@@ -37,7 +37,7 @@ _QUIET: Mapping[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Method:
-    """How the peer solves its problem.
+    """Solver settings of the peer.
 
     Attributes:
         solver: CasADi plugin, `sqpmethod` or `ipopt`.
@@ -60,7 +60,7 @@ METHODS = (SQP, SQP_ONCE, IPOPT, IPOPT_LBFGS)
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What the peer found: plan (H,), iterations, and whether it reports convergence."""
+    """Solution of the peer: plan (H,), iterations, and whether it reports convergence."""
 
     plan: Vec
     iterations: int

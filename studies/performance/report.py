@@ -17,7 +17,7 @@ _DISTURBED = 1.3
 
 
 class Reads(StrEnum):
-    """What a ratio says."""
+    """Meaning of a ratio."""
 
     FASTER = "x faster"  # peer / ours
     OVER_LIMIT = "x limit"  # ours / limit
@@ -84,7 +84,7 @@ class Comparison:
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """How one step's time grows with one size.
+    """Growth of one step's time with one size.
 
     Attributes:
         size: that is changed, `H`, `N` or `hidden`.

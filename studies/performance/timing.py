@@ -29,7 +29,7 @@ class TimedCall:
 
 @dataclass(frozen=True)
 class Effort:
-    """How long each section is measured.
+    """Measuring effort of each section.
 
     Attributes:
         rounds: turns; in each, every job runs once or, where it is short, in a burst.
@@ -142,7 +142,7 @@ THOROUGH = Effort(rounds=25, burst_s=0.04, burst_most=25)
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """What is measured.
+    """Sizes of what is measured.
 
     Attributes:
         hidden: cells in each of the network's two layers; the goals are for 64.

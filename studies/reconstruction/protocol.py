@@ -60,7 +60,7 @@ class Scan:
         return f"scan at {self.rotation_deg:g} deg"
 
     def _problem(self, angles: Vec) -> str:
-        """What is wrong with an array of angles; empty where nothing is."""
+        """Reason to reject an array of angles; empty where it is fine."""
         if angles.shape != self.true_deg.shape:
             return f"got shape {angles.shape}, expected {self.true_deg.shape}"
         bad = ~np.isfinite(angles)

@@ -117,7 +117,7 @@ class Reconstruction:
         return self.errors_mm[model]
 
     def in_pattern(self, name: str) -> Mask:
-        """Which points lie in a pattern (P,).
+        """Mask of the points in a pattern (P,).
 
         Raises:
             ConfigError: if no point does.
@@ -127,7 +127,7 @@ class Reconstruction:
         return np.asarray(self.pattern == name)
 
     def in_scan(self, rotation_deg: float) -> Mask:
-        """Which points belong to the scan at a rotation (P,).
+        """Mask of the points of the scan at a rotation (P,).
 
         Raises:
             ConfigError: if there is no such scan.

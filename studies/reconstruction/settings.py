@@ -132,7 +132,7 @@ class Oct(Settings):
 
 
 class ReconstructionSettings(Settings):
-    """What is scanned with what.
+    """Settings of the experiment: segment, cap, fibre, seed.
 
     Attributes:
         segment_length_mm: L of the bending segment; from S1's "1-3 mm corresponds to 2.09-6.26 deg" [mm].
