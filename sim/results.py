@@ -128,12 +128,7 @@ def run_from(columns: Mapping[str, Column], rest_command: float, where: str) -> 
     }
     source, status = (tuple(str(text) for text in columns[name]) for name in ("source", "status"))
     log = LoopLog(
-        **numbers,
-        command=_numbers(columns[command]),
-        source=source,
-        status=status,
-        stage_s=stages,
-        interrupted=False,
+        **numbers, command=_numbers(columns[command]), source=source, status=status, stage_s=stages, interrupted=False
     )
     # The first sample ends one sample time after the start.
     return ClosedLoopRun(log, _numbers(columns[_TRUE]), rest_command, float(log.time_s[0]), CANONICAL.command[command])

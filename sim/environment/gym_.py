@@ -188,9 +188,4 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """True values now; the reference is that at the end of the last sample, before it the first one's."""
         theta = self._plant.true_angle + self._beside()
         reference = float(self._tables[self._motion].at(max(self._k - 1, 0))[0])
-        return {
-            "true_angle_deg": theta,
-            "reference_deg": reference,
-            "error_deg": theta - reference,
-            "command": self._u,
-        }
+        return {"true_angle_deg": theta, "reference_deg": reference, "error_deg": theta - reference, "command": self._u}

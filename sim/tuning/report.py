@@ -39,10 +39,7 @@ def tuning_report(found: Tuning, meta: Mapping[str, Any]) -> Report:
         _values(found),
         Heading("Search"),
         KeyValues(_facts(found, meta)),
-        Plot(
-            _history(found.trials),
-            "Every trial over the plants it has seen; line: best of the whole ones.",
-        ),
+        Plot(_history(found.trials), "Every trial over the plants it has seen; line: best of the whole ones."),
         Heading("Error against effort"),
         Plot(_front(found.trials, found.best), "Trials that saw all plants; line: no other has both less."),
         _front_table(found),

@@ -37,10 +37,7 @@ _WEIGHTS = {
     "weights.effort": DrawSettings(log_uniform=(1e-4, 0.3)),
 }
 _HORIZON = {"horizon": DrawSettings(integer=(5, 30))}
-_SAMPLING = {
-    "sigma": DrawSettings(log_uniform=(0.03, 1.5)),
-    "temperature": DrawSettings(log_uniform=(2e-3, 0.5)),
-}
+_SAMPLING = {"sigma": DrawSettings(log_uniform=(0.03, 1.5)), "temperature": DrawSettings(log_uniform=(2e-3, 0.5))}
 # By kind of controller. Samples, iterations and solvers are left alone: they trade error for time, not for effort.
 SPACES: dict[str, dict[str, DrawSettings]] = {
     "inverse": {**_ESTIMATOR, "reference_dead_zone_deg": DrawSettings(uniform=(0.0, 0.3))},

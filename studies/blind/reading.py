@@ -10,7 +10,6 @@ from typing import Any
 
 from hystmpc.trials.errors import LogError
 
-from .plan import confusable
 from .run import BESIDE, DIAGNOSIS, FAILURE
 from .sealed import DENSE, REGIONS, Answer, open_answers
 
@@ -158,11 +157,6 @@ class ScoredCase:
         return not self.answer.separable and (
             said.verdict == "too_little" or (bool(said.claims) and said.may_be(truth))
         )
-
-    @property
-    def right_family(self) -> bool:
-        """Whether the verdict is right, or names a confounder of the truth."""
-        return self.right or confusable(self.reading.guess, self.answer.truth)
 
 
 def load_scored(folder: Path, partial: bool = False) -> list[ScoredCase]:

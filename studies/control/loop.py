@@ -186,15 +186,9 @@ def study_of(job: ControlJob, settings: ControlSettings, folder: Path, motions: 
         known, delay = plant.oracle(dt_s)
         data["model"] = str(save_simulator(known, folder / "models" / f"{plant.name}-oracle-{job.rate_hz:g}hz.yaml"))
     elif rival.model in NETWORKS:
-        data |= {
-            "model": str(network_file(folder, plant, rival.model)),
-            "inverse": str(companion_file(folder, plant)),
-        }
+        data |= {"model": str(network_file(folder, plant, rival.model)), "inverse": str(companion_file(folder, plant))}
     elif rival.model == "backlash":
-        data |= {
-            "model": str(backlash_file(folder, plant, job.rate_hz)),
-            "actuator_lag_s": nominal.effects.lag_s,
-        }
+        data |= {"model": str(backlash_file(folder, plant, job.rate_hz)), "actuator_lag_s": nominal.effects.lag_s}
     controller = rival.settings(dt_s, delay, nominal.effects.lag_s) | _gains(job, rival, settings, folder)
     study = prepare(SimulationConfig.parse(data | {"controllers": {job.subject: controller}}, job.key))
     return _rested(study, plant.effects, dt_s) if rival.oracle else study

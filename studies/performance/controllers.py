@@ -158,10 +158,7 @@ def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threa
     wait for each other, up to a hundred times longer than one alone would take.
     """
     wanted = SamplingMpcSettings(
-        horizon=settings.horizon,
-        samples=settings.samples,
-        iterations=1,
-        weights=WeightsSettings(effort=WEIGHTS.effort),
+        horizon=settings.horizon, samples=settings.samples, iterations=1, weights=WeightsSettings(effort=WEIGHTS.effort)
     )
     row = Comparison(
         section=f"{subject.name}, sampling MPC N={settings.samples}, {threads} thread{'s' if threads > 1 else ''}",
@@ -196,24 +193,13 @@ def _sampling_compared(row: Comparison, times: Mapping[str, Times], apart: Seque
 
 
 def _peer_job(
-    subject: Subject,
-    settings: BenchSettings,
-    sigma: float,
-    threads: int,
-    instants: list[Instant],
-    apart: list[float],
+    subject: Subject, settings: BenchSettings, sigma: float, threads: int, instants: list[Instant], apart: list[float]
 ) -> TimedCall:
     """The peer on the recorded planning problems; `apart` takes how far its commands are from ours."""
     if subject.weights is None:
         raise TypeError(f"{subject.name}: the peer wants a network")
     peer = pytorch_mppi_.TorchMppi(
-        subject.weights,
-        subject.limits,
-        WEIGHTS,
-        settings.samples,
-        settings.horizon,
-        subject.metadata.dt_s,
-        sigma,
+        subject.weights, subject.limits, WEIGHTS, settings.samples, settings.horizon, subject.metadata.dt_s, sigma
     )
 
     def solve(_: int, instant: Instant) -> None:
