@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -115,12 +114,12 @@ def robust(costs: Sequence[float] | Vec, objective: ObjectiveSettings) -> float:
 
 @dataclass(frozen=True)
 class HeldOutCase:
-    """One controller on one held-out plant, as it is handed to a worker."""
+    """One controller on one held-out plant."""
 
     name: str
     plant: int
-    values: str
-    settings: str
+    values: dict[str, Any]
+    settings: TuneSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,10 +193,9 @@ def held_out(
     Raises:
         ConfigError: if a draw does not fit the study.
     """
-    plain = settings.model_dump_json()
-    names = {"given": "{}", "tuned": json.dumps(values)}
+    names: dict[str, dict[str, Any]] = {"given": {}, "tuned": values}
     count = settings.held_out.count
-    cases = [HeldOutCase(name, number, text, plain) for number in range(count) for name, text in names.items()]
+    cases = [HeldOutCase(name, number, own, settings) for number in range(count) for name, own in names.items()]
     found: dict[str, dict[int, PlantScore]] = {name: {} for name in names}
     done = run_jobs(cases, run_case, backend, total=len(cases), progress=progress, note=lambda _: "held-out plants")
     for name, number, score in done:
@@ -212,8 +210,7 @@ def run_case(case: HeldOutCase) -> tuple[str, int, PlantScore]:
     Raises:
         HystmpcError: what preparing the study raises.
     """
-    settings = TuneSettings.parse(json.loads(case.settings), "case")
-    controller = settings.with_values(json.loads(case.values))
+    settings, controller = case.settings, case.settings.with_values(case.values)
     return case.name, case.plant, plant_score(plant_config(settings, settings.held_out, case.plant, controller))
 
 
@@ -229,7 +226,7 @@ class Ticket:
     slot: int
     storage: str
     study: str
-    settings: str
+    settings: TuneSettings
 
 
 @dataclass(frozen=True)

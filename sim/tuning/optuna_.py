@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Mapping
 from functools import lru_cache
@@ -63,8 +62,7 @@ def run_ticket(ticket: Ticket) -> TicketOutcome:
         ConfigError: if the storage cannot be opened.
         KeyboardInterrupt: if the user ended it; the trial counts as failed and is done again later.
     """
-    settings = TuneSettings.parse(json.loads(ticket.settings), "ticket")
-    study = open_search(ticket.storage, ticket.study)
+    settings, study = ticket.settings, open_search(ticket.storage, ticket.study)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
         optuna.storages.fail_stale_trials(study)

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 from hystmpc.trials.plot_style import COMMAND, MEASURED, MODEL, REFERENCE, new_figure
 
+from ..sweep.paths import value_at
 from ..sweep.report import plain_log
 from .objective import HeldOut, SearchTrial, pareto_front
 
@@ -70,11 +71,15 @@ def _values(found: Tuning) -> Table:
     given = found.settings.given.model_dump(mode="json")
     rows = []
     for path, value in found.best.values.items():
-        held: Any = given
-        for part in path.split("."):
-            held = held[part]
         one = found.settings.search[path]
-        rows.append((path, held, value, " to ".join(f"{end}" for end in one.ends[:: max(1, len(one.ends) - 1)])))
+        rows.append(
+            (
+                path,
+                value_at(given, path),
+                value,
+                " to ".join(f"{end}" for end in one.ends[:: max(1, len(one.ends) - 1)]),
+            )
+        )
     return Table(("setting", "given", "tuned", "searched"), rows, f"Trial {found.best.slot}; controller.yaml has all.")
 
 

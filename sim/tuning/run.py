@@ -92,13 +92,12 @@ def search(
     optuna_ = _optuna()
     name = f"hystmpc-{settings.fingerprint}"
     optuna_.open_search(storage, name)  # made before the workers meet
-    plain = settings.model_dump_json()
     slots: Sequence[int] = range(settings.trials)
     failed: list[TicketOutcome] = []
     ended = 0
     while slots:
         later = []
-        for outcome in backend.results(optuna_.run_ticket, [Ticket(slot, storage, name, plain) for slot in slots]):
+        for outcome in backend.results(optuna_.run_ticket, [Ticket(slot, storage, name, settings) for slot in slots]):
             if outcome.state == "elsewhere":
                 later.append(outcome.slot)
                 continue
