@@ -51,13 +51,14 @@ def make(
     from hystmpc.studies.blind.make import make_blind  # kept out of the way of the other verbs' start
 
     with bar("make cases", cases) as show:
+        workers = jobs or _cores()
         manifest = make_blind(
             folder,
             seed,
             cases,
             suite,
             logs or [],
-            jobs or _cores(),
+            workers,
             lambda done, total, note="": show(done, total=total),
             preset,
         )

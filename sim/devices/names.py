@@ -11,8 +11,7 @@ from hystmpc.trials.errors import ConfigError, did_you_mean
 
 from .device import Device, to_plain
 from .muscle import MuscleCatheter, MuscleParameters
-from .rod import RodCatheter
-from .rod_parameters import RodParameters
+from .rod import RodCatheter, RodParameters
 from .tendon import TendonCatheter, TendonParameters
 
 

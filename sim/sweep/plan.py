@@ -16,8 +16,7 @@ from hystmpc.trials.errors import ConfigError
 
 from ..config import SimulationConfig
 from ..plants.make import file_hash, plant_hash
-from .paths import changed, path_parts, place
-from .settings import SweepSettings, drawn, label
+from .settings import SweepSettings, changed, drawn, label, path_parts, place
 
 _KNOWLEDGE = ("model", "inverse", "actuator_lag_s")  # costly to open, so that they change last
 _ID_DIGITS = 16

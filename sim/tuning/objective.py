@@ -19,8 +19,7 @@ from ..jobs.backend import Backend
 from ..jobs.runner import run_jobs
 from ..results import result_of
 from ..study import Study, prepare
-from ..sweep.paths import changed
-from ..sweep.settings import drawn
+from ..sweep.settings import changed, drawn
 from ..sweep.worker import shared_knowledge
 from .settings import ObjectiveSettings, PlantsSettings, TuneSettings
 

@@ -14,8 +14,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from hystmpc.trials.errors import ConfigError, HystmpcError
 
-from ..sweep.paths import value_at
-from ..sweep.settings import DrawSettings, label
+from ..sweep.settings import DrawSettings, label, value_at
 from .objective import SearchTrial, State, Ticket, TicketOutcome, plant_config, plant_cost, plant_score, robust
 from .settings import TuneSettings
 

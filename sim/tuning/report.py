@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 from hystmpc.trials.plot_style import COMMAND, MEASURED, MODEL, REFERENCE, new_figure
 
-from ..sweep.paths import value_at
 from ..sweep.report import plain_log
+from ..sweep.settings import value_at
 from .objective import HeldOut, SearchTrial, pareto_front
 
 if TYPE_CHECKING:

@@ -16,8 +16,7 @@ from hystmpc.trials.errors import ConfigError, did_you_mean
 
 from ..config import PlantSettings, SimulationConfig
 from ..plants.make import varied_parameters
-from ..sweep.paths import changed, place, value_at
-from ..sweep.settings import DrawSettings, study_of
+from ..sweep.settings import DrawSettings, changed, place, study_of, value_at
 
 _ESTIMATOR = {
     "estimator.sensor_sigma_deg": DrawSettings(log_uniform=(0.03, 1.0)),

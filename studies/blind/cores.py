@@ -13,9 +13,8 @@ from typing import Any, ClassVar, Self, final
 import numpy as np
 
 from hystmpc.sim.devices import rod_solver
-from hystmpc.sim.devices.rod import RodCatheter
+from hystmpc.sim.devices.rod import RodCatheter, RodParameters
 from hystmpc.sim.devices.rod_equations import new_knots
-from hystmpc.sim.devices.rod_parameters import RodParameters
 from hystmpc.sim.devices.rod_solver import new_work
 from hystmpc.trials.types import Vec
 

@@ -10,8 +10,7 @@ import pytest
 
 from hystmpc.ctrl.protocols import Plant
 from hystmpc.sim.devices.paper_data import RodSettings, S2Settings, make_dataset
-from hystmpc.sim.devices.rod import RodBench, RodCatheter, RodRecorder, simulate_rod
-from hystmpc.sim.devices.rod_parameters import RodParameters, RodVariation
+from hystmpc.sim.devices.rod import RodBench, RodCatheter, RodParameters, RodRecorder, RodVariation, simulate_rod
 from hystmpc.sim.plants.device import DevicePlant
 from hystmpc.trajectories.excitation import s2_sinusoid
 from hystmpc.trials.csv_ import read_trials

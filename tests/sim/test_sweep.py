@@ -16,9 +16,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.sim.sweep import csv_rows, store
-from hystmpc.sim.sweep.paths import changed, path_parts, value_at
 from hystmpc.sim.sweep.plan import SweepPlan, SweepRow
-from hystmpc.sim.sweep.settings import DrawSettings, SweepSettings, drawn, load_sweep, with_base
+from hystmpc.sim.sweep.settings import (
+    DrawSettings,
+    SweepSettings,
+    changed,
+    drawn,
+    load_sweep,
+    path_parts,
+    value_at,
+    with_base,
+)
 from hystmpc.sim.sweep.store import Store, files_of, table_of
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError
