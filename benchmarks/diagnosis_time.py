@@ -22,17 +22,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hystmpc.gap.blind.catalogue import generator_named
-from hystmpc.gap.blind.cores import CapstanCore, DahlCore
-from hystmpc.gap.blind.device import BlindDevice
-from hystmpc.gap.blind.generator import Withheld
-from hystmpc.gap.blind.plan import RICH
-from hystmpc.gap.blind.rod_core import RodCore
-from hystmpc.gap.blind.scene import RATE_HZ
 from hystmpc.gap.procedure import conclude, investigate
 from hystmpc.models.fit.identify import identify
 from hystmpc.models.fit.operators import OperatorFitSettings
 from hystmpc.models.simulator import Simulator
+from hystmpc.studies.blind.cores import RATE_HZ, CapstanCore, DahlCore, RodCore
+from hystmpc.studies.blind.device import BlindDevice
+from hystmpc.studies.blind.generators import Withheld, generator_named
+from hystmpc.studies.blind.plan import RICH
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 

@@ -31,7 +31,7 @@ from threadpoolctl import threadpool_limits
 from hystmpc.ctrl import TipController
 from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator
-from hystmpc.sim.plant import SimulatedPlant
+from hystmpc.sim.plants.simulated import SimulatedPlant
 
 RESIDENT_MB, GROWTH_MB, IMPORT_S, FIRST_COMMAND_S = 300.0, 5.0, 1.0, 3.0
 _TARGETS_DEG = (35.0, 75.0)

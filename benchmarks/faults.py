@@ -34,7 +34,7 @@ from hystmpc.models.load import load_model
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse
 from hystmpc.models.simulator import load_simulator
-from hystmpc.sim.plant import Effects, SimulatedPlant
+from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
 from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.types import Vec
 

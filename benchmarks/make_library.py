@@ -22,7 +22,7 @@ from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.models.train.networks import fit_network, network_bundle
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining
-from hystmpc.sim.plant import Effects, SimulatedPlant
+from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
 from hystmpc.trajectories import Trajectory, sample
 from hystmpc.trajectories.excitation import s2_point_to_point, s2_sinusoid
 from hystmpc.trials.trial import Trial, Units

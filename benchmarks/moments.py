@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from hystmpc.rig.campaign.judge import rise
-from hystmpc.rig.campaign.setup import IN_FLIGHT_S, OVERSHOOT, SAFE
 from hystmpc.rig.recording.recording import FLUSH_S
+from hystmpc.studies.faults.cases import IN_FLIGHT_S, OVERSHOOT, SAFE
+from hystmpc.studies.faults.judge import rise
 from hystmpc.trials.errors import HystmpcError
 from hystmpc.trials.run_folder import RunFolder
 

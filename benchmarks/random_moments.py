@@ -39,19 +39,18 @@ import numpy as np
 from rich.console import Console
 
 from hystmpc.cli.main import main as hystmpc
-from hystmpc.rig.campaign.cases import Case
-from hystmpc.rig.campaign.play import device_log
-from hystmpc.rig.campaign.setup import SAFE, Link, watchdog_s, write_device, write_run
 from hystmpc.rig.commission.experiment import tracking_phase
 from hystmpc.rig.commission.review import review_run
 from hystmpc.rig.config import load_run
+from hystmpc.studies.faults.cases import SAFE, FaultCase, Link, watchdog_s, write_device, write_run
+from hystmpc.studies.faults.play import device_log
 
 from moments import KINDS, Moment, judged, table  # isort: skip
 
 PAUSE_S, STALL_S, MOTION_S = 3.0, 1.0, 3.0
 _PATIENCE_S = 60.0
 _PARENT_DEATH_SIGNAL = 1  # of prctl
-_CASE = Case("random moments", "stops", settings={"reference": {"frequency_hz": 0.8, "cycles": 3}})
+_CASE = FaultCase("random moments", "stops", settings={"reference": {"frequency_hz": 0.8, "cycles": 3}})
 _USED = (review_run,)  # imported before the forks, so that no run has to
 
 

@@ -22,8 +22,7 @@ from rich.progress import Progress
 from rich.table import Table
 from scipy.optimize import least_squares, minimize_scalar
 
-from hystmpc.sim.devices.rod import RodCatheter
-from hystmpc.sim.devices.rod_parameters import RodParameters
+from hystmpc.sim.devices.rod import RodCatheter, RodParameters
 from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.plot_style import MEASURED, MODEL, new_figure, style
 from hystmpc.trials.resample import resample

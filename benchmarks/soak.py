@@ -36,12 +36,12 @@ from rich.console import Console
 
 from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
-from hystmpc.rig.campaign.processes import end, start, start_device
-from hystmpc.rig.campaign.setup import DEVICE, RUN
 from hystmpc.rig.commission.review import compare_with_model, review
 from hystmpc.rig.config import RunSettings
-from hystmpc.sim.plant import at_sample_time
-from hystmpc.sim.studies.control_rivals import CONTROLLERS, NETWORKS
+from hystmpc.sim.plants.simulated import at_sample_time
+from hystmpc.studies.control.controllers import CONTROLLERS, NETWORKS
+from hystmpc.studies.faults.cases import DEVICE, RUN
+from hystmpc.studies.faults.play import end, start, start_device
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.run_folder import RunFolder

@@ -20,9 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.sim.parallel.backend import backend_for
-from hystmpc.sim.parallel.processes import Processes
-from hystmpc.sim.sweep.columns import numbers
+from hystmpc.sim.jobs.backend import Processes, backend_for
+from hystmpc.sim.sweep.csv_rows import numbers
 from hystmpc.sim.sweep.run import run_sweep
 from hystmpc.sim.sweep.settings import SweepSettings, with_base
 from hystmpc.sim.sweep.store import table_of

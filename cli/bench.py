@@ -18,7 +18,7 @@ from .outputs import BENCHMARK, Force, check_output
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hystmpc.sim.bench.report import Report
+    from hystmpc.studies.performance.report import BenchReport
 
 INTERRUPTED = 130
 _WIDTH = 220  # of the table in a file
@@ -39,17 +39,19 @@ def bench(
 
     Ctrl-C ends with what has been measured, exit code 130.
     """
-    from hystmpc.sim.bench.figures import save_growth
-    from hystmpc.sim.bench.report import report_json
-    from hystmpc.sim.bench.run import run_bench
-    from hystmpc.sim.bench.settings import QUICK, BenchSettings
+    from hystmpc.studies.performance.growth import save_growth
+    from hystmpc.studies.performance.report import report_json
+    from hystmpc.studies.performance.run import run_bench
+    from hystmpc.studies.performance.timing import QUICK, BenchSettings
 
     if json_file is not None:
         check_output("--json", json_file, (BENCHMARK,), (), force)
     if folder is not None:
         require_vacant(folder)
     with bar("bench") as show:
-        report = run_bench(QUICK if quick else BenchSettings(), show)
+        report = run_bench(
+            QUICK if quick else BenchSettings(), lambda done, total, note="": show(done, note, total=total)
+        )
     _print(report, out)
     content = json.dumps(report_json(report), indent=2) + "\n"
     if json_file is not None:
@@ -63,8 +65,8 @@ def bench(
         raise typer.Exit(INTERRUPTED)
 
 
-def _print(report: Report, console: Console) -> None:
-    from hystmpc.sim.bench.table import COLUMNS, table_rows
+def _print(report: BenchReport, console: Console) -> None:
+    from hystmpc.studies.performance.report import COLUMNS, table_rows
 
     for name, source in report.models.items():
         console.print(f"{name}: {source}", highlight=False)
@@ -80,14 +82,14 @@ def _print(report: Report, console: Console) -> None:
         console.print(f"{one.what} grows as {one.size}^{one.exponent:.2f} from {sizes}{verdict}", highlight=False)
 
 
-def _title(report: Report) -> str:
+def _title(report: BenchReport) -> str:
     machine = report.machine
     load, cores = machine["load_at_start"], machine["cores"]
     busy = "" if load is None or load < 0.5 else f"; load {load:.1f} at the start: close other work for clean figures"
     return f"medians on {machine['processor']}, {cores} cores, Python {machine['python']}{busy}"
 
 
-def _write_table(report: Report, path: Path) -> None:
+def _write_table(report: BenchReport, path: Path) -> None:
     text = io.StringIO()
     _print(report, plain_console(width=_WIDTH, file=text))
     write_atomically(path, text.getvalue())

@@ -31,14 +31,14 @@ def make(
     seed: Annotated[int, typer.Option("--seed", help="Of devices, motions and noise.", min=0)] = 0,
 ) -> None:
     """Record a whole data set and write it as canonical CSV files with a manifest; all of it or nothing."""
-    from hystmpc.sim.devices.dataset_files import write_dataset
-    from hystmpc.sim.devices.make import make_dataset
+    from hystmpc.sim.devices.dataset import write_dataset
+    from hystmpc.sim.devices.paper_data import make_dataset
 
     require_vacant(folder)
     with bar("record") as show:
-        made = make_dataset(name, seed, progress=lambda done, total: show(done, total=total))
+        made = make_dataset(name, seed, progress=lambda done, total, note="": show(done, total=total))
     with bar("write") as show:
-        write_dataset(made, folder, lambda done, total: show(done, total=total))
+        write_dataset(made, folder, lambda done, total, note="": show(done, total=total))
     rows = [
         [split, str(len(trials)), str(made.samples[split]), f"{sum(t.duration_s for t in trials):.0f}"]
         for split, trials in made.splits.items()

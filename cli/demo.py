@@ -15,7 +15,7 @@ def demo(
 
     A point-to-point motion and a scan, on the tendon catheter that ships.
     """
-    from hystmpc.sim.demo import demo as run_demo  # kept out of the way of the other verbs' start
+    from hystmpc.sim.compare import demo as run_demo  # kept out of the way of the other verbs' start
 
     from .simulate import show_study
 

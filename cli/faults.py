@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from rich.console import Console
 
-from hystmpc.rig.campaign.cases import CASES, Case
+from hystmpc.studies.faults.cases import CASES, FaultCase
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_vacant
 
 from .console import bar, errors, out, table
 
 if TYPE_CHECKING:
-    from hystmpc.rig.campaign.judge import Verdict
-    from hystmpc.rig.campaign.setup import Kind, Link
+    from hystmpc.studies.faults.cases import Kind, Link
+    from hystmpc.studies.faults.judge import FaultVerdict
 
 FAILED = 1
 
@@ -37,7 +37,7 @@ _DOMAINS = range(10, 100)  # of DDS; beyond 100 their ports lie among those that
 class _Play:
     """One case over one wire, and its folder."""
 
-    case: Case
+    case: FaultCase
     link: Link
     folder: Path
 
@@ -51,7 +51,7 @@ def faults(
     """Break sensor, wire, processes, disk, model and solver, case by case; exit code 1 if a case fails."""
     plays = _chosen(folder, only or [], transport)
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # no device may be left behind
-    verdicts: list[Verdict] = []
+    verdicts: list[FaultVerdict] = []
     try:
         with bar("faults", len(plays)) as show:
             for verdict in _judged(plays, jobs):
@@ -74,14 +74,14 @@ def _chosen(folder: Path, only: list[str], transport: str) -> list[_Play]:
     Raises:
         ConfigError: on an unknown case, a wire whose package is missing, or a folder that is not empty.
     """
-    from hystmpc.rig.campaign.setup import KINDS, Link
     from hystmpc.rig.transports.dds import require_dds
+    from hystmpc.studies.faults.cases import KINDS, Link
 
     kinds: list[Kind] = [kind for kind in KINDS if transport in (kind, "both")]
     if "dds" in kinds:
         require_dds()
     chosen = [case for case in CASES if not only or any(text in case.name for text in only)]
-    wanted: list[tuple[Case, Kind]] = [
+    wanted: list[tuple[FaultCase, Kind]] = [
         (case, kind) for kind in kinds for case in chosen if kind == "udp" or not case.of_datagrams
     ]
     if not wanted:
@@ -96,12 +96,12 @@ def _chosen(folder: Path, only: list[str], transport: str) -> list[_Play]:
     ]
 
 
-def _judged(plays: list[_Play], jobs: int) -> Iterator[Verdict]:
+def _judged(plays: list[_Play], jobs: int) -> Iterator[FaultVerdict]:
     """The verdicts, in the order of the cases; on an interruption the cases under way come to their end."""
-    from hystmpc.rig.campaign.judge import judge
-    from hystmpc.rig.campaign.play import play
+    from hystmpc.studies.faults.judge import judge
+    from hystmpc.studies.faults.play import play
 
-    def one(this: _Play) -> Verdict:
+    def one(this: _Play) -> FaultVerdict:
         return judge(this.case, play(this.case, this.folder, this.link))
 
     if jobs == 1:  # in this thread, so that an interruption ends its processes at once
@@ -114,7 +114,7 @@ def _judged(plays: list[_Play], jobs: int) -> Iterator[Verdict]:
         pool.shutdown(cancel_futures=True)
 
 
-def _show(verdicts: list[Verdict]) -> None:
+def _show(verdicts: list[FaultVerdict]) -> None:
     rows = [
         [
             v.name,

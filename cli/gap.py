@@ -16,7 +16,7 @@ from .console import bar, errors, out, table
 from .options import Layout, Logs
 
 if TYPE_CHECKING:
-    from hystmpc.gap.blind.ablation import Ablated
+    from hystmpc.studies.blind.ablation import Ablated
 
 INTERRUPTED = 130
 
@@ -48,11 +48,19 @@ def make(
     jobs: Jobs = None,
 ) -> None:
     """Write cases without labels, and their answers in one sealed file."""
-    from hystmpc.gap.blind.make import make_blind  # kept out of the way of the other verbs' start
+    from hystmpc.studies.blind.make import make_blind  # kept out of the way of the other verbs' start
 
     with bar("make cases", cases) as show:
+        workers = jobs or _cores()
         manifest = make_blind(
-            folder, seed, cases, suite, logs or [], jobs or _cores(), lambda done, _: show(done), preset
+            folder,
+            seed,
+            cases,
+            suite,
+            logs or [],
+            workers,
+            lambda done, total, note="": show(done, total=total),
+            preset,
         )
     out.print(f"{len(manifest.cases)} cases in {folder / 'cases'}; answers sealed, sha256 {manifest.answers_sha256}")
 
@@ -70,7 +78,7 @@ def run(
     ] = False,
 ) -> None:
     """Diagnose every case that is not diagnosed yet; Ctrl-C keeps what is done."""
-    from hystmpc.gap.blind.run import run_blind
+    from hystmpc.studies.blind.run import run_blind
 
     try:
         with bar("diagnose") as show:
@@ -80,7 +88,7 @@ def run(
                 seed,
                 follow_up,
                 not without_truth,
-                lambda done, total, note: show(done, note, total=total),
+                lambda done, total, note="": show(done, note, total=total),
             )
     except KeyboardInterrupt:
         errors.print(f"interrupted: finished diagnoses are kept in {folder}, the same command goes on", style="yellow")
@@ -96,8 +104,8 @@ def score(
     partial: Annotated[bool, typer.Option("--partial", help="Score what is diagnosed so far.")] = False,
 ) -> None:
     """Open the answers and score the diagnoses: score.json and report.html."""
-    from hystmpc.gap.blind.report import BAR_COLUMNS, bar_row, write_report
-    from hystmpc.gap.blind.score import miss_json, score_blind
+    from hystmpc.studies.blind.report import BAR_COLUMNS, bar_row, write_report
+    from hystmpc.studies.blind.score import miss_json, score_blind
 
     found = score_blind(folder, partial)
     rows = [[str(cell) for cell in bar_row(item)] for item in found.bars]
@@ -124,12 +132,12 @@ def ablate(
     seed: Annotated[int, typer.Option(min=0, help="Of the diagnoses.")] = 0,
 ) -> None:
     """Take each effect out of a simulator of real logs, and ask the diagnosis for its name."""
-    from hystmpc.gap.blind.ablation import ablate as ablate_all
+    from hystmpc.studies.blind.ablation import ablate as ablate_all
 
     require_vacant(folder)
     trials, simulator = read_trials(logs, preset), load_simulator(sim)
     with bar("ablate") as show:
-        rows = ablate_all(trials, simulator, folder, seed, lambda done, total, name: show(done, name, total=total))
+        rows = ablate_all(trials, simulator, folder, seed, lambda done, total, note="": show(done, note, total=total))
     cells = []
     for row in rows:
         answer = ("not needed", "", "") if not row.needed else (row.verdict, ", ".join(row.said) or "-", _mark(row))
@@ -152,7 +160,7 @@ def record(
     motion: Annotated[Path, typer.Argument(help="CSV with time_s and command, such as next_motion.csv.")],
 ) -> None:
     """Run a further motion on the device of a case and write its log."""
-    from hystmpc.gap.blind.record import record_motion
+    from hystmpc.studies.blind.run import record_motion
 
     out.print(f"recorded: {record_motion(folder, case, motion)}")
 

@@ -9,12 +9,13 @@ from typing import Annotated
 
 import typer
 
-from hystmpc.sim.compare import Progress, compare
+from hystmpc.sim.compare import compare
 from hystmpc.sim.config import load_simulation
 from hystmpc.sim.results import Result, StudyResult
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_resumable, require_vacant
+from hystmpc.trials.types import Progress
 
 from .console import bar, errors, out, table
 from .options import processes
@@ -99,7 +100,7 @@ def show_study(title: str, folder: Path, run: Callable[[Progress], StudyResult])
     require_vacant(folder)
     try:
         with bar(title) as show:
-            result = run(lambda done, total: show(done, total=total))
+            result = run(lambda done, total, note="": show(done, note, total=total))
     except KeyboardInterrupt:
         errors.print("interrupted before a run was finished: nothing is kept", style="yellow")
         raise typer.Exit(INTERRUPTED) from None
@@ -112,7 +113,7 @@ def show_study(title: str, folder: Path, run: Callable[[Progress], StudyResult])
 
 def _sweep(file: Path, overrides: Sequence[str], folder: Path, jobs: int, cluster: str | None) -> None:
     """Do what of a sweep is not done yet."""
-    from hystmpc.sim.parallel.backend import backend_for  # kept out of the way of the other verbs' start
+    from hystmpc.sim.jobs.backend import backend_for  # kept out of the way of the other verbs' start
     from hystmpc.sim.sweep.run import run_sweep
     from hystmpc.sim.sweep.settings import load_sweep
 
@@ -122,7 +123,7 @@ def _sweep(file: Path, overrides: Sequence[str], folder: Path, jobs: int, cluste
     try:
         with bar("sweep") as show:
             found = run_sweep(
-                settings, folder, backend, lambda done, total, note: show(done, note, total=total), source=file
+                settings, folder, backend, lambda done, total, note="": show(done, note, total=total), source=file
             )
     except KeyboardInterrupt:
         errors.print(f"interrupted: finished runs are kept in {folder}, the same command goes on", style="yellow")
@@ -138,7 +139,7 @@ def _sweep(file: Path, overrides: Sequence[str], folder: Path, jobs: int, cluste
 
 def _again(folder: Path, identity: str, target: Path | None) -> None:
     """Make a row again; exit code 1 if a figure differs."""
-    from hystmpc.sim.sweep.reproduce import reproduce
+    from hystmpc.sim.sweep.run import reproduce
 
     if target is not None:
         require_vacant(target)

@@ -10,12 +10,11 @@ from typing import Annotated
 
 import typer
 
-from hystmpc.sim.studies.settings import STAGES, StudySettings
-from hystmpc.sim.studies.tally import Tally
+from hystmpc.studies.papers.settings import STAGES, StudySettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_resumable
 
-from .console import Bar, bar, errors, out
+from .console import bar, errors, out
 from .study_control import control, rates
 
 INTERRUPTED = 130
@@ -89,7 +88,7 @@ def _check_options(name: Name, modelling: Mapping[str, object], loop: Mapping[st
 
 def _run(settings: StudySettings, folder: Path, workers: int) -> None:
     """Say how long it will take, do it, and say what failed."""
-    from hystmpc.sim.studies.run import prepare, run_study  # kept out of the way of the other verbs' start
+    from hystmpc.studies.papers.run import prepare, run_study  # kept out of the way of the other verbs' start
 
     require_resumable(folder)
     if settings.left_out:
@@ -100,7 +99,7 @@ def _run(settings: StudySettings, folder: Path, workers: int) -> None:
     errors.print(f"{len(ready.costs)} of {len(ready.tasks)} jobs to do on {workers} cores: about {minutes} min")
     try:
         with bar(f"study {settings.study}", sum(ready.costs.values())) as show:
-            outcome = run_study(ready, workers, lambda tally: _show(show, tally))
+            outcome = run_study(ready, workers, lambda done, total, note="": show(done, note, total=total))
     except KeyboardInterrupt:
         errors.print(f"interrupted: finished jobs are kept in {folder}, the same command goes on", style="yellow")
         raise typer.Exit(INTERRUPTED) from None
@@ -112,8 +111,3 @@ def _run(settings: StudySettings, folder: Path, workers: int) -> None:
 def _names(text: str | None) -> tuple[str, ...]:
     """Names between commas."""
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
-
-
-def _show(show: Bar, tally: Tally) -> None:
-    """The bar runs in seconds of processor time as estimated, so that the time left is that of the jobs left."""
-    show(tally.seconds_done, f"{tally.done} of {tally.total} jobs {tally.note}", total=max(tally.seconds_total, 1e-9))

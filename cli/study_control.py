@@ -7,15 +7,13 @@ from typing import Any
 
 import typer
 
-from hystmpc.sim.studies.control_bars import verdicts
-from hystmpc.sim.studies.control_outcome import ControlOutcome
-from hystmpc.sim.studies.control_settings import ControlSettings
-from hystmpc.sim.studies.control_tables import bars_table
-from hystmpc.sim.studies.tally import Tally
+from hystmpc.studies.control.bars import ControlOutcome, verdicts
+from hystmpc.studies.control.report import bars_table
+from hystmpc.studies.control.settings import ControlSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_resumable
 
-from .console import Bar, bar, errors, out, table
+from .console import bar, errors, out, table
 
 INTERRUPTED = 130
 
@@ -28,7 +26,7 @@ def control(changes: dict[str, Any], folder: Path, workers: int) -> None:
         LogError: if a result in the folder is damaged.
         typer.Exit: with 130 if the user ended it.
     """
-    from hystmpc.sim.studies.control_run import prepare_control, run_control  # as other studies: late
+    from hystmpc.studies.control.run import prepare_control, run_control  # as other studies: late
 
     settings = ControlSettings.of(**changes)
     require_resumable(folder)
@@ -37,7 +35,7 @@ def control(changes: dict[str, Any], folder: Path, workers: int) -> None:
     errors.print(f"{len(ready.open)} of {len(ready.jobs)} jobs to do on {workers} cores: about {minutes} min")
     try:
         with bar("study control", sum(ready.costs[key] for key in ready.open)) as show:
-            outcome = run_control(ready, workers, lambda tally: _show(show, tally))
+            outcome = run_control(ready, workers, lambda done, total, note="": show(done, note, total=total))
     except KeyboardInterrupt:
         errors.print(f"interrupted: finished jobs are kept in {folder}, the same command goes on", style="yellow")
         raise typer.Exit(INTERRUPTED) from None
@@ -68,7 +66,3 @@ def rates(text: str | None) -> tuple[float, ...]:
         except ValueError:
             raise ConfigError(f"--rates: got {part.strip()!r}, expected numbers such as 25,250") from None
     return tuple(found)
-
-
-def _show(show: Bar, tally: Tally) -> None:
-    show(tally.seconds_done, f"{tally.done} of {tally.total} jobs {tally.note}", total=max(tally.seconds_total, 1e-9))

@@ -32,7 +32,7 @@ def tune(
 
     They are checked on plants not seen; writes controller.yaml and a report.
     """
-    from hystmpc.sim.parallel.backend import backend_for  # kept out of the way of the other verbs' start
+    from hystmpc.sim.jobs.backend import backend_for  # kept out of the way of the other verbs' start
     from hystmpc.sim.tuning.run import run_tuning
     from hystmpc.sim.tuning.settings import load_tuning
 
@@ -43,7 +43,7 @@ def tune(
     try:
         with bar("tune") as show:
             found = run_tuning(
-                settings, folder, backend, storage, lambda done, total, note: show(done, note, total=total)
+                settings, folder, backend, storage, lambda done, total, note="": show(done, note, total=total)
             )
     except KeyboardInterrupt:
         errors.print(f"interrupted: finished trials are kept in {folder}, the same command goes on", style="yellow")

@@ -29,7 +29,7 @@ from hystmpc.models.library import library_file, model_path
 from hystmpc.models.load import load_model
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import load_simulator
-from hystmpc.sim.plant import SimulatedPlant
+from hystmpc.sim.plants.simulated import SimulatedPlant
 
 Vec = NDArray[np.float64]
 

@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 from hystmpc.ctrl import TipController
 from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator
-from hystmpc.sim.plant import Effects, SimulatedPlant
+from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
 
 AXIS_DEG, RADIUS_DEG = 58.0, 15.0
 GIVE_UP_S = 5.0

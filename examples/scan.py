@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from hystmpc.ctrl import TipController
 from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator
-from hystmpc.sim.plant import Effects, SimulatedPlant
+from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
 
 CENTRE_DEG, AMPLITUDE_DEG = 58.0, 15.0
 

@@ -12,19 +12,18 @@ from hystmpc.ctrl.loop import Controller, LoopLog, LoopSample, run_loop
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.types import Vec
 
-from .computed_plant import ComputedPlant
+from .plants.computed import ComputedPlant
 
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoopRun:
-    """What happened.
+    """Signals of one closed-loop run.
 
     Attributes:
         log: the loop's own log, with measured angles, N samples.
         true_deg: angles without sensor noise at the ends of the samples (N,) [deg].
         rest_command: the command that the plant held before the first sample.
         dt: sample time [s].
-        unit: of the command.
     """
 
     log: LoopLog

@@ -1,24 +1,23 @@
-"""Every controller of a study along every motion, with a run folder for each."""
+"""Every controller of a study along every motion, with a run folder for each; and the study that ships as `demo`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
+from importlib.resources import files
 from pathlib import Path
 
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.types import Progress
 
 from .closed_loop import run_closed_loop
-from .config import SimulationConfig
+from .config import SimulationConfig, load_simulation
 from .report import study_report
-from .results import Result, StudyResult, result_of
-from .run_log import log_columns
+from .results import Result, StudyResult, log_columns, result_of
 from .study import Study, prepare
 from .tune_pid import tuned_study
-
-Progress = Callable[[int, int], None]
 
 
 def compare(config: SimulationConfig, out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
@@ -29,9 +28,7 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
     where nothing was.
 
     Args:
-        config: the study.
         out: a new or empty folder; nothing is written where left out.
-        progress: called with the steps done and their number, first for the tuning, then for the runs.
 
     Raises:
         HystmpcError: what `prepare` raises; ConfigError also if `out` is not vacant.
@@ -106,3 +103,18 @@ def _write(folder: RunFolder, study: Study, result: Result) -> None:
     path = folder.path / result.motion / result.controller
     run = RunFolder.create(path, alone, seed=config.seed, models=study.files)
     run.write_log(log_columns(result.run))
+
+
+def demo_config() -> SimulationConfig:
+    """The study that `demo` runs; `sim/demo.yaml`."""
+    return load_simulation(Path(str(files("hystmpc.sim").joinpath("demo.yaml"))))
+
+
+def demo(out: Path | str | None = None, progress: Progress | None = None) -> StudyResult:
+    """Track a point-to-point motion and a scan with every controller; see `compare`.
+
+    Raises:
+        ConfigError: if `out` is not vacant.
+        KeyboardInterrupt: if the user ends it before the first run is finished.
+    """
+    return compare(demo_config(), out, progress)

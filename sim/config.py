@@ -28,7 +28,6 @@ class EffectSettings(Settings):
     """One effect of the library; see `hystmpc effects` for names, parameters, units and bounds.
 
     Attributes:
-        effect: name.
         side: of the core; the effect's first where left out.
         parameters: by name; those left out have their neutral values, if they have any.
         terms, ways, harmonics, seed: sizes of creep, lag, periodic disturbance and sensor; all but the seed also follow
@@ -77,7 +76,7 @@ class PlantSettings(Settings):
 
     @property
     def name(self) -> str:
-        """What the plant is called: its file, `builtin:NAME`, or the device's name."""
+        """Name of the plant: its file, `builtin:NAME`, or the device's name."""
         return str(self.simulator) if self.device is None else f"device {self.device}"
 
     @model_validator(mode="after")
@@ -101,7 +100,7 @@ class PlantSettings(Settings):
 
 
 class TuningSettings(Settings):
-    """How PID gains are searched for; see `tune_pid`.
+    """Settings of the search for PID gains; see `tune_pid`.
 
     Attributes:
         evaluations: closed-loop runs over all motions, about, for each controller.
@@ -124,22 +123,18 @@ class SimulationConfig(Settings):
     """A closed-loop study: every controller follows every motion on one simulated plant.
 
     Attributes:
-        plant: the device.
         model: what controllers know of it: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
         actuator_lag_s: first-order lag of the command that the model does not contain and controllers are told of.
         inverse: simulator (.yaml) that is inverted in the model's place: `inverse` and `inverse_pid` know nothing else,
             predictive controllers take their first guess from it. For networks, which have no inverse of their own;
             where left out, a backlash fitted to the network's free run. Or an inverse map (.onnx, or .yaml for
             an operator), which is asked for the command and runs beside the model.
-        motions: references by name.
-        controllers: controllers by name.
         limits: hard limits of command and rate; those of the model where left out. Wider ones are refused unless
             `limits.beyond_model` is true.
         tune_pid: search the gains of every `pid` and `inverse_pid` on this plant and these motions first; where left
             out the gains stand as given.
         tuned: controllers whose gains such a search has found; a run writes them here beside the gains, so that its
             configuration repeats the run without the search.
-        seed: of sensor noise and of the search.
     """
 
     plant: PlantSettings
@@ -158,7 +153,6 @@ def load_simulation(path: Path | str, overrides: Iterable[str] = ()) -> Simulati
     """Read a study; file names in it start at its own folder and come out absolute.
 
     Args:
-        path: a YAML file.
         overrides: changes such as `plant.lag_s=0.1`.
 
     Raises:
@@ -174,11 +168,6 @@ def located(
     config: SimulationConfig, folder: Path, where: Callable[[Sequence[str | int]], str] | None = None
 ) -> SimulationConfig:
     """The study with every file name absolute, relative ones starting at `folder`; built-in models keep their names.
-
-    Args:
-        config: the study.
-        folder: that it was read from.
-        where: says where an entry of it stands, for messages.
 
     Raises:
         ModelError: on an unknown built-in model.

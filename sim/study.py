@@ -21,26 +21,20 @@ from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, ControllerError
 
-from .computed_plant import ComputedPlant
 from .config import SimulationConfig
-from .plants import make_plant, plant_files
+from .plants.computed import ComputedPlant
+from .plants.make import make_plant, plant_files
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What `compare` and `tune_pid` run.
+    """A closed-loop study ready to run: plant, model, limits, motions.
 
     Attributes:
-        config: the settings, with the limits that hold.
-        plant: the device.
-        predictor, inverse: what predictive controllers know of it.
         feedforward: predictor and inverse of the controllers that only invert: the same for a model that has an
             inverse and for an inverse map, else the operator that stands in for it. Corrected by the network at every
             sample, as predictive controllers want it for their first guess, that inverse would go back and forth across
             the dead band.
-        limits: hard limits of the device.
-        motions: references by name.
-        files: model files that were opened.
     """
 
     config: SimulationConfig
@@ -69,10 +63,9 @@ class Study:
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What controllers know of a device: the costly part of a study, which studies of one model may share.
+    """Opened models of a device: the costly part of a study, which studies of one model may share.
 
     Attributes:
-        facts: of the model.
         predictor, inverse, feedforward: see `Study`.
     """
 
@@ -98,7 +91,6 @@ def prepare(config: SimulationConfig, known: Knowledge | None = None) -> Study:
     """Open and build everything that a study needs; whatever is wrong is found here.
 
     Args:
-        config: the settings.
         known: what `knowledge` has found for the same `model`, `inverse` and `actuator_lag_s`; opened where left out.
 
     Raises:

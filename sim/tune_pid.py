@@ -1,8 +1,7 @@
-"""PID gains by global search on the study's own plant and motions: the strongest PID that there is to compare with."""
+"""PID gains by global search on the study's own plant and motions: the best PID for comparison."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,14 +11,12 @@ from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.ctrl.feedback.inverse import InversePidControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Progress, Vec
 
 from .closed_loop import run_closed_loop
 from .study import Study
 
-Progress = Callable[[int, int], None]
 PidLike = PidControllerSettings | InversePidControllerSettings
-
 _PER_PARAMETER = 3
 _KP_KI = ((1e-4, 1.0), (1e-2, 10.0))  # [cmd/deg], [cmd/(deg s)], searched by their logarithms
 _KD = (0.0, 0.05)  # [cmd s/deg]
@@ -31,10 +28,7 @@ class PidTuning:
     """Result of a search.
 
     Attributes:
-        settings: the controller with the gains found.
         rmse_deg: root of the mean over motions of the mean square true error with them [deg].
-        start_rmse_deg: the same with the gains given.
-        evaluations: times that all motions were run.
     """
 
     settings: PidLike
@@ -52,9 +46,7 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
     given gains belong to the first population, so that the result is never worse than they are.
 
     Args:
-        study: plant, model and motions.
         settings: the controller whose `kp`, `ki`, `kd` and dead zone are searched; everything else stays.
-        progress: called with the evaluations so far and their number.
 
     Raises:
         ConfigError: if the study has no `tune_pid`.
@@ -99,9 +91,9 @@ def tuned_study(study: Study, progress: Progress | None = None) -> Study:
     found: dict[str, AnyControllerSettings] = {}
     for k, (name, settings) in enumerate(chosen.items()):
 
-        def overall(done: int, total: int, before: int = k) -> None:
+        def overall(done: float, total: float, note: str = "", before: int = k) -> None:
             if progress is not None:
-                progress(before * total + done, len(chosen) * total)
+                progress(before * total + done, len(chosen) * total, note)
 
         found[name] = tuned_gains(study, settings, overall).settings
     controllers = {**study.config.controllers, **found}

@@ -1,6 +1,6 @@
-"""The papers' two catheters as simulated instruments, and the data sets that are recorded on them.
+"""The catheters of the papers S1 and S2 and a rod as simulated devices, and the papers' data sets.
 
-`tendon` and `muscle` are the devices, `sensors` their measuring chains, `tendon_recorder` and `muscle_recorder` the
-protocols by which a trial is taken, `make.make_dataset` the papers' full data sets. The devices are not made of the
-operators that are identified on them (`models.operators`).
+`tendon`, `muscle` and `rod` are the devices with their benches, `recorder` the sensors; `paper_data.make_dataset`
+records the papers' full data sets. The devices are not made of the operators that are identified on them
+(`models.operators`).
 """

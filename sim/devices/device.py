@@ -1,18 +1,21 @@
-"""What a simulated device is to recorders and plants: explicit state, commands in, motion out."""
+"""Interface of simulated devices (explicit state, commands in, motion out), and parameters with unit and bounds."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Protocol
 
 import numpy as np
 
+from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
-    """What a device did under T commands, without any sensor.
+class DeviceMotion:
+    """Motion of a device under T commands, without any sensor.
 
     Attributes:
         angle: true tip angle at the end of each sample [deg], (T,).
@@ -44,6 +47,41 @@ class Device(Protocol):
         """State (S,) of a device that rests at its least command and has never been moved."""
         ...
 
-    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> Motion:
+    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> DeviceMotion:
         """Run commands (T,), each held for `dt_s` [s]; commands beyond the limits are clipped. `state` is kept."""
         ...
+
+
+def quantity(default: float, unit: str, lower: float, upper: float, meaning: str) -> Any:
+    """A dataclass field with a default, a unit, inclusive bounds and a line on what it is."""
+    return field(default=default, metadata={"unit": unit, "bounds": (lower, upper), "meaning": meaning})
+
+
+@dataclass(frozen=True)
+class Quantities:
+    """A block of parameters; every `quantity` in it is compared with its bounds.
+
+    Raises:
+        ConfigError: naming the block, the parameter, the value and the bounds.
+    """
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            if "bounds" in f.metadata:
+                value, (lower, upper) = getattr(self, f.name), f.metadata["bounds"]
+                if not (math.isfinite(value) and lower <= value <= upper):
+                    raise ConfigError(
+                        f"{type(self).__name__}.{f.name}: got {value} {f.metadata['unit']}, "
+                        f"expected {lower:g} to {upper:g} {f.metadata['unit']}"
+                    )
+
+
+def to_plain(block: Any) -> dict[str, Any]:
+    """A (nested) dataclass as plain data for YAML: numbers, texts, lists and mappings."""
+    return {name: _plain(value) for name, value in asdict(block).items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return [_plain(inner) for inner in value] if isinstance(value, tuple | list) else value

@@ -1,30 +1,77 @@
-"""The catheter of S1 as a simulated device: valve, bladder, braid friction and a segment that stiffens."""
+"""The catheter of S1 and its bench: valve, bladder, braid friction and a segment that stiffens."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import final
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
 
+from hystmpc.models.kernels.numba_ import njit
+from hystmpc.trajectories.trajectory import Trajectory
+from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
-from . import muscle_kernel
-from .device import Motion
-from .muscle_kernel import STATES, MuscleNumbers
-from .quantities import check_quantities, quantity
+from .device import DeviceMotion, Quantities, quantity
+from .recorder import LaserSensor, generator, sampled
 
+PRESSURE, BLADDER, FRICTION, LATE, BEND = range(5)
+STATES = 5
 _STEP_S = 1e-3  # longest step of the recursion
 
 
-@dataclass(frozen=True)
-class MuscleParameters:
-    """Numbers of the muscle-driven catheter; S1 prints none of them, docs/devices.md says how they were set.
+class MuscleNumbers(NamedTuple):
+    """Parameters as the recursion reads them; see `muscle.MuscleParameters`."""
 
-    Raises:
-        ConfigError: if a number is out of its bounds.
-    """
+    supply_bar: float
+    valve_s: float
+    fill_s: float
+    vent_s: float
+    slack_bar: float
+    slack_width_bar: float
+    friction: float
+    presliding_bar: float
+    greatest_deg: float
+    half_bar: float
+    late: float
+    late_share: float
+    bend_share: float
+
+
+@njit(cache=True, error_model="numpy")
+def slack(pressure: float, at: float, width: float) -> float:
+    """Pressure that reaches the braid: a smooth max(p - at, 0) that is 0 at p = 0."""
+    return width * (math.log1p(math.exp((pressure - at) / width)) - math.log1p(math.exp(-at / width)))
+
+
+@njit(cache=True, error_model="numpy")
+def advance(state: Any, commands: Any, p: Any, dt: float, parts: int, angle: Any, drive: Any) -> None:
+    """Move `state` (5,) on through commands (T,), each in `parts` steps of dt / parts; outputs (T,)."""
+    pressure, before, friction, late, bend = state
+    h = dt / parts
+    for k in range(commands.size):
+        for _ in range(parts):
+            flow = (commands[k] - pressure) / p.valve_s
+            flow = min(max(flow, -pressure / p.vent_s), (p.supply_bar - pressure) / p.fill_s)
+            pressure = max(pressure + h * flow, 0.0)
+            bladder = slack(pressure, p.slack_bar, p.slack_width_bar)
+            step = bladder - before
+            before = bladder
+            side = 1.0 if step > 0 else -1.0
+            friction = side + (friction - side) * math.exp(-abs(step) / p.presliding_bar)
+            pull = max(bladder * (1 - p.friction * friction), 0.0)
+            still = p.greatest_deg * pull / (pull + p.half_bar)
+            late += p.late_share * (still - late)
+            bend += p.bend_share * (still + p.late * (late - still) - bend)
+        angle[k] = bend
+        drive[k] = pressure
+    state[0], state[1], state[2], state[3], state[4] = pressure, before, friction, late, bend
+
+
+@dataclass(frozen=True)
+class MuscleParameters(Quantities):
+    """Numbers of the muscle-driven catheter; S1 prints none of them, docs/devices.md says how they were set."""
 
     greatest_bar: float = quantity(3.0, "bar", 0.1, 20.0, "greatest pressure (S1)")
     supply_bar: float = quantity(5.0, "bar", 0.2, 30.0, "supply of the valve")
@@ -41,24 +88,14 @@ class MuscleParameters:
     late_s: float = quantity(0.4, "s", 1e-3, 100.0, "time constant of that share")
     bend_lag_s: float = quantity(0.01, "s", 0.0, 10.0, "first-order lag of the segment")
 
-    def __post_init__(self) -> None:
-        check_quantities(self)
-
 
 @dataclass(frozen=True)
-class MuscleVariation:
-    """How one recording's device differs from the next: standard deviations of normal draws.
-
-    Raises:
-        ConfigError: if a number is out of its bounds.
-    """
+class MuscleVariation(Quantities):
+    """Variation of the device between recordings: standard deviations of normal draws."""
 
     gain: float = quantity(0.005, "1", 0.0, 0.2, "relative change of the greatest angle")
     friction: float = quantity(0.03, "1", 0.0, 0.3, "relative change of the friction")
     slack_bar: float = quantity(0.005, "bar", 0.0, 0.5, "shift of the slack")
-
-    def __post_init__(self) -> None:
-        check_quantities(self)
 
     def __call__(self, parameters: MuscleParameters, random: np.random.Generator) -> MuscleParameters:
         """The device of one recording."""
@@ -107,15 +144,15 @@ class MuscleCatheter:
         """State (5,) of the straight, vented catheter."""
         return np.array([0.0, 0.0, -1.0, 0.0, 0.0])
 
-    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> Motion:
+    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> DeviceMotion:
         """Run commands (T,) [bar], each held for `dt_s` [s]; see `Device.advance`. Draws nothing from `random`."""
         del random
         after = np.array(state, dtype=np.float64)
         clipped = np.clip(np.asarray(commands, dtype=np.float64), *self.commands)
         angle, drive = np.empty(clipped.size), np.empty(clipped.size)
         parts = max(math.ceil(dt_s / _STEP_S - 1e-9), 1)
-        muscle_kernel.advance(after, clipped, self._numbers(dt_s / parts), dt_s, parts, angle, drive)
-        return Motion(angle, drive, np.full(clipped.size, np.nan), after)
+        advance(after, clipped, self._numbers(dt_s / parts), dt_s, parts, angle, drive)
+        return DeviceMotion(angle, drive, np.full(clipped.size, np.nan), after)
 
     def _numbers(self, step_s: float) -> MuscleNumbers:
         p = self.parameters
@@ -134,3 +171,50 @@ class MuscleCatheter:
             late_share=1 - math.exp(-step_s / p.late_s),
             bend_share=1 - math.exp(-step_s / p.bend_lag_s) if p.bend_lag_s > 0 else 1.0,
         )
+
+
+@dataclass(frozen=True)
+class MuscleRecorder(Quantities):
+    """The bench of S1.
+
+    S1 eq. (3) takes the greatest distance of a group as that of the straight catheter. A motion that never comes to
+    0 bar (test (b)) has no such sample, so the group here begins with the catheter straight at 0 bar and a ramp to
+    the first command; both count for eq. (3) and are then left out of the trial. `straight="group"` takes the
+    greatest distance of the trial itself, to the letter of eq. (3). As a maximum of noisy samples it lies some noise
+    above the true one, in the papers as here.
+
+    Attributes:
+        rate_hz: rate of command, laser and trial [Hz].
+        rest_s: time at 0 bar before, time of the ramp to the first command, and of the hold there [s].
+        straight: what the straight catheter's distance is taken from: `rest` (and trial) or `group` (trial alone).
+    """
+
+    device: MuscleParameters = field(default_factory=MuscleParameters)
+    variation: MuscleVariation = field(default_factory=MuscleVariation)
+    laser: LaserSensor = field(default_factory=LaserSensor)
+    rate_hz: float = quantity(250.0, "Hz", 1.0, 10_000.0, "rate of command and laser (S1 for the laser)")
+    rest_s: float = quantity(1.0, "s", 0.0, 1000.0, "time straight, of the ramp, and of the hold before the motion")
+    straight: Literal["rest", "group"] = "rest"
+
+    def record(self, excitation: Trajectory, seed: int, source: str) -> Trial:
+        """One trial; equal seed and source give equal trials, either of them another gives another device and noise.
+
+        Channels: `voltage_v` of the laser, `pressure_bar` in the muscle.
+
+        Raises:
+            ModelError: if the device bends beyond what the laser can tell.
+        """
+        random = generator(seed, source, "device")
+        device = MuscleCatheter(self.variation(self.device, random))
+        t, motion = sampled(excitation, self.rate_hz)
+        steps = round(self.rest_s * self.rate_hz)
+        before = (np.zeros(steps), np.linspace(0, motion[0], steps), np.full(steps, motion[0]))
+        commands = np.concatenate([*before, motion])
+        done = device.advance(device.virgin(), commands, 1 / self.rate_hz, random)
+        voltage = self.laser(done.angle, random)
+        conversion, start = self.laser.conversion, 3 * steps
+        group = voltage if self.straight == "rest" else voltage[start:]
+        straight_mm = float(conversion.distance(group).max())
+        angle = conversion.angles_of_group(voltage[start:], straight_mm)
+        channels = {"voltage_v": voltage[start:], "pressure_bar": done.actuator[start:]}
+        return Trial(t, motion, angle, channels, Units(command=device.command_unit), source)

@@ -1,4 +1,4 @@
-"""The devices by name, with their numbers as settings files give them."""
+"""Simulated devices by name, with their parameters as settings files give them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from typing import Any
 
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
-from .device import Device
+from .device import Device, to_plain
 from .muscle import MuscleCatheter, MuscleParameters
-from .quantities import to_plain
-from .rod import RodCatheter
-from .rod_parameters import RodParameters
+from .rod import RodCatheter, RodParameters
 from .tendon import TendonCatheter, TendonParameters
 
 
@@ -22,8 +20,6 @@ class NamedDevice:
     """One entry of `DEVICES`.
 
     Attributes:
-        make: the device of some parameters.
-        parameters: their class.
         varied: those that differ from one specimen to the next, for tunings that are not told what to draw.
     """
 
@@ -47,7 +43,6 @@ class DeviceError(ConfigError):
     """A wrong description of a device.
 
     Args:
-        message: one line.
         at: keys from the description to the offending entry.
     """
 

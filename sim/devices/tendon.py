@@ -1,24 +1,83 @@
-"""The tendon catheter of S2 as a simulated device: distributed friction between two lines."""
+"""The tendon catheter of S2 and its bench: distributed friction between two lines."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import final
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from hystmpc.models.kernels.numba_ import njit
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
-from . import tendon_kernel
-from .device import Motion
-from .quantities import check_quantities, quantity
-from .tendon_kernel import EXTRA_STATES, TendonNumbers
+from .device import Device, DeviceMotion, Quantities, quantity
+from .recorder import TrackedBench
+
+DRIVE, ROUGHNESS, VISCOUS, CREEP, REACHED = range(5)  # of the state, after the elements
+EXTRA_STATES = 5
+
+
+class TendonNumbers(NamedTuple):
+    """Parameters as the recursion reads them; see `tendon.TendonParameters`."""
+
+    drive_share: float  # 1 - exp(-dt / drive_lag)
+    middle_slope: float
+    middle_deg: float
+    half_gap_slope: float
+    half_gap_deg: float
+    end_deg: float
+    end_mm: float
+    viscous_s_per_mm: float
+    roughness: float
+    roughness_mm: float
+    viscoelastic: float
+    viscoelastic_share: float
+    creep: float
+    creep_share: float
+    set_deg: float
+    set_mm: float
+    offset_deg: float
+    pretension_n: float
+    stiffness_n_per_mm: float
+    friction_tension: float
+
+
+@njit(cache=True, error_model="numpy")
+def advance(
+    state: Any, widths: Any, commands: Any, bumps: Any, p: Any, dt: float, angle: Any, drive: Any, tension: Any
+) -> None:
+    """Move `state` (N + 5,) on through commands (T,); `widths` (N,), `bumps` (T,) standard normal; outputs (T,)."""
+    count = widths.size
+    x, rough, viscous, creep, reached = state[count:]
+    for k in range(commands.size):
+        step = p.drive_share * (commands[k] - x)
+        x += step
+        travel = abs(step)
+        keep = math.exp(-travel / p.roughness_mm)
+        rough = keep * rough + p.roughness * math.sqrt(max(1 - keep * keep, 0.0)) * bumps[k]
+        middle = p.middle_deg + p.middle_slope * x + p.end_deg * math.exp(-x / p.end_mm)
+        half = (p.half_gap_deg + p.half_gap_slope * x) * (1 + p.viscous_s_per_mm * travel / dt) * max(1 + rough, 0.0)
+        total = 0.0
+        for i in range(count):
+            # The friction of one element holds it until the wall reaches it.
+            state[i] = max(middle - widths[i] * half, min(middle + widths[i] * half, state[i]))
+            total += state[i]
+        bend = total / count
+        viscous += p.viscoelastic_share * (bend - viscous)
+        creep += p.creep_share * (bend - creep)
+        reached = max(reached, x)
+        set_left = p.set_deg * max(1 - reached / p.set_mm, 0.0)
+        angle[k] = bend + p.viscoelastic * (viscous - bend) + p.creep * (creep - bend) + p.offset_deg - set_left
+        drive[k] = x
+        stick = (middle - bend) / half if half > 0 else 0.0  # 1 on the loading line, -1 on the unloading line
+        tension[k] = (p.pretension_n + p.stiffness_n_per_mm * x) * (1 + p.friction_tension * (stick - 1))
+    state[count:] = np.array([x, rough, viscous, creep, reached])
 
 
 @dataclass(frozen=True)
-class TendonParameters:
+class TendonParameters(Quantities):
     """Numbers of the tendon catheter; `friction`, widths and noise were set as docs/devices.md says.
 
     Raises:
@@ -52,7 +111,7 @@ class TendonParameters:
     elements: int = quantity(40, "1", 2, 1000, "friction elements")
 
     def __post_init__(self) -> None:
-        check_quantities(self)
+        super().__post_init__()
         if min(self.gap(0.0), self.gap(self.travel_mm)) <= 0:
             raise ConfigError("TendonParameters: the lines cross within the travel, expected unloading above loading")
         if not self.core_from <= self.core_to:
@@ -73,21 +132,15 @@ class TendonParameters:
 
 
 @dataclass(frozen=True)
-class TendonVariation:
-    """How one trial's device differs from the next: standard deviations of normal draws.
+class TendonVariation(Quantities):
+    """Variation of the device between trials: standard deviations of normal draws.
 
     S2 accepts a pretension when the standard deviation over trials is below 0.5 deg.
-
-    Raises:
-        ConfigError: if a number is out of its bounds.
     """
 
     offset_deg: float = quantity(0.3, "deg", 0.0, 10.0, "shift of all angles")
     slope: float = quantity(0.004, "1", 0.0, 0.2, "relative change of both slopes")
     friction: float = quantity(0.04, "1", 0.0, 0.3, "relative change of the friction")
-
-    def __post_init__(self) -> None:
-        check_quantities(self)
 
     def __call__(self, parameters: TendonParameters, random: np.random.Generator) -> TendonParameters:
         """The device of one trial."""
@@ -139,15 +192,15 @@ class TendonCatheter:
         bend = float(elements.mean())
         return np.concatenate([elements, [0.0, 0.0, bend, bend, 0.0]])
 
-    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> Motion:
+    def advance(self, state: Vec, commands: Vec, dt_s: float, random: np.random.Generator) -> DeviceMotion:
         """Run commands (T,) [mm], each held for `dt_s` [s]; see `Device.advance`."""
         after = np.array(state, dtype=np.float64)
         clipped = np.clip(np.asarray(commands, dtype=np.float64), *self.commands)
         angle, drive, tension = (np.empty(clipped.size) for _ in range(3))
         bumps = random.standard_normal(clipped.size)
         numbers = self._numbers(dt_s)
-        tendon_kernel.advance(after, self._widths, clipped, bumps, numbers, dt_s, angle, drive, tension)
-        return Motion(angle, drive, tension, after)
+        advance(after, self._widths, clipped, bumps, numbers, dt_s, angle, drive, tension)
+        return DeviceMotion(angle, drive, tension, after)
 
     @property
     def state_size(self) -> int:
@@ -183,3 +236,15 @@ class TendonCatheter:
 def _share(dt_s: float, lag_s: float) -> float:
     """Share of a step that a first-order lag has made after one sample, exact for a held input."""
     return 1 - math.exp(-dt_s / lag_s) if lag_s > 0 else 1.0
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class TendonRecorder(TrackedBench):
+    """The bench of S2."""
+
+    device: TendonParameters = field(default_factory=TendonParameters)
+    variation: TendonVariation = field(default_factory=TendonVariation)
+
+    def mounted(self, random: np.random.Generator) -> Device:
+        return TendonCatheter(self.variation(self.device, random))

@@ -17,8 +17,8 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
-from ..computed_plant import ComputedPlant
 from ..config import SimulationConfig, load_simulation
+from ..plants.computed import ComputedPlant
 from ..study import prepare
 
 Signal = Callable[[float], float]
@@ -27,7 +27,7 @@ _ANGLE_DEG = 720.0  # observations are clipped here, so that the space is bounde
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What acts on the device from outside, by the time since the reset [s].
+    """External disturbances as functions of the time since the reset [s].
 
     Attributes:
         angle_deg: added to the tip angle: a load, breathing.
@@ -43,13 +43,8 @@ class EnvironmentState:
     """Everything that the future of an environment depends on but the actions; never changed once taken.
 
     Attributes:
-        plant: with its random numbers.
         random: of the environment, for the seeds of coming resets.
-        motion: name.
-        k: samples since the reset.
-        u: command sent last.
         y: angle measured last [deg].
-        disturbance: what acts from outside.
     """
 
     plant: ComputedPlant
@@ -75,8 +70,6 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     Args:
         plant: the device; the environment has a copy.
-        motions: references by name.
-        limits: of command and rate.
         preview: H, samples at least 1.
         rate_weight: w [deg^2 per squared command unit].
         disturbance: see `disturb`.
@@ -115,7 +108,6 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """The environment of a closed-loop study: its plant, motions and limits; controllers are not looked at.
 
         Args:
-            config: the study or its file.
             options: `preview`, `rate_weight`, `disturbance`.
 
         Raises:
@@ -184,7 +176,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._observation()
 
     def _beside(self) -> float:
-        """What acts on the angle now [deg]."""
+        """Disturbance of the angle now [deg]."""
         load = self._disturbance.angle_deg
         return 0.0 if load is None else load(self._k * self.dt)
 
@@ -193,12 +185,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return np.clip(seen.astype(np.float32), self._seen_low, self._seen_high)
 
     def _info(self) -> dict[str, Any]:
-        """What is true now; the reference is that of the end of the sample just done, the first one's before it."""
+        """True values now; the reference is that at the end of the last sample, before it the first one's."""
         theta = self._plant.true_angle + self._beside()
         reference = float(self._tables[self._motion].at(max(self._k - 1, 0))[0])
-        return {
-            "true_angle_deg": theta,
-            "reference_deg": reference,
-            "error_deg": theta - reference,
-            "command": self._u,
-        }
+        return {"true_angle_deg": theta, "reference_deg": reference, "error_deg": theta - reference, "command": self._u}

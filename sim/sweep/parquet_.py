@@ -10,7 +10,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from .columns import Column, as_column
+from .csv_rows import Column, as_column
 
 ENDING = ".parquet"
 _TYPES = {"number": pa.float64(), "whole": pa.int64(), "text": pa.string()}

@@ -1,4 +1,4 @@
-"""The rows of a sweep: what each runs, and an identity that depends on nothing but that."""
+"""The rows of a sweep: settings of each run, and an identity that depends on nothing else."""
 
 from __future__ import annotations
 
@@ -15,25 +15,20 @@ from hystmpc.models.library import model_path
 from hystmpc.trials.errors import ConfigError
 
 from ..config import SimulationConfig
-from ..plants import file_hash, plant_hash
-from .draws import drawn
-from .paths import changed, path_parts, place
-from .settings import SweepSettings, label
+from ..plants.make import file_hash, plant_hash
+from .settings import SweepSettings, changed, drawn, label, path_parts, place
 
 _KNOWLEDGE = ("model", "inverse", "actuator_lag_s")  # costly to open, so that they change last
 _ID_DIGITS = 16
 
 
 @dataclass(frozen=True)
-class Row:
+class SweepRow:
     """One closed-loop run.
 
     Attributes:
         id: of settings and model files, 16 hexadecimal digits.
-        controller, motion: names.
         factors: what was varied, by path; names of grid values, values of draws.
-        draw: number of the draw.
-        seed: of noise.
         settings: the study with this controller and motion alone, as JSON.
         files: SHA-256 of plant, model and inverse.
     """
@@ -89,13 +84,8 @@ class Hashes:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """All rows of a sweep, made as they are asked for.
-
-    Attributes:
-        settings: with the study in them.
-        source: file of the sweep, for messages.
-    """
+class SweepPlan:
+    """All rows of a sweep, made as they are asked for."""
 
     settings: SweepSettings
     source: Path | None = None
@@ -107,7 +97,7 @@ class Plan:
         values = [list(self.settings.grid[path].items()) for path in paths]
         return tuple(dict(zip(paths, point, strict=True)) for point in itertools.product(*values))
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[SweepRow]:
         """Row after row, none twice.
 
         Raises:
@@ -187,7 +177,7 @@ class Plan:
         return found[1]
 
 
-def _rows(config: SimulationConfig, factors: Mapping[str, Any], number: int, hashes: Hashes) -> Iterator[Row]:
+def _rows(config: SimulationConfig, factors: Mapping[str, Any], number: int, hashes: Hashes) -> Iterator[SweepRow]:
     files = hashes.of(config)
     for motion in config.motions:
         for controller in config.controllers:
@@ -198,11 +188,11 @@ def _rows(config: SimulationConfig, factors: Mapping[str, Any], number: int, has
                     "tuned": (),
                 }
             )
-            row = Row("", controller, motion, factors, number, config.seed, _text(alone), files)
+            row = SweepRow("", controller, motion, factors, number, config.seed, _text(alone), files)
             yield replace(row, id=row_id(row))
 
 
-def row_id(row: Row) -> str:
+def row_id(row: SweepRow) -> str:
     """SHA-256 over a row's settings and model files, first 16 digits."""
     text = json.dumps([row.settings, list(row.files)])
     return hashlib.sha256(text.encode()).hexdigest()[:_ID_DIGITS]

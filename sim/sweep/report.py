@@ -10,22 +10,37 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 from hystmpc.trials.plot_style import REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
-from ..figures import colours
-from .axes import plain_log
-from .columns import Column, chosen, numbers, texts
+from ..report import colours
+from .csv_rows import Column, chosen, numbers, texts
 from .store import table_of
 
+_FEW = ((100.0, (1,)), (8.0, (1, 2, 5)))  # from this ratio of the ends on only these leading digits are shown
 _FIGURES = ("rmse_deg", "max_abs_deg", "hold_error_deg", "command_travel", "limit_violations", "step_mean_s", "cpu_s")
 _NAMES = ("id", "status", "message", "controller", "motion", "seed", *_FIGURES)
 _WORST = 20
 _LEVELS = 8  # a factor with more numbers is shown by its quarters
 _SHORT = 28
+
+
+def plain_log(axis: Axis) -> None:
+    """Ticks of a logarithmic axis as 0.4, 1, 2 and not as powers of ten; fewer the more decades there are."""
+
+    def text(value: float, _: object) -> str:
+        low, high = sorted(axis.get_view_interval())
+        digits = next((shown for ratio, shown in _FEW if high > ratio * low), range(1, 10))
+        leading = round(value / 10.0 ** math.floor(math.log10(value) + 1e-9)) if value > 0 else 0
+        return f"{value:g}" if leading in digits else ""
+
+    axis.set_major_formatter(FuncFormatter(text))
+    axis.set_minor_formatter(FuncFormatter(text))
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +49,6 @@ class SweepView:
 
     Attributes:
         table: columns (N,).
-        factors: kinds of the columns that were varied.
     """
 
     table: Mapping[str, Column]

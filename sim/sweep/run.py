@@ -1,37 +1,36 @@
-"""A whole sweep: rows, table, report; in a run folder that it goes on from."""
+"""A whole sweep in a resumable run folder, and one of its rows made again."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from hystmpc.trials.config import dump_yaml
-from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.files import write_atomically
+from hystmpc.trials.errors import ConfigError, LogError, did_you_mean
 from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.types import Progress
 
-from ..parallel.backend import Backend
-from .plan import Plan, Row
+from ..compare import compare
+from ..config import SimulationConfig
+from ..jobs.backend import Backend
+from ..jobs.runner import alone_in, resumed_folder, run_jobs
+from .plan import Hashes, SweepPlan, SweepRow
 from .report import SweepView, sweep_report
 from .settings import SweepSettings, sweep_in
-from .store import Store, alone_in
-from .worker import COST_COLUMNS, RESULT_COLUMNS, ROW_COLUMNS, run_row
+from .store import Store, files_of, table_of
+from .worker import COST_COLUMNS, RESULT_COLUMNS, ROW_COLUMNS, metrics_columns, run_row, run_settings
 
-Progress = Callable[[int, int, str], None]
+_NEAR = 20  # ids that an error names
 
 
 @dataclass(frozen=True)
 class SweepOutcome:
-    """What became of a sweep.
+    """Outcome of a sweep.
 
     Attributes:
-        table: the file of all rows.
-        report: the page.
-        rows: of the plan.
-        kept: rows that were done before.
         failed: rows whose run could not be made, with the first error.
-        message: that error, empty without one.
         others: rows of the table that are none of this plan, made by an earlier form of the sweep.
     """
 
@@ -56,9 +55,6 @@ def run_sweep(
     Args:
         settings: with the study in them, as `load_sweep` gives them.
         out: a new or empty folder, or one of a sweep, whose rows are kept; the sweep may have grown or changed.
-        backend: where the runs are made.
-        progress: called with rows done, their number and the id of the last; and once at the start.
-        source: file of the sweep, for messages.
 
     Raises:
         ConfigError: if settings do not fit the study, the folder holds something else, or workers die again and again.
@@ -66,54 +62,36 @@ def run_sweep(
         ModelError: on an unknown built-in model.
         KeyboardInterrupt: if the user ended it; finished rows are kept.
     """
-    plan = Plan(settings, source)
+    plan = SweepPlan(settings, source)
     total = plan.check()
     backend.check()
     folder = open_folder(Path(out), settings)
     with alone_in(folder.path):
         store = Store(folder.path, columns_of(plan))
         done = store.done()
-        seen = Counted(plan.rows(), done)
+        ids: set[str] = set()
+
+        def is_done(row: SweepRow) -> bool:
+            ids.add(row.id)
+            return row.id in done
+
         try:
-            for number, row in enumerate(backend.results(run_row, seen), start=1):
-                store.add(row)
-                if progress:
-                    progress(seen.kept + number, total, str(row["id"]))
+            for found in run_jobs(
+                plan.rows(), run_row, backend, is_done=is_done, total=total, progress=progress, note=lambda r: r["id"]
+            ):
+                store.add(found)
         finally:
             table = store.merge()
         if table is None:
             raise ConfigError(f"{folder.path}: the sweep has no rows")
-        view = SweepView.of(folder.path, plan.columns(), seen.ids)
+        view = SweepView.of(folder.path, plan.columns(), ids)
         report = folder.write_report(sweep_report(view, folder.meta).html())
     failed = view.failed()
     message = failed[0][1] if failed else ""
-    return SweepOutcome(table, report, len(seen.ids), seen.kept, len(failed), message, len(done - seen.ids))
+    return SweepOutcome(table, report, len(ids), len(ids & done), len(failed), message, len(done - ids))
 
 
-class Counted:
-    """Rows that are not done yet; counts all on the way.
-
-    Args:
-        rows: of a plan.
-        done: ids that are left out.
-    """
-
-    def __init__(self, rows: Iterator[Row], done: set[str]) -> None:
-        self._rows, self._done = rows, done
-        self.ids: set[str] = set()
-        self.kept = 0
-
-    def __iter__(self) -> Iterator[Row]:
-        """Row after row."""
-        for row in self._rows:
-            self.ids.add(row.id)
-            if row.id in self._done:
-                self.kept += 1
-            else:
-                yield row
-
-
-def columns_of(plan: Plan) -> dict[str, str]:
+def columns_of(plan: SweepPlan) -> dict[str, str]:
     """Kinds of all columns of the table, in their order."""
     return {**ROW_COLUMNS, **plan.columns(), **RESULT_COLUMNS, **COST_COLUMNS}
 
@@ -127,10 +105,70 @@ def open_folder(path: Path, settings: SweepSettings) -> RunFolder:
     """
     plain = settings.model_dump(mode="json")
     plain["draw"] = {name: draw.model_dump(mode="json", exclude_none=True) for name, draw in settings.draw.items()}
-    if not (path / "meta.json").exists():
-        return RunFolder.create(path, plain, seed=settings.draw_seed)
-    folder = RunFolder.open(path)
-    if sweep_in(path) is None:
-        raise ConfigError(f"{path}: holds another kind of run, expected a new folder or that of a sweep")
-    write_atomically(path / "config.yaml", dump_yaml(plain))
-    return folder
+
+    def refusal(_: object) -> str:
+        return "" if sweep_in(path) else "holds another kind of run, expected a new folder or that of a sweep"
+
+    return resumed_folder(path, plain, settings.draw_seed, refusal)
+
+
+@dataclass(frozen=True)
+class ReproducedFigure:
+    """One figure of a row: as the table has it, as it came out again."""
+
+    name: str
+    before: Any
+    again: Any
+
+    @property
+    def equal(self) -> bool:
+        """Whether they are the same to the last bit; both missing is the same."""
+        both_nan = all(isinstance(v, float) and math.isnan(v) for v in (self.before, self.again))
+        return both_nan or bool(self.before == self.again)
+
+
+def reproduce(folder: Path | str, identity: str, out: Path | str | None = None) -> tuple[ReproducedFigure, ...]:
+    """Run one row from nothing but what the table says of it.
+
+    Args:
+        identity: of the row, or its first digits where no other begins with them.
+
+    Returns:
+        Every figure that does not depend on how fast the machine is.
+
+    Raises:
+        ConfigError: if there is no such row, a model file has changed, or `out` is not vacant.
+        LogError: if the folder holds no table, or the row's run could not be made before.
+        HystmpcError: if it cannot be made now.
+    """
+    row = _row(Path(folder), identity)
+    config = SimulationConfig.parse(json.loads(str(row["settings"])), f"{folder}: row {row['id']}")
+    if list(Hashes().of(config)) != json.loads(str(row["files"])):
+        raise ConfigError(f"{folder}: row {row['id']}: a model file has changed since, expected those of the sweep")
+    if out is not None:
+        metrics = compare(config, out).results[0].metrics
+    else:
+        metrics, _ = run_settings(config)
+    again = metrics_columns(metrics)
+    return tuple(ReproducedFigure(name, _plain(row[name], kind), again[name]) for name, kind in RESULT_COLUMNS.items())
+
+
+def _row(folder: Path, identity: str) -> dict[str, Any]:
+    """Columns of one row."""
+    if not files_of(folder):
+        raise LogError(f"{folder}: no table of runs in it, expected the folder of a sweep")
+    names = ["id", "status", "message", "settings", "files", *RESULT_COLUMNS]
+    table = table_of(folder, names)
+    ids = [str(found) for found in table["id"]]
+    places = [k for k, found in enumerate(ids) if found.startswith(identity)]
+    if len(places) != 1:
+        number = "no" if not places else f"{len(places)} rows, not one,"
+        raise ConfigError(f"{folder}: {number} row {identity!r}, {did_you_mean(identity, ids[:_NEAR])}")
+    row = {name: table[name][places[0]] for name in names}
+    if row["status"] != "done":
+        raise LogError(f"{folder}: row {row['id']} failed ({row['message']}), expected one that was run")
+    return row
+
+
+def _plain(value: Any, kind: str) -> Any:
+    return str(value) if kind == "text" else int(value) if kind == "whole" else float(value)

@@ -1,22 +1,80 @@
-"""Settings of a sweep: a closed-loop study, and what of it is varied."""
+"""Settings of a sweep: a closed-loop study, what of it is varied, and dotted paths into configurations."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
+from zlib import crc32
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from hystmpc.trials.config import Settings, load_settings, read_yaml
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.yaml_lines import place_in
 
 from ..config import SimulationConfig, load_simulation, located
-from .draws import DrawSettings
 
 NotNegative = Annotated[int, Field(ge=0)]
+_PART = re.compile(r'"([^"]+)"|([^."]+)')
+_WHOLE = re.compile(r'(?:"[^"]+"|[^."]+)(?:\.(?:"[^"]+"|[^."]+))*')
+
+
+class DrawSettings(Settings):
+    """One distribution, exactly one of these keys.
+
+    Attributes:
+        log_uniform: lower and upper end, both positive; the logarithm is uniform.
+    """
+
+    uniform: tuple[float, float] | None = None
+    log_uniform: tuple[float, float] | None = None
+    integer: tuple[int, int] | None = None
+    choice: tuple[Any, ...] | None = Field(default=None, min_length=1)
+
+    @model_validator(mode="after")
+    def _one(self) -> DrawSettings:
+        given = {name: value for name in type(self).model_fields if (value := getattr(self, name)) is not None}
+        if len(given) != 1:
+            raise ValueError(
+                f"got {', '.join(given) or 'nothing'}, expected one of uniform, log_uniform, integer, choice"
+            )
+        (name, value) = next(iter(given.items()))
+        if name != "choice" and not value[0] < value[1]:
+            raise ValueError(f"{name}: got {value[0]} to {value[1]}, expected the lower end first")
+        if name == "log_uniform" and value[0] <= 0:
+            raise ValueError(f"log_uniform: got a lower end of {value[0]}, expected a positive one")
+        return self
+
+    @property
+    def ends(self) -> tuple[Any, ...]:
+        """Values that any draw lies between, or all that there are."""
+        return next(v for v in (self.choice, self.uniform, self.log_uniform, self.integer) if v is not None)
+
+    def sample(self, random: np.random.Generator) -> Any:
+        """One draw, as plain Python."""
+        if self.choice is not None:
+            return self.choice[int(random.integers(len(self.choice)))]
+        if self.integer is not None:
+            return int(random.integers(self.integer[0], self.integer[1], endpoint=True))
+        if self.log_uniform is not None:
+            low, high = self.log_uniform
+            return float(np.clip(math.exp(random.uniform(math.log(low), math.log(high))), low, high))
+        return float(random.uniform(*self.ends))
+
+
+def drawn(draws: Mapping[str, DrawSettings], seed: int, number: int) -> dict[str, Any]:
+    """Draw number `number` of every path.
+
+    Each path has random numbers of its own, so that neither a further path nor more draws change those there are.
+    """
+    return {
+        path: draw.sample(np.random.default_rng([seed, number, crc32(path.encode())])) for path, draw in draws.items()
+    }
 
 
 class SweepSettings(Settings):
@@ -26,8 +84,6 @@ class SweepSettings(Settings):
         base: the study; a file, or the settings themselves.
         grid: values by dotted path; a mapping names them, which long ones want.
         draw: distributions by dotted path. Draw k is the same at every grid point.
-        count: draws.
-        draw_seed: of the draws.
         seeds: of sensor noise and disturbances; the study's own where left out.
     """
 
@@ -117,3 +173,75 @@ def sweep_in(folder: Path) -> SweepSettings | None:
     if isinstance(settings.base, str):
         raise ConfigError(f"{file}: base: got a file, expected the settings that ran")
     return settings
+
+
+def path_parts(path: str) -> tuple[str, ...]:
+    """Keys of a dotted path; a key with dots in it stands in double quotes.
+
+    Raises:
+        ConfigError: if it is no path.
+    """
+    if not _WHOLE.fullmatch(path):
+        raise ConfigError(f'{path}: not a path, expected keys with dots between, such as plant.mismatch."play.width"')
+    return tuple(quoted or plain for quoted, plain in _PART.findall(path))
+
+
+def changed(data: Any, path: str, value: Any) -> Any:
+    """A copy of plain data with one value in another's place; the given data stays as it is.
+
+    The block that holds the value has to be there, so that a wrong name is found; whether it takes the key is for the
+    settings to say. A block that is null counts as empty.
+
+    Raises:
+        ConfigError: if a block is not there; names the nearest key.
+    """
+    return _changed(data, path_parts(path), value, path)
+
+
+def value_at(data: Any, path: str) -> Any:
+    """The value at a path.
+
+    Raises:
+        ConfigError: if there is none; names the nearest key.
+    """
+    for part in path_parts(path):
+        data = data[_index(data, part, path)] if isinstance(data, list) else _blocks(data, part, path)[part]
+    return data
+
+
+def _changed(data: Any, parts: Sequence[str], value: Any, path: str) -> Any:
+    if not parts:
+        return value
+    first, rest = parts[0], parts[1:]
+    if isinstance(data, list):
+        place = _index(data, first, path)
+        return [_changed(old, rest, value, path) if k == place else old for k, old in enumerate(data)]
+    if data is None and not rest:
+        return {first: value}
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}: {first!r} would be set in the value {data!r}, expected a mapping or a list")
+    held = _blocks(data, first, path)[first] if rest else None
+    return {**data, first: _changed(held, rest, value, path)}
+
+
+def _blocks(data: Any, key: str, path: str) -> dict[str, Any]:
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}: {key!r} would be looked up in the value {data!r}, expected a mapping or a list")
+    if key not in data:
+        raise ConfigError(f"{path}: no key {key!r}, {did_you_mean(key, data)}")
+    return data
+
+
+def _index(data: list[Any], part: str, path: str) -> int:
+    if not part.isdigit() or int(part) >= len(data):
+        raise ConfigError(f"{path}: got {part!r} where a list has {len(data)} entries, expected 0 to {len(data) - 1}")
+    return int(part)
+
+
+def place(file: Path | str | None, *keys: str) -> str:
+    """`FILE, line N: ` of a key in a YAML file, to begin a message with; less where the file does not tell.
+
+    Args:
+        file: that was read, None for settings that came from none.
+    """
+    return "" if file is None else f"{place_in(file)(keys)}: "

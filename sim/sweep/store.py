@@ -1,11 +1,10 @@
-"""The table of a sweep on disk: shards while it runs, one file when it rests, and no row lost or doubled between."""
+"""The table of a sweep on disk: shards while it runs, one file afterwards; no row lost or counted twice."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +15,7 @@ import numpy as np
 from hystmpc.trials.errors import ConfigError, LogError
 
 from . import csv_rows
-from .columns import Column, chosen
+from .csv_rows import Column, chosen
 
 _NAME = "runs"
 _SHARDS = "shards"
@@ -98,12 +97,7 @@ def _read(form: ModuleType, path: Path, names: Iterable[str]) -> dict[str, Colum
 
 @final
 class Store:
-    """Takes rows; what it took is on disk five seconds later at the latest row.
-
-    Args:
-        folder: of the sweep.
-        kinds: of the columns that new rows have.
-    """
+    """Takes rows; what it took is on disk five seconds later at the latest row."""
 
     def __init__(self, folder: Path, kinds: Mapping[str, str]) -> None:
         self._folder, self._kinds = folder, dict(kinds)
@@ -161,23 +155,3 @@ class Store:
         for half in (self._folder / _SHARDS).glob(".*"):
             half.unlink()  # of a process that was killed while it wrote
         return target
-
-
-@contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
-    """One process at a time writes into a folder; a lock of one that died does not hold.
-
-    Raises:
-        ConfigError: if another process works in it.
-    """
-    try:
-        import fcntl
-    except ModuleNotFoundError:  # pragma: no cover  # not on Windows
-        yield
-        return
-    with (folder / ".lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise ConfigError(f"{folder}: another process works in it, expected to be alone") from None
-        yield

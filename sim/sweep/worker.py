@@ -1,4 +1,4 @@
-"""Doing one row of a sweep; runs in a process of its own, where what controllers know is kept between rows."""
+"""One row of a sweep; runs in a worker process, which keeps opened models between rows."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from hystmpc.trials.errors import HystmpcError
+from hystmpc.trials.errors import ConfigError
 
 from ..closed_loop import run_closed_loop
 from ..config import SimulationConfig
-from ..metrics import TrackingMetrics
-from ..results import result_of
+from ..jobs.runner import attempt
+from ..results import TrackingMetrics, result_of
 from ..study import Knowledge, knowledge, prepare
-from .plan import Hashes, Row
+from .plan import Hashes, SweepRow
 
 # Columns of every row besides the factors, in the order of the table.
 ROW_COLUMNS: Mapping[str, str] = {
@@ -50,32 +50,26 @@ COST_COLUMNS: Mapping[str, str] = {
 _KEPT = 4  # models a process keeps ready
 
 
-def run_row(row: Row) -> dict[str, Any]:
+def run_row(row: SweepRow) -> dict[str, Any]:
     """One row of the table; an error becomes a row that says so.
 
     Raises:
         KeyboardInterrupt: if the user ended it; half a run is no result.
     """
-    start, busy = time.perf_counter(), time.process_time()
-    try:
-        if Hashes().of(row.config()) == row.files:
-            metrics, samples = run_settings(row.config())
-            found = {"status": "done", "message": "", "samples": samples} | metrics_columns(metrics)
-        else:
-            found = failed("a model file has changed since the row was planned")
-    except HystmpcError as error:
-        found = failed(str(error))
-    except Exception as error:  # noqa: BLE001  # one row's defect must not cost the others hours
-        found = failed(f"{type(error).__name__}: {error}")
+    busy = time.process_time()
+    made = attempt(lambda: _figures(row))
     return {
-        **found,
+        **dict.fromkeys((*RESULT_COLUMNS, "samples", "step_mean_s", "step_p99_s")),
+        **(made.value or {}),
+        "status": "failed" if made.value is None else "done",
+        "message": made.error,
         "id": row.id,
         "controller": row.controller,
         "motion": row.motion,
         "draw": row.draw,
         "seed": row.seed,
         **row.factors,
-        "wall_s": time.perf_counter() - start,
+        "wall_s": made.seconds,
         "cpu_s": time.process_time() - busy,
         "host": platform.node(),
         "files": json.dumps(row.files),
@@ -83,12 +77,18 @@ def run_row(row: Row) -> dict[str, Any]:
     }
 
 
+def _figures(row: SweepRow) -> dict[str, Any]:
+    if Hashes().of(row.config()) != row.files:
+        raise ConfigError("a model file has changed since the row was planned")
+    metrics, samples = run_settings(row.config())
+    return {"samples": samples} | metrics_columns(metrics)
+
+
 def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
     """Metrics and samples of a study with one controller and one motion.
 
     Raises:
         HystmpcError: what `prepare` raises.
-        KeyboardInterrupt: if the user ended it.
     """
     study = prepare(config, shared_knowledge(config))
     ((motion, trajectory),) = study.motions.items()
@@ -100,7 +100,7 @@ def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
 
 
 def shared_knowledge(config: SimulationConfig) -> Knowledge:
-    """What controllers know, opened once a process for each model, inverse and lag.
+    """Opened models, once a process for each model, inverse and lag.
 
     Raises:
         HystmpcError: what `knowledge` raises.
@@ -119,9 +119,3 @@ def metrics_columns(metrics: TrackingMetrics) -> dict[str, Any]:
     columns = {name: getattr(metrics, name) for name in RESULT_COLUMNS if name != "ladder"}
     times = {"step_mean_s": metrics.step_mean_s, "step_p99_s": metrics.step_p99_s}
     return columns | times | {"ladder": json.dumps(metrics.ladder, sort_keys=True)}
-
-
-def failed(message: str) -> dict[str, Any]:
-    """Columns of a row whose run could not be made."""
-    columns = dict.fromkeys((*RESULT_COLUMNS, "samples", "step_mean_s", "step_p99_s"))
-    return {"status": "failed", "message": " ".join(message.split())} | columns

@@ -1,25 +1,31 @@
-"""What a controller is worth: its error on each plant, and the mean of all with the mean of the worst."""
+"""Cost of a controller over a set of plants, in the search and on held-out plants."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
 from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.trajectories import PreviewTable
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Progress, Vec
 
 from ..closed_loop import run_closed_loop
 from ..config import SimulationConfig
+from ..jobs.backend import Backend
+from ..jobs.runner import run_jobs
 from ..results import result_of
 from ..study import Study, prepare
-from ..sweep.draws import drawn
-from ..sweep.paths import changed
+from ..sweep.settings import changed, drawn
 from ..sweep.worker import shared_knowledge
 from .settings import ObjectiveSettings, PlantsSettings, TuneSettings
+
+_RESAMPLES = 4000
+_NAMES = ("given", "tuned")
+State = Literal["done", "pruned", "failed", "elsewhere"]
 
 
 @dataclass(frozen=True)
@@ -59,7 +65,6 @@ def plant_score(config: SimulationConfig) -> PlantScore:
 
     Raises:
         HystmpcError: what `prepare` raises.
-        KeyboardInterrupt: if the user ended it.
     """
     study = prepare(config, shared_knowledge(config))
     ((name, controller),) = study.config.controllers.items()
@@ -104,3 +109,158 @@ def robust(costs: Sequence[float] | Vec, objective: ObjectiveSettings) -> float:
     worst = values[: max(1, round(objective.tail_share * len(values)))]
     total = objective.mean * float(np.mean(values)) + objective.tail * float(np.mean(worst))
     return total / (objective.mean + objective.tail)
+
+
+@dataclass(frozen=True)
+class HeldOutCase:
+    """One controller on one held-out plant."""
+
+    name: str
+    plant: int
+    values: dict[str, Any]
+    settings: TuneSettings
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Scores on the held-out plants, the same plants and noise for both."""
+
+    given: tuple[PlantScore, ...]
+    tuned: tuple[PlantScore, ...]
+    objective: ObjectiveSettings
+
+    def costs(self, name: str) -> Vec:
+        """Cost of `given` or `tuned` on every plant (P,) [deg]."""
+        return np.array([plant_cost(score, self.objective) for score in getattr(self, name)])
+
+    def errors(self, name: str) -> Vec:
+        """Error on every plant (P,) [deg]."""
+        return np.array([score.error_deg for score in getattr(self, name)])
+
+    def value(self, name: str) -> float:
+        """Robust objective [deg]."""
+        return robust(self.costs(name), self.objective)
+
+    @property
+    def gain(self) -> float:
+        """1 - tuned / given of the robust objective."""
+        return 1.0 - self.value("tuned") / self.value("given")
+
+    def interval(self, share: float = 0.9) -> tuple[float, float]:
+        """Interval of the gain over resampled plants (paired bootstrap, seeded)."""
+        given, tuned = self.costs("given"), self.costs("tuned")
+        random = np.random.default_rng(0)
+        gains = []
+        for _ in range(_RESAMPLES):
+            rows = random.integers(len(given), size=len(given))
+            gains.append(1.0 - robust(tuned[rows], self.objective) / robust(given[rows], self.objective))
+        low, high = np.quantile(gains, [0.5 - share / 2, 0.5 + share / 2])
+        return float(low), float(high)
+
+    @property
+    def better(self) -> int:
+        """Plants on which the tuned settings cost less."""
+        return int(np.sum(self.costs("tuned") < self.costs("given")))
+
+    def rows(self) -> list[tuple[str, float, float, float, float, int]]:
+        """Name, objective, mean error, error on the worst plant, mean travel, plants with a violation."""
+        rows = []
+        for name in _NAMES:
+            scores: tuple[PlantScore, ...] = getattr(self, name)
+            errors, travel = self.errors(name), float(np.mean([score.travel for score in scores]))
+            beyond = sum(score.violations > 0 for score in scores)
+            rows.append((name, self.value(name), float(errors.mean()), float(errors.max()), travel, beyond))
+        return rows
+
+    def columns(self) -> dict[str, Any]:
+        """A table, a row a plant."""
+        table: dict[str, Any] = {"plant": np.arange(len(self.given))}
+        for name in _NAMES:
+            scores: tuple[PlantScore, ...] = getattr(self, name)
+            table[f"{name}_error_deg"] = self.errors(name)
+            table[f"{name}_cost_deg"] = self.costs(name)
+            table[f"{name}_travel"] = np.array([score.travel for score in scores])
+            table[f"{name}_violations"] = np.array([score.violations for score in scores])
+        return table
+
+
+def held_out(
+    settings: TuneSettings, values: dict[str, Any], backend: Backend, progress: Progress | None = None
+) -> HeldOut:
+    """Run given and tuned settings on every held-out plant.
+
+    Raises:
+        ConfigError: if a draw does not fit the study.
+    """
+    names: dict[str, dict[str, Any]] = {"given": {}, "tuned": values}
+    count = settings.held_out.count
+    cases = [HeldOutCase(name, number, own, settings) for number in range(count) for name, own in names.items()]
+    found: dict[str, dict[int, PlantScore]] = {name: {} for name in names}
+    done = run_jobs(cases, run_case, backend, total=len(cases), progress=progress, note=lambda _: "held-out plants")
+    for name, number, score in done:
+        found[name][number] = score
+    given, tuned = (tuple(found[name][number] for number in range(count)) for name in _NAMES)
+    return HeldOut(given, tuned, settings.objective)
+
+
+def run_case(case: HeldOutCase) -> tuple[str, int, PlantScore]:
+    """One controller on one held-out plant.
+
+    Raises:
+        HystmpcError: what preparing the study raises.
+    """
+    settings, controller = case.settings, case.settings.with_values(case.values)
+    return case.name, case.plant, plant_score(plant_config(settings, settings.held_out, case.plant, controller))
+
+
+@dataclass(frozen=True)
+class Ticket:
+    """One trial of a search, to be done by whoever comes first.
+
+    Attributes:
+        slot: number of the trial; slot 0 has the settings as they were given.
+        storage: where the search is kept, as Optuna names it.
+    """
+
+    slot: int
+    storage: str
+    study: str
+    settings: TuneSettings
+
+
+@dataclass(frozen=True)
+class TicketOutcome:
+    """Outcome of a ticket; `elsewhere`: another process does it."""
+
+    slot: int
+    state: State
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class SearchTrial:
+    """A trial of a search.
+
+    Attributes:
+        state: `done` or `pruned`.
+        value: robust objective over the plants that it has seen [deg].
+        error_deg: robust objective of the bare errors [deg].
+        travel: mean command travel over the need.
+    """
+
+    slot: int
+    state: State
+    value: float
+    values: Mapping[str, Any]
+    error_deg: float
+    travel: float
+    plants: int
+
+
+def pareto_front(trials: Sequence[SearchTrial]) -> tuple[SearchTrial, ...]:
+    """Trials than which no other has both less error and less travel, from the least error on; pruned ones left out."""
+    front: list[SearchTrial] = []
+    for trial in sorted((t for t in trials if t.state == "done"), key=lambda t: (t.error_deg, t.travel)):
+        if not front or trial.travel < front[-1].travel:
+            front.append(trial)
+    return tuple(front)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Mapping
 from functools import lru_cache
@@ -15,11 +14,8 @@ from optuna.trial import FrozenTrial, TrialState
 
 from hystmpc.trials.errors import ConfigError, HystmpcError
 
-from ..sweep.draws import DrawSettings
-from ..sweep.paths import value_at
-from ..sweep.settings import label
-from .objective import plant_config, plant_cost, plant_score, robust
-from .search import Outcome, State, Ticket, Trial
+from ..sweep.settings import DrawSettings, label, value_at
+from .objective import SearchTrial, State, Ticket, TicketOutcome, plant_config, plant_cost, plant_score, robust
 from .settings import TuneSettings
 
 _HEARTBEAT_S = 5
@@ -58,23 +54,22 @@ def _storage(url: str) -> optuna.storages.RDBStorage:
         )
 
 
-def run_ticket(ticket: Ticket) -> Outcome:
+def run_ticket(ticket: Ticket) -> TicketOutcome:
     """Do one trial, unless it is done or another process does it.
 
     Raises:
         ConfigError: if the storage cannot be opened.
         KeyboardInterrupt: if the user ended it; the trial counts as failed and is done again later.
     """
-    settings = TuneSettings.parse(json.loads(ticket.settings), "ticket")
-    study = open_search(ticket.storage, ticket.study)
+    settings, study = ticket.settings, open_search(ticket.storage, ticket.study)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
         optuna.storages.fail_stale_trials(study)
     for trial in _of_slot(study, ticket.slot):
         if trial.state in _ENDED:
-            return Outcome(ticket.slot, "done" if trial.state is TrialState.COMPLETE else "pruned")
+            return TicketOutcome(ticket.slot, "done" if trial.state is TrialState.COMPLETE else "pruned")
         if trial.state is TrialState.RUNNING:
-            return Outcome(ticket.slot, "elsewhere")
+            return TicketOutcome(ticket.slot, "elsewhere")
     study.sampler, study.pruner = _sampler(settings, ticket.slot), _pruner(settings)
     problems: list[HystmpcError] = []
 
@@ -88,12 +83,12 @@ def run_ticket(ticket: Ticket) -> Outcome:
     study.optimize(objective, n_trials=1, catch=(HystmpcError,))
     if problems:
         taken = isinstance(problems[0], _TakenError)
-        return Outcome(ticket.slot, "elsewhere" if taken else "failed", "" if taken else str(problems[0]))
+        return TicketOutcome(ticket.slot, "elsewhere" if taken else "failed", "" if taken else str(problems[0]))
     ended = next(trial for trial in _of_slot(study, ticket.slot) if trial.state in _ENDED)
-    return Outcome(ticket.slot, "done" if ended.state is TrialState.COMPLETE else "pruned")
+    return TicketOutcome(ticket.slot, "done" if ended.state is TrialState.COMPLETE else "pruned")
 
 
-def trials_of(storage: str, name: str) -> tuple[Trial, ...]:
+def trials_of(storage: str, name: str) -> tuple[SearchTrial, ...]:
     """All trials that have come to an end, by slot.
 
     Raises:
@@ -106,7 +101,7 @@ def trials_of(storage: str, name: str) -> tuple[Trial, ...]:
             state: State = "done" if trial.state is TrialState.COMPLETE else "pruned"
             seen = trial.value if state == "done" else trial.intermediate_values[max(trial.intermediate_values)]
             figures = (attrs["error_deg"], attrs["travel"], int(attrs["plants"]))
-            found[attrs["slot"]] = Trial(attrs["slot"], state, float(seen or 0.0), attrs["values"], *figures)
+            found[attrs["slot"]] = SearchTrial(attrs["slot"], state, float(seen or 0.0), attrs["values"], *figures)
     return tuple(found[slot] for slot in sorted(found))
 
 

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 from hystmpc.trials.plot_style import COMMAND, MEASURED, MODEL, REFERENCE, new_figure
 
-from ..sweep.axes import plain_log
-from .held_out import HeldOut
-from .search import Trial, pareto_front
+from ..sweep.report import plain_log
+from ..sweep.settings import value_at
+from .objective import HeldOut, SearchTrial, pareto_front
 
 if TYPE_CHECKING:
     from .run import Tuning
@@ -40,10 +40,7 @@ def tuning_report(found: Tuning, meta: Mapping[str, Any]) -> Report:
         _values(found),
         Heading("Search"),
         KeyValues(_facts(found, meta)),
-        Plot(
-            _history(found.trials),
-            "Every trial over the plants it has seen; line: best of the whole ones.",
-        ),
+        Plot(_history(found.trials), "Every trial over the plants it has seen; line: best of the whole ones."),
         Heading("Error against effort"),
         Plot(_front(found.trials, found.best), "Trials that saw all plants; line: no other has both less."),
         _front_table(found),
@@ -74,15 +71,19 @@ def _values(found: Tuning) -> Table:
     given = found.settings.given.model_dump(mode="json")
     rows = []
     for path, value in found.best.values.items():
-        held: Any = given
-        for part in path.split("."):
-            held = held[part]
         one = found.settings.search[path]
-        rows.append((path, held, value, " to ".join(f"{end}" for end in one.ends[:: max(1, len(one.ends) - 1)])))
+        rows.append(
+            (
+                path,
+                value_at(given, path),
+                value,
+                " to ".join(f"{end}" for end in one.ends[:: max(1, len(one.ends) - 1)]),
+            )
+        )
     return Table(("setting", "given", "tuned", "searched"), rows, f"Trial {found.best.slot}; controller.yaml has all.")
 
 
-def _history(trials: tuple[Trial, ...]) -> Figure:
+def _history(trials: tuple[SearchTrial, ...]) -> Figure:
     done = [trial for trial in trials if trial.state == "done"]
     pruned = [trial for trial in trials if trial.state == "pruned"]
     with new_figure(7.0, 2.8) as figure:
@@ -97,7 +98,7 @@ def _history(trials: tuple[Trial, ...]) -> Figure:
     return figure
 
 
-def _front(trials: tuple[Trial, ...], best: Trial) -> Figure:
+def _front(trials: tuple[SearchTrial, ...], best: SearchTrial) -> Figure:
     done, front = [t for t in trials if t.state == "done"], pareto_front(trials)
     with new_figure(5.0, 3.4) as figure:
         axes: Axes = figure.subplots()

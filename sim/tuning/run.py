@@ -1,49 +1,45 @@
-"""A whole tuning: search, check on plants not seen, controller, report; in a folder that it goes on from."""
+"""A whole tuning in a resumable run folder: search, check on held-out plants, controller, report."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hystmpc.trials.config import dump_yaml, read_yaml
+from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.table import format_table
+from hystmpc.trials.types import Progress
 
-from ..parallel.backend import Backend
-from ..sweep.store import alone_in
-from .held_out import HeldOut, held_out
+from ..jobs.backend import Backend
+from ..jobs.runner import alone_in, resumed_folder
+from .objective import HeldOut, SearchTrial, Ticket, TicketOutcome, held_out
 from .report import tuning_report
-from .search import Outcome, Ticket, Trial
 from .settings import TuneSettings
 
-Progress = Callable[[int, int, str], None]
 _WAIT_S = 3.0  # until trials that another process does are asked for again
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """What a tuning found.
+    """Outcome of a tuning.
 
     Attributes:
-        settings: complete.
         trials: of the search, by slot, pruned ones among them.
-        best: the trial with the least objective.
         check: given and tuned settings on plants that the search has not seen.
-        failed: trials that raised, with what.
     """
 
     settings: TuneSettings
-    trials: tuple[Trial, ...]
-    best: Trial
+    trials: tuple[SearchTrial, ...]
+    best: SearchTrial
     check: HeldOut
-    failed: tuple[Outcome, ...]
+    failed: tuple[TicketOutcome, ...]
 
 
 def run_tuning(
@@ -58,10 +54,8 @@ def run_tuning(
     Args:
         settings: complete, as `load_tuning` gives them.
         out: a new or empty folder, or one of a tuning, whose trials are kept; one for each machine.
-        backend: where trials are done.
         storage: of the search, as Optuna names it, such as `postgresql://...`; several machines that name the same one
             share the trials. A file in `out` where left out.
-        progress: called with what is done, how much there is, and a note.
 
     Raises:
         ConfigError: if the folder holds something else, the storage cannot be opened, workers die again and again, or
@@ -89,23 +83,21 @@ def run_tuning(
 
 def search(
     settings: TuneSettings, backend: Backend, storage: str, progress: Progress | None = None
-) -> tuple[tuple[Trial, ...], tuple[Outcome, ...]]:
+) -> tuple[tuple[SearchTrial, ...], tuple[TicketOutcome, ...]]:
     """Do the trials that are not done yet; those that others do are waited for.
 
     Raises:
         ConfigError: if the storage cannot be opened, or optuna is not installed.
-        KeyboardInterrupt: if the user ended it.
     """
     optuna_ = _optuna()
     name = f"hystmpc-{settings.fingerprint}"
     optuna_.open_search(storage, name)  # made before the workers meet
-    plain = settings.model_dump_json()
     slots: Sequence[int] = range(settings.trials)
-    failed: list[Outcome] = []
+    failed: list[TicketOutcome] = []
     ended = 0
     while slots:
         later = []
-        for outcome in backend.results(optuna_.run_ticket, [Ticket(slot, storage, name, plain) for slot in slots]):
+        for outcome in backend.results(optuna_.run_ticket, [Ticket(slot, storage, name, settings) for slot in slots]):
             if outcome.state == "elsewhere":
                 later.append(outcome.slot)
                 continue
@@ -134,21 +126,17 @@ def _optuna() -> Any:
 
 def _folder(path: Path, settings: TuneSettings) -> RunFolder:
     """A new run folder, or the one that a tuning left."""
-    plain = settings.model_dump(mode="json", exclude_none=True)
-    if not (path / "meta.json").exists():
-        return RunFolder.create(path, plain, seed=settings.seed)
-    folder = RunFolder.open(path)
-    before = read_yaml(path / "config.yaml")
-    if not isinstance(before, dict) or "search" not in before:
-        raise ConfigError(f"{path}: holds another kind of run, expected a new folder or that of a tuning")
-    changed = _changed(TuneSettings.parse(before, str(path / "config.yaml")), settings)
-    if changed:
-        raise ConfigError(
-            f"{path}: holds a tuning with other {', '.join(changed)}, expected a new folder; "
-            "only trials and held_out may change"
-        )
-    write_atomically(path / "config.yaml", dump_yaml(plain))
-    return folder
+
+    def refusal(before: Any) -> str:
+        if not isinstance(before, dict) or "search" not in before:
+            return "holds another kind of run, expected a new folder or that of a tuning"
+        changed = _changed(TuneSettings.parse(before, str(path / "config.yaml")), settings)
+        if not changed:
+            return ""
+        allowed = "only trials and held_out may change"
+        return f"holds a tuning with other {', '.join(changed)}, expected a new folder; {allowed}"
+
+    return resumed_folder(path, settings.model_dump(mode="json", exclude_none=True), settings.seed, refusal)
 
 
 def _changed(before: TuneSettings, now: TuneSettings) -> list[str]:

@@ -1,4 +1,4 @@
-"""Settings of a tuning: a study, one controller of it, where its settings are searched, and on which plants."""
+"""Settings of a tuning: study, controller, search ranges by default or given, and the plants."""
 
 from __future__ import annotations
 
@@ -14,15 +14,60 @@ from hystmpc.ctrl.config import AnyControllerSettings, parse_controller
 from hystmpc.trials.config import Settings, load_settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
-from ..config import SimulationConfig
-from ..sweep.draws import DrawSettings
-from ..sweep.paths import changed, place, value_at
-from ..sweep.settings import study_of
-from .spaces import default_draws, default_space
+from ..config import PlantSettings, SimulationConfig
+from ..plants.make import varied_parameters
+from ..sweep.settings import DrawSettings, changed, place, study_of, value_at
 
+_ESTIMATOR = {
+    "estimator.sensor_sigma_deg": DrawSettings(log_uniform=(0.03, 1.0)),
+    "estimator.drift_sigma_deg_per_sqrt_s": DrawSettings(log_uniform=(0.03, 5.0)),
+    "estimator.motion_sigma_deg_per_sqrt_unit": DrawSettings(uniform=(0.0, 6.0)),
+    "estimator.dead_band_gain_deg_per_unit": DrawSettings(uniform=(0.0, 2.0)),
+}
+_GAINS = {
+    "gains.kp_per_deg": DrawSettings(log_uniform=(1e-4, 0.2)),
+    "gains.ki_per_deg_s": DrawSettings(log_uniform=(1e-2, 3.0)),
+    "gains.kd_s_per_deg": DrawSettings(uniform=(0.0, 0.01)),
+    "gains.dead_zone_deg": DrawSettings(uniform=(0.0, 0.5)),
+}
+_WEIGHTS = {
+    "weights.rate": DrawSettings(log_uniform=(0.05, 100.0)),
+    "weights.terminal": DrawSettings(log_uniform=(0.1, 20.0)),
+    "weights.effort": DrawSettings(log_uniform=(1e-4, 0.3)),
+}
+_HORIZON = {"horizon": DrawSettings(integer=(5, 30))}
+_SAMPLING = {"sigma": DrawSettings(log_uniform=(0.03, 1.5)), "temperature": DrawSettings(log_uniform=(2e-3, 0.5))}
+# By kind of controller. Samples, iterations and solvers are left alone: they trade error for time, not for effort.
+SPACES: dict[str, dict[str, DrawSettings]] = {
+    "inverse": {**_ESTIMATOR, "reference_dead_zone_deg": DrawSettings(uniform=(0.0, 0.3))},
+    "pid": _GAINS,
+    "inverse_pid": {**_GAINS, "reference_dead_zone_deg": DrawSettings(uniform=(0.0, 0.3))},
+    "linearised_mpc": {**_WEIGHTS, **_HORIZON, **_ESTIMATOR},
+    "sampling_mpc": {**_WEIGHTS, **_HORIZON, **_ESTIMATOR, **_SAMPLING},
+}
+
+_LAG_S = (0.0, 0.15)
+_NOISE_DEG = (0.05, 0.3)
+_FACTOR = (0.9, 1.1)
 Count = Annotated[int, Field(ge=1)]
 NotNegative = Annotated[float, Field(ge=0)]
 Seed = Annotated[int, Field(ge=0)]
+
+
+def default_space(settings: AnyControllerSettings) -> dict[str, DrawSettings]:
+    """Ranges by dotted path below a controller."""
+    return dict(SPACES[settings.kind])
+
+
+def default_draws(plant: PlantSettings) -> dict[str, DrawSettings]:
+    """Lag, noise, and each parameter that varies within a tenth.
+
+    Raises:
+        ModelError: if the plant's file is missing or unusable.
+    """
+    draws = {"plant.lag_s": DrawSettings(uniform=_LAG_S), "plant.noise_deg": DrawSettings(uniform=_NOISE_DEG)}
+    factor = DrawSettings(uniform=_FACTOR)
+    return draws | {f'plant.mismatch."{label}"': factor for label in varied_parameters(plant)}
 
 
 class PlantsSettings(Settings):
@@ -33,7 +78,7 @@ class PlantsSettings(Settings):
 
 
 class ObjectiveSettings(Settings):
-    """What is minimised, in degrees; see `objective.robust`.
+    """Weights of the objective [deg]; see `objective.robust`.
 
     Attributes:
         mean, tail: weights of the mean over the plants and of the mean over the worst of them.
@@ -61,14 +106,11 @@ class TuneSettings(Settings):
     Attributes:
         base: the study: plant, model, motions; a file, or the settings themselves.
         controller: name of the one that is tuned; may be left out where the study has only one.
-        search: range by dotted path below the controller; `spaces.default_space` of its kind where left out.
-        draw: distribution by dotted path of what differs between plants; `spaces.default_draws` where left out.
-        plants: to search on.
+        search: range by dotted path below the controller; `default_space` of its kind where left out.
+        draw: distribution by dotted path of what differs between plants; `default_draws` where left out.
         held_out: to judge by; drawn with another seed.
-        objective: what is minimised.
         trials: points of the search, the given settings being the first.
         pruner: what ends a trial before it has seen all plants.
-        seed: of the search.
     """
 
     base: str | dict[str, Any]

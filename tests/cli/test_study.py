@@ -14,7 +14,7 @@ import pytest
 
 from hystmpc.trials.csv_ import write_csv
 
-from ..sim.study_examples import small_trial
+from ..studies.study_examples import small_trial
 from .test_verbs import run, shown_until
 
 

@@ -125,7 +125,7 @@ def test_an_unknown_built_in_model_is_told_with_its_line(tmp_path: Path, capsys:
 def test_a_cluster_that_does_not_answer_leaves_nothing_behind(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    dask_ = pytest.importorskip("hystmpc.sim.parallel.dask_", reason="dask is an extra")
+    dask_ = pytest.importorskip("hystmpc.sim.jobs.dask_", reason="dask is an extra")
     pytest.importorskip("optuna", reason="optuna is an extra")
     monkeypatch.setattr(dask_, "_TIMEOUT_S", 0.5)
     folder, search = tmp_path / "x", {"base": BASE, "draw": SWEEP["draw"]}
@@ -162,10 +162,10 @@ def test_a_tuning_does_not_go_on_in_anothers_folder(tmp_path: Path, capsys: pyte
 
 
 def test_the_examples_are_right() -> None:
-    from hystmpc.sim.sweep.plan import Plan
+    from hystmpc.sim.sweep.plan import SweepPlan
 
     file = EXAMPLES / "sweep.yaml"
-    assert Plan(load_sweep(file), file).check() == 200
+    assert SweepPlan(load_sweep(file), file).check() == 200
     assert load_tuning(EXAMPLES / "tune.yaml").controller == "linearised_mpc"
 
 

@@ -28,6 +28,7 @@ from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse
 from hystmpc.models.simulator import ChainModel
 
+from ..models.casadi_predictor import CasadiPredictor
 from .plays import DT, SOUND, Case, Faulty
 from .test_linearised import HARD, LIMITS, SOFT, H, mpc, posed
 
@@ -35,8 +36,6 @@ Options = OsqpOptions | DaqpOptions
 FINE = OsqpOptions(eps=1e-6, iterations=2000)  # the default of 1e-5 leaves up to 1e-3 mm
 TIGHT = OsqpOptions(eps=1e-9, iterations=20_000)
 DEVICE = CommandLimits(0.0, 6.0, 12.0)
-
-from ..models.casadi_predictor import CasadiPredictor
 
 
 def program(case: Case, weights: WeightsSettings, seed: int, horizon: int = H) -> tuple[TrackingQp, QpData]:

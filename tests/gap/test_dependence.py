@@ -12,18 +12,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.blind.catalogue import GENERATORS
-from hystmpc.gap.blind.cores import CapstanCore, DahlCore
-from hystmpc.gap.blind.device import BlindDevice
-from hystmpc.gap.blind.generator import Generator, Withheld
-from hystmpc.gap.blind.plan import RICH
-from hystmpc.gap.blind.scene import RATE_HZ
 from hystmpc.gap.check import check_trials
 from hystmpc.gap.dependence import dependence
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.procedure import conclude, investigate
 from hystmpc.gap.report.evidence import Evidence
 from hystmpc.models.simulator import Residual
+from hystmpc.studies.blind.cores import RATE_HZ, CapstanCore, DahlCore
+from hystmpc.studies.blind.device import BlindDevice
+from hystmpc.studies.blind.generators import GENERATORS, Generator, Withheld
+from hystmpc.studies.blind.plan import RICH
 from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.resample import resample

@@ -11,7 +11,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 # A room imports itself and the tiers before its own; rooms of one tier do not know each other.
-TIERS = (("trials",), ("models",), ("trajectories", "ctrl"), ("sim", "rig"), ("gap",), ("cli",))
+TIERS = (("trials",), ("models",), ("trajectories", "ctrl"), ("sim", "rig"), ("gap",), ("studies",), ("cli",))
 ROOMS = tuple(room for tier in TIERS for room in tier)
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef

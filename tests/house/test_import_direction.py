@@ -29,7 +29,9 @@ def may_need_torch(module: Module) -> bool:
     """Training, the definitions of networks, and the benchmark's rival that runs on torch."""
     wrapper = module.name.startswith("hystmpc.models.networks.") and module.name.endswith("_")
     return (
-        wrapper or module.name.startswith("hystmpc.models.train.") or module.name == "hystmpc.sim.bench.pytorch_mppi_"
+        wrapper
+        or module.name.startswith("hystmpc.models.train.")
+        or module.name == "hystmpc.studies.performance.pytorch_mppi_"
     )
 
 

@@ -16,13 +16,11 @@ from pathlib import Path
 import pytest
 
 from hystmpc.cli.main import main
-from hystmpc.rig.campaign.cases import CASES
-from hystmpc.rig.campaign.judge import judge
-from hystmpc.rig.campaign.play import device_log, play
-from hystmpc.rig.campaign.processes import PROGRAM, end, start, start_device
-from hystmpc.rig.campaign.setup import Kind, Link, write_device, write_run
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
+from hystmpc.studies.faults.cases import CASES, Kind, Link, write_device, write_run
+from hystmpc.studies.faults.judge import judge
+from hystmpc.studies.faults.play import PROGRAM, device_log, end, play, start, start_device
 from hystmpc.trials.csv_ import read_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.rig.campaign.judge import rise
-from hystmpc.rig.campaign.setup import OVERSHOOT
+from hystmpc.studies.faults.cases import OVERSHOOT
+from hystmpc.studies.faults.judge import rise
 
 from ..conftest import ROOT
 from ..scripts import script

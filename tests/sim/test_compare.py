@@ -15,9 +15,8 @@ from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.feedback.pid import PidControllerSettings
 from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.compare import compare
-from hystmpc.sim.metrics import tracking_metrics
 from hystmpc.sim.report import report_from_folder
-from hystmpc.sim.results import load_results
+from hystmpc.sim.results import load_results, tracking_metrics
 from hystmpc.sim.study import prepare
 from hystmpc.sim.tune_pid import tuned_gains
 from hystmpc.trials.config import load_settings

@@ -9,8 +9,8 @@ import pytest
 
 from hystmpc.models.library import library_file, library_names, model_path
 from hystmpc.models.load import load_model
+from hystmpc.sim.compare import demo_config
 from hystmpc.sim.config import SimulationConfig, load_simulation
-from hystmpc.sim.demo import demo_config
 from hystmpc.sim.study import prepare
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, ControllerError, HystmpcError, ModelError

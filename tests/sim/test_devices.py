@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hystmpc.ctrl.loop import Plant
 from hystmpc.sim.devices.device import Device
 from hystmpc.sim.devices.muscle import MuscleCatheter, MuscleParameters
-from hystmpc.sim.devices.plant import DevicePlant
 from hystmpc.sim.devices.tendon import TendonCatheter, TendonParameters
+from hystmpc.sim.plants.device import DevicePlant
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 

@@ -10,14 +10,10 @@ import numpy as np
 import pytest
 
 from hystmpc.models.maps import LaserConversion, TipMap
-from hystmpc.sim.devices.dataset import Dataset
-from hystmpc.sim.devices.dataset_files import read_dataset, write_dataset
-from hystmpc.sim.devices.loop_figure import loop_figure
-from hystmpc.sim.devices.make import make_dataset
-from hystmpc.sim.devices.muscle_recorder import MuscleRecorder
-from hystmpc.sim.devices.s1_data import S1Settings
-from hystmpc.sim.devices.s2_data import S2Settings
-from hystmpc.sim.devices.tendon_recorder import TendonRecorder
+from hystmpc.sim.devices.dataset import Dataset, read_dataset, write_dataset
+from hystmpc.sim.devices.muscle import MuscleRecorder
+from hystmpc.sim.devices.paper_data import S1Settings, S2Settings, make_dataset
+from hystmpc.sim.devices.tendon import TendonRecorder
 from hystmpc.trajectories.excitation import s1_test_b, s2_sinusoid
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.trial import Trial
@@ -191,11 +187,3 @@ def test_wrong_names() -> None:
         make_dataset("s2", 0, SMALL)["p2p/tests"]
     with pytest.raises(ConfigError, match="check_offset"):
         S2Settings(check_offset="0bl")  # type: ignore[arg-type]
-
-
-def test_loops_are_drawn_one_panel_a_trial(s1: Dataset, s2: Dataset) -> None:
-    assert len(loop_figure(s1["train"]).axes) == 8
-    with pytest.raises(ConfigError, match="expected trials in one unit"):
-        loop_figure([*s1["train"], *s2["sin/val"]])
-    with pytest.raises(ConfigError, match="no unit"):
-        loop_figure([])

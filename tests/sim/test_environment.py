@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.sim.config import SimulationConfig
-from hystmpc.sim.metrics import violations
+from hystmpc.sim.results import violations
 from hystmpc.sim.study import prepare
 from hystmpc.trajectories import PreviewTable
 from hystmpc.trials.errors import ConfigError

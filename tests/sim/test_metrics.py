@@ -10,7 +10,7 @@ import pytest
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.sim.closed_loop import ClosedLoopRun
-from hystmpc.sim.metrics import holds, tracking_metrics, violations
+from hystmpc.sim.results import holds, tracking_metrics, violations
 
 DT = 0.1
 LIMITS = CommandLimits(0.0, 6.0, 10.0)

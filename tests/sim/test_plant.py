@@ -19,7 +19,7 @@ from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.operators.slow_changes import Drift
 from hystmpc.models.simulator import ChainModel, Simulator
-from hystmpc.sim.plant import Effects, SimulatedPlant, mismatched
+from hystmpc.sim.plants.simulated import Effects, SimulatedPlant, mismatched
 from hystmpc.trials.errors import ConfigError, ModelError
 
 from .small import catheter

@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 
 from hystmpc.cli.device import make_plant as bench_plant
 from hystmpc.models.contract.metadata import Range
-from hystmpc.sim.computed_plant import ComputedPlant
 from hystmpc.sim.config import PlantSettings, SimulationConfig, load_simulation
 from hystmpc.sim.devices.names import DEVICES, parameter_lines
-from hystmpc.sim.plants import make_plant
+from hystmpc.sim.plants.computed import ComputedPlant
+from hystmpc.sim.plants.make import make_plant
 from hystmpc.sim.study import prepare
-from hystmpc.sim.sweep.plan import Plan
+from hystmpc.sim.sweep.plan import SweepPlan
 from hystmpc.sim.sweep.settings import SweepSettings
 from hystmpc.sim.sweep.worker import run_row
-from hystmpc.sim.tuning.spaces import default_draws
+from hystmpc.sim.tuning.settings import default_draws
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError
 
@@ -179,17 +179,17 @@ def sweep(**changes: Any) -> SweepSettings:
 def test_a_sweep_over_plants_and_their_numbers() -> None:
     plants = {"file": {"simulator": "builtin:tendon-catheter"}, "rod": {"device": "rod"}}
     draw = {"plant.parameters.friction": {"uniform": [0.0, 0.3]}}
-    rows = [*Plan(sweep(grid={"plant": plants})).rows(), *Plan(sweep(draw=draw, count=2)).rows()]
+    rows = [*SweepPlan(sweep(grid={"plant": plants})).rows(), *SweepPlan(sweep(draw=draw, count=2)).rows()]
     assert len({row.id for row in rows}) == 4
     assert len({row.files for row in rows}) == 4  # all numbers of a device count, those not in the settings too
     with pytest.raises(ConfigError, match=r"plant\.parameters\.frict.*did you mean 'friction'"):
-        Plan(sweep(draw={"plant.parameters.frict": {"uniform": [0.0, 0.3]}})).check()
+        SweepPlan(sweep(draw={"plant.parameters.frict": {"uniform": [0.0, 0.3]}})).check()
 
 
 def test_what_a_block_leaves_out_can_be_drawn() -> None:
     plants = {"rod": {"device": "rod"}, "slow": {"device": "rod", "lag_s": 0.1}}
     draw = {"plant.parameters.friction": {"uniform": [0.0, 0.3]}}
-    assert Plan(sweep(grid={"plant": plants}, draw=draw, count=2)).check() == 4
+    assert SweepPlan(sweep(grid={"plant": plants}, draw=draw, count=2)).check() == 4
 
 
 def test_the_example_is_right() -> None:
@@ -200,7 +200,7 @@ def test_the_example_is_right() -> None:
 
 @pytest.mark.slow
 def test_a_row_on_the_rod_is_repeatable_to_the_last_bit() -> None:
-    (row,) = Plan(sweep()).rows()
+    (row,) = SweepPlan(sweep()).rows()
     first, again = run_row(row), run_row(row)
     assert first["status"] == "done", first["message"]
     assert first["rmse_deg"] == again["rmse_deg"]

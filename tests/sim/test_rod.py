@@ -11,10 +11,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.sim.devices.device import Motion
-from hystmpc.sim.devices.rod import RodCatheter
+from hystmpc.sim.devices.device import DeviceMotion
+from hystmpc.sim.devices.rod import RodCatheter, RodParameters
 from hystmpc.sim.devices.rod_equations import gravity
-from hystmpc.sim.devices.rod_parameters import RodParameters
 from hystmpc.sim.devices.rod_solver import TOLERANCE_MM
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
@@ -27,7 +26,7 @@ ELASTIC = replace(USUAL, fast_share=0.0, slow_share=0.0, drive_lag_s=0.0)
 CAPSTAN = replace(ELASTIC, friction=0.2, shaft_bend_deg=120.0, shaft_drag_n=0.0, rod_drag_n=0.0, pretension_mm=2.0)
 
 
-def run(p: RodParameters, commands: Vec, state: Vec | None = None, dt: float = DT) -> tuple[RodCatheter, Motion]:
+def run(p: RodParameters, commands: Vec, state: Vec | None = None, dt: float = DT) -> tuple[RodCatheter, DeviceMotion]:
     """The device, and what it did from `state` or as a virgin."""
     rod = RodCatheter(p)
     start = rod.virgin() if state is None else state

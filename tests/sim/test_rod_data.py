@@ -9,14 +9,9 @@ import numpy as np
 import pytest
 
 from hystmpc.ctrl.loop import Plant
-from hystmpc.sim.devices.make import make_dataset
-from hystmpc.sim.devices.plant import DevicePlant
-from hystmpc.sim.devices.rod import RodCatheter
-from hystmpc.sim.devices.rod_data import RodSettings
-from hystmpc.sim.devices.rod_parameters import RodParameters, RodVariation
-from hystmpc.sim.devices.rod_recorder import RodRecorder
-from hystmpc.sim.devices.rod_trials import RodBench, simulate_rod
-from hystmpc.sim.devices.s2_data import S2Settings
+from hystmpc.sim.devices.paper_data import RodSettings, S2Settings, make_dataset
+from hystmpc.sim.devices.rod import RodBench, RodCatheter, RodParameters, RodRecorder, RodVariation, simulate_rod
+from hystmpc.sim.plants.device import DevicePlant
 from hystmpc.trajectories.excitation import s2_sinusoid
 from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError

@@ -16,10 +16,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.sim.sweep import csv_rows, store
-from hystmpc.sim.sweep.draws import DrawSettings, drawn
-from hystmpc.sim.sweep.paths import changed, path_parts, value_at
-from hystmpc.sim.sweep.plan import Plan, Row
-from hystmpc.sim.sweep.settings import SweepSettings, load_sweep, with_base
+from hystmpc.sim.sweep.plan import SweepPlan, SweepRow
+from hystmpc.sim.sweep.settings import (
+    DrawSettings,
+    SweepSettings,
+    changed,
+    drawn,
+    load_sweep,
+    path_parts,
+    value_at,
+    with_base,
+)
 from hystmpc.sim.sweep.store import Store, files_of, table_of
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError
@@ -33,12 +40,12 @@ DRAW = {"plant.lag_s": {"uniform": [0.0, 0.1]}, MISMATCH: {"log_uniform": [0.8, 
 KINDS = {"id": "text", "status": "text", "value": "number", "count": "whole"}
 
 
-def plan(**changes: Any) -> Plan:
+def plan(**changes: Any) -> SweepPlan:
     """A sweep over the small study: two controllers, one motion."""
-    return Plan(with_base(SweepSettings.parse({"base": study_data()} | changes), Path("sweep.yaml")))
+    return SweepPlan(with_base(SweepSettings.parse({"base": study_data()} | changes), Path("sweep.yaml")))
 
 
-def rows(**changes: Any) -> list[Row]:
+def rows(**changes: Any) -> list[SweepRow]:
     return list(plan(**changes).rows())
 
 
@@ -156,7 +163,7 @@ def test_wrong_settings_are_one_line(changes: dict[str, Any], message: str, tmp_
     file = tmp_path / "sweep.yaml"
     file.write_text(dump_yaml({"base": study_data()} | changes), encoding="utf-8")
     with pytest.raises(ConfigError, match=message) as error:
-        Plan(load_sweep(file), file).check()
+        SweepPlan(load_sweep(file), file).check()
     assert "\n" not in str(error.value)
     assert str(tmp_path) in str(error.value)
 
@@ -165,7 +172,7 @@ def test_the_study_may_stand_in_a_file_of_its_own(tmp_path: Path) -> None:
     (tmp_path / "study.yaml").write_text(dump_yaml(study_data()), encoding="utf-8")
     (tmp_path / "sweep.yaml").write_text(dump_yaml({"base": "study.yaml", "draw": DRAW}), encoding="utf-8")
     found = load_sweep(tmp_path / "sweep.yaml", ["count=2"])
-    assert {row.id for row in Plan(found).rows()} == {row.id for row in rows(draw=DRAW, count=2)}
+    assert {row.id for row in SweepPlan(found).rows()} == {row.id for row in rows(draw=DRAW, count=2)}
 
 
 @pytest.fixture(params=["csv", "parquet"])

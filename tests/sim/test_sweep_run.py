@@ -12,12 +12,10 @@ from typing import Any
 
 import pytest
 
-from hystmpc.sim.parallel.backend import Backend, InTurn, backend_for
-from hystmpc.sim.parallel.processes import Processes
+from hystmpc.sim.jobs.backend import Backend, InTurn, Processes, backend_for
 from hystmpc.sim.results import load_results
-from hystmpc.sim.sweep.columns import texts
-from hystmpc.sim.sweep.reproduce import reproduce
-from hystmpc.sim.sweep.run import SweepOutcome, run_sweep
+from hystmpc.sim.sweep.csv_rows import texts
+from hystmpc.sim.sweep.run import SweepOutcome, reproduce, run_sweep
 from hystmpc.sim.sweep.settings import SweepSettings, with_base
 from hystmpc.sim.sweep.store import files_of, table_of
 from hystmpc.sim.sweep.worker import RESULT_COLUMNS
@@ -211,7 +209,7 @@ def test_workers_that_die_again_and_again_end_it() -> None:
     [("localhost:8786", "expected `local` or an address"), ("tcp://127.0.0.1:9", "no Dask scheduler answers")],
 )
 def test_a_wrong_cluster_is_one_line(address: str, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    dask_ = pytest.importorskip("hystmpc.sim.parallel.dask_", reason="dask is an extra")
+    dask_ = pytest.importorskip("hystmpc.sim.jobs.dask_", reason="dask is an extra")
     monkeypatch.setattr(dask_, "_TIMEOUT_S", 0.5)
     with pytest.raises(ConfigError, match=message) as error:
         list(backend_for(2, address).results(abs, [-1]))

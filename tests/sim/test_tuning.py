@@ -16,12 +16,18 @@ from hypothesis import strategies as st
 from hystmpc.ctrl.config import CONTROLLERS, parse_controller
 from hystmpc.sim.compare import compare
 from hystmpc.sim.config import load_simulation
-from hystmpc.sim.parallel.backend import InTurn
-from hystmpc.sim.parallel.processes import Processes
+from hystmpc.sim.jobs.backend import InTurn, Processes
 from hystmpc.sim.study import prepare
-from hystmpc.sim.tuning.objective import PlantScore, needed_travel, plant_config, plant_cost, robust
+from hystmpc.sim.tuning.objective import (
+    PlantScore,
+    SearchTrial,
+    needed_travel,
+    pareto_front,
+    plant_config,
+    plant_cost,
+    robust,
+)
 from hystmpc.sim.tuning.run import Tuning, run_tuning, search
-from hystmpc.sim.tuning.search import Trial, pareto_front
 from hystmpc.sim.tuning.settings import ObjectiveSettings, TuneSettings, complete, load_tuning
 from hystmpc.trials.config import dump_yaml, read_yaml
 from hystmpc.trials.errors import ConfigError
@@ -95,8 +101,8 @@ points = st.lists(st.tuples(st.floats(0.1, 5.0), st.floats(0.1, 5.0)), min_size=
 
 @given(points=points)
 def test_the_front_holds_exactly_the_trials_that_no_other_beats(points: list[tuple[float, float]]) -> None:
-    trials = [Trial(k, "done", error, {}, error, travel, 3) for k, (error, travel) in enumerate(points)]
-    front = {(t.error_deg, t.travel) for t in pareto_front([*trials, Trial(99, "pruned", 0, {}, 0.0, 0.0, 1)])}
+    trials = [SearchTrial(k, "done", error, {}, error, travel, 3) for k, (error, travel) in enumerate(points)]
+    front = {(t.error_deg, t.travel) for t in pareto_front([*trials, SearchTrial(99, "pruned", 0, {}, 0.0, 0.0, 1)])}
     expected = {(e, t) for e, t in points if not any((a <= e and b <= t) and (a < e or b < t) for a, b in points)}
     assert front == expected
 

@@ -1,0 +1,145 @@
+"""Recording on a simulated bench: sampled commands, the papers' sensors, seeds by trial name, S2's tracked bench."""
+
+from __future__ import annotations
+
+import zlib
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hystmpc.models.maps import S2_TIP_MAP, LaserConversion, TipMap
+from hystmpc.trajectories.excitation import s2_initialisation
+from hystmpc.trajectories.trajectory import Trajectory
+from hystmpc.trials.resample import resample
+from hystmpc.trials.trial import Trial, Units
+from hystmpc.trials.types import Vec
+
+from .device import Device, Quantities, quantity
+
+_TURN_DEG = 40.0  # tip angle over which the field's distortion turns once
+_ROUNDING = 1e-9  # of a sample, so that a duration of whole samples is not cut short
+
+
+@dataclass(frozen=True)
+class EmTracker(Quantities):
+    """The electromagnetic tracker of S2 on the tip: angle, and X, Y by the quadratic map of S2.
+
+    S2 states an accuracy of +-0.35 deg and +-1.4 mm. Such an error is mostly distortion of the field: it depends on
+    the pose and comes back in every trial. Here it is a sine of the tip angle, of half the stated size for the angle,
+    and of 0.3 mm for the position, whose rest would be a shift of the frame. The noise is white; its size is of the
+    order that recorded logs of such a device show once they are resampled to 25 Hz.
+    """
+
+    distortion_deg: float = quantity(0.175, "deg", 0.0, 10.0, "amplitude of the distortion of the angle")
+    noise_deg: float = quantity(0.05, "deg", 0.0, 10.0, "standard deviation of the angle's noise")
+    quantisation_deg: float = quantity(180.0 / 2**15, "deg", 0.0, 10.0, "step of the angle")
+    distortion_mm: float = quantity(0.3, "mm", 0.0, 10.0, "amplitude of the distortion of X and Y")
+    noise_mm: float = quantity(0.05, "mm", 0.0, 10.0, "standard deviation of the noise of X and Y")
+    tip: TipMap = field(default_factory=lambda: S2_TIP_MAP)
+
+    def __call__(self, angle_deg: Vec, random: np.random.Generator) -> tuple[Vec, Vec, Vec]:
+        """Measured angle [deg], X and Y [mm] from true angles, all (T,)."""
+        noise = random.standard_normal((3, angle_deg.size))
+        phase = 2 * np.pi * angle_deg / _TURN_DEG
+        angle = angle_deg + self.distortion_deg * np.sin(phase) + self.noise_deg * noise[0]
+        x, y = self.tip(angle_deg)
+        x = x + self.distortion_mm * np.sin(phase + 1.0) + self.noise_mm * noise[1]
+        y = y + self.distortion_mm * np.sin(phase + 2.0) + self.noise_mm * noise[2]
+        return quantised(angle, self.quantisation_deg), x, y
+
+
+@dataclass(frozen=True)
+class LaserSensor(Quantities):
+    """The laser distance sensor of S1 beside the tip, read by a converter: voltage from true angle (S1 eq. (2)-(4)).
+
+    S1 prints neither noise nor resolution: 0.02 mm (0.04 deg near straight), and the 9.8 mV (0.04 mm) of a 10 V range
+    on the 10 bits of its Arduino.
+    """
+
+    straight_mm: float = quantity(60.0, "mm", 0.0, 1000.0, "distance to the tip of the straight catheter")
+    noise_mm: float = quantity(0.02, "mm", 0.0, 10.0, "standard deviation of the noise of the distance")
+    quantisation_v: float = quantity(10.0 / 2**10, "V", 0.0, 10.0, "step of the converter")
+    conversion: LaserConversion = field(default_factory=LaserConversion)
+
+    def __call__(self, angle_deg: Vec, random: np.random.Generator) -> Vec:
+        """Voltage [V] at true angles (T,) [deg].
+
+        Raises:
+            ModelError: if an angle is beyond what the conversion can tell.
+        """
+        distance = self.straight_mm - self.conversion.displacement(angle_deg)
+        noisy = distance + self.noise_mm * random.standard_normal(angle_deg.size)
+        return quantised(self.conversion.voltage(noisy), self.quantisation_v)
+
+
+def quantised(values: Vec, step: float) -> Vec:
+    """Values rounded to multiples of `step`; as they are for step 0."""
+    return np.round(values / step) * step if step > 0 else values
+
+
+def sampled(excitation: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
+    """Times [s] and commands, both (T,), on a grid that begins at 0 and ends before the duration."""
+    count = max(int(np.ceil(excitation.duration_s * rate_hz - _ROUNDING)), 2)
+    t = np.arange(count) / rate_hz
+    return t, np.asarray(excitation(t), dtype=np.float64)
+
+
+def generator(seed: int, name: str, purpose: str) -> np.random.Generator:
+    """Random numbers of one trial for one purpose; they do not depend on which other trials are made, or when."""
+    return np.random.default_rng([seed, zlib.crc32(f"{purpose}:{name}".encode())])
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackedBench(Quantities, ABC):
+    """The bench of S2, whatever device is on it.
+
+    Every trial begins with a virgin device, the initialisation flexure (0.1 Hz to the end of the travel and back)
+    and a rest at 0 mm, which are discarded as S2's protocol says unless `keep_flexure`.
+
+    Attributes:
+        command_rate_hz: rate of command and log [Hz].
+        rate_hz: rate of the trial, by linear interpolation [Hz].
+        rest_s: rest between flexure and motion [s].
+        keep_flexure: leave flexure and rest in the trial.
+    """
+
+    tracker: EmTracker = field(default_factory=EmTracker)
+    command_rate_hz: float = quantity(100.0, "Hz", 1.0, 10_000.0, "rate of command and log (S2's code)")
+    rate_hz: float = quantity(25.0, "Hz", 1.0, 10_000.0, "rate of the trial (S2)")
+    rest_s: float = quantity(2.0, "s", 0.0, 1000.0, "rest between flexure and motion")
+    keep_flexure: bool = False
+
+    @abstractmethod
+    def mounted(self, random: np.random.Generator) -> Device:
+        """The device of one trial, varied as devices vary from trial to trial."""
+
+    def record(self, excitation: Trajectory, seed: int, source: str) -> Trial:
+        """One trial; equal seed and source give equal trials, either of them another gives another device and noise.
+
+        Channels: `x_mm`, `y_mm` of the tip, `displacement_mm` that the drive reached, `tension_n`.
+
+        Raises:
+            ConfigError: through `resample`, if the log's rate is too low for the trial's.
+        """
+        random = generator(seed, source, "device")
+        device = self.mounted(random)
+        _, flexure = sampled(s2_initialisation(), self.command_rate_hz)
+        # The papers' flexure is for 6 mm of travel; another device is flexed over all of its own.
+        flexure = flexure * (device.commands[1] / flexure.max())
+        rest = np.zeros(round(self.rest_s * self.command_rate_hz))
+        _, motion = sampled(excitation, self.command_rate_hz)
+        commands = np.concatenate([flexure, rest, motion])
+        done = device.advance(device.virgin(), commands, 1 / self.command_rate_hz, random)
+        angle, x, y = self.tracker(done.angle, random)
+        channels = {"x_mm": x, "y_mm": y, "displacement_mm": done.actuator, "tension_n": done.tension}
+        skipped = 0 if self.keep_flexure else flexure.size + rest.size
+        log = Trial(
+            np.arange(commands.size - skipped) / self.command_rate_hz,
+            commands[skipped:],
+            angle[skipped:],
+            {name: values[skipped:] for name, values in channels.items()},
+            Units(command=device.command_unit),
+            source,
+        )
+        return resample(log, self.rate_hz)

@@ -1,0 +1,5 @@
+"""Resumable plans of jobs, done in this process, in a pool of processes or on a Dask cluster.
+
+`runner` keeps what is finished and does the rest; `backend.Backend` is where jobs are done: a worker that dies is
+replaced and its job made again.
+"""

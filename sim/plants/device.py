@@ -1,0 +1,93 @@
+"""A device with physics of its own as a plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from hystmpc.models.contract.metadata import Range
+from hystmpc.trajectories.excitation import s2_initialisation
+from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
+
+from ..devices.device import Device
+from .cascade import OperatorCascade
+from .computed import ComputedPlant
+from .simulated import Effects, stored
+
+_REST_S = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceState:
+    """State of a device with effects: operators on its command, the device, operators on its angle."""
+
+    command: Vec
+    device: Vec
+    output: Vec
+
+
+@final
+class DevicePlant(ComputedPlant):
+    """A `Device` as a plant, with effects of the library on either side of it.
+
+    Before every run the device does its initialisation flexure (one period of 0.1 Hz over the commands) and rests at
+    the lowest one, for 5 s and as long as its effects take to settle.
+
+    Args:
+        effects: what it does beyond that; 0.05 deg of noise where left out. Its numbers are the device's own, so that
+            `mismatch` has to be empty; see `devices.names.named_device`.
+        dt_s: sample time [s].
+        commands: between which it is flexed, the lowest being its rest; all of the device's where left out.
+        seed: of noise and friction; equal seeds give the same run after every reset.
+
+    Raises:
+        ConfigError: if the sample time is not positive, commands lie beyond the device's, or there is a mismatch.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        effects: Effects | None = None,
+        dt_s: float = 0.04,
+        commands: Range | None = None,
+        seed: int = 0,
+    ) -> None:
+        if not (np.isfinite(dt_s) and dt_s > 0):
+            raise ConfigError(f"dt_s: got {dt_s}, expected a positive number")
+        lower, upper = device.commands
+        self.command_limits = Range(lower=lower, upper=upper)
+        commands, effects = commands or self.command_limits, effects or Effects(noise_deg=0.05)
+        if not lower <= commands.lower < commands.upper <= upper:
+            raise ConfigError(
+                f"limits: got {commands.lower:g} to {commands.upper:g} {device.command_unit}, "
+                f"expected within {lower:g} to {upper:g} {device.command_unit}, what the device takes"
+            )
+        if effects.mismatch:
+            raise ConfigError("mismatch: got one for a device that is made already, expected it in `named_device`")
+        self._device, self._commands, self._virgin = device, commands, effects.virgin
+        sides = {side: tuple(e.operator for e in effects.placed if e.side == side) for side in ("command", "output")}
+        self._before = OperatorCascade(stored((*effects.actuator, *sides["command"]), dt_s), dt_s)
+        self._after = OperatorCascade(stored(sides["output"], dt_s), dt_s)
+        super().__init__(dt_s, commands.lower, device.command_unit, effects.sensing(), seed)
+
+    def _at_rest(self, random: np.random.Generator) -> tuple[float, DeviceState]:
+        rest_s = _REST_S + self._before.settling_s + self._after.settling_s
+        commands = np.full(round(rest_s / self._dt), self._commands.lower)
+        if not self._virgin:
+            flexure = s2_initialisation()
+            wave = flexure(np.arange(0.0, flexure.duration_s, self._dt))
+            span = self._commands.upper - self._commands.lower
+            commands = np.concatenate([self._commands.lower + span * wave / wave.max(), commands])
+        sent, before = self._before.settle(self._before.at_rest(self._commands.lower), commands)
+        done = self._device.advance(self._device.virgin(), sent, self._dt, random)
+        shown, after = self._after.settle(self._after.at_rest(float(done.angle[0])), done.angle)
+        return float(shown[-1]), DeviceState(before, done.state, after)
+
+    def _advanced(self, state: DeviceState, u: float, random: np.random.Generator) -> tuple[float, DeviceState]:
+        sent, before = self._before.run(state.command, np.array([u]))
+        done = self._device.advance(state.device, sent, self._dt, random)
+        shown, after = self._after.run(state.output, done.angle)
+        return float(shown[-1]), DeviceState(before, done.state, after)

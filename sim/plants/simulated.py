@@ -1,0 +1,204 @@
+"""The simulated device: a chain of operators with effects on either side, sensors and wrong parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, final
+
+import numpy as np
+
+from hystmpc.models.chain import Chain
+from hystmpc.models.contract.metadata import Range
+from hystmpc.models.effects.place import PlacedEffect, effect_from, with_effect
+from hystmpc.models.motions import initialisation_flexure
+from hystmpc.models.operators.dynamics import Delay, Lag
+from hystmpc.models.operators.measurement import Sensor
+from hystmpc.models.operators.operator import Operator
+from hystmpc.models.prediction.compiled import CompiledPredictor
+from hystmpc.models.simulator import Simulator
+from hystmpc.trials.errors import ConfigError, ModelError, did_you_mean
+from hystmpc.trials.types import Vec
+
+from .cascade import run_chain, settling_s
+from .computed import ComputedPlant, Sensing
+
+
+@dataclass(frozen=True)
+class Effects:
+    """Effects of the device that its simulator does not contain.
+
+    Attributes:
+        lag_s: time constant of a first-order lag of the actuator, 0 for none [s].
+        delay_s: transport delay of the command, fractions of a sample allowed [s].
+        noise_deg: standard deviation of the angle sensor's white noise [deg].
+        quantisation_deg: step of the angle sensor, 0 for none [deg].
+        mismatch: factors on parameters of the simulator, by label, such as `prandtl_ishlinskii.a0`.
+        effects: effects of the library, as objects or as `{effect, side, parameters}`, in the order in which the signal
+            meets them: those on the command after delay and lag and the simulator's own, those on the output last.
+            Sensors act on what is measured.
+        virgin: start without the initialisation flexure, so that a first flexure is still to come.
+
+    Raises:
+        ConfigError: if a number is negative or not finite, or an effect is not one of the library.
+    """
+
+    lag_s: float = 0.0
+    delay_s: float = 0.0
+    noise_deg: float = 0.0
+    quantisation_deg: float = 0.0
+    mismatch: Mapping[str, float] = field(default_factory=dict)
+    effects: Sequence[PlacedEffect | Mapping[str, Any]] = ()
+    virgin: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("lag_s", "delay_s", "noise_deg", "quantisation_deg"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise ConfigError(f"plant: got {name} {value}, expected a finite number >= 0")
+        object.__setattr__(self, "effects", tuple(_placed(spec, k) for k, spec in enumerate(self.effects)))
+
+    @property
+    def placed(self) -> tuple[PlacedEffect, ...]:
+        """The effects of the library that act on the device, sensors left out."""
+        return tuple(e for e in self._placed() if not isinstance(e.operator, Sensor))
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """The sensors among the effects."""
+        return tuple(e.operator for e in self._placed() if isinstance(e.operator, Sensor))
+
+    def sensing(self, before: tuple[Sensor, ...] = ()) -> Sensing:
+        """The angle sensor; `before` are sensors that the device has of its own."""
+        return Sensing(self.noise_deg, self.quantisation_deg, (*before, *self.sensors))
+
+    @property
+    def actuator(self) -> tuple[Operator, ...]:
+        """Delay and lag of the actuator."""
+        lag = (Lag(self.lag_s),) if self.lag_s > 0 else ()
+        return (*((Delay(self.delay_s, samples=1),) if self.delay_s > 0 else ()), *lag)
+
+    def _placed(self) -> tuple[PlacedEffect, ...]:
+        return tuple(e for e in self.effects if isinstance(e, PlacedEffect))
+
+
+def _placed(spec: PlacedEffect | Mapping[str, Any], k: int) -> PlacedEffect:
+    if isinstance(spec, PlacedEffect):
+        return spec
+    try:
+        return effect_from({key: value for key, value in spec.items() if value is not None})
+    except ModelError as error:
+        raise ConfigError(f"plant.effects[{k}]: {error}") from None
+
+
+def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simulator:
+    """The simulator at sample time `dt_s` [s], with wrong parameters and all effects but sensors.
+
+    Lag and delay of the actuator stand in front, effects of the library on either side after what is there.
+
+    Raises:
+        ConfigError: if `mismatch` names a parameter that the chain does not have.
+        ModelError: if a factor takes a parameter out of its bounds.
+    """
+    chain = mismatched(simulator.chain, effects.mismatch)
+    own = tuple(operator for operator in chain.after if not isinstance(operator, Sensor))
+    chain = replace(chain, before=(*effects.actuator, *chain.before), after=own)
+    for placed in effects.placed:
+        chain = with_effect(chain, placed.operator, placed.side)
+    return at_sample_time(replace(simulator, chain=chain), dt_s)
+
+
+def at_sample_time(simulator: Simulator, dt_s: float) -> Simulator:
+    """The same simulator at sample time `dt_s` [s]: delays get the store that they need at it."""
+    chain = simulator.chain
+    before, after = stored(chain.before, dt_s), stored(chain.after, dt_s)
+    return replace(simulator, chain=replace(chain, before=before, after=after), dt_s=dt_s)
+
+
+def stored(operators: Sequence[Operator], dt_s: float) -> tuple[Operator, ...]:
+    """The operators, delays with the store that they need at sample time `dt_s` [s]."""
+    return tuple(Delay.at_rate(o.delay_s, dt_s) if isinstance(o, Delay) else o for o in operators)
+
+
+def mismatched(chain: Chain, factors: Mapping[str, float]) -> Chain:
+    """The chain with some parameters multiplied.
+
+    Raises:
+        ConfigError: on a label that the chain does not have.
+        ModelError: if a product is out of the parameter's bounds.
+    """
+    for label in factors:
+        if label not in chain.labels:
+            raise ConfigError(f"mismatch: no parameter {label!r}, {did_you_mean(label, chain.labels)}")
+    return chain.with_values([v * factors.get(k, 1.0) for k, v in zip(chain.labels, chain.values, strict=True)])
+
+
+@final
+class SimulatedPlant(ComputedPlant):
+    """A chain of operators as a plant.
+
+    Before every run the device does its initialisation flexure (S2: one period of 0.1 Hz to the highest command and
+    back) and then rests at the lowest one, so that a reset always finds the same device. Drift and periodic disturbance
+    count from the reset on, sensors start their random numbers anew.
+
+    Args:
+        dt_s: sample time [s]; the simulator's own where left out.
+        commands: commands between which it is flexed, the lowest being its rest; the simulator's limits where left out.
+        seed: of the sensor noise, mixed into the seed of every sensor among the effects; equal seeds give equal noise
+            after every reset.
+
+    Raises:
+        ConfigError: if `effects` name a parameter that the simulator does not have.
+        ModelError: if a mismatch takes a parameter out of its bounds.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        effects: Effects | None = None,
+        dt_s: float | None = None,
+        commands: Range | None = None,
+        seed: int = 0,
+    ) -> None:
+        effects, commands = effects or Effects(), commands or simulator.command_limits
+        dt_s = simulator.dt_s if dt_s is None else dt_s
+        self.simulator = plant_simulator(simulator, effects, dt_s)
+        self._model = CompiledPredictor.of_simulator(self.simulator)
+        state = self._model.initial(self.simulator.trained_angle_deg.lower, commands.lower)
+        self._rest = (fresh if effects.virgin else conditioned)(self.simulator, state, commands)
+        self.command_limits = simulator.command_limits
+        own = tuple(o for o in simulator.chain.after if isinstance(o, Sensor))
+        super().__init__(dt_s, commands.lower, simulator.command_unit, effects.sensing(own), seed)
+
+    def _at_rest(self, random: np.random.Generator) -> tuple[float, Vec]:
+        del random  # nothing in a chain is
+        return self._rest
+
+    def _advanced(self, state: Vec, u: float, random: np.random.Generator) -> tuple[float, Vec]:
+        del random
+        return self._model.advance(state, u)
+
+
+def conditioned(simulator: Simulator, state: Vec, commands: Range) -> tuple[float, Vec]:
+    """Angle [deg] and state at the lowest command after the initialisation flexure and a rest.
+
+    The rest lasts until lags have settled, and creep within ten minutes. What follows a clock stands still meanwhile:
+    the clock starts with the run.
+
+    Args:
+        state: at rest at the lowest command.
+    """
+    flexure = initialisation_flexure(commands, simulator.dt_s, warmup_samples=1)
+    samples = round(settling_s(simulator.chain) / simulator.dt_s)
+    return _run(simulator, state, np.concatenate([flexure, np.full(samples, commands.lower)]))
+
+
+def fresh(simulator: Simulator, state: Vec, commands: Range) -> tuple[float, Vec]:
+    """Angle [deg] and state at the lowest command of a device that was never bent; arguments as `conditioned`."""
+    return _run(simulator, state, np.full(1, commands.lower))
+
+
+def _run(simulator: Simulator, state: Vec, commands: Vec) -> tuple[float, Vec]:
+    """The last angle, and the state with its clocks at zero."""
+    theta, after = run_chain(simulator.chain, simulator.dt_s, state, commands, settle=True)
+    return float(theta[-1]), after

@@ -1,0 +1,156 @@
+"""Ablation on real logs: each needed component is removed from the simulator, and the diagnosis must name it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystmpc.gap.floor import find_floor
+from hystmpc.gap.hypothesis import CrossValidation, HeldOutErrors, gain
+from hystmpc.gap.preparation import prepare
+from hystmpc.gap.procedure import conclude, investigate
+from hystmpc.models.chain import Chain
+from hystmpc.models.effects.catalogue import EFFECTS
+from hystmpc.models.simulator import Identification, Simulator, save_simulator
+from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Progress
+
+from .reading import DiagnosisReading, reading_of
+
+FORMAT = "hystmpc-ablation/1"
+RESULT = "ablation.json"
+# Operators that stand for an effect of another name.
+_STANDS_FOR = {"servo": "lag", "rate_limit": "lag", "directional_gain": "asymmetry"}
+
+
+@dataclass(frozen=True)
+class Ablated:
+    """One component and what became of its name.
+
+    Attributes:
+        with_deg, without_deg: RMSE on trials left out, with it and without, the rest of the baseline refitted [deg].
+        floor_deg: what no simulator can go below on these logs [deg].
+        standard_errors: of the rise of the mean square error, that this rise is.
+    """
+
+    component: str
+    with_deg: float
+    without_deg: float
+    floor_deg: float
+    standard_errors: float
+    verdict: str = ""
+    said: tuple[str, ...] = ()
+    left_open: tuple[str, ...] = ()
+
+    @property
+    def needed(self) -> bool:
+        """Whether the error rises by the floor or more without it; else its name is not asked for."""
+        return self.without_deg - self.with_deg >= self.floor_deg
+
+    @property
+    def right(self) -> bool:
+        """Whether the component is the first name."""
+        return self.said[:1] == (self.component,)
+
+    @property
+    def found(self) -> bool:
+        """Whether the component is among the names, or left open beside them."""
+        return self.component in (*self.said, *self.left_open)
+
+
+def ablate(
+    trials: Sequence[Trial], simulator: Simulator, folder: Path, seed: int = 0, progress: Progress | None = None
+) -> list[Ablated]:
+    """Take every component out in turn, and diagnose the simulator without it.
+
+    Where an effect has several operators they go together. The simulator without it is given as one of which nothing
+    else is known: what it left of these logs would hold the component.
+
+    Args:
+        simulator: with effects around its core, such as the `sim.fixed.yaml` of a diagnosis.
+        folder: gets `ablation.json` and a folder for each component that is needed, with its simulator and diagnosis.
+
+    Returns:
+        The components, the one that is needed most first.
+
+    Raises:
+        ConfigError: if the simulator has no effect around its core.
+        GapError: on unusable trials.
+    """
+    names = components(simulator.chain)
+    if not names:
+        raise ConfigError(
+            "ablation: the simulator is a core without effects, expected one such as the sim.fixed.yaml of a diagnosis"
+        )
+    whole, floor_deg = _judged(trials, simulator)
+    found = []
+    for k, name in enumerate(names):
+        if progress:
+            progress(k, len(names), name)
+        less = without(simulator, name)
+        row = _row(name, whole, _judged(trials, less)[0], floor_deg)
+        found.append(_asked(row, trials, less, folder / name, seed) if row.needed else row)
+    found.sort(key=lambda row: -row.without_deg)
+    rows = [{**asdict(r), "needed": r.needed, "right": r.right if r.needed else None} for r in found]
+    write_atomically(folder / RESULT, json.dumps({"format": FORMAT, "components": rows}, indent=1))
+    return found
+
+
+def components(chain: Chain) -> tuple[str, ...]:
+    """Effects around the core, in the order of the signal."""
+    return tuple(dict.fromkeys(name for o in (*chain.before, *chain.after) if (name := effect_of(o.name))))
+
+
+def effect_of(operator: str) -> str:
+    """The effect that an operator of that name stands for; empty where it is none."""
+    name = _STANDS_FOR.get(operator, operator)
+    return name if name in EFFECTS else ""
+
+
+def without(simulator: Simulator, component: str) -> Simulator:
+    """The simulator less a component; nothing is known of what it leaves."""
+    chain = replace(
+        simulator.chain,
+        before=tuple(o for o in simulator.chain.before if effect_of(o.name) != component),
+        after=tuple(o for o in simulator.chain.after if effect_of(o.name) != component),
+    )
+    known = Identification(method=f"less {component}", seed=simulator.identification.seed)
+    return replace(simulator, chain=chain, identification=known)
+
+
+def answered(row: Ablated, said: DiagnosisReading) -> Ablated:
+    """The row with what a diagnosis said."""
+    groups = sorted({name for group in said.ambiguity for name in group} - set(said.claims))
+    return replace(row, verdict=said.verdict, said=said.claims, left_open=tuple(groups) if said.claims else ())
+
+
+def _judged(trials: Sequence[Trial], simulator: Simulator) -> tuple[HeldOutErrors, float]:
+    """The refitted simulator, judged on trials left out, and the floor [deg]."""
+    prepared = prepare(trials, simulator)
+    validation = CrossValidation(prepared.baseline, prepared.everything)
+    retuned = validation.retuned()
+    errors = [run.angle - retuned.problem.angles(retuned.q, run) for run in prepared.everything]
+    checked = prepared.checked
+    floor = find_floor(checked.trials, errors, checked.dt, checked.excitation.repeats)
+    return validation.judge(retuned), floor.rmse_deg
+
+
+def _row(component: str, whole: HeldOutErrors, less: HeldOutErrors, floor_deg: float) -> Ablated:
+    rise, error = gain(less, whole)
+    return Ablated(component, float(np.sqrt(whole.mse)), float(np.sqrt(less.mse)), floor_deg, rise / max(error, 1e-12))
+
+
+def _asked(row: Ablated, trials: Sequence[Trial], less: Simulator, folder: Path, seed: int) -> Ablated:
+    """The row with the diagnosis' answer."""
+    found, _ = conclude(investigate(trials, less, seed=seed))
+    data: dict[str, Any] = dict(found.as_json())
+    save_simulator(less, folder / "sim.yaml")
+    write_atomically(folder / "diagnosis.json", json.dumps(data, indent=1))
+    return answered(row, reading_of(data))

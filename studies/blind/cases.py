@@ -1,0 +1,257 @@
+"""Cases of the blind check: a device, its identified simulator, effects of a wanted size, negative controls."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hystmpc.models.contract.metadata import DeviceLimits, Range
+from hystmpc.models.fit.identify import simulator_of
+from hystmpc.models.fit.operators import OperatorFitSettings, fit_chain
+from hystmpc.models.fit.starts import backlash_starts, prandtl_ishlinskii_starts
+from hystmpc.models.simulator import Simulator
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from .cores import TRAVEL_MM, Core, Mounting
+from .device import DEVICES, BlindDevice
+from .generators import Withheld, generators_of
+from .plan import Plan, draw_plan
+from .retuning import GapRuler, retune, rms
+from .sealed import Answer, Case, EffectAnswer, Suite, densities
+
+_RATE_MM_S = 40.0
+_TRIES = 5
+_PLAYS = 3
+_TOLERANCE = 0.055
+_SIZE_TRIES = 9
+_STEP = 6.0  # greatest change of size at once
+_AIM = 1.06  # a search that ends within its tolerance then ends above the wanted ratio
+CONTROLS = ("shuffled_residual", "simulator_and_noise", "mis_set")
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """Device, simulator and recording plan from which a case is made."""
+
+    core: Core
+    mounting: Mounting
+    device: BlindDevice
+    simulator: Simulator
+    baseline: str
+    plan: Plan
+    ruler: GapRuler
+    random: np.random.Generator
+
+    @property
+    def floor_deg(self) -> float:
+        """Noise and model-form error together [deg]."""
+        return float(np.hypot(self.device.noise_deg, self.ruler.base.rmse_deg))
+
+    def angles(self, effects: Sequence[Withheld]) -> list[Vec]:
+        """Angles (T,) without common noise, by trial [deg]."""
+        return self.device.with_effects(effects).true_angles(self.plan.commands)
+
+    def facts(self) -> dict[str, object]:
+        """Fields of an answer that are known before any effect is chosen."""
+        return {
+            "plan": self.plan.name,
+            "motions": self.plan.types,
+            "floor_deg": self.floor_deg,
+            "noise_deg": self.device.noise_deg,
+            "form_deg": self.ruler.base.rmse_deg,
+            "resolution_deg": self.device.resolution_deg,
+            "device": self.core.numbers(),
+            "mounting": asdict(self.mounting),
+            "seed": self.device.seed,
+            "baseline": self.baseline,
+        }
+
+
+def set_up(seed: Sequence[int], spread: float = 1.0, plan: str | None = None) -> Bench:
+    """Draw a device, identify its simulator, draw what it is off by and what is recorded.
+
+    Args:
+        spread: of the mounting; 0 keeps the device as it was identified.
+
+    Raises:
+        FitError: if no drawn device can be identified.
+    """
+    for attempt in range(_TRIES):
+        random = np.random.default_rng([*seed, attempt])
+        try:
+            return _bench(random, spread, plan)
+        except FitError:
+            continue
+    raise FitError(f"blind case {list(seed)}: no simulator could be identified on {_TRIES} drawn devices")
+
+
+def _bench(random: np.random.Generator, spread: float, plan: str | None) -> Bench:
+    core = DEVICES[int(random.integers(len(DEVICES)))].draw(random)
+    baseline = str(random.choice(["backlash", "pi"]))
+    noise, resolution = float(random.choice([0.03, 0.06, 0.12])), 0.01
+    nominal = BlindDevice(core, noise, resolution, int(random.integers(2**31)))
+    recorded = nominal.record(draw_plan(random, "short").commands)
+    named = [replace(trial, source=f"fit_{k + 1:02d}.csv") for k, trial in enumerate(recorded)]
+    simulator = _identified(baseline, named)
+    mounting = Mounting(
+        gain=float(1 + spread * random.uniform(-0.12, 0.12)),
+        friction=float(1 + spread * random.uniform(-0.25, 0.25)),
+        offset_deg=float(spread * random.uniform(-2, 2)),
+    )
+    device = replace(nominal, core=core.mounted(mounting), seed=int(random.integers(2**31)))
+    recording = draw_plan(random, plan)
+    ruler = GapRuler.of(simulator, recording.commands, device.true_angles(recording.commands))
+    return Bench(core, mounting, device, simulator, baseline, recording, ruler, random)
+
+
+def _identified(baseline: str, trials: Sequence[Trial]) -> Simulator:
+    """As `hystmpc fit` does it, from one start instead of several."""
+    start = backlash_starts(trials)[0] if baseline == "backlash" else prandtl_ishlinskii_starts(trials, _PLAYS)[1]
+    chain = fit_chain([start], trials, OperatorFitSettings(restarts=0, evaluations=30, tolerance=1e-5)).chain
+    limits = DeviceLimits(Range(lower=0.0, upper=TRAVEL_MM), _RATE_MM_S)
+    return simulator_of(chain, trials, limits, "least_squares, preset best", seed=1)
+
+
+def sized(effect: Withheld, wanted_deg: float, gap: Callable[[Withheld], float]) -> tuple[Withheld, float]:
+    """Search the size at which `gap` is `wanted_deg`, by secants in the logarithms of size and gap.
+
+    Args:
+        wanted_deg: gap to reach [deg].
+        gap: of an effect [deg]; about rising with the size.
+
+    Returns:
+        The best effect found, at most of its greatest size, and its gap [deg].
+    """
+    size, power = min(effect.size, effect.generator.greatest), 1.0
+    best: tuple[float, Withheld, float] | None = None
+    before: tuple[float, float] | None = None
+    for _ in range(_SIZE_TRIES):
+        found = max(gap(effect.resized(size)), 1e-9)
+        miss = abs(found / wanted_deg - 1)
+        if best is None or miss < best[0]:
+            best = miss, effect.resized(size), found
+        if miss < _TOLERANCE or (found < wanted_deg and size >= effect.generator.greatest):
+            break
+        power = _power(before, (size, found), power)
+        before = size, found
+        step = min(max((wanted_deg / found) ** (1 / power), 1 / _STEP), _STEP)
+        size = min(size * step, effect.generator.greatest)
+    assert best is not None  # the loop runs at least once
+    return best[1], best[2]
+
+
+def _power(before: tuple[float, float] | None, now: tuple[float, float], power: float) -> float:
+    """Exponent of gap over size between two tries, kept within what a smooth effect can have."""
+    if before is None or abs(math.log(now[0] / before[0])) < 1e-3:
+        return power
+    return min(max(math.log(now[1] / before[1]) / math.log(now[0] / before[0]), 0.4), 4.0)
+
+
+@dataclass(frozen=True)
+class Wish:
+    """An effect that a case shall have.
+
+    Attributes:
+        label: of the effect; one of its generators is drawn.
+        ratio: gap after retuning, in floors.
+        main: a cause, or a smaller contaminant.
+        pick: which of the label's generators, counted round; drawn where left out.
+    """
+
+    label: str
+    ratio: float
+    main: bool = True
+    pick: int | None = None
+
+
+def affected_case(
+    bench: Bench, suite: Suite, wishes: Sequence[Wish], without: tuple[str, ...] = (), variant: str = ""
+) -> Case:
+    """A case with these effects; without any, the device is only off its nominal numbers."""
+    made = [_effect(bench, wish) for wish in wishes]
+    effects, answers = [effect for effect, _ in made], [answer for _, answer in made]
+    trials = bench.device.with_effects(effects).record(bench.plan.commands)
+    gap = _gap(bench, effects) if effects else {}
+    answer = Answer.model_validate(
+        {
+            **bench.facts(),
+            "suite": suite,
+            "variant": variant,
+            "effects": answers,
+            "without": without,
+            "separable": all(bench.plan.separates(wish.label) for wish in wishes),
+            **gap,
+        }
+    )
+    return Case(tuple(trials), bench.simulator, answer)
+
+
+def _effect(bench: Bench, wish: Wish) -> tuple[Withheld, EffectAnswer]:
+    choices = generators_of(wish.label)
+    drawn = int(bench.random.integers(len(choices)))
+    generator = choices[(drawn if wish.pick is None else wish.pick) % len(choices)]
+    start = Withheld(generator, generator.typical, generator.draw(bench.random))
+    effect, gap = sized(start, _AIM * wish.ratio * bench.floor_deg, lambda e: bench.ruler.gap(bench.angles([e])))
+    answer = EffectAnswer(
+        label=wish.label,
+        generator=generator.name,
+        size=effect.size,
+        shape=dict(effect.shape),
+        ratio=gap / bench.floor_deg,
+        gap_deg=gap,
+        main=wish.main,
+    )
+    return effect, answer
+
+
+def _gap(bench: Bench, effects: Sequence[Withheld]) -> dict[str, Any]:
+    """Error that a refit of the baseline leaves, without noise; share of the effects in it; its density by region."""
+    angles = bench.angles(effects)
+    tuned = retune(bench.simulator, bench.plan.commands, angles)
+    form, whole = bench.ruler.base.rmse_deg**2, tuned.rmse_deg**2
+    trials = bench.device.with_effects(effects).record(bench.plan.commands)
+    errors = [run - angle for run, angle in zip(tuned.angles, angles, strict=True)]
+    return {
+        "retuned_deg": tuned.rmse_deg,
+        "true_closed": float(np.clip(1 - form / max(whole, 1e-12), 0, 1)),
+        "retuned_by_trial": tuple(rms([error]) for error in errors),
+        "form_by_trial": tuple(
+            rms([run - plain]) for run, plain in zip(bench.ruler.base.angles, bench.ruler.plain, strict=True)
+        ),
+        "where": densities(trials, errors),
+    }
+
+
+def control_case(bench: Bench, variant: str) -> Case:
+    """A case of one of the `CONTROLS`.
+
+    Shuffled residual: what the retuned simulator leaves of the real logs, its samples in random order, added to that
+    simulator: its size is kept and its structure gone. Simulator and noise: the retuned simulator itself. Mis-set: the
+    device off its nominal numbers, and nothing else.
+    """
+    trials = bench.device.record(bench.plan.commands)
+    if variant != "mis_set":
+        tuned = retune(bench.simulator, bench.plan.commands, [trial.angle for trial in trials])
+        noise = _noise(bench, variant, [t.angle - run for t, run in zip(trials, tuned.angles, strict=True)])
+        step = bench.device.resolution_deg
+        trials = [
+            replace(trial, angle=np.round((run + part) / step) * step)
+            for trial, run, part in zip(trials, tuned.angles, noise, strict=True)
+        ]
+    answer = Answer.model_validate({**bench.facts(), "suite": "controls", "variant": variant})
+    return Case(tuple(trials), bench.simulator, answer)
+
+
+def _noise(bench: Bench, variant: str, residuals: list[Vec]) -> list[Vec]:
+    whole = np.concatenate(residuals)
+    if variant == "shuffled_residual":
+        mixed = bench.random.permutation(whole)
+    else:
+        mixed = bench.device.noise_deg * bench.random.standard_normal(whole.size)
+    return np.split(mixed, np.cumsum([part.size for part in residuals])[:-1])

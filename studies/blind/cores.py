@@ -1,0 +1,312 @@
+"""Device cores of the blind cases: capstan friction, Dahl elements, and the rod; the grid of their time."""
+
+from __future__ import annotations
+
+import itertools
+import zlib
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from typing import Any, ClassVar, Self, final
+
+import numpy as np
+
+from hystmpc.sim.devices import rod_solver
+from hystmpc.sim.devices.rod import RodCatheter, RodParameters
+from hystmpc.sim.devices.rod_equations import new_knots
+from hystmpc.sim.devices.rod_solver import new_work
+from hystmpc.trials.types import Vec
+
+from . import kernels
+
+TRAVEL_MM = 6.0
+STROKE = 0.6
+"""Share of the travel of the unlogged cycle before a trial, so that a trial does not open a virgin device."""
+
+_NODES = 16
+FINE_S = 0.002
+RATE_HZ = 25.0
+PARTS = round(1 / (RATE_HZ * FINE_S))
+_COARSE = 10  # fine steps in one of the rod, whose equations take a hundred times as long as those of the others
+_SETTLED_S = 1e6  # a step slow against every relaxation
+_BEFORE = 40
+_SHAFT, _SEGMENTS = 3, 6
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """Deviation of a device from the one on which its simulator was identified.
+
+    Attributes:
+        offset_deg: added to every angle [deg].
+    """
+
+    gain: float = 1.0
+    friction: float = 1.0
+    offset_deg: float = 0.0
+
+
+@dataclass(frozen=True)
+class Core(ABC):
+    """Hysteresis from displacement [mm] to angle [deg].
+
+    Attributes:
+        gain: of the angle over a displacement [deg/mm].
+        offset_deg: angle at zero displacement [deg].
+        DRAWN: range of each parameter between devices.
+        FRICTION: parameters that are multiplied by the friction factor of a mounting.
+    """
+
+    DRAWN: ClassVar[Mapping[str, tuple[float, float]]]
+    FRICTION: ClassVar[tuple[str, ...]]
+    gain: float
+    offset_deg: float
+
+    @abstractmethod
+    def run(self, x: Vec, scale: Vec) -> Vec:
+        """Angles (T,) [deg] for the proximal end at x (T,) [mm] and friction factors (T,), on the fine grid.
+
+        An unlogged cycle of `STROKE` goes before.
+        """
+
+    def mounted(self, mounting: Mounting) -> Self:
+        """The same device off its nominal numbers."""
+        rubbing = {name: getattr(self, name) * mounting.friction for name in self.FRICTION}
+        return replace(
+            self, gain=self.gain * mounting.gain, offset_deg=self.offset_deg + mounting.offset_deg, **rubbing
+        )
+
+    @classmethod
+    def draw(cls, random: np.random.Generator) -> Self:
+        """A device of this kind."""
+        return cls(**{name: random.uniform(*ends) for name, ends in cls.DRAWN.items()})
+
+    def numbers(self) -> dict[str, Any]:
+        """Parameters, for the sealed answers."""
+        return {"core": type(self).__name__, **asdict(self)}
+
+
+@dataclass(frozen=True)
+class QuasiStatic(Core):
+    """A core whose angle depends on the path of the displacement alone, not on its speed."""
+
+    @abstractmethod
+    def deflection(self, x: Vec, scale: Vec) -> Vec:
+        """Distal displacement (T,) [mm] for proximal x (T,) [mm] and friction factors (T,)."""
+
+    def run(self, x: Vec, scale: Vec) -> Vec:
+        """offset + gain * deflection; see `Core.run`."""
+        stroke = STROKE * TRAVEL_MM
+        up, down = np.linspace(0.0, stroke, 400), np.linspace(stroke, float(x[0]), 400)
+        before = np.concatenate([up, down])
+        whole = np.concatenate([before, x])
+        factors = np.concatenate([np.full(before.size, scale[0]), scale])
+        return self.offset_deg + self.gain * self.deflection(whole, factors)[before.size :]
+
+
+@final
+@dataclass(frozen=True)
+class CapstanCore(QuasiStatic):
+    """Tendon in a bent sheath, friction proportional to the local tension (capstan law), whose last part bends.
+
+    The tendon also rubs along the part that bends, so that this part does not move as one piece.
+
+    Attributes:
+        gain: tip angle over distal displacement [deg/mm].
+        offset_deg: angle at zero distal displacement [deg].
+        wrap: friction coefficient times wrap angle.
+        load: stiffness that the tendon pulls against [N/mm].
+        compliance: of the whole tendon [mm/N].
+        pretension: at rest [N].
+        bending: share of the tendon's wrap that lies in the part that bends.
+    """
+
+    DRAWN: ClassVar = {
+        "gain": (9, 13),
+        "offset_deg": (10, 30),
+        "wrap": (0.18, 0.34),
+        "load": (1.5, 2.5),
+        "compliance": (0.05, 0.08),
+        "pretension": (7, 12),
+        "bending": (0.35, 0.7),
+    }
+    FRICTION = ("wrap",)
+    gain: float = 11.0
+    offset_deg: float = 20.0
+    wrap: float = 0.25
+    load: float = 2.0
+    compliance: float = 0.06
+    pretension: float = 8.0
+    bending: float = 0.5
+
+    def deflection(self, x: Vec, scale: Vec) -> Vec:
+        out, tension = np.empty(x.size), np.full(_NODES, self.pretension)
+        bends = np.arange(_NODES) >= round((1 - self.bending) * _NODES)
+        weights = bends / bends.sum() / self.load
+        shares = weights + self.compliance / _NODES
+        kernels.capstan(x, self.wrap * scale, tension, shares, weights, self.pretension, out)
+        return out
+
+
+@final
+@dataclass(frozen=True)
+class DahlCore(QuasiStatic):
+    """Displacement less the deflection of parallel Dahl elements (P. Dahl, Aerospace Corp. TOR-158, 1968).
+
+    Attributes:
+        gain: tip angle over distal displacement [deg/mm].
+        offset_deg: angle at zero distal displacement [deg].
+        friction: sum of the saturated deflections, half the width of the full loop [mm].
+        spread: widest over narrowest element.
+    """
+
+    DRAWN: ClassVar = {"gain": (9, 12), "offset_deg": (10, 30), "friction": (0.15, 0.35), "spread": (4, 9)}
+    FRICTION = ("friction",)
+    gain: float = 10.0
+    offset_deg: float = 20.0
+    friction: float = 0.25
+    spread: float = 6.0
+
+    def deflection(self, x: Vec, scale: Vec) -> Vec:
+        widths = np.geomspace(1.0, self.spread, 8) * 0.08
+        shares = np.full(8, self.friction / float(widths.sum()))
+        out, state = np.empty(x.size), np.zeros(8)
+        kernels.dahl(x, scale, widths, shares, state, out)
+        return x - out
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One trial of one device.
+
+    Attributes:
+        seed: of the case; everything random of a trial comes from `random`.
+        trial: number of the trial in recording order, from 0.
+        clock_s: time from the start of the first trial to that of this one [s].
+        travel: greatest command [mm].
+        rest_deg, span_deg: angle at zero command, and the change to the greatest [deg].
+    """
+
+    seed: int
+    trial: int
+    clock_s: float
+    travel: float
+    rest_deg: float
+    span_deg: float
+
+    def random(self, name: str, every_trial: bool = True) -> np.random.Generator:
+        """Draws of one effect in this trial, or of the whole device: the same for every size of the effect."""
+        return np.random.default_rng([self.seed, zlib.crc32(name.encode()), self.trial + 1 if every_trial else 0])
+
+    def unit(self, angle: Vec) -> Vec:
+        """Bend over the span: 0 at rest, about 1 at the greatest command."""
+        return (angle - self.rest_deg) / self.span_deg
+
+
+def fine_times(samples: int) -> Vec:
+    """Times of the fine steps that cover `samples` samples at `RATE_HZ` [s]."""
+    return np.asarray(np.arange((samples - 1) * PARTS + 1) * FINE_S, dtype=np.float64)
+
+
+def rise(signal: Vec) -> Vec:
+    """Speed by differences of the fine signal [1/s], zero at the start."""
+    return np.asarray(np.diff(signal, prepend=signal[0]) / FINE_S, dtype=np.float64)
+
+
+@final
+@dataclass(frozen=True)
+class RodCore(Core):
+    """Rod of `hystmpc.sim.devices.rod` on a coarser grid, with its drive, its first flexure and its sensor taken out.
+
+    Its segments are standard linear solids: what they relax belongs to the device that the simulator is identified on,
+    as every device bends a little late. The numbers are drawn so that this stays within what a backlash or a few plays
+    leave of the friction anyway; more of it would be creep, a withheld effect.
+
+    Attributes:
+        gain: tip angle over the way of the tendon in the rod [deg/mm].
+        offset_deg: angle of the rod at rest, without tendon [deg].
+        friction: coefficient of tendon and lumen.
+        drag_n: friction of either part, shaft and rod, that does not come from tension [N].
+        stiffness_nmm: bending stiffness at rest [N mm/rad].
+        pretension_mm: pull that tensions the virgin tendon [mm].
+        fast_share, slow_share: stiffness of the Maxwell branches over that at rest.
+        slow_s: relaxation time of the slow branch [s].
+    """
+
+    DRAWN: ClassVar = {
+        "gain": (28, 38),
+        "offset_deg": (-20, 5),
+        "friction": (0.03, 0.09),
+        "drag_n": (0.6, 1.6),
+        "stiffness_nmm": (5.5, 8.5),
+        "pretension_mm": (3.0, 4.5),
+        "fast_share": (0.05, 0.25),
+        "slow_share": (0.005, 0.02),
+        "slow_s": (1.0, 4.0),
+    }
+    FRICTION = ("friction", "drag_n")
+    gain: float = 32.0
+    offset_deg: float = -8.5
+    friction: float = 0.06
+    drag_n: float = 1.2
+    stiffness_nmm: float = 6.9
+    pretension_mm: float = 3.6
+    fast_share: float = 0.15
+    slow_share: float = 0.012
+    slow_s: float = 2.0
+
+    def run(self, x: Vec, scale: Vec) -> Vec:
+        """Angles between the rod's coarser steps lie on straight lines; see `Core.run`."""
+        last = -(-(x.size - 1) // _COARSE) * _COARSE
+        times, knots = np.arange(x.size), np.arange(0, last + 1, _COARSE)
+        places, factors = (np.interp(knots, times, signal) for signal in (x, scale))
+        ways = _ways(replace(self, gain=1.0, offset_deg=0.0), places.tobytes(), factors.tobytes())
+        return self.offset_deg + self.gain * np.interp(times, knots, ways)
+
+    def rod(self) -> RodParameters:
+        """The numbers of the simulated rod."""
+        return RodParameters(
+            rest_deg=0.0,
+            stiffness_nmm=self.stiffness_nmm,
+            pretension_mm=self.pretension_mm,
+            friction=self.friction,
+            shaft_drag_n=self.drag_n,
+            rod_drag_n=self.drag_n,
+            fast_share=self.fast_share,
+            slow_share=self.slow_share,
+            slow_s=self.slow_s,
+            set_share=0.0,
+            drive_lag_s=0.0,
+            shaft_contacts=_SHAFT,
+            segments=_SEGMENTS,
+        )
+
+
+@lru_cache(maxsize=64)
+def _ways(core: RodCore, places: bytes, factors: bytes) -> Vec:
+    """Way of the tendon in the rod (K,) [mm] for places of the drive (K,) [mm] and friction factors (K,), as bytes.
+
+    Kept, for effects behind the rod are sized and recorded on one and the same motion of it.
+    """
+    x, scale = (np.frombuffer(data).copy() for data in (places, factors))  # writable, as the kernel is compiled for
+    rod, stroke = core.rod(), STROKE * TRAVEL_MM
+    before = np.concatenate([np.linspace(0.0, stroke, _BEFORE), np.linspace(stroke, x[0], _BEFORE)])
+    state = RodCatheter(rod).virgin()
+    _bends(rod, state, before, np.full(before.size, scale[0]), _SETTLED_S)
+    ways = np.radians(_bends(rod, state, x, scale, _COARSE * FINE_S)) * rod.offset_mm
+    ways.setflags(write=False)
+    return ways
+
+
+def _bends(rod: RodParameters, state: Vec, places: Vec, factors: Vec, step_s: float) -> Vec:
+    """Bend (K,) [deg] at the end of every step; `state` is moved on. The kernel takes one friction a call."""
+    bend, drive, tension = (np.empty(places.size) for _ in range(3))
+    step, work, knots, whole = rod.step_numbers(step_s), new_work(rod.contacts), new_knots(rod.contacts), rod.numbers()
+    ends = [0, *(np.flatnonzero(np.diff(factors)) + 1).tolist(), places.size]
+    for first, stop in itertools.pairwise(ends):
+        numbers = whole._replace(mu=float(factors[first]) * whole.mu, drag=factors[first] * whole.drag)
+        part = slice(first, stop)
+        out = bend[part], drive[part], tension[part]
+        rod_solver.advance(state, places[part], numbers, step, 1, work, knots, *out)
+    return bend

@@ -1,0 +1,210 @@
+"""A diagnosis as the score reads it, and the cases with their answers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hystmpc.trials.errors import LogError
+
+from .run import BESIDE, DIAGNOSIS, FAILURE
+from .sealed import DENSE, REGIONS, Answer, open_answers
+
+VERDICTS = ("named", "one_of", "unknown", "none", "too_little")
+FAILED = "failed"
+LARGE = 3.0
+"""Gap in floors from which on the bars hold."""
+
+
+@dataclass(frozen=True)
+class DiagnosisReading:
+    """Statements of one diagnosis.
+
+    Attributes:
+        verdict: one of `VERDICTS`, or `failed` where it ended with an error.
+        ranking: names with probabilities, most likely first.
+        closed_share, closed_ci90: of the whole gap, with its interval where given.
+        floor_deg: that the closed share counts from [deg], where given.
+        densities: of the retuned error by region; None where it says nothing of that region.
+        others: guesses of rules beside it, by name of the rule.
+        final_trials: names of the trials that the closed share was measured on.
+    """
+
+    verdict: str
+    effects: tuple[str, ...] = ()
+    probabilities: tuple[float, ...] = ()
+    ambiguity: tuple[frozenset[str], ...] = ()
+    ranking: tuple[tuple[str, float], ...] = ()
+    closed_share: float | None = None
+    closed_ci90: tuple[float, float] | None = None
+    floor_deg: float | None = None
+    densities: Mapping[str, float] = field(default_factory=dict)
+    others: Mapping[str, str] = field(default_factory=dict)
+    final_trials: tuple[str, ...] = ()
+
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """Names that it puts forward: none unless the verdict is `named` or `one_of`."""
+        if self.verdict not in ("named", "one_of"):
+            return ()
+        if self.effects:
+            return self.effects
+        names = [name for name, _ in self.ranking] or sorted(name for group in self.ambiguity for name in group)
+        return tuple(names[:1])
+
+    @property
+    def guess(self) -> str:
+        """Its best single answer: the first name, or the verdict."""
+        claims = self.claims
+        return claims[0] if claims else self.verdict
+
+    @property
+    def confidence(self) -> float:
+        """Probability of the first name; 0 without a name."""
+        if not self.claims:
+            return 0.0
+        if self.effects:
+            return self.probabilities[0]
+        return dict(self.ranking).get(self.guess, 0.0)
+
+    def may_be(self, name: str) -> bool:
+        """Whether it leaves `name` open: named, or in a set that it cannot tell apart together with what it named."""
+        return name in self.claims or any(name in group for group in self.ambiguity)
+
+    @property
+    def dense_regions(self) -> frozenset[str]:
+        """Regions in which it says that the gap lies."""
+        return frozenset(name for name, density in self.densities.items() if density >= DENSE)
+
+
+def read_diagnosis(path: Path, others: Mapping[str, str] | None = None) -> DiagnosisReading:
+    """Read `diagnosis.json`.
+
+    Raises:
+        LogError: if the file cannot be read, or lacks what its format promises.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        return reading_of(data, others)
+    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+        raise LogError(f"{path}: not a diagnosis ({type(error).__name__}: {error})") from None
+
+
+def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None) -> DiagnosisReading:
+    """The statements in the plain data of a diagnosis.
+
+    Raises:
+        ValueError: on an unknown verdict.
+        KeyError: if a field is missing.
+    """
+    verdict = data["verdict"]
+    if verdict not in VERDICTS:
+        raise ValueError(f"verdict {verdict!r}, expected one of {', '.join(VERDICTS)}")
+    effects, gap = data["effects"], data["gap"]
+    interval = gap.get("closed_ci90")
+    return DiagnosisReading(
+        verdict,
+        tuple(str(e["name"]) for e in effects),
+        tuple(float(e["probability"]) for e in effects),
+        tuple(frozenset(map(str, group)) for group in data["ambiguity"]),
+        tuple((str(name), float(probability)) for name, probability in data["ranking"]),
+        float(gap["closed_share"]) if gap.get("closed_share") is not None else None,
+        (float(interval[0]), float(interval[1])) if interval else None,
+        float(gap["floor_rmse_deg"]) if gap.get("floor_rmse_deg") is not None else None,
+        {name: float(place["density"]) for name, place in data["where"].items() if name in REGIONS},
+        {**data.get("baselines", {}), **(others or {})},
+        tuple(str(name) for name in gap.get("final_trials", ())),
+    )
+
+
+@dataclass(frozen=True)
+class ScoredCase:
+    """One case.
+
+    Attributes:
+        followed: the diagnosis after the proposed motion was recorded, if it was.
+        oracle: closed share of a diagnosis that was told the classes, if one was made.
+        seconds: that the diagnosis took, if known.
+        again: share that the causes close in another session of the device, if it had one.
+    """
+
+    name: str
+    answer: Answer
+    reading: DiagnosisReading
+    followed: DiagnosisReading | None = None
+    oracle: float | None = None
+    seconds: float | None = None
+    again: float | None = None
+
+    @property
+    def right(self) -> bool:
+        """Whether the verdict is right.
+
+        With nothing to find: `none`. With a foreign cause: `unknown` or `too_little`. Else the first name is the
+        largest cause, or either of a pair; on motions that do not separate it from its confounders, leaving it open or
+        `too_little` is right too.
+        """
+        truth, said = self.answer.truth, self.reading
+        if truth == "none":
+            return said.verdict == "none"
+        if truth == "unknown":
+            return said.verdict in ("unknown", "too_little")
+        if said.guess == truth or said.guess in self.answer.labels:
+            return True
+        return not self.answer.separable and (
+            said.verdict == "too_little" or (bool(said.claims) and said.may_be(truth))
+        )
+
+
+def load_scored(folder: Path, partial: bool = False) -> list[ScoredCase]:
+    """Open the answers and set the diagnoses beside them.
+
+    Raises:
+        LogError: if the answers are not those sealed, a diagnosis is damaged, or one is missing.
+    """
+    answers = open_answers(folder)
+    done = {name: folder / "diagnoses" / name for name in answers}
+    missing = [n for n, path in done.items() if not any((path / f).is_file() for f in (DIAGNOSIS, FAILURE))]
+    if missing and not partial:
+        raise LogError(
+            f"{folder}: {len(missing)} of {len(answers)} cases have no diagnosis (first: {missing[0]}), expected all; "
+            "`hystmpc gap blind run` makes them"
+        )
+    found = [_one(folder, name, answers[name]) for name in answers if name not in missing]
+    if not found:
+        raise LogError(f"{folder}: no case has a diagnosis, expected at least one")
+    return found
+
+
+def _one(folder: Path, name: str, answer: Answer) -> ScoredCase:
+    path, seconds, again = folder / "diagnoses" / name, None, None
+    others: dict[str, str] = {}
+    if not (path / DIAGNOSIS).is_file():
+        return ScoredCase(name, answer, DiagnosisReading(FAILED))
+    if (path / BESIDE).is_file():
+        beside = json.loads((path / BESIDE).read_text(encoding="utf-8"))
+        seconds, others, again = beside.get("seconds"), beside.get("others", {}), beside.get("closed_again")
+    followed = folder / "follow_up_diagnoses" / name / DIAGNOSIS
+    oracle = folder / "oracle" / name / DIAGNOSIS
+    return ScoredCase(
+        name,
+        answer,
+        read_diagnosis(path / DIAGNOSIS, others),
+        read_diagnosis(followed) if followed.is_file() else None,
+        read_diagnosis(oracle).closed_share if oracle.is_file() else None,
+        seconds,
+        again,
+    )
+
+
+def of_suites(cases: Sequence[ScoredCase], *suites: str) -> list[ScoredCase]:
+    """Cases of some suites."""
+    return [case for case in cases if case.answer.suite in suites]
+
+
+def large(cases: Sequence[ScoredCase]) -> list[ScoredCase]:
+    """Cases whose largest cause leaves a gap of `LARGE` floors or more."""
+    return [case for case in cases if case.answer.ratio >= LARGE]

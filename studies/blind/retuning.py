@@ -1,0 +1,136 @@
+"""Gap of an effect: the error that a refitted baseline leaves of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hystmpc.gap.baseline import Baseline, baseline_of
+from hystmpc.models.contract.metadata import Range
+from hystmpc.models.fit.operators import FreeRunResiduals, OperatorFitSettings
+from hystmpc.models.simulator import ChainModel, Simulator
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from .cores import RATE_HZ
+
+_STEPS = 25
+_DONE = 1e-4  # relative change of the loss at which a refit ends
+
+
+@dataclass(frozen=True, eq=False)
+class Retuned:
+    """A baseline refitted to some angles.
+
+    Attributes:
+        rmse_deg: that it leaves [deg].
+        angles: its free runs, (T,) by trial [deg].
+    """
+
+    simulator: Simulator
+    rmse_deg: float
+    angles: tuple[Vec, ...]
+
+
+def retune(simulator: Simulator, commands: Sequence[Vec], angles: Sequence[Vec]) -> Retuned:
+    """Refit the baseline, from where it is, to angles (T,) [deg] under commands (T,) [mm]; no noise needs be in them.
+
+    Levenberg-Marquardt on the normal equations: far cheaper than the library's own fit where there are ten thousand
+    samples and nine parameters, and enough from a start as near as this one.
+    """
+    trials = [
+        Trial(np.arange(u.size) / RATE_HZ, u, y, source=f"trial {k}")
+        for k, (u, y) in enumerate(zip(commands, angles, strict=True))
+    ]
+    fitted = replace(simulator, chain=simulator.chain.with_values(_fitted(simulator, trials).tolist()))
+    runs = free_runs(fitted, commands, [float(y[0]) for y in angles])
+    return Retuned(fitted, rms([a - b for a, b in zip(runs, angles, strict=True)]), runs)
+
+
+def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
+    """Parameters of the chain after the refit, within the freedom that the diagnosis retunes, too.
+
+    A parameter that is an effect by another name (the rate term of a Prandtl-Ishlinskii core, the ratio of a
+    backlash's slopes) stays where it is: a refit of it would hide the very effects that are measured here.
+    """
+    command = np.concatenate([trial.command for trial in trials])
+    baseline = baseline_of(simulator.chain, Range(lower=float(command.min()), upper=float(command.max())))
+    residuals = FreeRunResiduals(simulator.chain, trials, OperatorFitSettings())
+    held = {k for own in baseline.effects.values() for k in own.values()}
+    active = np.array([k not in held for k in range(baseline.nominal.size)])
+    z, damping = baseline.nominal.copy(), 1e-3
+    r, jacobian = _errors(residuals, baseline, z)
+    for _ in range(_STEPS):
+        slope = jacobian.T @ r
+        # A bound that the error pushes against holds its parameter for this step.
+        free = active & ~(((z <= baseline.lower) & (slope > 0)) | ((z >= baseline.upper) & (slope < 0)))
+        move = np.zeros(z.size)
+        move[free] = _step(jacobian[:, free], slope[free], damping)
+        tried = np.clip(z + move, baseline.lower, baseline.upper)
+        following, by_z = _errors(residuals, baseline, tried)
+        gain = float(r @ r - following @ following)
+        if not np.isfinite(gain) or gain <= 0:
+            damping *= 10
+            continue
+        done = gain < _DONE * float(r @ r)
+        z, r, jacobian, damping = tried, following, by_z, max(damping / 10, 1e-9)
+        if done:
+            break
+    return baseline.core_values(z)[0]
+
+
+def _errors(residuals: FreeRunResiduals, baseline: Baseline, z: Vec) -> tuple[Vec, Vec]:
+    """Free-run errors and their derivative by the baseline's freedom."""
+    p, by_z = baseline.core_values(z)
+    r, by_p = residuals(p)
+    return r, by_p @ by_z
+
+
+def _step(jacobian: Vec, slope: Vec, damping: float) -> Vec:
+    """Levenberg's step (Q,), each parameter damped by its own curvature."""
+    normal = jacobian.T @ jacobian
+    curvature = np.diag(normal)
+    scale = np.maximum(curvature, 1e-9 * max(float(curvature.max(initial=0.0)), 1e-12))
+    return np.asarray(-np.linalg.solve(normal + damping * np.diag(scale), slope), dtype=np.float64)
+
+
+def free_runs(simulator: Simulator, commands: Sequence[Vec], first_deg: Sequence[float]) -> tuple[Vec, ...]:
+    """Free runs (T,) of a simulator [deg], each from its first angle."""
+    model = ChainModel(simulator)
+    return tuple(model.run(np.array(u), y) for u, y in zip(commands, first_deg, strict=True))
+
+
+def rms(parts: Sequence[Vec]) -> float:
+    """Root of the mean square over all samples of all trials."""
+    return float(np.sqrt(np.mean(np.concatenate(list(parts)) ** 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class GapRuler:
+    """Measures effects on one device and its motions.
+
+    Attributes:
+        commands: (T,) by trial [mm].
+        plain: angles without the effects and without noise, (T,) by trial [deg].
+        base: the baseline refitted to them; its rmse is the model-form error.
+    """
+
+    commands: tuple[Vec, ...]
+    plain: tuple[Vec, ...]
+    base: Retuned
+
+    @classmethod
+    def of(cls, simulator: Simulator, commands: Sequence[Vec], plain: Sequence[Vec]) -> GapRuler:
+        """Refit the baseline to the unaffected device."""
+        return cls(tuple(commands), tuple(plain), retune(simulator, commands, plain))
+
+    def gap(self, affected: Sequence[Vec]) -> float:
+        """RMSE that a refit of the baseline leaves of the effect [deg].
+
+        The change that the effect makes is added to what the baseline reproduces exactly, so that the model-form
+        error does not count.
+        """
+        target = [run + (a - p) for run, a, p in zip(self.base.angles, affected, self.plain, strict=True)]
+        return retune(self.base.simulator, self.commands, target).rmse_deg

@@ -1,0 +1,239 @@
+"""Diagnosing every case of a blind check, resumable; further motions recorded on a case's device."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystmpc.gap.findings import Findings
+from hystmpc.models.simulator import Simulator
+from hystmpc.sim.jobs.backend import backend_for
+from hystmpc.sim.jobs.runner import attempt, run_jobs
+from hystmpc.trials.csv_ import read_trials, write_csv
+from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, did_you_mean
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.table import read_lines, read_table
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Progress
+
+from .cores import RATE_HZ, TRAVEL_MM
+from .device import lasts_s
+from .rules import correlation_rule, fit_rules
+from .sealed import open_answers, read_case, read_manifest
+
+_ANOTHER_SESSION = 7919  # added to the seed of what is random in a device
+DIAGNOSIS = "diagnosis.json"
+FAILURE = "failure.txt"
+BESIDE = "beside.json"
+NEXT_MOTION = "next_motion.csv"
+
+
+def record_motion(folder: Path, case: str, motion: Path) -> Path:
+    """Run a motion on a case's simulated device and write the log; neither log nor message tells the answer.
+
+    Args:
+        motion: CSV with columns `time_s` and `command`.
+
+    Returns:
+        The log, in `follow_up/CASE`, numbered on from the trials that the case has.
+
+    Raises:
+        ConfigError: on an unknown case, one of real logs, a command beyond the device's travel, or a log that is
+            there already.
+        LogError: if the motion or the answers cannot be read.
+    """
+    answers = open_answers(folder)
+    if case not in answers:
+        raise ConfigError(f"{folder}: no case {case!r}, {did_you_mean(case, answers)}")
+    if not answers[case].device or answers[case].suite == "controls":
+        raise ConfigError(f"{folder}: case {case} has no device that could move again")
+    before = read_trials([folder / "cases" / case])
+    clock_s = sum(lasts_s(len(trial)) for trial in before)
+    command, log = _command(motion), folder / "follow_up" / case / f"trial_{len(before) + 1:02d}.csv"
+    if log.exists():
+        raise ConfigError(f"{log}: is recorded already, expected no log there; remove it to record another motion")
+    (trial,) = answers[case].blind_device().record([command], len(before), clock_s)
+    return write_csv(trial, log)
+
+
+def record_again(folder: Path, case: str) -> list[Trial]:
+    """Another session of a case's motions on its device: other noise, other draws, the same effects.
+
+    Raises:
+        ConfigError: on an unknown case, or one without a device.
+        LogError: if logs or answers cannot be read.
+    """
+    answers = open_answers(folder)
+    if case not in answers or not answers[case].device or answers[case].suite == "controls":
+        raise ConfigError(f"{folder}: case {case!r} has no device that could move again")
+    device = answers[case].blind_device()
+    commands = [trial.command for trial in read_trials([folder / "cases" / case])]
+    return replace(device, seed=device.seed + _ANOTHER_SESSION).record(commands)
+
+
+def _command(path: Path) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    columns = ("time_s", "command")
+    table = read_table(read_lines(path), str(path))
+    missing = [name for name in columns if name not in table.numbers]
+    if missing:
+        raise LogError(f"{path}: missing columns {', '.join(missing)}, expected time_s, command")
+    t, command = (np.asarray(table.numbers[name], dtype=np.float64) for name in columns)
+    if t.size < 2 or not (np.isfinite(t).all() and np.isfinite(command).all() and np.all(np.diff(t) > 0)):
+        raise LogError(f"{path}: expected two or more finite samples with increasing time")
+    if command.min() < -1e-6 or command.max() > TRAVEL_MM + 1e-6:
+        raise ConfigError(
+            f"{path}: command {command.min():.4g} to {command.max():.4g} mm, expected within 0 to {TRAVEL_MM:g}"
+        )
+    grid = np.arange(round((t[-1] - t[0]) * RATE_HZ) + 1) / RATE_HZ
+    return np.clip(np.interp(grid, t - t[0], command), 0.0, TRAVEL_MM)
+
+
+@dataclass(frozen=True)
+class DiagnosisJob:
+    """One diagnosis to make.
+
+    Attributes:
+        only: classes that the library is cut down to: the oracle's; empty for the blind diagnosis.
+        kind: `diagnoses`, `follow_up_diagnoses` or `oracle`: the folder of the result.
+    """
+
+    folder: Path
+    case: str
+    seed: int
+    without: tuple[str, ...] = ()
+    only: tuple[str, ...] = ()
+    kind: str = "diagnoses"
+
+    @property
+    def out(self) -> Path:
+        """Folder of the result."""
+        return self.folder / self.kind / self.case
+
+
+def run_blind(
+    folder: Path,
+    jobs: int = 1,
+    seed: int = 0,
+    follow_up: bool = False,
+    with_truth: bool = True,
+    progress: Progress | None = None,
+) -> int:
+    """Diagnose every case that has no diagnosis yet.
+
+    First all cases blindly; then, where asked for, the motions that the diagnoses propose are recorded and diagnosed
+    with them; last, unless left out, the oracle: the same cases with a library of nothing but the true classes.
+
+    Args:
+        folder: made by `make_blind`.
+        follow_up: record and diagnose again where a next motion is proposed.
+
+    Returns:
+        Diagnoses that failed, in this call.
+
+    Raises:
+        LogError: if the folder holds no blind check.
+        ConfigError: if a worker process died.
+    """
+    manifest = read_manifest(folder)
+    blind = [DiagnosisJob(folder, name, seed, manifest.without.get(name, ())) for name in manifest.cases]
+    failed = _all(blind, jobs, progress)
+    if follow_up:
+        open_cases = [job for job in blind if (job.out / NEXT_MOTION).is_file()]
+        again = [DiagnosisJob(folder, job.case, seed, job.without, (), "follow_up_diagnoses") for job in open_cases]
+        failed += _all([job for job in again if _recorded(job)], jobs, progress)
+    if with_truth:
+        answers = open_answers(folder)
+        told = [DiagnosisJob(folder, name, seed, (), a.labels, "oracle") for name, a in answers.items() if a.labels]
+        failed += _all(told, jobs, progress)
+    return failed
+
+
+def diagnose_job(job: DiagnosisJob) -> tuple[DiagnosisJob, bool]:
+    """Make one diagnosis and write it; an error of the diagnosis is written too. Returns whether it worked."""
+
+    def diagnose() -> tuple[dict[str, Any], dict[str, Any]]:
+        trials, simulator = read_case(job.folder, job.case)
+        return _diagnose(trials + _followed(job), simulator, job)
+
+    made = attempt(diagnose)
+    if made.value is None:
+        write_atomically(job.out / FAILURE, f"{type(made.raised).__name__}: {made.raised}\n")
+        return job, False
+    data, beside = made.value
+    write_atomically(job.out / BESIDE, json.dumps({"seconds": made.seconds, **beside}))
+    write_atomically(job.out / DIAGNOSIS, json.dumps(data, indent=1))
+    (job.out / FAILURE).unlink(missing_ok=True)
+    return job, True
+
+
+def _diagnose(
+    trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The diagnosis in its fixed form, and what goes beside it; the motion that it proposes is written."""
+    from hystmpc.gap.next_motion import write_motion
+    from hystmpc.gap.procedure import conclude, investigate
+
+    findings = investigate(trials, simulator, seed=job.seed, without=job.without, only=job.only or None)
+    found, evidence = conclude(findings)
+    if evidence.proposal is not None:
+        write_motion(job.out / NEXT_MOTION, evidence.proposal, simulator.command_unit)
+    beside = _beside(findings, trials, simulator, job) if job.kind == "diagnoses" else {}
+    return dict(found.as_json()), beside
+
+
+def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob) -> dict[str, Any]:
+    """Answers of simple rules, and the share that the causes close in another session, if the device can have one."""
+    from hystmpc.gap.fresh_session import closed_again
+
+    rules = fit_rules(findings.selection, findings.prepared.development)
+    found: dict[str, Any] = {"others": {"correlation": correlation_rule(trials, simulator), **rules}}
+    if findings.far.shares:
+        with suppress(ConfigError):  # logs of a real device
+            found["closed_again"] = closed_again(findings, record_again(job.folder, job.case))
+    return found
+
+
+def _all(todo: Sequence[DiagnosisJob], processes: int, progress: Progress | None) -> int:
+    """Do the jobs without a diagnosis; returns how many failed."""
+    if not todo:
+        return 0
+
+    def is_done(job: DiagnosisJob) -> bool:
+        return (job.out / DIAGNOSIS).is_file()
+
+    if progress:
+        progress(sum(map(is_done, todo)), len(todo), todo[0].kind)
+    done = run_jobs(
+        todo,
+        diagnose_job,
+        backend_for(processes, where=str(todo[0].folder)),
+        is_done=is_done,
+        total=len(todo),
+        progress=progress,
+        note=lambda made: f"{made[0].kind} {made[0].case}{'' if made[1] else ' failed'}",
+    )
+    return sum(not worked for _, worked in done)
+
+
+def _recorded(job: DiagnosisJob) -> bool:
+    """Record the proposed motion on the case's device; False where there is no such device or the motion is unfit."""
+    if _followed(job):
+        return True
+    try:
+        record_motion(job.folder, job.case, job.folder / "diagnoses" / job.case / NEXT_MOTION)
+    except HystmpcError as error:
+        write_atomically(job.out / FAILURE, f"{error}\n")
+        return False
+    return True
+
+
+def _followed(job: DiagnosisJob) -> list[Trial]:
+    """Trials recorded because a diagnosis asked for them."""
+    logs = job.folder / "follow_up" / job.case
+    return read_trials([logs]) if job.kind == "follow_up_diagnoses" and logs.is_dir() else []

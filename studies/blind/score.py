@@ -1,0 +1,189 @@
+"""The score of a blind check: bars, misses, and the tables behind them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystmpc.trials.files import write_atomically
+
+from .bars import (
+    Bar,
+    Calibration,
+    Confusion,
+    Rate,
+    alarm,
+    bars,
+    calibration,
+    chance,
+    confidently_wrong,
+    confusion,
+    covers_perfection,
+    rate,
+)
+from .generators import LABELS
+from .make import RATIOS, SUITES
+from .plan import confusable
+from .reading import ScoredCase, load_scored, of_suites
+
+FORMAT = "hystmpc-blind-score/1"
+
+
+@dataclass(frozen=True)
+class Score:
+    """All that the report shows.
+
+    Attributes:
+        bars: see `bars`.
+        groups: share of right verdicts, by table and row.
+        beside: top-1 on single effects of the diagnosis and of simpler rules.
+    """
+
+    cases: tuple[ScoredCase, ...]
+    bars: tuple[Bar, ...]
+    confusion: Confusion
+    calibration: Calibration
+    groups: dict[str, dict[str, Rate]]
+    beside: dict[str, float]
+
+    def misses(self) -> list[ScoredCase]:
+        """Cases whose verdict is wrong, in the order of their folders."""
+        return [case for case in self.cases if not case.right]
+
+
+def score_blind(folder: Path, partial: bool = False) -> Score:
+    """Open the answers, score the diagnoses, write `score.json`.
+
+    Raises:
+        LogError: if diagnoses are missing, or the answers are not those that were sealed.
+    """
+    result = score_of(load_scored(folder, partial))
+    write_atomically(folder / "score.json", json.dumps(score_json(result), indent=1))
+    return result
+
+
+def score_of(cases: Sequence[ScoredCase]) -> Score:
+    """The score of some cases."""
+    single = of_suites(cases, "single")
+    return Score(
+        tuple(cases),
+        tuple(bars(cases)),
+        confusion(cases),
+        calibration(cases),
+        {
+            "suite": _by(cases, lambda c: (c.answer.suite,), SUITES),
+            "gap in floors": _by(single, lambda c: (_size(c),), [f"{r:g}" for r in RATIOS]),
+            "effect": _by(single, lambda c: (c.answer.truth,), LABELS),
+            "recording plan": _by(single, lambda c: (c.answer.plan,)),
+            "motion in the plan": _by(single, lambda c: tuple(sorted(set(c.answer.motions)))),
+            "baseline": _by(single, lambda c: (c.answer.baseline,)),
+            "device": _by(single, lambda c: (str(c.answer.device.get("core", "recorded")),)),
+            "separable": _by(single, lambda c: ("separable" if c.answer.separable else "not separable",)),
+            "left out class": _by(of_suites(cases, "without"), lambda c: (c.answer.variant or "the true one",)),
+            "90 % intervals hold": {"what a perfect equation would close": covers_perfection(cases)},
+            "nothing wrong, left alone by": _left_alone(of_suites(cases, "none", "misset", "controls")),
+        },
+        _beside(single),
+    )
+
+
+def _by(
+    cases: Sequence[ScoredCase], keys: Callable[[ScoredCase], tuple[str, ...]], order: Sequence[str] = ()
+) -> dict[str, Rate]:
+    """Share of right verdicts by key; a case may count under several."""
+    groups: dict[str, list[ScoredCase]] = {}
+    for case in cases:
+        for key in keys(case):
+            groups.setdefault(key, []).append(case)
+    names = [*(name for name in order if name in groups), *sorted(set(groups) - set(order))]
+    return {name: rate(groups[name], lambda c: c.right) for name in names}
+
+
+def _size(case: ScoredCase) -> str:
+    """The wanted ratio that the found one is nearest to."""
+    return f"{min(RATIOS, key=lambda r: abs(math.log(max(case.answer.ratio, 1e-3) / r))):g}"
+
+
+def _beside(single: Sequence[ScoredCase]) -> dict[str, float]:
+    """Top-1 on single effects: the diagnosis, with confounders counted as right, simple rules, and chance."""
+    if not single:
+        return {}
+    found = {
+        "diagnosis": rate(single, lambda c: c.reading.guess == c.answer.truth).value,
+        "diagnosis, twins allowed": rate(single, lambda c: confusable(c.reading.guess, c.answer.truth)).value,
+    }
+    for rule in sorted({name for case in single for name in case.reading.others}):
+        told = [case for case in single if rule in case.reading.others]
+        found[f"rule: {rule}"] = sum(c.reading.others[rule] == c.answer.truth for c in told) / len(told)
+    found["the same guesses dealt at random"] = chance(single)
+    found["a name drawn at random"] = 1 / len(LABELS)
+    return found
+
+
+def _left_alone(healthy: Sequence[ScoredCase]) -> dict[str, Rate]:
+    """Share of devices without a gap of which nothing is named: by the diagnosis, and by the rules beside it."""
+    if not healthy:
+        return {}
+    found = {"diagnosis": rate(healthy, lambda c: not alarm(c))}
+    for rule in sorted({name for case in healthy for name in case.reading.others}):
+        told = [case for case in healthy if rule in case.reading.others]
+        found[f"rule: {rule}"] = Rate(sum(c.reading.others[rule] == "none" for c in told), len(told))
+    return found
+
+
+def score_json(score: Score) -> dict[str, Any]:
+    """Plain data of a score; not-a-number becomes null."""
+    seconds = [case.seconds for case in score.cases if case.seconds is not None]
+    data = {
+        "format": FORMAT,
+        "cases": len(score.cases),
+        "bars": [{**asdict(bar), "goal": bar.goal, "state": bar.state} for bar in score.bars],
+        "confusion": {
+            "truths": score.confusion.truths,
+            "guesses": score.confusion.guesses,
+            "counts": score.confusion.counts.tolist(),
+        },
+        "calibration": asdict(score.calibration),
+        "groups": {
+            table: {name: {"right": r.hits, "cases": r.cases, "ci90": r.ci90} for name, r in rows.items()}
+            for table, rows in score.groups.items()
+        },
+        "top1_beside": score.beside,
+        "misses": [miss_json(case) for case in score.misses()],
+        "seconds": {"median": float(np.median(seconds)), "greatest": max(seconds)} if seconds else None,
+    }
+    return _plain(data)
+
+
+def miss_json(case: ScoredCase) -> dict[str, Any]:
+    """One wrong verdict: the truth, what was said, and how large the gap was."""
+    answer, said = case.answer, case.reading
+    return {
+        "case": case.name,
+        "suite": answer.suite,
+        "truth": answer.truth,
+        "effects": [f"{e.label} ({e.generator}, {e.ratio:.1f} floors)" for e in answer.effects],
+        "verdict": said.verdict,
+        "said": said.claims,
+        "probability": said.confidence,
+        "ambiguity": [sorted(group) for group in said.ambiguity],
+        "ratio": answer.ratio,
+        "plan": answer.plan,
+        "separable": answer.separable,
+        "baseline": answer.baseline,
+        "confidently_wrong": confidently_wrong(case),
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,265 @@
+"""The folder of a blind check: cases in the open, answers in one sealed file, densities of the error by region."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hystmpc.models.simulator import Simulator, load_simulator, save_simulator
+from hystmpc.trials.config import Settings
+from hystmpc.trials.csv_ import read_trials, write_csv
+from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.segments import Motion, segment
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from .cores import Mounting
+from .device import BlindDevice, core_of
+from .generators import UNKNOWN, Withheld, generator_named
+
+Suite = Literal["single", "none", "misset", "pairs", "contaminated", "unknown", "without", "controls", "injection"]
+FORMAT = "hystmpc-blind/1"
+ANSWERS = "answers.json"
+MANIFEST = "manifest.json"
+REGIONS = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
+DENSE = 1.25
+"""Density from which on a region counts as one in which the gap lies."""
+_WIDTH = 0.1  # travel after a reversal, as a share of the range
+
+
+class EffectAnswer(Settings):
+    """One withheld effect.
+
+    Attributes:
+        ratio: gap that it alone leaves after retuning, in floors.
+        gap_deg: the same [deg].
+        main: whether it counts as the cause, or is a smaller contaminant.
+    """
+
+    label: str
+    generator: str
+    size: float
+    shape: dict[str, float] = Field(default_factory=dict)
+    ratio: float = 0.0
+    gap_deg: float = 0.0
+    main: bool = True
+
+    def withheld(self) -> Withheld:
+        """The effect itself.
+
+        Raises:
+            ConfigError: if its generator is none of a synthetic device.
+        """
+        return Withheld(generator_named(self.generator), self.size, self.shape)
+
+
+class Answer(Settings):
+    """The truth about one case.
+
+    Attributes:
+        suite: which part of the check it belongs to; decoys and controls say more in `variant`.
+        separable: whether these motions separate the effects from their confounders.
+        plan, motions: kind of recording plan, and motion by trial.
+        floor_deg, noise_deg, form_deg: noise and model-form error together, and each [deg].
+        retuned_deg: what a refit of the baseline leaves of the affected device, noise apart [deg].
+        true_closed: share of that, squared, which the effects make up; the rest is model-form error.
+        retuned_by_trial, form_by_trial: of each trial alone: what the refit leaves of it, and what one leaves of the
+            unaffected device [deg].
+        where: density of the retuned error by region, 1 on average.
+        device, mounting, seed: of the simulated device, to record more of it.
+    """
+
+    suite: Suite
+    variant: str = ""
+    effects: tuple[EffectAnswer, ...] = ()
+    without: tuple[str, ...] = ()
+    separable: bool = True
+    plan: str = ""
+    motions: tuple[str, ...] = ()
+    floor_deg: float = 0.0
+    noise_deg: float = 0.0
+    form_deg: float = 0.0
+    resolution_deg: float = 0.0
+    retuned_deg: float = 0.0
+    true_closed: float | None = None
+    retuned_by_trial: tuple[float, ...] = ()
+    form_by_trial: tuple[float, ...] = ()
+    where: dict[str, float] = Field(default_factory=dict)
+    device: dict[str, Any] = Field(default_factory=dict)
+    mounting: dict[str, float] = Field(default_factory=dict)
+    seed: int = 0
+    baseline: str = ""
+
+    @property
+    def mains(self) -> tuple[EffectAnswer, ...]:
+        """Effects that count as causes, the largest first."""
+        return tuple(sorted((e for e in self.effects if e.main), key=lambda e: -e.ratio))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names that a diagnosis should give; none where its library has none for them."""
+        gone = (UNKNOWN, *self.without)
+        return tuple(dict.fromkeys(e.label for e in self.mains if e.label not in gone))
+
+    @property
+    def truth(self) -> str:
+        """`none`, `unknown`, or the name of the largest cause."""
+        if not self.mains:
+            return "none"
+        return self.labels[0] if self.labels else UNKNOWN
+
+    @property
+    def ratio(self) -> float:
+        """Of the largest cause; 0 without any."""
+        return self.mains[0].ratio if self.mains else 0.0
+
+    def blind_device(self) -> BlindDevice:
+        """The simulated device of the case."""
+        core = core_of(self.device).mounted(Mounting(**self.mounting))
+        effects = tuple(effect.withheld() for effect in self.effects)
+        return BlindDevice(core, self.noise_deg, self.resolution_deg, self.seed, effects)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Logs and nominal simulator of one device.
+
+    Attributes:
+        simulator: identified on other trials of the unaffected device.
+    """
+
+    trials: tuple[Trial, ...]
+    simulator: Simulator
+    answer: Answer
+
+
+class Manifest(Settings):
+    """Public facts of a blind check, before the answers are opened.
+
+    Attributes:
+        answers_sha256: of the sealed file.
+        without: classes that the diagnosis of a case is not given; every second such case is a decoy.
+    """
+
+    format: str
+    cases: tuple[str, ...]
+    answers_sha256: str
+    without: dict[str, tuple[str, ...]]
+
+
+def write_case(folder: Path, case: Case) -> None:
+    """Write logs and simulator of one case; equal names and layout for every case."""
+    for number, trial in enumerate(case.trials, start=1):
+        write_csv(trial, folder / f"trial_{number:02d}.csv")
+    save_simulator(case.simulator, folder / "sim.yaml")
+
+
+def seal(folder: Path, answers: Sequence[Answer]) -> Manifest:
+    """Write the sealed answers, in the order of the case folders, and the manifest; the manifest goes last."""
+    names = [case_name(k, len(answers)) for k in range(len(answers))]
+    text = json.dumps(
+        {name: answer.model_dump(mode="json") for name, answer in zip(names, answers, strict=True)}, indent=1
+    )
+    write_atomically(folder / ANSWERS, text)
+    manifest = Manifest(
+        format=FORMAT,
+        cases=tuple(names),
+        answers_sha256=digest(text),
+        without={name: a.without for name, a in zip(names, answers, strict=True) if a.without},
+    )
+    write_atomically(folder / MANIFEST, json.dumps(manifest.model_dump(mode="json"), indent=1))
+    return manifest
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of a folder of cases.
+
+    Raises:
+        LogError: if there is none, or it is of another format.
+    """
+    path = folder / MANIFEST
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise LogError(f"{path}: cannot be read, expected the manifest of `hystmpc gap blind make`") from None
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise LogError(f"{path}: expected a manifest of format {FORMAT!r}")
+    try:
+        return Manifest.parse(data, str(path))
+    except ConfigError as error:
+        raise LogError(str(error)) from None
+
+
+def open_answers(folder: Path) -> dict[str, Answer]:
+    """Open the sealed answers.
+
+    Raises:
+        LogError: if they are missing, or are not the ones whose hash the manifest holds.
+    """
+    path, manifest = folder / ANSWERS, read_manifest(folder)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError:
+        raise LogError(f"{path}: cannot be read, expected the sealed answers") from None
+    if digest(text) != manifest.answers_sha256:
+        raise LogError(
+            f"{path}: sha256 {digest(text)[:12]}..., expected {manifest.answers_sha256[:12]}...: changed since sealed"
+        )
+    return {name: Answer.parse(data, f"{path}: {name}") for name, data in json.loads(text).items()}
+
+
+def read_case(folder: Path, name: str) -> tuple[list[Trial], Simulator]:
+    """Logs and simulator of one case, as the diagnosis gets them.
+
+    Raises:
+        LogError: if a log cannot be used.
+        ModelError: if the simulator cannot.
+    """
+    where = folder / "cases" / name
+    return read_trials([where]), load_simulator(where / "sim.yaml")
+
+
+def case_name(index: int, count: int) -> str:
+    """Name of a case's folder: a number of three digits or more."""
+    return f"{index + 1:0{max(3, len(str(count)))}d}"
+
+
+def digest(text: str) -> str:
+    """SHA-256 of a text, in hexadecimal."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def region_of(trial: Trial) -> NDArray[np.intp]:
+    """Index into `REGIONS` of every sample (T,).
+
+    A hold is a hold; else before the first reversal it is the first flexure; else within a tenth of the travel after
+    a reversal it is that; else loading or unloading.
+    """
+    segments = segment(trial)
+    region = np.where(segments.labels >= Motion.LOADING, 0, 1).astype(np.intp)
+    span = max(float(np.ptp(trial.command)), 1e-9)
+    for turn in segments.reversals:
+        away = np.abs(trial.command[turn:] - trial.command[turn]) > _WIDTH * span
+        stop = turn + (int(np.argmax(away)) if away.any() else away.size)
+        region[turn + 1 : stop] = 2
+    if segments.reversals.size:
+        region[: segments.reversals[0] + 1] = 4
+    region[segments.labels == Motion.HOLD] = 3
+    return region
+
+
+def densities(trials: Sequence[Trial], errors: Sequence[Vec]) -> dict[str, float]:
+    """Share of the squared error over share of the samples, by region; regions without samples are left out."""
+    region = np.concatenate([region_of(trial) for trial in trials])
+    square = np.concatenate(list(errors)) ** 2
+    total = max(float(square.mean()), 1e-12)
+    return {name: float(square[region == k].mean()) / total for k, name in enumerate(REGIONS) if np.any(region == k)}

@@ -1,0 +1,1 @@
+"""The closed-loop benchmark: every controller on every plant along every motion, against bars."""

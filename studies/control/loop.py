@@ -1,0 +1,221 @@
+"""A job of the benchmark as a closed-loop study: plant, model, motion, controller; the oracle and rehearsals."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from hystmpc.ctrl.command import Command
+from hystmpc.ctrl.feedback.inverse import InversePidControllerSettings
+from hystmpc.ctrl.feedback.pid import PidControllerSettings, PidSettings
+from hystmpc.ctrl.guarded import GuardedController, GuardedState
+from hystmpc.ctrl.loop import Controller
+from hystmpc.models.model import Predictor
+from hystmpc.models.motions import initialisation_flexure
+from hystmpc.models.simulator import save_simulator
+from hystmpc.sim.closed_loop import run_closed_loop
+from hystmpc.sim.config import SimulationConfig, TuningSettings
+from hystmpc.sim.plants.computed import ComputedPlant
+from hystmpc.sim.plants.simulated import Effects
+from hystmpc.sim.study import Study, prepare
+from hystmpc.sim.tune_pid import tuned_gains
+from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.types import Vec
+
+from .bars import control_figures
+from .controllers import CONTROLLERS, NETWORKS, BenchmarkController
+from .job import ControlJob, gains_file, save_signals
+from .models import backlash_file, companion_file, network_file
+from .plants import PLANTS, Plant, half_width
+from .settings import ControlSettings, motion
+
+State = GuardedState[Any]
+_WHOLE = 1e-9
+_REHEARSAL = 1000
+_SETTLED_LAGS = 20.0  # after the flexure, as `SimulatedPlant` waits
+
+
+@final
+class RestedPredictor(Predictor):
+    """A predictor whose state at the start is that after some commands, instead of that of a rule.
+
+    The rule of a model puts all plays where they show the measured angle; which of them is where is known only to
+    whoever knows the commands before.
+
+    Args:
+        before: commands (T,) that the device got before the first sample, the last of them its rest.
+    """
+
+    def __init__(self, predictor: Predictor, before: Vec) -> None:
+        self.dt, self.command_range = predictor.dt, predictor.command_range
+        self._predictor, self._before = predictor, before
+
+    def initial(self, y: float, u: float) -> Vec:
+        state = self._predictor.initial(y, u)
+        for command in self._before:
+            _, state = self._predictor.advance(state, float(command))
+        return state
+
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
+        return self._predictor.advance(state, u)
+
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
+        return self._predictor.rollout(state, plans)
+
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
+        return self._predictor.linearise(state, plan)
+
+
+def watched_flexure(plant: ComputedPlant, seed: int) -> tuple[Vec, Vec]:
+    """Commands sent and angles measured when each was sent, over one initialisation flexure and its rest.
+
+    The device is flexed from the rest that `reset` leaves, and comes back to it: what was before is wiped out.
+
+    Args:
+        plant: the device; it is left as it is.
+        seed: of the sensor noise, which must not be that of the run.
+    """
+    device = plant.reseeded(seed)
+    commands = initialisation_flexure(device.command_limits, device.dt, warmup_samples=1)
+    angles = [device.reset()]
+    angles += [device.apply(float(u)) for u in commands]
+    return commands, np.array(angles[:-1])
+
+
+@final
+class RehearsedController(Controller[State]):
+    """A controller that starts from a recording instead of a single measurement.
+
+    Args:
+        commands, angles: see `GuardedController.replay`.
+    """
+
+    def __init__(self, controller: GuardedController[Any], commands: Vec, angles: Vec) -> None:
+        self._controller, self._commands, self._angles = controller, commands, angles
+
+    @property
+    def dt(self) -> float:
+        return self._controller.dt
+
+    @property
+    def horizon(self) -> int:
+        return self._controller.horizon
+
+    def init(self, y: float, u: float) -> State:
+        del u  # the recording ends with it
+        return replace(self._controller.replay(self._commands, self._angles), due=y)
+
+    def step(self, state: State, y: float, reference: Vec) -> tuple[Command, State]:
+        return self._controller.step(state, y, reference)
+
+
+def run_along(
+    job: ControlJob, settings: ControlSettings, folder: Path
+) -> tuple[Mapping[str, float], Mapping[str, int]]:
+    """Figures of a controller along a motion, and its samples by source; the signals are written.
+
+    Raises:
+        HystmpcError: what `sim.study.prepare` raises; ConfigError if gains are missing.
+    """
+    study = study_of(job, settings, folder, (job.motion,))
+    controller = _ready(study, job, settings.seed)
+    run = run_closed_loop(controller, study.plant, study.motions[job.motion])
+    if run.log.interrupted:
+        raise KeyboardInterrupt
+    log = run.log
+    signals = {"time_s": log.time_s, "reference_deg": log.reference_deg, "true_deg": run.true_deg}
+    save_signals(folder, job, signals | {"command": log.command})
+    width = half_width(PLANTS[job.plant].simulator(1 / job.rate_hz))
+    delay = math.ceil(PLANTS[job.plant].effects.delay_s * job.rate_hz - _WHOLE)
+    figures = control_figures(run, study.limits, width, controller.horizon, delay)
+    counts = {str(source): log.source.count(source) for source in dict.fromkeys(log.source)}
+    return figures, counts
+
+
+def _ready(study: Study, job: ControlJob, seed: int) -> Controller[Any]:
+    """The job's controller; one that learns has watched the flexure, under another realisation of the noise."""
+    controller = study.controller(study.config.controllers[job.subject])
+    if not CONTROLLERS[job.subject].learns:
+        return controller
+    return RehearsedController(controller, *watched_flexure(study.plant, seed + _REHEARSAL))
+
+
+def tune(job: ControlJob, settings: ControlSettings, folder: Path) -> tuple[str, Mapping[str, float]]:
+    """Search a PID's gains over all motions of the study and write them.
+
+    Raises:
+        HystmpcError: what `sim.study.prepare` raises; ConfigError if the gains to start from are missing.
+    """
+    study = study_of(job, settings, folder, settings.motions)
+    evaluations = settings.tune_evaluations if job.stage == "tune" else settings.retune_evaluations
+    study = replace(study, config=study.config.model_copy(update={"tune_pid": TuningSettings(evaluations=evaluations)}))
+    chosen = study.config.controllers[job.subject]
+    if not isinstance(chosen, PidControllerSettings | InversePidControllerSettings):
+        raise ConfigError(f"{job.key}: got a controller of kind {chosen.kind}, expected one with a PID")
+    found = tuned_gains(study, chosen)
+    gains = found.settings.gains.model_dump()
+    write_atomically(gains_file(folder, job.plant, job.rate_hz, job.subject), json.dumps(gains, indent=1) + "\n")
+    line = ", ".join(f"{name} {value:.4g}" for name, value in gains.items())
+    return f"{line}; {found.evaluations} evaluations", {"rmse_deg": found.rmse_deg, "start_deg": found.start_rmse_deg}
+
+
+def study_of(job: ControlJob, settings: ControlSettings, folder: Path, motions: tuple[str, ...]) -> Study:
+    """The job's plant with its model, some motions and its one controller, ready to run.
+
+    Raises:
+        HystmpcError: what `sim.study.prepare` raises; ConfigError if gains are missing.
+    """
+    plant, rival, dt_s = PLANTS[job.plant], CONTROLLERS[job.subject], 1 / job.rate_hz
+    rest = plant.device(dt_s).true_angle
+    nominal = plant.nominal()
+    simulator = save_simulator(plant.simulator(dt_s), folder / "models" / f"{plant.name}-plant-{job.rate_hz:g}hz.yaml")
+    data: dict[str, Any] = {
+        "plant": {"simulator": str(simulator)} | _effects(plant),
+        "motions": {name: motion(name, rest, settings.seed, settings.quick) for name in motions},
+        "seed": settings.seed,
+    }
+    delay = round(nominal.effects.delay_s / dt_s)
+    data |= {"model": str(simulator)}
+    if rival.oracle:
+        known, delay = plant.oracle(dt_s)
+        data["model"] = str(save_simulator(known, folder / "models" / f"{plant.name}-oracle-{job.rate_hz:g}hz.yaml"))
+    elif rival.model in NETWORKS:
+        data |= {"model": str(network_file(folder, plant, rival.model)), "inverse": str(companion_file(folder, plant))}
+    elif rival.model == "backlash":
+        data |= {"model": str(backlash_file(folder, plant, job.rate_hz)), "actuator_lag_s": nominal.effects.lag_s}
+    controller = rival.settings(dt_s, delay, nominal.effects.lag_s) | _gains(job, rival, settings, folder)
+    study = prepare(SimulationConfig.parse(data | {"controllers": {job.subject: controller}}, job.key))
+    return _rested(study, plant.effects, dt_s) if rival.oracle else study
+
+
+def _effects(plant: Plant) -> dict[str, float]:
+    effects = plant.effects
+    return {"lag_s": effects.lag_s, "delay_s": effects.delay_s, "noise_deg": effects.noise_deg}
+
+
+def _gains(job: ControlJob, rival: BenchmarkController, settings: ControlSettings, folder: Path) -> dict[str, Any]:
+    """The gains that a search has found, at this rate or, to start another search, at the first one."""
+    if not rival.tuned or job.stage == "tune":
+        return {}
+    rate = settings.rates_hz[0] if job.stage == "retune" else job.rate_hz
+    file = gains_file(folder, job.plant, rate, job.subject)
+    try:
+        return {"gains": PidSettings.parse(json.loads(file.read_text(encoding="utf-8")), str(file)).model_dump()}
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{file}: no gains ({error}), expected those that the search writes") from None
+
+
+def _rested(study: Study, effects: Effects, dt_s: float) -> Study:
+    """The study with an oracle that knows the plant's memory after its initialisation flexure."""
+    known, limits = study.predictor, study.plant.command_limits
+    flexure = initialisation_flexure(limits, dt_s, warmup_samples=1)
+    wait_s = _SETTLED_LAGS * effects.lag_s + effects.delay_s
+    settling = np.full(round(wait_s / dt_s), limits.lower)
+    return replace(study, predictor=RestedPredictor(known, np.concatenate([flexure, settling])))

@@ -1,0 +1,180 @@
+"""The whole benchmark: jobs, bars, report; in a run folder that the same command goes on from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from hystmpc.sim.jobs.backend import backend_for
+from hystmpc.sim.jobs.runner import attempt, resumed_folder, wall_minutes
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.types import Progress
+
+from ..tables import other_study
+from .bars import BarVerdict, ControlOutcome, verdicts
+from .controllers import CONTROLLERS
+from .job import STAGES, ControlJob, ControlResult, control_jobs, fingerprint, result_files
+from .loop import run_along, tune
+from .models import save_backlash, save_network
+from .plants import PLANTS
+from .report import control_report
+from .settings import ControlSettings, motion
+
+# Seconds on one core of a two-core x86-64 machine, from runs of the benchmark itself.
+_FIXED_S = 0.3
+_FIT_S = {"backlash": 3.0}
+_UPDATE_S = 0.08
+_STEP_S = {"pid": 4e-5, "inverse": 1e-4, "inverse_pid": 1.5e-4, "linearised_mpc": 6e-4, "sampling_mpc": 1e-3}
+# An LSTM has kernels of its own; a hybrid goes by onnxruntime and CasADi.
+_NETWORK_STEP_S: Mapping[str, Mapping[str, float]] = {
+    "lstm": {"linearised_mpc": 3e-3, "sampling_mpc": 2e-2},
+    "hb2": {"linearised_mpc": 4e-2, "sampling_mpc": 5e-2},
+}
+_FAST_HZ, _LONG_HORIZON = 100.0, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class ControlStudy:
+    """The benchmark made ready: its folder is there, nothing has run yet."""
+
+    settings: ControlSettings
+    jobs: tuple[ControlJob, ...]
+    folder: RunFolder
+    costs: Mapping[str, float]
+    open: frozenset[str]
+
+    def minutes(self, workers: int) -> int:
+        """Estimated wall time of the jobs that are not done yet [min]."""
+        return wall_minutes({key: self.costs[key] for key in self.open}, workers)
+
+
+def prepare_control(settings: ControlSettings, out: Path | str) -> ControlStudy:
+    """Plan the jobs and open the folder.
+
+    Args:
+        out: a new or empty folder, or one in which the benchmark was begun; its finished jobs are kept.
+
+    Raises:
+        ConfigError: if the folder holds something else.
+        LogError: if a result is damaged.
+    """
+    jobs = control_jobs(settings)
+    plain, refusal = settings.model_dump(mode="json"), partial(other_study, settings.study)
+    folder = resumed_folder(Path(out), plain, settings.seed, refusal)
+    done = result_files(folder.path).kept(jobs, partial(fingerprint, settings=settings, folder=folder.path))
+    costs = expected_seconds(jobs, settings)
+    return ControlStudy(settings, jobs, folder, costs, frozenset(job.key for job in jobs if job.key not in done))
+
+
+def run_control(study: ControlStudy, workers: int = 1, progress: Progress | None = None) -> ControlOutcome:
+    """Do the open jobs and write report, tables and results.
+
+    Args:
+        study: made by `prepare_control`.
+        workers: processes, each on one thread; with 1 the jobs run in this process.
+        progress: see `ResultFiles.complete`.
+
+    Raises:
+        ConfigError: if worker processes died again and again.
+        LogError: if a result's file is damaged.
+        KeyboardInterrupt: if the user ended it; finished jobs are kept, the report is not written.
+    """
+    folder = study.folder.path
+    results = result_files(folder).complete(
+        [[job for job in study.jobs if job.stage == stage] for stage in STAGES],
+        partial(do_job, settings=study.settings, folder=folder),
+        partial(fingerprint, settings=study.settings, folder=folder),
+        backend_for(workers, where=str(folder)),
+        study.costs,
+        progress,
+    )
+    outcome = ControlOutcome(study.settings, results, folder, study.folder.meta)
+    page, tables = control_report(outcome)
+    for table in tables:
+        table.save(folder)
+    write_atomically(folder / "tables" / "control.json", _plain(outcome, verdicts(outcome)))
+    study.folder.write_report(page.html())
+    return outcome
+
+
+def _plain(outcome: ControlOutcome, bars: tuple[BarVerdict, ...]) -> str:
+    """Runs and bars as JSON; what is not there is null."""
+    runs = [
+        {
+            "plant": run.job.plant,
+            "rate_hz": run.job.rate_hz,
+            "controller": run.job.subject,
+            "motion": run.job.motion,
+            "figures": {k: v if v == v else None for k, v in run.figures.items()},  # NaN is no JSON
+            "ladder": dict(run.ladder),
+        }
+        for run in outcome.runs
+    ]
+    failed = {result.job.key: result.message for result in outcome.failed}
+    data = {"runs": runs, "bars": [asdict(bar) | {"met": bar.met} for bar in bars], "failed": failed}
+    return json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+
+def do_job(job: ControlJob, settings: ControlSettings, folder: Path) -> ControlResult:
+    """Do one job and write its result; an error is a result too.
+
+    Raises:
+        KeyboardInterrupt: if the user ended it; nothing is written then.
+    """
+    mark = fingerprint(job, settings, folder)
+    made = attempt(lambda: _done(job, settings, folder))
+    result = ControlResult(job, mark, "failed", made.error, made.seconds)
+    if made.value is not None:
+        message, figures, ladder = made.value
+        result = replace(result, status="done", message=message, figures=figures, ladder=ladder)
+    result_files(folder).save(result)
+    return result
+
+
+def _done(
+    job: ControlJob, settings: ControlSettings, folder: Path
+) -> tuple[str, Mapping[str, float], Mapping[str, int]]:
+    if job.stage == "run":
+        figures, ladder = run_along(job, settings, folder)
+        return "", figures, ladder
+    if job.stage != "fit":
+        message, errors = tune(job, settings, folder)
+        return message, errors, {}
+    plant, seed = PLANTS[job.plant].nominal(), settings.seed
+    if job.subject == "backlash":
+        files = save_backlash(plant, folder, settings.rates_hz, seed, settings.quick)
+        return f"wrote {', '.join(file.name for file in files)}", {}, {}
+    report = save_network(plant, job.subject, folder, settings.network_updates, seed, settings.quick)
+    return report, {}, {}
+
+
+def expected_seconds(jobs: Sequence[ControlJob], settings: ControlSettings) -> Mapping[str, float]:
+    """Processor time by key of the job [s]."""
+    durations = {name: _duration_s(name, settings) for name in settings.motions}
+    return {job.key: _seconds(job, settings, durations) for job in jobs}
+
+
+def _seconds(job: ControlJob, settings: ControlSettings, durations: Mapping[str, float]) -> float:
+    if job.stage == "fit":
+        return _FIT_S.get(job.subject, _FIXED_S + _UPDATE_S * settings.network_updates)
+    step = _step_s(job)
+    if job.stage == "run":
+        return _FIXED_S + step * job.rate_hz * durations[job.motion]
+    evaluations = settings.tune_evaluations if job.stage == "tune" else settings.retune_evaluations
+    return _FIXED_S + evaluations * step * job.rate_hz * sum(durations.values())
+
+
+def _step_s(job: ControlJob) -> float:
+    rival = CONTROLLERS[job.subject]
+    step = _NETWORK_STEP_S.get(rival.model, _STEP_S)[rival.kind]
+    return step * (_LONG_HORIZON if rival.predictive and job.rate_hz > _FAST_HZ else 1.0)
+
+
+def _duration_s(name: str, settings: ControlSettings) -> float:
+    from hystmpc.trajectories.config import parse_motion
+
+    return parse_motion(motion(name, 40.0, settings.seed, settings.quick)).build().duration_s

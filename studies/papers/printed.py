@@ -1,0 +1,147 @@
+"""What the two papers print of their models, to stand beside ours; no computation uses these numbers.
+
+Marks: [P] printed in the paper, [C] recovered from the authors' published code, [I] inferred from the paper's text.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+Mark = Literal["P", "C", "I"]
+MARKS: Final = "[P] printed in the paper, [C] in its authors' published code, [I] inferred from its text"
+# S2 Table I: row against column; forward and inverse, point-to-point. The rows of the sinusoids are lost.
+_P2P: Final[dict[str, dict[str, str]]] = {
+    "backlash": {"fnn": "</<"},
+    "pi": {"fnn": "</<", "backlash": ">/>"},
+    "lstm": {"fnn": "</<", "backlash": "</~", "pi": "</<"},
+    "gru": {"fnn": "</<", "backlash": "~/~", "pi": "</~", "lstm": ">/~"},
+    "fnn_hib": {"fnn": "</<", "backlash": ">/>", "pi": "~/>", "lstm": ">/>", "gru": ">/>"},
+    "hb1": {"fnn": "</<", "backlash": "</~", "pi": "</<", "lstm": "~/~", "gru": "</~", "fnn_hib": "</<"},
+    "hb2": {"fnn": "</<", "backlash": "</<", "pi": "</<", "lstm": "~/<", "gru": "</<", "fnn_hib": "</<", "hb1": "~/<"},
+}
+# Of the sinusoids the text says: all networks but FNN-HIB and HB1 are equivalent and best; backlash and PI are inferior
+# to all hysteretic networks.
+_SIN: Final[dict[str, dict[str, str]]] = {
+    "lstm": {"fnn": "</<", "backlash": "</<", "pi": "</<"},
+    "gru": {"fnn": "</<", "backlash": "</<", "pi": "</<", "lstm": "~/~"},
+    "fnn_hib": {"fnn": "</<", "backlash": "</<", "pi": "</<", "lstm": ">/>", "gru": ">/>"},
+    "hb1": {"lstm": ">/>", "gru": ">/>"},
+    "hb2": {"fnn": "</<", "lstm": "~/~", "gru": "~/~", "fnn_hib": "</<", "hb1": "</<"},
+}
+# Order of the models by mean error, least first, as S2's conclusion has it; those in one group are not told apart.
+# Of point-to-point motions it does not place the GRU.
+S2_ORDER: Final = {
+    "p2p": (("hb2",), ("lstm", "hb1"), ("backlash",), ("pi", "fnn_hib"), ("fnn",)),
+    "sin": (("lstm", "gru", "hb2"), ("fnn_hib", "hb1"), ("backlash", "pi"), ("fnn",)),
+}
+
+
+@dataclass(frozen=True)
+class Printed:
+    """A number or sign of a paper.
+
+    Attributes:
+        mark: how it is known.
+        above: printed as "more than this".
+    """
+
+    value: float | str
+    mark: Mark = "P"
+    above: bool = False
+
+    def __str__(self) -> str:
+        text = f"{self.value:g}" if isinstance(self.value, float | int) else self.value
+        return f"{'> ' if self.above else ''}{text} [{self.mark}]"
+
+
+# S2 Fig. 8 as told in its text: (motion, direction, kind) to error relative to the FNN's, mean and maximum [%].
+S2_RELATIVE: Final[dict[tuple[str, str, str], tuple[Printed, Printed]]] = {
+    ("sin", "forward", "lstm"): (Printed(17), Printed(23)),
+    ("sin", "inverse", "lstm"): (Printed(23), Printed(66)),
+    ("p2p", "forward", "hb2"): (Printed(43), Printed(55)),
+    ("p2p", "inverse", "hb2"): (Printed(39), Printed(68)),
+    ("p2p", "forward", "fnn_hib"): (Printed(66), Printed(65)),
+    ("p2p", "inverse", "fnn_hib"): (Printed(64), Printed(100, above=True)),
+}
+# Mean error of the FNN on a branch of the loop [deg].
+S2_FNN_BIAS_DEG: Final = {"sin": Printed(2.5), "p2p": Printed(2.25)}
+
+
+def s2_symbol(motion: str, direction: str, row: str, column: str) -> Printed | None:
+    """Sign of S2 Table I, None where it is not known."""
+    both = {"p2p": _P2P, "sin": _SIN}[motion].get(row, {}).get(column)
+    if both is None:
+        return None
+    return Printed(both.split("/")[0 if direction == "forward" else 1], "P" if motion == "p2p" else "I")
+
+
+# Root mean square error on validation windows, in names of published checkpoints: (direction, motion) by kind,
+# forward in deg, inverse in mm.
+S2_VALIDATION: Final[dict[tuple[str, str], dict[str, Printed]]] = {
+    ("forward", "sin"): {
+        "fnn": Printed(2.22, "C"), "backlash": Printed(0.76, "C"), "pi": Printed(1.45, "C"), "lstm": Printed(0.71, "C"),
+        "gru": Printed(0.70, "C"), "fnn_hib": Printed(0.73, "C"), "hb1": Printed(0.45, "C"), "hb2": Printed(0.49, "C"),
+    },
+    ("forward", "p2p"): {
+        "fnn": Printed(2.38, "C"), "backlash": Printed(0.63, "C"), "pi": Printed(1.96, "C"), "lstm": Printed(1.72, "C"),
+        "gru": Printed(1.62, "C"), "fnn_hib": Printed(1.25, "C"), "hb1": Printed(0.50, "C"), "hb2": Printed(0.75, "C"),
+    },
+    ("inverse", "sin"): {
+        "fnn": Printed(0.239, "C"), "backlash": Printed(0.106, "C"), "pi": Printed(0.118, "C"),
+        "lstm": Printed(0.085, "C"), "gru": Printed(0.080, "C"), "fnn_hib": Printed(0.105, "C"),
+        "hb1": Printed(0.077, "C"), "hb2": Printed(0.072, "C"),
+    },
+    ("inverse", "p2p"): {
+        "fnn": Printed(0.251, "C"), "backlash": Printed(0.087, "C"), "pi": Printed(0.108, "C"),
+        "lstm": Printed(0.163, "C"), "gru": Printed(0.143, "C"), "fnn_hib": Printed(0.126, "C"),
+        "hb1": Printed(0.072, "C"), "hb2": Printed(0.077, "C"),
+    },
+}  # fmt: skip
+
+# Mean square error on validation windows in units of theta/90, by samples in a window (1e-4).
+S2_WINDOWS: Final[dict[str, dict[int, Printed]]] = {
+    "lstm": {
+        n: Printed(v, "C")
+        for n, v in zip((2, 10, 20, 30, 40, 50, 100), (9.7, 4.3, 2.4, 1.8, 1.3, 1.1, 0.61), strict=True)
+    },
+    "fnn_hib": {
+        n: Printed(v, "C")
+        for n, v in zip((1, 2, 10, 20, 30, 40, 50, 100), (11.9, 6.7, 2.7, 1.15, 0.72, 0.56, 0.46, 0.29), strict=True)
+    },
+}
+
+# S1 Table III: by kind and test RMSE [deg], maximum error [deg], NRMSE [%].
+S1_ERRORS: Final[dict[str, dict[str, tuple[Printed, Printed, Printed]]]] = {
+    kind: {f"test_{test}": (Printed(a), Printed(b), Printed(c)) for test, (a, b, c) in zip("abcd", rows, strict=True)}
+    for kind, rows in {
+        "drdpi": ((1.40, 6.23, 4.54), (1.22, 2.83, 6.28), (1.07, 4.28, 4.99), (1.48, 2.98, 6.07)),
+        "svr": ((0.76, 1.83, 2.45), (0.80, 3.54, 4.10), (0.76, 1.69, 3.56), (0.92, 2.01, 3.78)),
+        "lstm": ((0.36, 1.23, 1.17), (0.82, 2.27, 4.20), (0.50, 1.92, 2.34), (0.59, 1.93, 2.42)),
+    }.items()
+}
+
+
+@dataclass(frozen=True)
+class PrintedTraining:
+    """A row of S1 Table IV.
+
+    Attributes:
+        loss: training loss; the paper's header says deg^2 for all.
+        change_percent: mean relative change of the loss over the last 10 % of the iterations [%].
+        unit: that its number has by comparison with Table III.
+    """
+
+    iterations: Printed
+    loss: Printed
+    change_percent: Printed
+    unit: Printed
+    time: str
+
+
+S1_TRAINING: Final = {
+    "drdpi": PrintedTraining(Printed(1000), Printed(0.344), Printed(0.013), Printed("deg^2", "I"), "3.5 h"),
+    "svr": PrintedTraining(Printed(100), Printed(0.002782), Printed(0.708), Printed("normalised", "I"), "-"),
+    "lstm": PrintedTraining(Printed(50), Printed(0.00056), Printed(0.190), Printed("normalised", "I"), "10 min"),
+}
+S1_HALF_RANGE_DEG: Final = Printed(15.4, "I")

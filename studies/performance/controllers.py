@@ -1,0 +1,211 @@
+"""Sections: whole steps of the controllers against CasADi and pytorch-mppi; quadratic programs."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
+from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
+from hystmpc.ctrl.linearised.program import QpData, TrackingQp
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
+from hystmpc.ctrl.planning import CommandPlan
+
+from . import pytorch_mppi_
+from .casadi_peer_ import METHODS, SQP_ONCE, Answer, Method, SingleShooting
+from .report import Comparison, Reads
+from .subjects import Instant, Subject, in_turn, record_scan
+from .timing import WEIGHTS, BenchSettings, Clock, TimedCall, Times
+
+OURS = "linearised MPC, whole step"
+_SPEED, _TAIL = 60.0, 2.0
+_PROGRAM, _DAQP = "DAQP, cold", "OSQP, updated workspace"
+_SAMPLING, _MPPI = "sampling MPC, whole step", "pytorch-mppi, torch nn.LSTM"
+_GOAL = 5.0  # on two threads
+
+
+def linearised_controller(subject: Subject, settings: BenchSettings) -> GuardedController[Any]:
+    """The controller as shipped, but without effort: see `WEIGHTS`."""
+    weights = WeightsSettings(effort=WEIGHTS.effort)
+    wanted = LinearisedMpcSettings(horizon=settings.horizon, weights=weights)
+    return build_controller(wanted, subject.predictor, subject.inverse, subject.limits)
+
+
+def linearised_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Comparison]:
+    """One row a peer, and one on our own tail.
+
+    Ours is the whole step: estimate, candidates, roll-out, Jacobian, quadratic program, line search, ladder. The peers
+    solve the recorded planning problems of the same steps, from their own last solution; what they would need beside
+    that (state estimate, limits on failure) is not charged to them. Goals are for the network.
+    """
+    controller = linearised_controller(subject, settings)
+    instants = record_scan(controller, subject)
+    horizon, dt = settings.horizon, subject.metadata.dt_s
+    peers = {m: SingleShooting(subject.function, subject.limits, WEIGHTS, horizon, dt, m) for m in METHODS}
+    answers: dict[Method, list[tuple[int, Answer]]] = defaultdict(list)
+
+    def peer_job(method: Method) -> TimedCall:
+        def solve(k: int, instant: Instant) -> None:
+            answers[method].append((k, peers[method].solve(instant.problem)))
+
+        return TimedCall(method.name, in_turn(instants, solve))
+
+    stages: dict[str, list[float]] = defaultdict(list)
+
+    def step(_: int, instant: Instant) -> None:
+        command, _after = controller.step(instant.state, instant.measured, instant.reference)
+        for stage, seconds in command.timing.stages.items():
+            stages[stage].append(seconds)
+
+    ours = TimedCall(OURS, in_turn(instants, step))
+    times = clock.measure([ours, *(peer_job(method) for method in METHODS)])
+    goals = subject.weights is not None
+    rows = [_tail(subject, stages, times.get(OURS), _TAIL if goals else None)]
+    for method in METHODS:
+        row = Comparison(
+            section=_section(subject),
+            ours=OURS,
+            other=method.name,
+            reads=Reads.FASTER,
+            goal=_SPEED if goals and method is not SQP_ONCE else None,
+            times=times.get(OURS),
+            other_times=times.get(method.name),
+        )
+        rows.append(_compared(row, instants, answers[method]))
+    return rows
+
+
+def _section(subject: Subject) -> str:
+    return f"{subject.name}, linearised MPC, one thread"
+
+
+def _tail(
+    subject: Subject, stages: Mapping[str, Sequence[float]], times: Times | None, goal: float | None
+) -> Comparison:
+    row = Comparison(_section(subject), OURS, "its own median", Reads.TAIL, goal, times=times)
+    if times is None:
+        return row
+    facts = {f"{name}_s": _median(seconds) for name, seconds in stages.items()}
+    note = ", ".join(f"{name.removesuffix('_s')} {1e6 * value:.0f}" for name, value in facts.items() if value >= 5e-6)
+    return row.measured(times.p99_s / times.median_s, facts=facts, note=f"{note} us")
+
+
+def _compared(row: Comparison, instants: Sequence[Instant], answers: Sequence[tuple[int, Answer]]) -> Comparison:
+    """The ratio, and whether the peer does the same job; its first answer, from a cold start, is left out."""
+    if row.times is None or row.other_times is None or len(answers) < 2:
+        return row
+    settled = answers[1:]
+    apart = np.abs([answer.plan[0] - instants[k].command.u for k, answer in settled])
+    facts = {
+        "peer_iterations": _median([answer.iterations for _, answer in settled]),
+        "peer_converged_share": float(np.mean([answer.converged for _, answer in settled])),
+        "command_difference_median": float(np.median(apart)),
+        "command_difference_greatest": float(apart.max()),
+    }
+    note = (
+        f"{facts['peer_iterations']:.0f} iterations, {100 * facts['peer_converged_share']:.0f} % converged, "
+        f"commands {facts['command_difference_median']:.0g} apart, at most {facts['command_difference_greatest']:.0g}"
+    )
+    return row.measured(row.other_times.median_s / row.times.median_s, facts=facts, note=note)
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values))
+
+
+def program_rows(subject: Subject, settings: BenchSettings, clock: Clock) -> list[Comparison]:
+    """One row: the programs of a recorded scan, each around the last plan shifted by one sample."""
+    qp, programs = recorded_programs(subject, settings, WEIGHTS)
+    ours, peer = DaqpSolver(qp.pattern, DaqpOptions()), OsqpSolver(qp.pattern, OsqpOptions())
+    own = TimedCall(_PROGRAM, in_turn(programs, lambda _, p: ours.solve(p)))
+    times = clock.measure([own, TimedCall(_DAQP, in_turn(programs, lambda _, p: peer.solve(p)))])
+    row = Comparison(f"{subject.name}, QP alone H={settings.horizon}", _PROGRAM, _DAQP, Reads.FASTER)
+    row = row.with_times(times.get(_PROGRAM), times.get(_DAQP))
+    if row.times is None or row.other_times is None:
+        return [row]
+    apart = [float(np.abs(ours.solve(p).primal - peer.solve(p).primal).max()) for p in programs]
+    facts = {"solution_difference_greatest": max(apart)}
+    note = f"solutions apart by at most {max(apart):.1g}"
+    return [row.measured(row.other_times.median_s / row.times.median_s, facts=facts, note=note)]
+
+
+def recorded_programs(
+    subject: Subject, settings: BenchSettings, weights: WeightsSettings
+) -> tuple[TrackingQp, list[QpData]]:
+    """The family of programs with these weights, and those of one scan."""
+    limits, dt = subject.limits, subject.metadata.dt_s
+    qp = TrackingQp(weights, limits, settings.horizon, dt)
+    instants = record_scan(linearised_controller(subject, settings), subject)
+    programs = []
+    for before, now in pairwise(instants):
+        problem = replace(now.problem, angle_limits=weights.angle_limits_deg)
+        shifted = np.append(before.command.plan[1:], before.command.plan[-1])
+        plan = limits.clip_plans(shifted, problem.u_last, dt)
+        angles, jacobian = subject.predictor.linearise(problem.state, plan)
+        programs.append(qp.data(problem, CommandPlan(plan, angles, 0.0), jacobian))
+    return qp, programs
+
+
+def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threads: int) -> list[Comparison]:
+    """One row: N samples over H steps, one iteration of both; ours with estimate, candidates and ladder.
+
+    The peer runs on one thread and on as many as there are, and is taken at its faster: on a busy machine its threads
+    wait for each other, up to a hundred times longer than one alone would take.
+    """
+    wanted = SamplingMpcSettings(
+        horizon=settings.horizon, samples=settings.samples, iterations=1, weights=WeightsSettings(effort=WEIGHTS.effort)
+    )
+    row = Comparison(
+        section=f"{subject.name}, sampling MPC N={settings.samples}, {threads} thread{'s' if threads > 1 else ''}",
+        ours=_SAMPLING,
+        other=_MPPI,
+        reads=Reads.FASTER,
+        goal=_GOAL if threads == 2 else None,
+    )
+    controller = build_controller(wanted, subject.predictor, subject.inverse, subject.limits)
+    instants = record_scan(controller, subject)
+    jobs = [TimedCall(_SAMPLING, in_turn(instants, lambda _, i: controller.step(i.state, i.measured, i.reference)))]
+    apart: list[float] = []
+    if pytorch_mppi_.installed():
+        jobs += [_peer_job(subject, settings, wanted.sigma, k, instants, apart) for k in sorted({1, threads})]
+    times = clock.measure(jobs, threads)
+    return [_sampling_compared(row.with_times(times.get(_SAMPLING), None), times, apart)]
+
+
+def _sampling_compared(row: Comparison, times: Mapping[str, Times], apart: Sequence[float]) -> Comparison:
+    if not pytorch_mppi_.installed():
+        return row.without_peer()
+    peers = {name: peer for name, peer in times.items() if name != _SAMPLING}
+    if row.times is None or not peers:
+        return row
+    name, fastest = min(peers.items(), key=lambda item: item[1].median_s)
+    difference = float(np.median(apart[len(apart) // 2 :]))
+    return row.with_times(row.times, fastest).measured(
+        fastest.median_s / row.times.median_s,
+        facts={"command_difference_median": difference, **{f"{n}_median_s": t.median_s for n, t in peers.items()}},
+        note=f"one iteration each; peer at its fastest, {name}; random commands apart by {difference:.1g} (median)",
+    )
+
+
+def _peer_job(
+    subject: Subject, settings: BenchSettings, sigma: float, threads: int, instants: list[Instant], apart: list[float]
+) -> TimedCall:
+    """The peer on the recorded planning problems; `apart` takes how far its commands are from ours."""
+    if subject.weights is None:
+        raise TypeError(f"{subject.name}: the peer wants a network")
+    peer = pytorch_mppi_.TorchMppi(
+        subject.weights, subject.limits, WEIGHTS, settings.samples, settings.horizon, subject.metadata.dt_s, sigma
+    )
+
+    def solve(_: int, instant: Instant) -> None:
+        peer.use_threads(threads)
+        apart.append(abs(peer.solve(instant.problem) - instant.command.u))
+
+    return TimedCall(f"{threads} thread{'s' if threads > 1 else ''}", in_turn(instants, solve))
