@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.identify.staged_chain import StagedChain
 from hystmpc.models.operators.asymmetry import Asymmetry
 from hystmpc.models.operators.contact import Contact
 from hystmpc.models.operators.creep import Creep
@@ -22,7 +23,6 @@ from hystmpc.models.operators.nonlinear_gain import NonlinearGain
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.operators.rate_dependence import RateDependence
 from hystmpc.models.operators.slack import Slack
-from hystmpc.models.staged.chain_run import StagedChain
 
 DT_S = 0.04
 CHAIN = Chain(

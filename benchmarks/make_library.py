@@ -16,11 +16,11 @@ from rich.progress import Progress
 
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.fit.identify import DeviceLimits, identify
 from hystmpc.models.fit.network_bundle import network_bundle
 from hystmpc.models.fit.network_presets import NETWORK_PRESETS
 from hystmpc.models.fit.network_settings import NetworkSettings, StreamTraining
 from hystmpc.models.fit.networks import fit_network
+from hystmpc.models.identify.simulator import DeviceLimits, identify
 from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.sim.plant import Effects, SimulatedPlant

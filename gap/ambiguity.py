@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from .hypothesis import CrossValidation, HeldOutErrors, apart, gain
-from .select import Selection
+from hystmpc.models.identify.cross_validation import CrossValidation, HeldOutErrors, apart, gain
+from hystmpc.models.identify.selection import Selection
+
 from .verdict_settings import VerdictSettings
 from .within_trials import drift_is_significant
 

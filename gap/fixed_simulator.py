@@ -13,18 +13,18 @@ import numpy as np
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.effects.place import PlacedEffect, effect_spec
-from hystmpc.models.fit.identify import HOLDS_SHARE
-from hystmpc.models.fit.trial_set import fingerprint
+from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.simulator import HOLDS_SHARE
+from hystmpc.models.identify.staged_chain import StagedChain
+from hystmpc.models.identify.trial_set import fingerprint
 from hystmpc.models.operators.catalogue import operator_spec
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.periodic_disturbance import PeriodicDisturbance
 from hystmpc.models.simulator import Identification, Residual, Simulator
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.segments import Motion, first_flexure_end, segment
 from hystmpc.trials.trial import Trial
 
-from .hypothesis import Hypothesis
 from .predicted_response import settled
 from .preparation import Prepared
 

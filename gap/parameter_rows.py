@@ -8,14 +8,14 @@ import numpy as np
 
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.effects.effect import base_name
+from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.problem import Problem
+from hystmpc.models.identify.runs import Run
+from hystmpc.models.identify.uncertainty import Uncertainty, uncertainty
 from hystmpc.trials.types import Vec
 
 from .diagnosis import FoundEffect, Interval
-from .hypothesis import Hypothesis
-from .problem import Problem
-from .recording import Run
 from .report.evidence import ParameterRow
-from .uncertainty import Uncertainty, uncertainty
 
 UNKNOWN: Interval = (float("nan"), float("nan"))
 

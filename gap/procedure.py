@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hystmpc.models.contract.load import OnnxModel
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
@@ -19,7 +20,6 @@ from .diagnosis import Diagnosis, FoundEffect, NextMotion, Verdict
 from .findings import Findings
 from .floor import Floor, find_floor
 from .gap_closed import measure
-from .hypothesis import CrossValidation, Hypothesis
 from .localise import Localisation, localise
 from .next_step import next_step
 from .preparation import Prepared, prepare

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from hystmpc.models.identify.cross_validation import HeldOutErrors, gain
 from hystmpc.models.simulator import Simulator
 
 from .confusable import Confusable, confusability
 from .diagnosis import Diagnosis
 from .findings import Findings
 from .fixed_simulator import fixed_simulator, network_effects
-from .hypothesis import HeldOutErrors, gain
 from .memory import explainable_share
 from .next_motion import Proposal
 from .parameter_rows import parameter_rows

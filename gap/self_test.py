@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.fit.identify import identify
+from hystmpc.models.identify.simulator import identify
+from hystmpc.models.identify.staged_chain import StagedChain
 from hystmpc.models.operators.asymmetry import Asymmetry
 from hystmpc.models.operators.contact import Contact
 from hystmpc.models.operators.creep import Creep
@@ -27,7 +28,6 @@ from hystmpc.models.operators.slack import Slack
 from hystmpc.models.operators.stick_slip import StickSlip
 from hystmpc.models.operators.trial_shift import TrialShift
 from hystmpc.models.simulator import Simulator
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 

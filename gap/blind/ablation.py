@@ -12,13 +12,13 @@ import numpy as np
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import EFFECTS
+from hystmpc.models.identify.cross_validation import CrossValidation, HeldOutErrors, gain
 from hystmpc.models.simulator import Identification, Simulator, save_simulator
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 
 from ..floor import find_floor
-from ..hypothesis import CrossValidation, HeldOutErrors, gain
 from ..preparation import prepare
 from ..procedure import conclude, investigate
 from .reading import Reading, reading_of

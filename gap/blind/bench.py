@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.fit.identify import DeviceLimits, simulator_of
-from hystmpc.models.fit.operators import OperatorFitSettings, fit_chain
-from hystmpc.models.fit.starts import backlash_starts, prandtl_ishlinskii_starts
+from hystmpc.models.identify.chain_kinds import backlash_starts, prandtl_ishlinskii_starts
+from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
+from hystmpc.models.identify.simulator import DeviceLimits, simulator_of
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial

@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hystmpc.models.identify.cross_validation import HeldOutErrors, Hypothesis
+from hystmpc.models.identify.runs import Run
+from hystmpc.models.identify.selection import Selection
 from hystmpc.trials.types import Vec
-
-from ..hypothesis import HeldOutErrors, Hypothesis
-from ..recording import Run
-from ..select import Selection
 
 NOTHING = "none"
 

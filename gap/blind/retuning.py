@@ -9,12 +9,12 @@ import numpy as np
 
 from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.fit.operators import FreeRunResiduals, OperatorFitSettings
+from hystmpc.models.identify.baseline import Baseline, baseline_of
+from hystmpc.models.identify.least_squares import FreeRunResiduals, OperatorFitSettings
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from ..baseline import Baseline, baseline_of
 from .scene import RATE_HZ
 
 _STEPS = 25

@@ -20,9 +20,8 @@ from hystmpc.trials.types import Vec
 from ..chain import Chain
 from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
 from .catalogue import EFFECTS
-from .describe import parameters_of, sides_text
 from .effect import Effect, unit_on
-from .place import PlacedEffect, effect_from, with_effect
+from .place import PlacedEffect, effect_from, parameters_of, sides_text, with_effect
 
 DT_S = 0.02
 REST = 22.0

@@ -14,11 +14,11 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
+from ..identify.chain_fit import ChainFit, ChainTask, Progress, Tracker
+from ..identify.free_run import FreeRunLoss
+from ..identify.least_squares import rest_with_slope
+from ..identify.trial_set import check_trial_set
 from ..kernels.chain_kernels import compile_step
-from .chain_fit import ChainFit, ChainTask, Progress, Tracker
-from .free_run import FreeRunLoss
-from .operators import rest_with_slope
-from .trial_set import check_trial_set
 
 
 @dataclass(frozen=True)

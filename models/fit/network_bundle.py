@@ -12,12 +12,12 @@ from hystmpc.trials.trial import Trial
 
 from ..contract.bundle import ExportBundle
 from ..contract.metadata import InitialRule, ModelMetadata, Range
+from ..identify.simulator import DeviceLimits
+from ..identify.trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
 from ..lstm.initial import initialisation_flexure
 from ..networks.nodes import network_step_graph
 from ..probe import probe_commands
-from .identify import DeviceLimits
 from .networks import NetworkFit
-from .trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
 
 if TYPE_CHECKING:
     from ..networks.reference_ import TorchStep

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from hystmpc.trials.trial import Trial
 
 from ..chain import Chain
+from ..identify.chain_kinds import backlash_starts
+from ..identify.least_squares import OperatorFit, OperatorFitSettings, fit_chain
 from ..networks.scaling import Scaling
 from ..operators.backlash import Backlash, InverseBacklash
 from ..operators.operator import Operator
-from .operators import OperatorFit, OperatorFitSettings, fit_chain
-from .starts import backlash_starts
 
 DEAD_ZONES_DEG = (0.027, 0.1, 0.3, 1.0)  # the first is that of the code of S2
 

@@ -10,13 +10,13 @@ import numpy as np
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 
+from ..identify.trial_set import angle_range, command_range
 from ..networks.scaling import Scaling
 from ..networks.settings import FeedForwardSettings, HybridSettings
 from ..operators.operator import Operator
 from .network_operator import fitted_backlash, scaled_operator
 from .network_settings import NetworkSettings, RestSettings, ScalingSettings, WindowTraining
 from .streams import Run
-from .trial_set import angle_range, command_range
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ import numpy as np
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 
+from ..identify.trial_set import check_trial_set
 from ..networks.settings import HybridSettings
 from ..operators.backlash import Backlash
 from ..operators.operator import Operator
 from .network_settings import NetworkSettings, StreamTraining, WindowTraining
 from .split import hold_out
-from .trial_set import check_trial_set
 
 if TYPE_CHECKING:
     from ..networks.network_ import Network

@@ -17,10 +17,10 @@ from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
+from ..identify.trial_set import angle_range, check_trial_set, command_range
 from ..play_kernel.weights import PlayKernelWeights
 from .play_kernel_features import BLOCK, Course, Frame, Moments, span
 from .play_kernel_settings import PlayKernelSettings
-from .trial_set import angle_range, check_trial_set, command_range
 
 Progress = Callable[[int, float], None]
 _JITTER = 1e-10

@@ -10,16 +10,16 @@ import numpy as np
 from hystmpc.trials.trial import Trial
 
 from ..contract.bundle import ExportBundle
+from ..identify.facts import facts_of, fixed_rule
+from ..identify.simulator import DeviceLimits
+from ..identify.trial_set import check_trial_set, command_range
 from ..lstm.initial import initialisation_flexure
 from ..model import Array
 from ..play_kernel.graph import play_kernel_graph
 from ..play_kernel.step import PlayKernelStep
 from ..probe import probe_commands
-from .facts import facts_of, fixed_rule
-from .identify import DeviceLimits
 from .play_kernel import PlayKernelFit
 from .play_kernel_settings import PlayKernelSettings
-from .trial_set import check_trial_set, command_range
 
 _SETTLED_LAGS = 20.0  # time constants after which nothing is left of a step
 

@@ -16,9 +16,9 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Vec
 
 from ..contract.metadata import Range
+from ..identify.trial_set import angle_range, check_trial_set, command_range
 from ..svr.weights import SvrWeights
 from .svr_settings import SvrSettings
-from .trial_set import angle_range, check_trial_set, command_range
 
 Progress = Callable[[int, float], None]
 

@@ -13,13 +13,13 @@ from hystmpc.trials.types import Vec
 
 from ..chain_model import ChainModel
 from ..contract.metadata import Range
+from ..identify.simulator import DeviceLimits, identify
+from ..identify.trial_set import check_trial_set, command_range, fastest_command
 from ..prediction.play_kernel import PlayKernelPredictor
-from .identify import DeviceLimits, identify
 from .play_kernel import fit_play_kernel
 from .play_kernel_bundle import play_kernel_bundle
 from .play_kernel_settings import PlayKernelSettings
 from .streams import Rng, Run
-from .trial_set import check_trial_set, command_range, fastest_command
 
 Answer = Callable[[Vec, float], Vec]
 """Free run (T,) [deg] over commands (T,) from a first angle [deg]."""

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from hystmpc.trials.errors import FitError, did_you_mean
 
-from .backlash import BacklashKind
-from .bouc_wen import BoucWenKind
-from .drdpi import DrdpiKind
 from .fnn import FnnKind
 from .fnn_hib import FnnHibKind
 from .gru import GruKind
@@ -14,8 +11,8 @@ from .hb1 import Hb1Kind
 from .hb2 import Hb2Kind
 from .kind import ModelKind
 from .lstm import LstmKind
+from .operator_kinds import BacklashKind, BoucWenKind, DrdpiKind, PrandtlIshlinskiiKind
 from .play_kernel import PlayKernelKind
-from .prandtl_ishlinskii import PrandtlIshlinskiiKind
 from .svr import SvrKind
 
 KINDS: tuple[ModelKind, ...] = (

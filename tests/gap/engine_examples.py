@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystmpc.gap.baseline import Baseline, ScaledBaseline, baseline_of
-from hystmpc.gap.candidate import Candidate, Scale
-from hystmpc.gap.candidates import candidates
-from hystmpc.gap.recording import Run, runs_of
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.identify.baseline import Baseline, ScaledBaseline, baseline_of
+from hystmpc.models.identify.candidates import Candidate, Scale, candidates
+from hystmpc.models.identify.runs import Run, runs_of
+from hystmpc.models.identify.staged_chain import StagedChain
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.simulator import Identification, Residual, Simulator
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.gap.blind.fit_rules import bic_choice, effective_samples, fit_rules
-from hystmpc.gap.hypothesis import CrossValidation
-from hystmpc.gap.recording import Run, runs_of
-from hystmpc.gap.select import Selection, SelectionSettings, select
 from hystmpc.models.chain import Chain
+from hystmpc.models.identify.cross_validation import CrossValidation
+from hystmpc.models.identify.runs import Run, runs_of
+from hystmpc.models.identify.selection import Selection, SelectionSettings, select
 from hystmpc.models.operators.lag import Lag
 
 from ..models.zoo import BACKLASH

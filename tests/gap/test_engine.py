@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.candidate import CORE, Candidate
-from hystmpc.gap.fit import fit
-from hystmpc.gap.problem import Problem
+from hystmpc.models.identify.candidates import CORE, Candidate
+from hystmpc.models.identify.least_squares import fit_problem
+from hystmpc.models.identify.problem import Problem
 from hystmpc.trials.types import Vec
 
 from .engine_examples import BASELINES, CANDIDATES, DT, EVERY, LABELS, NEUTRAL, device_runs
@@ -134,7 +134,7 @@ def test_a_fit_recovers_what_made_the_angles(name: str) -> None:
     problem = Problem(BASELINES[name], (candidate,))
     true = problem.start(BASELINES[name].nominal, [(0.15, 3.0)])
     runs = [replace(run, angle=problem.angles(true, run)) for run in RUNS]
-    found = fit(problem, runs, problem.start(BASELINES[name].nominal, [candidate.starts[0]]), 60, 1e-9)
+    found = fit_problem(problem, runs, problem.start(BASELINES[name].nominal, [candidate.starts[0]]), 60, 1e-9)
     assert found.mse < 1e-4
     (values,) = problem.effect_values(found.q)
     assert values["share"] == pytest.approx(0.15, rel=0.1)

@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 
 from hystmpc.gap.fixed_simulator import EFFECTS_FILE, fixed_simulator, network_effects
-from hystmpc.gap.hypothesis import CrossValidation, Hypothesis
 from hystmpc.gap.parameter_rows import parameter_rows
 from hystmpc.gap.predicted_response import contender_of, settled
 from hystmpc.gap.preparation import Prepared, prepare
-from hystmpc.gap.problem import Problem
-from hystmpc.gap.trial_terms import TrialTerms
-from hystmpc.gap.uncertainty import uncertainty
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.place import effect_from
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.problem import Problem
+from hystmpc.models.identify.staged_chain import StagedChain
+from hystmpc.models.identify.trial_terms import TrialTerms
+from hystmpc.models.identify.uncertainty import uncertainty
 from hystmpc.models.operators.creep import Creep
 from hystmpc.models.operators.drift import Drift
 from hystmpc.models.operators.first_flexure import FirstFlexure
 from hystmpc.models.operators.lag import Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.periodic_disturbance import PeriodicDisturbance
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.types import Vec
 

@@ -10,11 +10,11 @@ import pytest
 
 from hystmpc.gap.blind.scene import FINE_S, Scene
 from hystmpc.gap.blind.tip_effects import lugre_tip
-from hystmpc.gap.hypothesis import CrossValidation
 from hystmpc.gap.jumps import Jumps, find_jumps
 from hystmpc.gap.preparation import prepare
 from hystmpc.gap.procedure import conclude, investigate
 from hystmpc.models.chain import Chain
+from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.trials.trial import Trial
 
 from ..models.zoo import BACKLASH

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import EFFECTS
-from hystmpc.models.effects.describe import library_data
 from hystmpc.models.effects.effect import Scale
 from hystmpc.models.effects.pictures import SHOWN, effect_figure, write_pictures
 from hystmpc.models.effects.place import (
@@ -21,6 +20,7 @@ from hystmpc.models.effects.place import (
     effect_from,
     effect_operator,
     effect_spec,
+    library_data,
     neutral_operator,
     with_effect,
 )

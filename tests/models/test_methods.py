@@ -10,13 +10,13 @@ import pytest
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.fit.adam import AdamSettings, WindowLoss, Windows, parameter_scales
-from hystmpc.models.fit.chain_tasks import CHAIN_KINDS, Structure, chain_task
-from hystmpc.models.fit.convergence import ConvergenceReport
-from hystmpc.models.fit.free_run import FreeRunLoss
-from hystmpc.models.fit.global_search import GlobalSettings
-from hystmpc.models.fit.iterated import IteratedSettings
-from hystmpc.models.fit.methods import METHODS, MethodSettings, identify_chain
-from hystmpc.models.fit.operators import FreeRunResiduals, OperatorFitSettings
+from hystmpc.models.identify.chain_fit import ConvergenceReport
+from hystmpc.models.identify.chain_kinds import CHAIN_KINDS, Structure, chain_task
+from hystmpc.models.identify.free_run import FreeRunLoss
+from hystmpc.models.identify.global_search import GlobalSettings
+from hystmpc.models.identify.iterated import IteratedSettings
+from hystmpc.models.identify.least_squares import FreeRunResiduals, OperatorFitSettings
+from hystmpc.models.identify.methods import METHODS, MethodSettings, identify_chain
 from hystmpc.models.operators.bouc_wen import BoucWen
 from hystmpc.trials.csv_ import read_csv
 from hystmpc.trials.errors import FitError

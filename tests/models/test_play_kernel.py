@@ -16,11 +16,11 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.evaluate import evaluate, mean_errors
-from hystmpc.models.fit.identify import DeviceLimits, identify
-from hystmpc.models.fit.operators import OperatorFitSettings
 from hystmpc.models.fit.play_kernel import fit_play_kernel
 from hystmpc.models.fit.play_kernel_bundle import play_kernel_bundle
 from hystmpc.models.fit.play_kernel_settings import PlayKernelSettings
+from hystmpc.models.identify.least_squares import OperatorFitSettings
+from hystmpc.models.identify.simulator import DeviceLimits, identify
 from hystmpc.models.inverse.one_step import CompiledInverse
 from hystmpc.models.kinds.kind import FitRequest, Identified
 from hystmpc.models.kinds.play_kernel import PlayKernelKind

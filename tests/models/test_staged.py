@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.fit.operators import rest_with_slope
+from hystmpc.models.identify.least_squares import rest_with_slope
+from hystmpc.models.identify.staged_chain import StagedChain
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.operators.contact import Contact
 from hystmpc.models.operators.creep import Creep
 from hystmpc.models.operators.nonlinear_gain import NonlinearGain
 from hystmpc.models.operators.trial_shift import TrialShift
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.errors import ModelError
 
 from .zoo import BACKLASH, CHAINS, DT, EXAMPLES, RATE_PI

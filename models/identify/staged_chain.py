@@ -10,7 +10,7 @@ from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
-from .kernels import StageKernels, stage_kernels
+from ..kernels.stage_kernels import StageKernels, stage_kernels
 
 _ROUNDS, _CLOSE, _FLAT, _WITHIN = 8, 1e-9, 1e-3, 1e-6
 

@@ -7,13 +7,13 @@ from typing import final
 
 import numpy as np
 
-from hystmpc.models.chain import Chain
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.types import Vec
 
+from ..chain import Chain
 from .baseline import Baseline
-from .candidate import CORE, Candidate
-from .recording import Run
+from .candidates import CORE, Candidate
+from .runs import Run
+from .staged_chain import StagedChain
 from .trial_terms import NO_TERMS, TrialTerms
 
 

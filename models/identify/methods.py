@@ -10,13 +10,12 @@ from hystmpc.trials.errors import FitError, did_you_mean
 from hystmpc.trials.trial import Trial
 
 from ..chain import Chain
-from .adam import AdamSettings, fit_by_adam
-from .chain_fit import ChainFit, ChainTask, Progress
-from .chain_tasks import Structure, chain_task
-from .convergence import ConvergenceReport
+from ..fit.adam import AdamSettings, fit_by_adam
+from .chain_fit import ChainFit, ChainTask, ConvergenceReport, Progress
+from .chain_kinds import Structure, chain_task
 from .global_search import GlobalSettings, evolve, fit_globally
 from .iterated import IteratedSettings, fit_by_iteration
-from .operators import OperatorFitSettings, fit_chain
+from .least_squares import OperatorFitSettings, fit_chain
 
 MethodSettings = OperatorFitSettings | AdamSettings | IteratedSettings | GlobalSettings
 Fit = Callable[[ChainTask, Any, Progress | None], ChainFit]

@@ -14,7 +14,7 @@ from hystmpc.trials.types import Vec
 
 from .chain_fit import ChainFit, ChainTask, Progress, Tracker
 from .free_run import FreeRunLoss
-from .operators import OperatorFitSettings, fit_chain
+from .least_squares import OperatorFitSettings, fit_chain
 
 Search = Callable[[Tracker, "Region", "GlobalSettings"], None]
 

@@ -8,8 +8,8 @@ from typing import final
 
 import numpy as np
 
-from .candidate import Candidate
-from .hypothesis import CrossValidation, HeldOutErrors, Hypothesis, gain
+from .candidates import Candidate
+from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
 from .trial_terms import TrialTerms, strongest_line
 
 Progress = Callable[[float, str], None]

@@ -1,4 +1,4 @@
-"""What a set of trials says about itself: fingerprint, ranges, and whether a model can be identified from it."""
+"""What a set of trials says about itself: sample time, ranges, fingerprint, and whether a model can be identified."""
 
 from __future__ import annotations
 

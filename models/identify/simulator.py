@@ -18,8 +18,8 @@ from ..contract.metadata import Range
 from ..evaluate import evaluate
 from ..operators.backlash import Backlash
 from ..simulator import Identification, Residual, Simulator
-from .operators import OperatorFit, OperatorFitSettings, Progress, fit_chain
-from .starts import backlash_starts, prandtl_ishlinskii_starts
+from .chain_kinds import backlash_starts, prandtl_ishlinskii_starts
+from .least_squares import OperatorFit, OperatorFitSettings, Progress, fit_chain
 from .trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
 
 OPERATOR_KINDS = ("backlash", "pi")

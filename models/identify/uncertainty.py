@@ -12,7 +12,7 @@ from scipy.stats import t as student
 from hystmpc.trials.types import Vec
 
 from .problem import Problem
-from .recording import Run
+from .runs import Run
 
 _BLOCKS_S = (3.0, 6.0, 12.0)
 _AT_BOUND = 1e-3  # of the unknowns' typical changes

@@ -9,7 +9,7 @@ from hystmpc.trials.trial import Trial
 
 from ..contract.metadata import InitialRule, ModelMetadata
 from ..model import Array
-from .identify import DeviceLimits
+from .simulator import DeviceLimits
 from .trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
 
 Fact = str | float | int | bool

@@ -1,22 +1,22 @@
-"""What the kinds that are operators share: the identification methods as presets, into a simulator and its bundle."""
+"""The kinds of model that are operators: identification methods as presets, into a simulator and its bundle."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import ClassVar
+from typing import ClassVar, final
 
 from hystmpc.trials.trial import Trial
 
 from ..export_simulator import simulator_bundle
 from ..fit.adam import AdamSettings
-from ..fit.chain_tasks import Structure
-from ..fit.global_search import GlobalSettings
-from ..fit.identify import DeviceLimits, simulator_of
-from ..fit.iterated import IteratedSettings
-from ..fit.methods import MethodSettings, identify_chain
-from ..fit.operators import OperatorFitSettings
+from ..identify.chain_kinds import Structure
+from ..identify.global_search import GlobalSettings
+from ..identify.iterated import IteratedSettings
+from ..identify.least_squares import OperatorFitSettings
+from ..identify.methods import MethodSettings, identify_chain
+from ..identify.simulator import DeviceLimits, simulator_of
 from .kind import FitRequest, Identified, ModelKind, Progress
 
 Method = tuple[str, Callable[[FitRequest], MethodSettings]]
@@ -100,3 +100,79 @@ class OperatorKind(ModelKind):
     def steps(self, request: FitRequest) -> int | None:
         del request
         return None
+
+
+_BACKLASH: Mapping[str, str] = MappingProxyType(
+    {"best": "least_squares", "paper": "adam", "iterated": "iterated", "global": "global", "cmaes": "cmaes"}
+)
+
+
+@final
+class BacklashKind(OperatorKind):
+    """Backlash with two slopes, S2 eq. (1)-(3); see `Backlash` and `InverseBacklash`.
+
+    Presets are methods: bounded least squares (`best`), Adam on windows as S2 has it (`paper`), Voros' iterated
+    regression (`iterated`), differential evolution (`global`) and CMA-ES (`cmaes`).
+    """
+
+    name: ClassVar[str] = "backlash"
+    title: ClassVar[str] = "backlash"
+    presets: ClassVar[tuple[str, ...]] = tuple(_BACKLASH)
+    methods: ClassVar[Mapping[str, str]] = _BACKLASH
+
+
+_PI: Mapping[str, str] = MappingProxyType(
+    {"best": "least_squares", "paper": "adam", "global": "global", "cmaes": "cmaes"}
+)
+
+
+@final
+class PrandtlIshlinskiiKind(OperatorKind):
+    """Rate-dependent plays, S2 eq. (4)-(5); see `PrandtlIshlinskii`; from swapped trials S2's fitted inverse.
+
+    Presets are methods: bounded least squares (`best`), Adam on windows as S2 has it (`paper`), differential evolution
+    (`global`) and CMA-ES (`cmaes`).
+    """
+
+    name: ClassVar[str] = "pi"
+    title: ClassVar[str] = "PI"
+    presets: ClassVar[tuple[str, ...]] = tuple(_PI)
+    methods: ClassVar[Mapping[str, str]] = _PI
+
+
+_BOUC_WEN: Mapping[str, str] = MappingProxyType(
+    {"best": "least_squares", "paper": "adam", "global": "global", "cmaes": "cmaes"}
+)
+
+
+@final
+class BoucWenKind(OperatorKind):
+    """Bouc-Wen hysteresis with the six parameters of S2's code; see `BoucWen`. It has no inverse map.
+
+    Presets are methods: bounded least squares (`best`), Adam on windows (`paper`), differential evolution (`global`)
+    and CMA-ES (`cmaes`).
+    """
+
+    name: ClassVar[str] = "bouc_wen"
+    title: ClassVar[str] = "Bouc-Wen"
+    presets: ClassVar[tuple[str, ...]] = tuple(_BOUC_WEN)
+    methods: ClassVar[Mapping[str, str]] = _BOUC_WEN
+    invertible: ClassVar[bool] = False
+
+
+_DRDPI: Mapping[str, str] = MappingProxyType({"best": "least_squares", "paper": "global", "cmaes": "cmaes"})
+
+
+@final
+class DrdpiKind(OperatorKind):
+    """Dead zones after rate-dependent plays, S1 section II-B as reconstructed in `Drdpi`; inverse from swapped trials.
+
+    Presets are methods: bounded least squares (`best`), a global search of 1,000 iterations in place of S1's genetic
+    algorithm (`paper`), and CMA-ES (`cmaes`).
+    """
+
+    name: ClassVar[str] = "drdpi"
+    title: ClassVar[str] = "DRDPI"
+    presets: ClassVar[tuple[str, ...]] = tuple(_DRDPI)
+    methods: ClassVar[Mapping[str, str]] = _DRDPI
+    plays: ClassVar[int] = 10  # as S1 has them

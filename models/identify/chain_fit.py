@@ -1,19 +1,110 @@
-"""What every identification method of a chain is given and gives back."""
+"""What an identification method of a chain is given and gives back."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hystmpc.trials.errors import FitError, ModelError
+from hystmpc.trials.errors import FitError, ModelError, did_you_mean
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
-from .convergence import ConvergenceReport
-from .free_parameters import FreeParameters
+
+TAIL = 0.1
+
+
+@dataclass(frozen=True)
+class ConvergenceReport:
+    """Loss by iteration of one training, whatever the method calls an iteration.
+
+    Attributes:
+        method: name of the method.
+        losses: loss after each iteration, in the square of the output's unit; not empty. Methods that may get worse
+            before they get better as a matter of course (trials of steps, generations) give their best so far.
+        evaluations: passes over the training data.
+        budget: iterations that were allowed.
+
+    Source: S1 Table IV.
+    """
+
+    method: str
+    losses: tuple[float, ...]
+    evaluations: int
+    budget: int
+
+    @property
+    def iterations(self) -> int:
+        """Iterations done."""
+        return len(self.losses)
+
+    @property
+    def loss(self) -> float:
+        """Loss after the last iteration."""
+        return self.losses[-1]
+
+    @property
+    def mean_relative_change(self) -> float:
+        """Mean of |L_k - L_{k-1}| / L_{k-1} over the last tenth of the iterations; not a number below two of them."""
+        last = self.losses[-max(1, round(TAIL * self.iterations)) - 1 :]
+        changes = [abs(b - a) / a for a, b in itertools.pairwise(last) if a > 0]
+        if len(last) < 2:
+            return math.nan
+        return sum(changes) / (len(last) - 1)
+
+    def line(self) -> str:
+        """One line for reports."""
+        return (
+            f"{self.method}: {self.iterations} of {self.budget} iterations, {self.evaluations} evaluations, "
+            f"loss {self.loss:.4g}, mean relative change over the last tenth {100 * self.mean_relative_change:.3g} %"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class FreeParameters:
+    """The free ones among a chain's parameters.
+
+    Attributes:
+        values: values of all (P,), from which the fixed ones are taken.
+        index: positions of the free ones (Q,).
+        bounds: physical lower and upper bounds of the free ones (Q,) each.
+    """
+
+    values: Vec
+    index: NDArray[np.intp]
+    bounds: tuple[Vec, Vec]
+
+    @classmethod
+    def of(cls, chain: Chain, fixed: Sequence[str]) -> Self:
+        """All parameters but those named.
+
+        Raises:
+            FitError: if a name is not one of the chain's.
+        """
+        names = [p.name for p in chain.parameters]
+        for name in fixed:
+            if name not in names:
+                raise FitError(f"no parameter {name!r} to hold fixed, {did_you_mean(name, names)}")
+        index = np.flatnonzero([name not in fixed for name in names])
+        lower, upper = (np.array([getattr(p, end) for p in chain.parameters]) for end in ("lower", "upper"))
+        return cls(chain.values, index, (lower[index], upper[index]))
+
+    def part(self, p: Vec) -> Vec:
+        """The free ones (Q,) of all parameters (P,)."""
+        return np.asarray(p)[self.index]
+
+    def full(self, q: Vec) -> Vec:
+        """All parameters (P,) from the free ones (Q,)."""
+        p = self.values.copy()
+        p[self.index] = q
+        return p
+
 
 Progress = Callable[[int, float], None]
 
