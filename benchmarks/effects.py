@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.identify.staged_chain import StagedChain
+from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.operators.asymmetry import Asymmetry
 from hystmpc.models.operators.contact import Contact
 from hystmpc.models.operators.creep import Creep

@@ -14,8 +14,8 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.effects.place import PlacedEffect, effect_spec
 from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.simulator import HOLDS_SHARE
-from hystmpc.models.identify.staged_chain import StagedChain
 from hystmpc.models.identify.trial_set import fingerprint
 from hystmpc.models.operators.catalogue import operator_spec
 from hystmpc.models.operators.operator import Operator

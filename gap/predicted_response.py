@@ -6,8 +6,8 @@ import numpy as np
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.problem import Problem
-from hystmpc.models.identify.staged_chain import StagedChain
 from hystmpc.models.operators.drift import Drift
 from hystmpc.models.operators.first_flexure import FirstFlexure
 from hystmpc.trials.types import Vec

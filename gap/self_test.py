@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.simulator import identify
-from hystmpc.models.identify.staged_chain import StagedChain
 from hystmpc.models.operators.asymmetry import Asymmetry
 from hystmpc.models.operators.contact import Contact
 from hystmpc.models.operators.creep import Creep

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -99,3 +100,7 @@ class Inverse(ABC):
         Where a whole interval of commands does (the dead band of a play), the one nearest to `u_last`; where none
         does, the one that comes closest.
         """
+
+
+FitProgress = Callable[[int, float], None]
+"""What an identification calls as it goes on: steps done, and the least error so far in the unit of the output."""

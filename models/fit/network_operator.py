@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from hystmpc.trials.trial import Trial
 
 from ..chain import Chain
+from ..identify.chain_fit import ChainFit
 from ..identify.chain_kinds import backlash_starts
-from ..identify.least_squares import OperatorFit, OperatorFitSettings, fit_chain
+from ..identify.least_squares import OperatorFitSettings, fit_chain
 from ..networks.scaling import Scaling
 from ..operators.backlash import Backlash, InverseBacklash
 from ..operators.operator import Operator
@@ -40,7 +41,7 @@ def fitted_backlash(trials: Sequence[Trial], skip_first_flexure: bool, dead_zone
     return min(fits, key=lambda fit: fit.rmse_deg).chain.core
 
 
-def _fitted(starts: Sequence[Chain], trials: Sequence[Trial], settings: OperatorFitSettings) -> OperatorFit:
+def _fitted(starts: Sequence[Chain], trials: Sequence[Trial], settings: OperatorFitSettings) -> ChainFit:
     """The fit; stopped by the user, the training that it is part of is to end as well."""
     fit = fit_chain(starts, trials, settings)
     if fit.interrupted:

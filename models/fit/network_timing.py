@@ -16,8 +16,8 @@ from ..identify.trial_set import check_trial_set
 from ..networks.settings import HybridSettings
 from ..operators.backlash import Backlash
 from ..operators.operator import Operator
+from ..train.hold_out import hold_out
 from .network_settings import NetworkSettings, StreamTraining, WindowTraining
-from .split import hold_out
 
 if TYPE_CHECKING:
     from ..networks.network_ import Network

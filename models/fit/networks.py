@@ -14,9 +14,9 @@ from hystmpc.trials.trial import Trial
 from ..contract.gate import TOLERANCE_DEG
 from ..identify.trial_set import check_trial_set
 from ..networks.scaling import Scaling
+from ..train.hold_out import hold_out
 from .network_runs import Prepared, prepared, rest_of, scaled_run, scaling_of
 from .network_settings import NetworkSettings, StreamTraining
-from .split import hold_out
 from .streams import Rng, Run
 from .teacher import Teacher
 

@@ -13,10 +13,10 @@ import torch
 from hystmpc.trials.types import Vec
 
 from ..networks.network_ import Network, numbers
+from ..train.windows import draw_windows
 from .network_settings import NetworkSettings, WindowTraining
 from .streams import Run
 from .training_torch_ import Check, Judged, constancy, rounding_error, update, weighted_error
-from .windows import draw_windows
 
 _ROUNDED = 64  # windows that are run in double precision as well, which has no fused LSTM and is slow
 

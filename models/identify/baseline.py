@@ -14,7 +14,7 @@ from hystmpc.trials.types import Vec
 from ..chain import Chain
 from ..contract.metadata import Range
 from ..operators.backlash import Backlash
-from .staged_chain import StagedChain
+from .free_run import StagedChain
 
 # Parameters of cores that are effects by another name: retuning leaves them at their nominal values.
 _EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence"}

@@ -16,6 +16,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
+from ..model import FitProgress
 
 TAIL = 0.1
 
@@ -106,9 +107,6 @@ class FreeParameters:
         return p
 
 
-Progress = Callable[[int, float], None]
-
-
 @dataclass(frozen=True, eq=False)
 class ChainTask:
     """A chain to be identified: where to start, where to search, what to leave alone.
@@ -139,15 +137,15 @@ class ChainFit:
 
     Attributes:
         chain: the best chain found.
-        rmse: root of the mean over trials of the mean square error of its free runs, in the unit of the output (deg;
-            the command's for inverse maps): the figure by which methods compare, whatever they minimised.
+        rmse_deg: root of the mean over trials of the mean square error of its free runs [deg; mm or bar for an inverse
+            map]: the figure by which methods compare, whatever they minimised.
         evaluations: passes over the trials.
         report: how the method's own loss converged.
         interrupted: stopped by the user; `chain` is the best so far.
     """
 
     chain: Chain
-    rmse: float
+    rmse_deg: float
     evaluations: int
     report: ConvergenceReport
     interrupted: bool = False
@@ -156,7 +154,7 @@ class ChainFit:
 class Tracker:
     """A loss that remembers its best point, for methods that keep no such record or may be stopped at any time."""
 
-    def __init__(self, loss: Callable[[Vec], float], free: FreeParameters, progress: Progress | None) -> None:
+    def __init__(self, loss: Callable[[Vec], float], free: FreeParameters, progress: FitProgress | None) -> None:
         self._loss, self._free, self._progress = loss, free, progress
         self.best: Vec | None = None
         self.best_loss = np.inf
@@ -191,10 +189,19 @@ class Tracker:
         """
         if self.best is None:
             raise nothing_found(f"{self.evaluations} evaluations", interrupted)
-        try:
-            return template.with_values(self.best.tolist())
-        except ModelError as error:
-            raise FitError(f"the fit ended at an unusable model: {error}") from None
+        return chain_from(template, self.best)
+
+
+def chain_from(template: Chain, values: Vec) -> Chain:
+    """The chain with the values (P,) of a fit.
+
+    Raises:
+        FitError: if they are no usable model.
+    """
+    try:
+        return template.with_values(values.tolist())
+    except ModelError as error:
+        raise FitError(f"the fit ended at an unusable model: {error}") from None
 
 
 def nothing_found(looked_at: str, interrupted: bool) -> FitError:

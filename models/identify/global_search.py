@@ -12,8 +12,9 @@ from scipy.optimize import differential_evolution
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.types import Vec
 
-from .chain_fit import ChainFit, ChainTask, Progress, Tracker
-from .free_run import FreeRunLoss
+from ..model import FitProgress
+from .chain_fit import ChainFit, ChainTask, Tracker
+from .free_run import FreeRuns
 from .least_squares import OperatorFitSettings, fit_chain
 
 Search = Callable[[Tracker, "Region", "GlobalSettings"], None]
@@ -67,7 +68,7 @@ class Region:
 
 
 def fit_globally(
-    name: str, search: Search, task: ChainTask, settings: GlobalSettings, progress: Progress | None = None
+    name: str, search: Search, task: ChainTask, settings: GlobalSettings, progress: FitProgress | None = None
 ) -> ChainFit:
     """Run a search over the task's box and report how it converged.
 
@@ -76,9 +77,9 @@ def fit_globally(
     Raises:
         FitError: on unusable trials, or if no point has a finite error.
     """
-    loss = FreeRunLoss(task.starts[0], task.trials, settings.skip_first_flexure, settings.offset_free)
+    loss = FreeRuns(task.starts[0], task.trials, settings.skip_first_flexure, settings.offset_free)
     free = task.free
-    tracker, interrupted = Tracker(loss, free, progress), False
+    tracker, interrupted = Tracker(loss.mse, free, progress), False
     try:
         ends = (free.part(end) for end in (*task.box, *task.first, task.starts[0].values))
         search(tracker, Region(*ends), settings)
@@ -126,6 +127,6 @@ def _polished(found: ChainFit, task: ChainTask, settings: GlobalSettings) -> Cha
     polish = OperatorFitSettings(settings.skip_first_flexure, settings.offset_free, restarts=0, seed=settings.seed)
     fit = fit_chain([found.chain], task.trials, polish, fixed=task.fixed)
     evaluations = found.evaluations + fit.evaluations
-    if fit.rmse_deg >= found.rmse:
+    if fit.rmse_deg >= found.rmse_deg:
         return replace(found, evaluations=evaluations)
     return ChainFit(fit.chain, fit.rmse_deg, evaluations, found.report, fit.interrupted)

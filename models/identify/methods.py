@@ -10,15 +10,16 @@ from hystmpc.trials.errors import FitError, did_you_mean
 from hystmpc.trials.trial import Trial
 
 from ..chain import Chain
-from ..fit.adam import AdamSettings, fit_by_adam
-from .chain_fit import ChainFit, ChainTask, ConvergenceReport, Progress
+from ..model import FitProgress
+from .adam import AdamSettings, fit_by_adam
+from .chain_fit import ChainFit, ChainTask
 from .chain_kinds import Structure, chain_task
 from .global_search import GlobalSettings, evolve, fit_globally
 from .iterated import IteratedSettings, fit_by_iteration
-from .least_squares import OperatorFitSettings, fit_chain
+from .least_squares import OperatorFitSettings, fit_by_least_squares
 
 MethodSettings = OperatorFitSettings | AdamSettings | IteratedSettings | GlobalSettings
-Fit = Callable[[ChainTask, Any, Progress | None], ChainFit]
+Fit = Callable[[ChainTask, Any, FitProgress | None], ChainFit]
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ def identify_chain(
     method: str = "least_squares",
     settings: MethodSettings | None = None,
     plays: int = 4,
-    progress: Progress | None = None,
+    progress: FitProgress | None = None,
     structure: Structure | None = None,
 ) -> tuple[Chain, ChainFit]:
     """Identify a chain by one of `METHODS`.
@@ -83,26 +84,11 @@ def identify_chain(
     return found.chain, found
 
 
-def _by_least_squares(task: ChainTask, settings: OperatorFitSettings, progress: Progress | None) -> ChainFit:
-    """`fit_chain`, one iteration a free run over all trials; the budget is that of all starts together."""
-    losses: list[float] = []
-
-    def record(done: int, rmse: float) -> None:
-        losses.append(rmse**2)
-        if progress:
-            progress(done, rmse)
-
-    fit = fit_chain(task.starts, task.trials, settings, record, task.fixed)
-    budget = settings.evaluations * (len(task.starts) + settings.restarts)
-    report = ConvergenceReport("least_squares", tuple(losses), fit.evaluations, budget)
-    return ChainFit(fit.chain, fit.rmse_deg, fit.evaluations, report, fit.interrupted)
-
-
-def _by_evolution(task: ChainTask, settings: GlobalSettings, progress: Progress | None) -> ChainFit:
+def _by_evolution(task: ChainTask, settings: GlobalSettings, progress: FitProgress | None) -> ChainFit:
     return fit_globally("global", evolve, task, settings, progress)
 
 
-def _by_cmaes(task: ChainTask, settings: GlobalSettings, progress: Progress | None) -> ChainFit:
+def _by_cmaes(task: ChainTask, settings: GlobalSettings, progress: FitProgress | None) -> ChainFit:
     try:
         from .cma_ import adapt
     except ImportError as error:
@@ -112,7 +98,7 @@ def _by_cmaes(task: ChainTask, settings: GlobalSettings, progress: Progress | No
 
 METHODS: tuple[IdentificationMethod, ...] = (
     IdentificationMethod(
-        "least_squares", OperatorFitSettings, _by_least_squares, None,
+        "least_squares", OperatorFitSettings, fit_by_least_squares, None,
         "bounded least squares on free runs with exact sensitivities, from several starts",
     ),
     IdentificationMethod("adam", AdamSettings, fit_by_adam, None, "Adam on windows of 50 samples, as S2"),

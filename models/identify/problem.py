@@ -12,8 +12,8 @@ from hystmpc.trials.types import Vec
 from ..chain import Chain
 from .baseline import Baseline
 from .candidates import CORE, Candidate
+from .free_run import StagedChain
 from .runs import Run
-from .staged_chain import StagedChain
 from .trial_terms import NO_TERMS, TrialTerms
 
 

@@ -16,10 +16,12 @@ from ..chain import Chain
 from ..chain_model import ChainModel
 from ..contract.metadata import Range
 from ..evaluate import evaluate
+from ..model import FitProgress
 from ..operators.backlash import Backlash
 from ..simulator import Identification, Residual, Simulator
+from .chain_fit import ChainFit
 from .chain_kinds import backlash_starts, prandtl_ishlinskii_starts
-from .least_squares import OperatorFit, OperatorFitSettings, Progress, fit_chain
+from .least_squares import OperatorFitSettings, fit_chain
 from .trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
 
 OPERATOR_KINDS = ("backlash", "pi")
@@ -45,8 +47,8 @@ def identify(
     settings: OperatorFitSettings | None = None,
     plays: int = 4,
     limits: DeviceLimits | None = None,
-    progress: Progress | None = None,
-) -> tuple[Simulator, OperatorFit]:
+    progress: FitProgress | None = None,
+) -> tuple[Simulator, ChainFit]:
     """Identify an operator and wrap it as a simulator.
 
     Args:

@@ -10,14 +10,15 @@ from typing import ClassVar, final
 from hystmpc.trials.trial import Trial
 
 from ..export_simulator import simulator_bundle
-from ..fit.adam import AdamSettings
+from ..identify.adam import AdamSettings
 from ..identify.chain_kinds import Structure
 from ..identify.global_search import GlobalSettings
 from ..identify.iterated import IteratedSettings
 from ..identify.least_squares import OperatorFitSettings
 from ..identify.methods import MethodSettings, identify_chain
 from ..identify.simulator import DeviceLimits, simulator_of
-from .kind import FitRequest, Identified, ModelKind, Progress
+from ..model import FitProgress
+from .kind import FitRequest, Identified, ModelKind
 
 Method = tuple[str, Callable[[FitRequest], MethodSettings]]
 
@@ -50,7 +51,7 @@ def identify_operator(
     trials: Sequence[Trial],
     request: FitRequest,
     presets: Mapping[str, str],
-    progress: Progress | None = None,
+    progress: FitProgress | None = None,
     structure: Structure | None = None,
 ) -> Identified:
     """Identify an operator by the method that the request's preset stands for.
@@ -76,7 +77,7 @@ def identify_operator(
     words = f"{method}, preset {request.preset}"
     simulator = simulator_of(chain, trials, limits, words, request.seed, request.skip_first_flexure)
     history = tuple((k + 1, loss**0.5) for k, loss in enumerate(fit.report.losses))
-    report = f"{fit.report.line()}; {fit.rmse:.4f} {trials[0].units.angle} free run"
+    report = f"{fit.report.line()}; {fit.rmse_deg:.4f} {trials[0].units.angle} free run"
     return Identified(simulator_bundle(simulator), simulator, history, report, fit.interrupted)
 
 
@@ -92,7 +93,7 @@ class OperatorKind(ModelKind):
     readable: ClassVar[bool] = True
     plays: ClassVar[int] = 4
 
-    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: Progress | None = None) -> Identified:
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         self.check(trials, request)
         plays = self.plays if request.plays is None else request.plays
         return identify_operator(self.name, trials, replace(request, plays=plays), self.methods, progress)

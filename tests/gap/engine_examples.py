@@ -8,8 +8,8 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.identify.baseline import Baseline, ScaledBaseline, baseline_of
 from hystmpc.models.identify.candidates import Candidate, Scale, candidates
+from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.runs import Run, runs_of
-from hystmpc.models.identify.staged_chain import StagedChain
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.simulator import Identification, Residual, Simulator
 from hystmpc.trials.trial import Trial

@@ -15,8 +15,8 @@ from hystmpc.gap.preparation import Prepared, prepare
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.place import effect_from
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.problem import Problem
-from hystmpc.models.identify.staged_chain import StagedChain
 from hystmpc.models.identify.trial_terms import TrialTerms
 from hystmpc.models.identify.uncertainty import uncertainty
 from hystmpc.models.operators.creep import Creep

@@ -9,6 +9,7 @@ import onnxruntime as ort
 import pytest
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.operators.catalogue import OPERATORS
 from hystmpc.models.operators.sensor import Sensor
@@ -126,15 +127,14 @@ def test_parameter_sensitivity_is_that_of_finite_differences(chain: Chain) -> No
     u = 3 - 3 * np.cos(2 * np.pi * 0.37 * np.arange(0, 6, DT)) + 0.01 * np.sin(np.arange(0, 6, DT))
     # Off round numbers: a delay of a whole number of samples sits on a kink of its own.
     p, dt = chain.values * 1.0137 + 1e-3, np.array([DT])
-    state, size = np.full(chain.state_size, 31.0), chain.state_size
+    state = np.full(chain.state_size, 31.0)
 
     def run(values: np.ndarray) -> np.ndarray:
         x, theta = state[None].copy(), np.empty((1, u.size))
         kernels.simulate(x, u[None], values, dt, kernels.step_constants, theta)
         return theta[0]
 
-    theta, gradient = np.empty(u.size), np.empty((u.size, p.size))
-    kernels.differentiate(state, np.zeros((size, p.size)), u, p, dt, kernels.sensitivity_constants, theta, gradient)
+    theta, gradient = StagedChain(chain).differentiate(u, DT, state, np.zeros((state.size, p.size)), p)
     np.testing.assert_allclose(theta, run(p), atol=1e-10)
     for j in range(p.size):
         shift = np.zeros(p.size)

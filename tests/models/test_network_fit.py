@@ -15,11 +15,11 @@ from hystmpc.models.fit.network_bundle import network_bundle
 from hystmpc.models.fit.network_presets import NETWORK_PRESETS
 from hystmpc.models.fit.network_settings import NetworkSettings, StreamTraining, TeacherSettings, WindowTraining
 from hystmpc.models.fit.networks import NetworkCheck, NetworkFit, fit_network
-from hystmpc.models.fit.split import hold_out
 from hystmpc.models.fit.streams import Run, arrange, pause, stretch
 from hystmpc.models.fit.teacher import Teacher
-from hystmpc.models.fit.windows import draw_windows
 from hystmpc.models.networks.settings import RecurrentSettings
+from hystmpc.models.train.hold_out import hold_out
+from hystmpc.models.train.windows import draw_windows
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 

@@ -9,7 +9,7 @@ import numpy as np
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.types import Vec
 
-from .streams import Float32, Rng
+from ..fit.streams import Float32, Rng
 
 
 def draw_windows(runs: Sequence[tuple[Vec, ...]], count: int, length: int, rng: Rng) -> tuple[Float32, ...]:
