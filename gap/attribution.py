@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from hystmpc.models.identify.candidates import Scale, candidates
+from hystmpc.models.effects.catalogue import candidates
+from hystmpc.models.effects.effect import Scale
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.identify.selection import OWN_TO_TRIALS, Selection, SelectionSettings, select
 

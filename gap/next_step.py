@@ -8,7 +8,8 @@ import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.models.contract.metadata import ModelMetadata
-from hystmpc.models.identify.candidates import Scale, candidates
+from hystmpc.models.effects.catalogue import candidates
+from hystmpc.models.effects.effect import Scale
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.selection import Selection

@@ -9,8 +9,9 @@ from typing import Literal
 
 import numpy as np
 
+from hystmpc.models.effects.catalogue import confusable
+
 from .measures import Rate, calibration, overlap, rate, truths_of
-from .plan import confusable
 from .regions import DENSE
 from .scored import Scored, large, of_suites
 

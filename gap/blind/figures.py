@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.plot_style import MEASURED, MODEL, REFERENCE, new_figure
 
 from .measures import Calibration, Confusion, Rate
-from .plan import confusable
 
 
 def confusion_figure(confusion: Confusion) -> Figure:

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.files import write_atomically
 
 from .bars import Bar, alarm, bars, confidently_wrong, covers_perfection
 from .catalogue import LABELS
 from .measures import Calibration, Confusion, Rate, calibration, chance, confusion, rate
-from .plan import confusable
 from .scored import Scored, load_scored, of_suites
 from .suites import RATIOS, SUITES
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.errors import LogError
 
 from .answer import Answer
-from .plan import confusable
 from .reading import FAILED, Reading, read_diagnosis
 from .run import BESIDE, DIAGNOSIS, FAILURE
 from .sealed import open_answers

@@ -11,8 +11,8 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
+from ..effects.effect import Candidate
 from .baseline import Baseline
-from .candidates import Candidate
 from .least_squares import fit_problem
 from .problem import Problem
 from .runs import Blocks, Run, blocks_of

@@ -10,8 +10,8 @@ import numpy as np
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
+from ..effects.effect import CORE, Candidate
 from .baseline import Baseline
-from .candidates import CORE, Candidate
 from .free_run import StagedChain
 from .runs import Run
 from .trial_terms import NO_TERMS, TrialTerms

@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from .candidates import Candidate
+from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
 from .trial_terms import TrialTerms, strongest_line
 

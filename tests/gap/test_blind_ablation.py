@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from hystmpc.gap.blind.ablation import RESULT, Ablated, ablate, answered, components, effect_of, without
+from hystmpc.gap.blind.ablation import RESULT, Ablated, ablate, answered, components, without
 from hystmpc.gap.blind.reading import Reading
 from hystmpc.models.chain import Chain
+from hystmpc.models.effects.catalogue import effect_of
 from hystmpc.models.operators.delay import Delay
 from hystmpc.models.operators.lag import Lag
 from hystmpc.models.operators.nonlinear_gain import NonlinearGain

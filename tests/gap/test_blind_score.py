@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from hystmpc.gap.blind.bars import bars, true_share
 from hystmpc.gap.blind.catalogue import LABELS
 from hystmpc.gap.blind.measures import Rate, calibration, chance, confusion, overlap
-from hystmpc.gap.blind.plan import confusable
 from hystmpc.gap.blind.reading import Reading, reading_of
 from hystmpc.gap.blind.report import blind_report
 from hystmpc.gap.blind.score import score_json, score_of
 from hystmpc.gap.blind.scored import Scored
+from hystmpc.models.effects.catalogue import confusable
 
 from .blind_examples import all_answers, always, answer, named, perfect
 

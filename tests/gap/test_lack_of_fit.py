@@ -7,7 +7,8 @@ import pytest
 from hystmpc.gap.lack_of_fit import remaining_curvature
 from hystmpc.gap.preparation import Prepared, prepare
 from hystmpc.models.chain import Chain
-from hystmpc.models.identify.candidates import Scale, candidates
+from hystmpc.models.effects.catalogue import candidates
+from hystmpc.models.effects.effect import Scale
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.identify.trial_terms import NO_TERMS
 from hystmpc.models.operators.contact import Contact
