@@ -31,7 +31,7 @@ from hystmpc.gap.blind.rod_core import RodCore
 from hystmpc.gap.blind.scene import RATE_HZ
 from hystmpc.gap.procedure import conclude, investigate
 from hystmpc.models.identify.least_squares import OperatorFitSettings
-from hystmpc.models.identify.simulator import identify
+from hystmpc.models.identify.methods import identify
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec

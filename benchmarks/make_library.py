@@ -20,7 +20,8 @@ from hystmpc.models.fit.network_bundle import network_bundle
 from hystmpc.models.fit.network_presets import NETWORK_PRESETS
 from hystmpc.models.fit.network_settings import NetworkSettings, StreamTraining
 from hystmpc.models.fit.networks import fit_network
-from hystmpc.models.identify.simulator import DeviceLimits, identify
+from hystmpc.models.identify.methods import identify
+from hystmpc.models.identify.trial_set import DeviceLimits
 from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.sim.plant import Effects, SimulatedPlant

@@ -11,7 +11,7 @@ import typer
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import evaluate
-from hystmpc.models.identify.simulator import DeviceLimits
+from hystmpc.models.identify.trial_set import DeviceLimits
 from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest, ModelKind
 from hystmpc.models.load import load_model

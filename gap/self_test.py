@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.identify.corrected_simulator import settled
 from hystmpc.models.identify.free_run import StagedChain
-from hystmpc.models.identify.simulator import identify
+from hystmpc.models.identify.methods import identify
 from hystmpc.models.operators.asymmetry import Asymmetry
 from hystmpc.models.operators.contact import Contact
 from hystmpc.models.operators.creep import Creep
@@ -32,7 +33,6 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from .diagnosis import Diagnosis
-from .predicted_response import settled
 from .procedure import conclude, investigate
 
 Progress = Callable[..., None]

@@ -12,8 +12,7 @@ from hystmpc.trials.trial import Trial
 
 from ..contract.bundle import ExportBundle
 from ..contract.metadata import InitialRule, ModelMetadata, Range
-from ..identify.simulator import DeviceLimits
-from ..identify.trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
+from ..identify.trial_set import DeviceLimits, angle_range, check_trial_set, command_range, fastest_command, fingerprint
 from ..lstm.initial import initialisation_flexure
 from ..networks.nodes import network_step_graph
 from ..probe import probe_commands

@@ -10,9 +10,7 @@ import numpy as np
 from hystmpc.trials.trial import Trial
 
 from ..contract.bundle import ExportBundle
-from ..identify.facts import facts_of, fixed_rule
-from ..identify.simulator import DeviceLimits
-from ..identify.trial_set import check_trial_set, command_range
+from ..identify.trial_set import DeviceLimits, check_trial_set, command_range, facts_of, fixed_rule
 from ..lstm.initial import initialisation_flexure
 from ..model import Array
 from ..play_kernel.graph import play_kernel_graph

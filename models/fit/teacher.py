@@ -13,8 +13,8 @@ from hystmpc.trials.types import Vec
 
 from ..chain_model import ChainModel
 from ..contract.metadata import Range
-from ..identify.simulator import DeviceLimits, identify
-from ..identify.trial_set import check_trial_set, command_range, fastest_command
+from ..identify.methods import identify
+from ..identify.trial_set import DeviceLimits, check_trial_set, command_range, fastest_command
 from ..prediction.play_kernel import PlayKernelPredictor
 from .play_kernel import fit_play_kernel
 from .play_kernel_bundle import play_kernel_bundle

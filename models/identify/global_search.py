@@ -130,3 +130,35 @@ def _polished(found: ChainFit, task: ChainTask, settings: GlobalSettings) -> Cha
     if fit.rmse_deg >= found.rmse_deg:
         return replace(found, evaluations=evaluations)
     return ChainFit(fit.chain, fit.rmse_deg, evaluations, found.report, fit.interrupted)
+
+
+SPREAD = 0.25  # first standard deviation, as a share of the box
+
+
+def adapt(tracker: Tracker, region: Region, settings: GlobalSettings) -> None:
+    """Covariance matrix adaptation over the box scaled to one, from the start; once settled, from a random point.
+
+    Needs the extra `train`.
+
+    Raises:
+        FitError: without the extra.
+
+    Source: Hansen, arXiv 1604.00772.
+    """
+    try:
+        import cma
+    except ImportError as error:
+        raise FitError(f"cmaes needs {error.name}, expected it installed: pip install hystmpc[train]") from None
+    rng = np.random.default_rng(settings.seed)
+    lower, width = region.lower, region.upper - region.lower
+    point, done = np.clip((region.start - lower) / width, 0.02, 0.98), 0
+    while done < settings.iterations:
+        seed = int(rng.integers(1, 2**31))  # zero would mean the clock
+        options = {"bounds": [0, 1], "popsize": settings.population, "seed": seed, "verbose": -9, "maxiter": np.inf}
+        strategy = cma.CMAEvolutionStrategy(point, SPREAD, options)
+        while done < settings.iterations and not strategy.stop():
+            points = strategy.ask()
+            strategy.tell(points, [min(tracker(lower + x * width), 1e300) for x in points])
+            tracker.iteration()
+            done += 1
+        point = (rng.uniform(region.first_lower, region.first_upper) - lower) / width

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from hystmpc.trials.errors import FitError, did_you_mean
@@ -11,12 +13,15 @@ from hystmpc.trials.trial import Trial
 
 from ..chain import Chain
 from ..model import FitProgress
+from ..simulator import Simulator
 from .adam import AdamSettings, fit_by_adam
 from .chain_fit import ChainFit, ChainTask
-from .chain_kinds import Structure, chain_task
-from .global_search import GlobalSettings, evolve, fit_globally
+from .chain_kinds import Structure, backlash_starts, chain_task, prandtl_ishlinskii_starts
+from .global_search import GlobalSettings, adapt, evolve, fit_globally
 from .iterated import IteratedSettings, fit_by_iteration
-from .least_squares import OperatorFitSettings, fit_by_least_squares
+from .least_squares import OperatorFitSettings, fit_by_least_squares, fit_chain
+from .simulator import simulator_of
+from .trial_set import DeviceLimits, check_trial_set
 
 MethodSettings = OperatorFitSettings | AdamSettings | IteratedSettings | GlobalSettings
 Fit = Callable[[ChainTask, Any, FitProgress | None], ChainFit]
@@ -39,6 +44,13 @@ class IdentificationMethod:
     fit: Fit
     kinds: tuple[str, ...] | None
     summary: str
+
+    def settings_for(self, steps: int | None, seed: int, skip_first_flexure: bool) -> MethodSettings:
+        """Its settings with a greatest number of steps (free runs, epochs, iterations), None for the default."""
+        known = {f.name for f in fields(self.settings)}
+        count = next(name for name in ("evaluations", "epochs", "iterations") if name in known)
+        chosen = {"seed": seed, "skip_first_flexure": skip_first_flexure} | ({count: steps} if steps else {})
+        return self.settings(**{name: value for name, value in chosen.items() if name in known})  # type: ignore[arg-type]
 
 
 def identify_chain(
@@ -70,10 +82,9 @@ def identify_chain(
         FitError: on an unknown kind or method, settings of another method, a kind that the method cannot identify,
             unusable trials, a missing extra, or no finite error.
     """
-    named = {candidate.name: candidate for candidate in METHODS}
-    if method not in named:
-        raise FitError(f"no identification method {method!r}, {did_you_mean(method, named)}")
-    chosen = named[method]
+    if method not in METHODS:
+        raise FitError(f"no identification method {method!r}, {did_you_mean(method, METHODS)}")
+    chosen = METHODS[method]
     settings = settings or chosen.settings()
     if not isinstance(settings, chosen.settings):
         raise FitError(f"{method}: got {type(settings).__name__}, expected {chosen.settings.__name__}")
@@ -84,27 +95,62 @@ def identify_chain(
     return found.chain, found
 
 
-def _by_evolution(task: ChainTask, settings: GlobalSettings, progress: FitProgress | None) -> ChainFit:
-    return fit_globally("global", evolve, task, settings, progress)
+OPERATOR_KINDS = ("backlash", "pi")
 
 
-def _by_cmaes(task: ChainTask, settings: GlobalSettings, progress: FitProgress | None) -> ChainFit:
-    try:
-        from .cma_ import adapt
-    except ImportError as error:
-        raise FitError(f"cmaes needs {error.name}, expected it installed: pip install hystmpc[train]") from None
-    return fit_globally("cmaes", adapt, task, settings, progress)
+def identify(
+    kind: str,
+    trials: Sequence[Trial],
+    settings: OperatorFitSettings | None = None,
+    plays: int = 4,
+    limits: DeviceLimits | None = None,
+    progress: FitProgress | None = None,
+) -> tuple[Simulator, ChainFit]:
+    """Identify an operator and wrap it as a simulator.
+
+    Args:
+        kind: `backlash` (S2 eq. (1)-(2)) or `pi` (S2 eq. (4)).
+        trials: uniformly sampled at one rate, in one unit.
+        settings: of the least-squares fit.
+        plays: number of plays of a `pi`.
+        limits: what the device may be sent.
+        progress: see `fit_chain`.
+
+    Raises:
+        FitError: on an unknown kind, unusable trials, or lines that cross within the trained range.
+    """
+    check_trial_set(trials)
+    settings = settings or OperatorFitSettings()
+    if kind not in OPERATOR_KINDS:
+        raise FitError(f"no operator kind {kind!r}, {did_you_mean(kind, OPERATOR_KINDS)}")
+    starts = backlash_starts(trials) if kind == "backlash" else prandtl_ishlinskii_starts(trials, plays)
+    fit = fit_chain(starts, trials, settings, progress)
+    method = "bounded least squares on free runs"
+    return (
+        simulator_of(fit.chain, trials, limits or DeviceLimits(), method, settings.seed, settings.skip_first_flexure),
+        fit,
+    )
 
 
-METHODS: tuple[IdentificationMethod, ...] = (
-    IdentificationMethod(
-        "least_squares", OperatorFitSettings, fit_by_least_squares, None,
-        "bounded least squares on free runs with exact sensitivities, from several starts",
-    ),
-    IdentificationMethod("adam", AdamSettings, fit_by_adam, None, "Adam on windows of 50 samples, as S2"),
-    IdentificationMethod(
-        "iterated", IteratedSettings, fit_by_iteration, ("backlash",), "iterated regression of the two lines, as S2"
-    ),
-    IdentificationMethod("global", GlobalSettings, _by_evolution, None, "differential evolution, in place of S1's GA"),
-    IdentificationMethod("cmaes", GlobalSettings, _by_cmaes, None, "covariance matrix adaptation (CMA-ES)"),
-)  # fmt: skip
+METHODS: Mapping[str, IdentificationMethod] = MappingProxyType({
+    method.name: method
+    for method in (
+        IdentificationMethod(
+            "least_squares", OperatorFitSettings, fit_by_least_squares, None,
+            "bounded least squares on free runs with exact sensitivities, from several starts",
+        ),
+        IdentificationMethod("adam", AdamSettings, fit_by_adam, None, "Adam on windows of 50 samples, as S2"),
+        IdentificationMethod(
+            "iterated", IteratedSettings, fit_by_iteration, ("backlash",), "iterated regression of the two lines, as S2"
+        ),
+        IdentificationMethod(
+            "global", GlobalSettings, partial(fit_globally, "global", evolve), None,
+            "differential evolution, in place of S1's GA",
+        ),
+        IdentificationMethod(
+            "cmaes", GlobalSettings, partial(fit_globally, "cmaes", adapt), None,
+            "covariance matrix adaptation (CMA-ES)",
+        ),
+    )
+})  # fmt: skip
+"""Identification methods by name."""

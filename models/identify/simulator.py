@@ -3,76 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from hystmpc.trials.errors import FitError, did_you_mean
+from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..chain_model import ChainModel
 from ..contract.metadata import Range
 from ..evaluate import evaluate
-from ..model import FitProgress
 from ..operators.backlash import Backlash
 from ..simulator import Identification, Residual, Simulator
-from .chain_fit import ChainFit
-from .chain_kinds import backlash_starts, prandtl_ishlinskii_starts
-from .least_squares import OperatorFitSettings, fit_chain
-from .trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
+from .trial_set import DeviceLimits, angle_range, check_trial_set, command_range, fastest_command, fingerprint
 
-OPERATOR_KINDS = ("backlash", "pi")
 HOLDS_SHARE = 0.2
-
-
-@dataclass(frozen=True)
-class DeviceLimits:
-    """What the device may be sent; None takes what the trials show.
-
-    Attributes:
-        command: least and greatest command [mm or bar].
-        rate_per_s: greatest change of the command [mm/s or bar/s].
-    """
-
-    command: Range | None = None
-    rate_per_s: float | None = None
-
-
-def identify(
-    kind: str,
-    trials: Sequence[Trial],
-    settings: OperatorFitSettings | None = None,
-    plays: int = 4,
-    limits: DeviceLimits | None = None,
-    progress: FitProgress | None = None,
-) -> tuple[Simulator, ChainFit]:
-    """Identify an operator and wrap it as a simulator.
-
-    Args:
-        kind: `backlash` (S2 eq. (1)-(2)) or `pi` (S2 eq. (4)).
-        trials: uniformly sampled at one rate, in one unit.
-        settings: of the least-squares fit.
-        plays: number of plays of a `pi`.
-        limits: what the device may be sent.
-        progress: see `fit_chain`.
-
-    Raises:
-        FitError: on an unknown kind, unusable trials, or lines that cross within the trained range.
-    """
-    check_trial_set(trials)
-    settings = settings or OperatorFitSettings()
-    if kind not in OPERATOR_KINDS:
-        raise FitError(f"no operator kind {kind!r}, {did_you_mean(kind, OPERATOR_KINDS)}")
-    starts = backlash_starts(trials) if kind == "backlash" else prandtl_ishlinskii_starts(trials, plays)
-    fit = fit_chain(starts, trials, settings, progress)
-    method = "bounded least squares on free runs"
-    return (
-        simulator_of(fit.chain, trials, limits or DeviceLimits(), method, settings.seed, settings.skip_first_flexure),
-        fit,
-    )
 
 
 def simulator_of(
@@ -119,23 +67,31 @@ def simulator_of(
         )
 
     model = ChainModel(build(()))
-    return build(tuple(_residual(model, trial, skip_first_flexure) for trial in trials))
+    runs = [(trial, evaluate(model, trial, skip_first_flexure)) for trial in trials]
+    return build(tuple(residual(trial, trial, run.theta, run.start) for trial, run in runs))
 
 
-def _residual(model: ChainModel, trial: Trial, skip_first_flexure: bool) -> Residual:
-    result = evaluate(model, trial, skip_first_flexure)
-    error = (result.theta - trial.angle)[result.start :]
+def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:
+    """What a simulator leaves unexplained on a trial.
+
+    Args:
+        log: as recorded, for its name and fingerprint.
+        trial: at the simulator's rate.
+        theta: the simulator's free run (T,) [deg].
+        start: first sample that counts.
+    """
+    error = (theta - trial.angle)[start:]
     around = error - error.mean()
     power = float(np.sum(around**2))
     held = float(np.mean(segment(trial).labels == Motion.HOLD))
     return Residual(
-        log=Path(trial.source).name,
+        log=Path(log.source).name,
         motion="holds" if held >= HOLDS_SHARE else "continuous",
         samples=error.size,
-        rmse_deg=result.errors.rmse_deg,
-        bias_deg=result.errors.bias_deg,
+        rmse_deg=float(np.sqrt(np.mean(error**2))),
+        bias_deg=float(np.mean(error)),
         lag_one=float(np.clip(np.sum(around[1:] * around[:-1]) / power, -1, 1)) if power > 0 else 0.0,
-        fingerprint=fingerprint([trial]),
+        fingerprint=fingerprint([log]),
     )
 
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 
-from ..contract.metadata import Range
+from ..contract.metadata import InitialRule, ModelMetadata, Range
+from ..model import Array
 
 LEAST_SAMPLES = 50
 
@@ -61,3 +64,65 @@ def check_trial_set(trials: Sequence[Trial]) -> float:
             if np.ptp(signal) <= 1e-9 * max(1.0, float(np.max(np.abs(signal)))):
                 raise FitError(f"{trial.source}: the {name} is constant at {signal[0]:.6g}, expected a motion")
     return dt
+
+
+Fact = str | float | int | bool
+
+
+def facts_of(
+    kind: str,
+    trials: Sequence[Trial],
+    limits: DeviceLimits,
+    rules: tuple[InitialRule, InitialRule],
+    warmup_samples: int,
+    training: Mapping[str, Fact],
+) -> ModelMetadata:
+    """Metadata of a model identified on `trials`: ranges, fingerprint and names of the logs are theirs.
+
+    Args:
+        kind: name of the kind.
+        trials: all that it was given.
+        limits: what the device may be sent; what the trials show where left out.
+        rules: `initial` and `conditioned`.
+        warmup_samples: see `ModelMetadata`.
+        training: further facts.
+
+    Raises:
+        FitError: on unusable trials.
+        ModelError: if they are beyond what a model file may say.
+    """
+    dt, trained = check_trial_set(trials), command_range(trials)
+    return ModelMetadata.of(
+        kind=kind,
+        dt_s=dt,
+        command_unit=trials[0].units.command,
+        angle_unit=trials[0].units.angle,
+        command_limits=limits.command or trained,
+        command_rate=limits.rate_per_s or fastest_command(trials),
+        trained_command=trained,
+        trained_angle=angle_range(trials),
+        trained_rate=fastest_command(trials),
+        initial=rules[0],
+        conditioned=rules[1],
+        warmup_samples=warmup_samples,
+        training_data_hash=fingerprint(trials),
+        training={**training, "logs": ", ".join(Path(trial.source).name for trial in trials)},
+    )
+
+
+def fixed_rule(state: Array) -> InitialRule:
+    """A start (S,) that does not depend on the measured angle."""
+    return InitialRule(offset=tuple(state.tolist()), slope=(0.0,) * state.size)
+
+
+@dataclass(frozen=True)
+class DeviceLimits:
+    """What the device may be sent; None takes what the trials show.
+
+    Attributes:
+        command: least and greatest command [mm or bar].
+        rate_per_s: greatest change of the command [mm/s or bar/s].
+    """
+
+    command: Range | None = None
+    rate_per_s: float | None = None

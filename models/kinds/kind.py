@@ -11,7 +11,7 @@ from hystmpc.trials.errors import FitError, did_you_mean
 from hystmpc.trials.trial import Trial
 
 from ..contract.bundle import ExportBundle
-from ..identify.simulator import DeviceLimits
+from ..identify.trial_set import DeviceLimits
 from ..simulator import Simulator
 
 Progress = Callable[[int, float], None]

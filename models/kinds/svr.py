@@ -12,7 +12,7 @@ from hystmpc.trials.trial import Trial
 from ..contract.bundle import ExportBundle
 from ..fit.svr_ import SvrFit, fit_svr
 from ..fit.svr_settings import SVR_PRESETS, SvrSettings
-from ..identify.facts import facts_of, fixed_rule
+from ..identify.trial_set import facts_of, fixed_rule
 from ..probe import probe_commands
 from ..svr.graph import svr_step_graph
 from ..svr.step import SvrStep

@@ -1,39 +1,68 @@
-"""The one list of operators: simulator files, tests and the command line read it."""
+"""Operators by name, and operators in plain data: simulator files, effects and the command line read them."""
 
 from __future__ import annotations
 
+import importlib
+import inspect
+import pkgutil
 from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from hystmpc.trials.errors import ModelError, did_you_mean
 
-from .asymmetry import Asymmetry
-from .backlash import Backlash, InverseBacklash
-from .bouc_wen import BoucWen
-from .contact import Contact
-from .creep import Creep
-from .deadband import Deadband
-from .delay import Delay
-from .directional_gain import DirectionalGain
-from .drdpi import Drdpi, InverseDrdpi
-from .drift import Drift
-from .first_flexure import FirstFlexure
-from .lag import Lag
-from .nonlinear_gain import NonlinearGain
 from .operator import Operator, values_from
-from .periodic_disturbance import PeriodicDisturbance
-from .play import Play
-from .prandtl_ishlinskii import InversePrandtlIshlinskii, PrandtlIshlinskii
-from .rate_dependence import RateDependence
-from .rate_limit import RateLimit
-from .sensor import Sensor
-from .servo import Servo
-from .slack import Slack
-from .stick_slip import StickSlip
-from .trial_shift import TrialShift
 
 _LIMITS = (1, 1000)
 _GUESSED = range(1, 9)
+
+
+@cache
+def operators() -> Mapping[str, type[Operator]]:
+    """Every operator by name: the concrete subclasses of `Operator` in the modules of this package."""
+    package, folder = __name__.rpartition(".")[0], str(Path(__file__).parent)
+    modules = [importlib.import_module(f"{package}.{found.name}") for found in pkgutil.iter_modules([folder])]
+    found = [kind for module in modules for kind in vars(module).values() if inspect.isclass(kind)]
+    kinds = [kind for kind in found if issubclass(kind, Operator) and not inspect.isabstract(kind)]
+    return MappingProxyType({kind.name: kind for kind in kinds})
+
+
+def operator_from(spec: Any, where: str) -> Operator:
+    """Build an operator from `{operator: NAME, <sizes>, parameters: {NAME: value}}`.
+
+    Raises:
+        ModelError: on an unknown operator or key, a missing size, a missing, unknown or out-of-bounds parameter.
+    """
+    if not isinstance(spec, dict) or "operator" not in spec:
+        raise ModelError(f"{where}: got {spec!r}, expected a mapping with the key 'operator'")
+    kinds = operators()
+    name = str(spec["operator"])
+    if name not in kinds:
+        raise ModelError(f"{where}: no operator {name!r}, {did_you_mean(name, kinds)}")
+    kind = kinds[name]
+    for key in spec:
+        if key not in ("operator", "parameters", *kind.shape):
+            raise ModelError(f"{where}: unknown key {key!r}, {did_you_mean(key, ['parameters', *kind.shape])}")
+    given = spec.get("parameters")
+    if not isinstance(given, dict) or not all(is_number(v) for v in given.values()):
+        raise ModelError(f"{where}: {name}.parameters is {given!r}, expected a mapping of numbers")
+    template = template_from(kind, spec, given, where)
+    try:
+        return template.with_values(values_from(name, [p.name for p in template.parameters], given))
+    except ModelError as error:
+        raise ModelError(f"{where}: {error}") from None
+
+
+def operator_spec(operator: Operator) -> dict[str, Any]:
+    """Plain data from which `operator_from` builds the same operator."""
+    names = (parameter.name for parameter in operator.parameters)
+    return {
+        "operator": operator.name,
+        **{key: size for key, size in operator.structure.items() if size != operator.default_sizes.get(key)},
+        "parameters": dict(zip(names, operator.values, strict=True)),
+    }
 
 
 def template_from(kind: type[Operator], spec: Mapping[str, Any], given: Iterable[str], where: str) -> Operator:
@@ -71,69 +100,3 @@ def is_number(value: Any) -> bool:
 def _check_size(value: Any, limits: tuple[int, int], where: str) -> None:
     if not isinstance(value, int) or isinstance(value, bool) or not limits[0] <= value <= limits[1]:
         raise ModelError(f"{where} is {value!r}, expected a whole number from {limits[0]} to {limits[1]}")
-
-
-OPERATORS: tuple[type[Operator], ...] = (
-    Play,
-    Backlash,
-    InverseBacklash,
-    PrandtlIshlinskii,
-    InversePrandtlIshlinskii,
-    Deadband,
-    Drdpi,
-    InverseDrdpi,
-    BoucWen,
-    Lag,
-    Servo,
-    RateLimit,
-    Delay,
-    RateDependence,
-    Creep,
-    Drift,
-    FirstFlexure,
-    Slack,
-    StickSlip,
-    Contact,
-    NonlinearGain,
-    Asymmetry,
-    DirectionalGain,
-    TrialShift,
-    PeriodicDisturbance,
-    Sensor,
-)
-
-
-def operator_from(spec: Any, where: str) -> Operator:
-    """Build an operator from `{operator: NAME, <sizes>, parameters: {NAME: value}}`.
-
-    Raises:
-        ModelError: on an unknown operator or key, a missing size, a missing, unknown or out-of-bounds parameter.
-    """
-    if not isinstance(spec, dict) or "operator" not in spec:
-        raise ModelError(f"{where}: got {spec!r}, expected a mapping with the key 'operator'")
-    kinds = {kind.name: kind for kind in OPERATORS}
-    name = str(spec["operator"])
-    if name not in kinds:
-        raise ModelError(f"{where}: no operator {name!r}, {did_you_mean(name, kinds)}")
-    kind = kinds[name]
-    for key in spec:
-        if key not in ("operator", "parameters", *kind.shape):
-            raise ModelError(f"{where}: unknown key {key!r}, {did_you_mean(key, ['parameters', *kind.shape])}")
-    given = spec.get("parameters")
-    if not isinstance(given, dict) or not all(is_number(v) for v in given.values()):
-        raise ModelError(f"{where}: {name}.parameters is {given!r}, expected a mapping of numbers")
-    template = template_from(kind, spec, given, where)
-    try:
-        return template.with_values(values_from(name, [p.name for p in template.parameters], given))
-    except ModelError as error:
-        raise ModelError(f"{where}: {error}") from None
-
-
-def operator_spec(operator: Operator) -> dict[str, Any]:
-    """Plain data from which `operator_from` builds the same operator."""
-    names = (parameter.name for parameter in operator.parameters)
-    return {
-        "operator": operator.name,
-        **{key: size for key, size in operator.structure.items() if size != operator.default_sizes.get(key)},
-        "parameters": dict(zip(names, operator.values, strict=True)),
-    }

@@ -14,7 +14,8 @@ from hystmpc.models.evaluate import evaluate, evaluation_json, mean_errors
 from hystmpc.models.identify.chain_fit import FreeParameters, Tracker
 from hystmpc.models.identify.chain_kinds import backlash_starts
 from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
-from hystmpc.models.identify.simulator import DeviceLimits, identify
+from hystmpc.models.identify.methods import identify
+from hystmpc.models.identify.trial_set import DeviceLimits
 from hystmpc.trials.csv_ import read_csv
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.resample import resample

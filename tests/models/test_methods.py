@@ -38,7 +38,7 @@ SHORT: dict[str, MethodSettings] = {
     "cmaes": GlobalSettings(200, 12),
 }
 WITHIN = {"least_squares": 1e-6, "adam": 0.1, "iterated": 1e-6, "global": 0.1, "cmaes": 0.1}  # [deg]
-NAMES = [method.name for method in METHODS]
+NAMES = list(METHODS)
 
 
 def fitted(method: str, kind: str = "backlash", **changes: object) -> tuple[Chain, object]:

@@ -20,7 +20,8 @@ from hystmpc.models.fit.play_kernel import fit_play_kernel
 from hystmpc.models.fit.play_kernel_bundle import play_kernel_bundle
 from hystmpc.models.fit.play_kernel_settings import PlayKernelSettings
 from hystmpc.models.identify.least_squares import OperatorFitSettings
-from hystmpc.models.identify.simulator import DeviceLimits, identify
+from hystmpc.models.identify.methods import identify
+from hystmpc.models.identify.trial_set import DeviceLimits
 from hystmpc.models.inverse.one_step import CompiledInverse
 from hystmpc.models.kinds.kind import FitRequest, Identified
 from hystmpc.models.kinds.play_kernel import PlayKernelKind
