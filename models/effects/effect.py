@@ -75,8 +75,8 @@ class Scale:
         command = np.concatenate([run.command for run in runs])
         angle = np.quantile(np.concatenate([run.angle for run in runs]), (0.01, 0.99))
         durations = [run.command.size * run.dt_s for run in runs]
-        ends = (command.min(), command.max(), angle[0], angle[1])
-        return cls(*map(float, ends), max(durations), sum(durations), runs[0].dt_s)
+        low, high, angle_low, angle_high = map(float, (command.min(), command.max(), angle[0], angle[1]))
+        return cls(low, high, angle_low, angle_high, max(durations), sum(durations), runs[0].dt_s)
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ class CrossValidation:
         return Hypothesis(problem, best.q, best.mse)
 
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
-        """A hypothesis less some of its causes, fitted anew from where it stands."""
+        """A hypothesis less some of its causes, fitted anew from its present values."""
         problem = hypothesis.problem
         values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
         kept = [(c, v) for c, v in zip(problem.effects, values, strict=True) if c.effect not in dropped]
@@ -135,7 +135,7 @@ def gain(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:
     return float(difference.sum() / total), float(np.sqrt(variance) / total)
 
 
-def apart(one: HeldOutErrors, other: HeldOutErrors) -> float:
-    """Mean square by which what two hypotheses say of held-out trials differs [deg^2]."""
+def mean_square_difference(one: HeldOutErrors, other: HeldOutErrors) -> float:
+    """Mean square difference of what two hypotheses predict on held-out trials [deg^2]."""
     differences = [a - b for a, b in zip(one.errors, other.errors, strict=True)]
     return float(sum(np.sum(d**2) for d in differences) / sum(d.size for d in differences))

@@ -26,7 +26,7 @@ class Run:
         counts: samples that are scored (T,).
         bent_before: greatest command of all trials recorded before [cmd]; the rest command for the first.
         clock_s: time recorded before this trial [s].
-        correction: what the nominal simulator says beyond the chain that stands for it (T,) [deg]; zero for chains.
+        correction: angle of the nominal simulator less that of the chain that represents it (T,) [deg]; zero for chains.
     """
 
     name: str

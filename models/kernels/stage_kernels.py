@@ -49,7 +49,7 @@ class StageKernels:
 
     Attributes:
         prepare: (p (P, N), dt, k, c) fills c, everything that does not change from sample to sample, for `simulate`.
-        simulate: (x (S, N), u (T, N), c, y (T, N)) runs all rows; x goes on.
+        simulate: (x (S, N), u (T, N), c, y (T, N)) runs all rows; x is updated.
         prepare_slopes, differentiate: the same for one row with tangents, (x (S,), m (S, Q), u (T,), du (T, Q), c,
             own, count, y (T,), dy (T, Q)): of the Q directions the first `count` are in use, the operator's own
             parameters from `own` on.
@@ -211,7 +211,7 @@ def _prepare(name: str, split: _Split) -> str:
 
 
 def _simulate(split: _Split, size: int) -> str:
-    """`simulate(x, u, c, y)`: x (S, N) goes on, u (T, N), y (T, N)."""
+    """`simulate(x, u, c, y)`: x (S, N) is updated, u (T, N), y (T, N)."""
     reads = [f"x{i} = x[{i}, n]" for i in range(size)] + ["u0 = u[t, n]"]
     reads += [f"{value} = c[{i}, n]" for i, value in enumerate(split.kept)]
     writes = [f"y[t, n] = {split.outputs[0, 0]}"] + [f"x[{i}, n] = {split.outputs[1, i]}" for i in range(size)]
