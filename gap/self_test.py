@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS
+from hystmpc.models.effects.place import effect_from
 from hystmpc.models.identify.corrected_simulator import settled
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.methods import identify
@@ -93,7 +95,14 @@ def _shift(random: np.random.Generator) -> Operator:
     return TrialShift(float(2.5 * random.standard_normal()), 1 + 0.04 * float(random.standard_normal()), 0.0)
 
 
-CASES: Mapping[str, _Case] = {
+def _as_shown(name: str) -> _Case:
+    """An effect at the size of its picture, on its first side."""
+    placed = effect_from({"effect": name, "parameters": dict(EFFECTS[name].shown[0])}, _DT_S)
+    operators = (placed.operator,)
+    return _Case((name,), before=operators) if placed.side == "command" else _Case((name,), after=operators)
+
+
+_CASES: Mapping[str, _Case] = {
     "none": _Case(),
     "mis-set only": _Case(off=(1.12, 3.0)),
     "lag": _Case(("lag",), (Lag(0.25),)),
@@ -112,6 +121,7 @@ CASES: Mapping[str, _Case] = {
     "sensor": _Case(("sensor",), sensor=Sensor(1.0, 0.08, 0.02, 12.0, 0.0)),
     "lag and creep": _Case(("creep", "lag"), (Lag(0.2), Creep((0.2,), (5.0,)))),
 }
+CASES: Mapping[str, _Case] = _CASES | {name: _as_shown(name) for name in DIAGNOSABLE if name not in _CASES}
 """Every truth: nothing, a merely mis-set simulator, each effect at a clear size, and two at once."""
 
 

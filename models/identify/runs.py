@@ -26,7 +26,8 @@ class Run:
         counts: samples that are scored (T,).
         bent_before: greatest command of all trials recorded before [cmd]; the rest command for the first.
         clock_s: time recorded before this trial [s].
-        correction: angle of the nominal simulator less that of the chain that represents it (T,) [deg]; zero for chains.
+        correction: angle of the nominal simulator less that of the chain that represents it (T,) [deg]; zero for a
+            chain.
     """
 
     name: str

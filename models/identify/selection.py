@@ -173,10 +173,9 @@ class Selector:
         if not terms.shift and "trial_shift" not in self._without and len(self._validation.runs) > 1:
             made.append(replace(terms, shift=True))
         if not terms.frequency_hz and "periodic_disturbance" not in self._without:
-            errors = [base.problem.error(base.q, run)[0] for run in self._validation.runs]
-            line = strongest_line(
-                list(self._validation.runs), errors, self._settings.lowest_hz, self._settings.highest_hz
-            )
+            runs, settings = list(self._validation.runs), self._settings
+            errors = [base.problem.error(base.q, run)[0] for run in runs]
+            line = strongest_line(runs, errors, settings.lowest_hz, settings.highest_hz)
             made.append(replace(terms, frequency_hz=line))
         return made
 
