@@ -121,7 +121,8 @@ _CASES: Mapping[str, _Case] = {
     "sensor": _Case(("sensor",), sensor=Sensor(1.0, 0.08, 0.02, 12.0, 0.0)),
     "lag and creep": _Case(("creep", "lag"), (Lag(0.2), Creep((0.2,), (5.0,)))),
 }
-CASES: Mapping[str, _Case] = _CASES | {name: _as_shown(name) for name in DIAGNOSABLE if name not in _CASES}
+_SHOWN = {name: _as_shown(name) for name in DIAGNOSABLE if name not in _CASES}
+CASES: Mapping[str, _Case] = {**_CASES, **_SHOWN}
 """Every truth: nothing, a merely mis-set simulator, each effect at a clear size, and two at once."""
 
 
