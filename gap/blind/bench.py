@@ -10,7 +10,7 @@ import numpy as np
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.identify.chain_kinds import backlash_starts, prandtl_ishlinskii_starts
 from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
-from hystmpc.models.identify.simulator import simulator_of
+from hystmpc.models.identify.methods import simulator_of
 from hystmpc.models.identify.trial_set import DeviceLimits
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import FitError

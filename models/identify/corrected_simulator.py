@@ -26,8 +26,8 @@ from ..simulator import Identification, Residual, Simulator
 from .baseline import Baseline
 from .cross_validation import Hypothesis
 from .free_run import StagedChain
+from .methods import residual
 from .runs import Run
-from .simulator import residual
 from .trial_set import fingerprint
 
 EFFECTS_FILE = "effects.yaml"

@@ -9,8 +9,7 @@ from hystmpc.trials.trial import Trial
 
 from ..export_simulator import simulator_bundle
 from ..identify.chain_kinds import Structure
-from ..identify.methods import METHODS, identify_chain
-from ..identify.simulator import simulator_of
+from ..identify.methods import METHODS, identify_chain, simulator_of
 from ..identify.trial_set import DeviceLimits
 from ..model import FitProgress
 from .kind import FitRequest, Identified, ModelKind
