@@ -23,8 +23,8 @@ from rich.console import Console
 from rich.table import Table
 
 from hystmpc.gap.procedure import conclude, investigate
-from hystmpc.models.fit.identify import identify
-from hystmpc.models.fit.operators import OperatorFitSettings
+from hystmpc.models.identify.least_squares import OperatorFitSettings
+from hystmpc.models.identify.methods import identify
 from hystmpc.models.simulator import Simulator
 from hystmpc.studies.blind.cores import RATE_HZ, CapstanCore, DahlCore, RodCore
 from hystmpc.studies.blind.device import BlindDevice

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.friction import Asymmetry, RateDependence
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.operators.slow_changes import Creep, Drift, FirstFlexure
 from hystmpc.models.operators.static_curves import Contact, NonlinearGain, Slack
-from hystmpc.models.staged.chain_run import StagedChain
 
 DT_S = 0.04
 CHAIN = Chain(

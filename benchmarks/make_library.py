@@ -16,7 +16,7 @@ from rich.progress import Progress
 
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
-from hystmpc.models.fit.identify import identify
+from hystmpc.models.identify.methods import identify
 from hystmpc.models.kinds.networks import NETWORK_PRESETS
 from hystmpc.models.library import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator

@@ -11,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from hystmpc.models.effects.catalogue import EFFECTS
-from hystmpc.models.effects.describe import library_data, parameter_lines
+from hystmpc.models.effects.place import library_data, parameter_lines
 from hystmpc.trials.run_folder import require_vacant
 
 from .console import out

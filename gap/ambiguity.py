@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from .hypothesis import CrossValidation, HeldOutErrors, apart, gain
-from .select import Selection
+from hystmpc.models.identify.cross_validation import CrossValidation, HeldOutErrors, gain, mean_square_difference
+from hystmpc.models.identify.selection import Selection
+
 from .verdict_settings import VerdictSettings
 from .within_trials import drift_is_significant
 
@@ -45,4 +46,4 @@ def _told_apart(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSe
     small the difference of the errors is beside the gap, it decides if a and b differ by no more.
     """
     fall, error = gain(other, chosen)
-    return fall > settings.nearer * apart(chosen, other) and fall > settings.nearer_errors * error
+    return fall > settings.nearer * mean_square_difference(chosen, other) and fall > settings.nearer_errors * error

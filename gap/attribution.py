@@ -6,14 +6,15 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from .candidate import Scale
-from .candidates import candidates
+from hystmpc.models.effects.catalogue import candidates
+from hystmpc.models.effects.effect import Scale
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.selection import OWN_TO_TRIALS, Selection, SelectionSettings, select
+
 from .diagnosis import Gap
 from .floor import Floor, find_floor
-from .hypothesis import CrossValidation, Hypothesis
 from .jumps import Jumps, find_jumps
 from .preparation import Prepared
-from .select import OWN_TO_TRIALS, Selection, SelectionSettings, select
 from .verdict import Ruling, rule, sensor_matters
 from .verdict_settings import VerdictSettings
 

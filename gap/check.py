@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.identify.runs import Before
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.check_time import require_seconds
 from hystmpc.trials.errors import GapError
@@ -18,7 +19,6 @@ from hystmpc.trials.trial import Trial
 from .confusable import Confusable, confusability
 from .dependence import dependence
 from .excitation import Excitation, excitation_of
-from .recording import Before
 from .trial_choice import LEAST_S, MOST_HZ, choose_trials
 from .workload import Workload
 

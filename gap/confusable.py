@@ -31,19 +31,6 @@ class Confusable:
     one_class: bool = False
 
 
-CONFUSABLE = (
-    ("lag", "delay", "rate_dependence"),
-    ("lag", "creep"),
-    ("creep", "first_flexure"),
-    ("creep", "drift"),
-    ("stick_slip", "lag"),
-    ("slack", "nonlinear_gain"),
-    ("contact", "nonlinear_gain"),
-)
-"""Effects that some motions cannot tell apart (design, section 2)."""
-_ALSO = (("asymmetry", "nonlinear_gain"), ("drift", "trial_shift"))  # met in development
-
-
 def confusability(excitation: Excitation) -> tuple[Confusable, ...]:
     """The table of confusable pairs, judged for these motions."""
     return tuple(rule(excitation) for rule in _RULES)
@@ -125,8 +112,3 @@ _RULES: tuple[Callable[[Excitation], Confusable], ...] = (
     _low,
     _ends,
 )
-
-
-def confounders(name: str) -> frozenset[str]:
-    """Effects that an effect is easily taken for: what a library has to hold for its name to mean much."""
-    return frozenset(other for names in (*CONFUSABLE, *_ALSO) if name in names for other in names if other != name)

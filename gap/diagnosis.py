@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from hystmpc.models.identify.uncertainty import Interval
+
 FORMAT = "hystmpc-diagnosis/1"
 Verdict = Literal["named", "one_of", "unknown", "none", "too_little"]
 FloorKind = Literal["repeats", "noise"]
-Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)

@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hystmpc.models.contract.load import OnnxModel
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.selection import Selection
 from hystmpc.models.simulator import Simulator
 
 from .attribution import DiagnosisSettings
 from .floor import Floor
 from .gap_closed import GapClosed
-from .hypothesis import CrossValidation, Hypothesis
 from .jumps import Jumps
 from .localise import Localisation
 from .preparation import Prepared
-from .select import Selection
 from .verdict import Ruling
 
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from hystmpc.models.fit.trial_set import fingerprint
+from hystmpc.models.identify.trial_set import fingerprint
 from hystmpc.models.simulator import Identification
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.resample import resample

@@ -8,10 +8,12 @@ from typing import final
 
 import numpy as np
 
-from .blocks import Blocks, blocks_of
-from .diagnosis import Gap, Interval
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.runs import Blocks, blocks_of
+from hystmpc.models.identify.uncertainty import Interval
+
+from .diagnosis import Gap
 from .floor import Floor
-from .hypothesis import CrossValidation, Hypothesis
 from .preparation import Prepared
 from .shares import closed_interval, closed_share, final_blocks, shapley
 

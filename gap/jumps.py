@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.runs import Run
 from hystmpc.trials.types import Vec
 
-from .hypothesis import Hypothesis
-from .recording import Run
 from .sensor import SensorSigns
 
 _AROUND_S = 0.4  # of steady motion before and after a sample

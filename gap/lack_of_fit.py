@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.runs import Run
 from hystmpc.trials.types import Vec
-
-from .hypothesis import Hypothesis
-from .recording import Run
 
 _KNOTS = 10  # of a curve, in each direction
 

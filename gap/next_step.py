@@ -8,19 +8,19 @@ import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.effects.catalogue import candidates
+from hystmpc.models.effects.effect import Scale
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.problem import Problem
+from hystmpc.models.identify.selection import Selection
 from hystmpc.models.simulator import Simulator
 
-from .candidate import Scale
-from .candidates import candidates
 from .confusable import confusability
 from .diagnosis import NextMotion
 from .findings import Findings
-from .hypothesis import CrossValidation, Hypothesis
 from .motion_menu import menu
 from .next_motion import Noise, Proposal, propose
 from .predicted_response import contender_of
-from .problem import Problem
-from .select import Selection
 
 _LEAST_NOISE_DEG = 1e-3
 _TYPICAL = ("lag", "creep", "stick_slip", "contact")  # one of each family, where nothing is left to choose between

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.identify.problem import Problem
 from hystmpc.models.operators.slow_changes import Drift, FirstFlexure
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.types import Vec
 
-from .hypothesis import Hypothesis
 from .next_motion import OpenHypothesis, Simulate
 from .preparation import Prepared
-from .problem import Problem
 
 _STEP = 0.3  # of the unknowns' typical changes
 _SETTLE_S, _SETTLE_DT = 1800.0, 2.0

@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.fit.starts import prandtl_ishlinskii_starts
+from hystmpc.models.identify.baseline import Baseline, FreeCoreBaseline, ScaledBaseline, baseline_of
+from hystmpc.models.identify.chain_kinds import prandtl_ishlinskii_starts
+from hystmpc.models.identify.least_squares import fit_problem
+from hystmpc.models.identify.problem import Problem
+from hystmpc.models.identify.runs import Run, runs_of
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.models.simulator import Identification, Simulator
 from hystmpc.trials.segments import segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .baseline import Baseline, FreeCoreBaseline, ScaledBaseline, baseline_of
 from .check import Checked, check_trials
-from .fit import fit
 from .form_error import form_error_mse, nominal_noise_deg
-from .problem import Problem
-from .recording import Run, runs_of
 from .sensor import SensorSigns, repaired, sensor_signs
 from .split import split_runs
 
@@ -149,6 +149,8 @@ def _plays(copies: Sequence[Trial], command: Range) -> Chain:
         values = [0.0 if p.name == "beta" else v for p, v in zip(start.parameters, start.values, strict=True)]
         baseline = FreeCoreBaseline(start.with_values(values), command)
         problem = Problem(baseline)
-        found.append((problem, fit(problem, runs, problem.start(baseline.nominal, []), _EVALUATIONS, _TOLERANCE)))
+        found.append(
+            (problem, fit_problem(problem, runs, problem.start(baseline.nominal, []), _EVALUATIONS, _TOLERANCE))
+        )
     problem, best = min(found, key=lambda pair: pair[1].mse)
     return problem.fitted_chain(best.q)

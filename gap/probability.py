@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from hystmpc.models.effects.catalogue import EFFECTS
+
 # Ridge logistic regression on 193 names that the diagnosis gave on seeds 105, 106 and 36284719; frozen.
 _BIAS, _GENERIC, _SEVERAL, _AMBIGUOUS, _SHARE = 0.95, -0.45, -0.1, -0.8, 1.35
 # Effects that bend to almost anything: a name of theirs is worth less.
-GENERIC = frozenset({"asymmetry", "nonlinear_gain", "trial_shift"})
+GENERIC = frozenset(name for name, effect in EFFECTS.items() if effect.generic)
 
 
 _UNTRIED = -2.0  # a judgement, not a fit: below 0.8 whatever else

@@ -9,17 +9,17 @@ from dataclasses import replace
 import numpy as np
 
 from hystmpc.models.contract.load import OnnxModel
+from hystmpc.models.effects.catalogue import DIAGNOSABLE, confounders
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
 
 from .attribution import DiagnosisSettings, confirmed, decide, residual_ratio
-from .confusable import confounders
 from .diagnosis import Diagnosis, FoundEffect, NextMotion, Verdict
 from .findings import Findings
 from .floor import Floor, find_floor
 from .gap_closed import measure
-from .hypothesis import CrossValidation, Hypothesis
 from .localise import Localisation, localise
 from .next_step import next_step
 from .preparation import Prepared, prepare
@@ -30,10 +30,7 @@ from .report_data import report_data
 
 Progress = Callable[..., None]
 
-LIBRARY = (
-    *("lag", "delay", "rate_dependence", "creep", "drift", "first_flexure", "slack", "stick_slip", "contact"),
-    *("nonlinear_gain", "asymmetry", "trial_shift", "periodic_disturbance", "sensor"),
-)
+LIBRARY = DIAGNOSABLE
 _STEPS = 100  # of the progress
 
 

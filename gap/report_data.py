@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from hystmpc.models.identify.corrected_simulator import corrected_simulator, network_effects
+from hystmpc.models.identify.cross_validation import HeldOutErrors, gain
+from hystmpc.models.identify.uncertainty import parameter_rows
 from hystmpc.models.simulator import Simulator
 
 from .confusable import Confusable, confusability
 from .diagnosis import Diagnosis
 from .findings import Findings
-from .fixed_simulator import fixed_simulator, network_effects
-from .hypothesis import HeldOutErrors, gain
 from .memory import explainable_share
 from .next_motion import Proposal
-from .parameter_rows import parameter_rows
 from .report.evidence import CandidateRow, Evidence, Role, Side, TrialEvidence
 
 
@@ -35,14 +35,20 @@ def report_data(findings: Findings, diagnosis: Diagnosis, proposal: Proposal | N
         excitation=prepared.checked.excitation,
         candidates=_candidates(findings, diagnosis),
         confusable=rows,
-        parameters=parameter_rows(findings.chosen, prepared.development, diagnosis.effects),
+        parameters=parameter_rows(
+            findings.chosen, prepared.development, {e.name: e.parameters for e in diagnosis.effects}
+        ),
         localisation=findings.places,
         noise_deg=findings.floor.noise_deg,
         ceiling_share=_ceiling(findings),
         proposal=proposal,
         cannot_show=tuple(_sentence(row) for row in rows if not row.separable and not row.one_class),
         fixed=_fixed(findings),
-        files={} if chain_based else network_effects(findings.chosen, prepared, "the network"),
+        files={}
+        if chain_based
+        else network_effects(
+            findings.chosen, prepared.baseline, prepared.everything[-1], prepared.checked.dt, "the network"
+        ),
         seed=findings.seed,
         seconds=findings.seconds,
     )
@@ -53,7 +59,14 @@ def _fixed(findings: Findings) -> Simulator | None:
     simulator, prepared = findings.simulator, findings.prepared
     if prepared.unrelated or not isinstance(simulator, Simulator):
         return None
-    return fixed_simulator(simulator, findings.chosen, prepared)
+    return corrected_simulator(
+        simulator,
+        findings.chosen,
+        prepared.everything,
+        prepared.development,
+        prepared.checked.trials,
+        prepared.given,
+    )
 
 
 def _sentence(row: Confusable) -> str:

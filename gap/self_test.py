@@ -9,7 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.fit.identify import identify
+from hystmpc.models.identify.corrected_simulator import settled
+from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.identify.methods import identify
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.friction import Asymmetry, RateDependence, StickSlip
 from hystmpc.models.operators.measurement import PeriodicDisturbance, Sensor
@@ -18,12 +20,10 @@ from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.operators.slow_changes import Creep, Drift, FirstFlexure, TrialShift
 from hystmpc.models.operators.static_curves import Contact, NonlinearGain, Slack
 from hystmpc.models.simulator import Simulator
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from .diagnosis import Diagnosis
-from .predicted_response import settled
 from .procedure import conclude, investigate
 
 Progress = Callable[..., None]

@@ -8,9 +8,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from .blocks import Blocks, blocks_of
-from .hypothesis import Hypothesis
-from .recording import Run
+from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.runs import Blocks, Run, blocks_of
 
 _DRAWS = 400
 

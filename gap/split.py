@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from hystmpc.models.identify.runs import Run
 from hystmpc.trials.types import Vec
-
-from .recording import Run
 
 FINAL_SHARE = 0.25
 _LEAST_TRIALS = 3

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.identify.runs import Before
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.resample import gap_limit_s, resample
 from hystmpc.trials.trial import Trial
 
 from .motion_type import MotionType, command_segments, motion_type
-from .recording import Before
 from .workload import Workload, affordable
 
 MOST_HZ = 50.0

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hystmpc.models.identify.cross_validation import CrossValidation
+from hystmpc.models.identify.runs import Run
+from hystmpc.models.identify.selection import Selection
+
 from .ambiguity import ambiguity_of
 from .diagnosis import Verdict
-from .hypothesis import CrossValidation
 from .lack_of_fit import remaining_curvature
 from .preparation import Prepared
-from .recording import Run
-from .select import Selection
 from .verdict_settings import VerdictSettings
 from .within_trials import slow_within
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from .hypothesis import CrossValidation, Hypothesis
-from .recording import Run
-from .uncertainty import uncertainty
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.runs import Run
+from hystmpc.models.identify.uncertainty import uncertainty
 
 _SLOW_S = 3.0
 

@@ -10,12 +10,13 @@ from typing import Literal
 
 import numpy as np
 
+from hystmpc.models.identify.uncertainty import ParameterRow
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..confusable import Confusable
-from ..diagnosis import Diagnosis, Interval
+from ..diagnosis import Diagnosis
 from ..excitation import Excitation
 from ..localise import Localisation
 from ..next_motion import Proposal
@@ -84,28 +85,6 @@ class CandidateRow:
     standard_error_deg: float
     probability: float
     chosen: bool = False
-
-
-@dataclass(frozen=True)
-class ParameterRow:
-    """One identified number of the corrected simulator.
-
-    Attributes:
-        owner: effect, or `baseline`.
-        name: with its unit, as `tau_s`.
-        value, ci90: identified value and its 90 % interval, not-a-number where unknown.
-        neutral: value at which it does nothing; None for a baseline quantity.
-        at_bound: whether it ended at an edge of its range.
-        flat: whether the logs do not determine it.
-    """
-
-    owner: str
-    name: str
-    value: float
-    ci90: Interval
-    neutral: float | None = None
-    at_bound: bool = False
-    flat: bool = False
 
 
 @dataclass(frozen=True, eq=False)

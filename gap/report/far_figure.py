@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hystmpc.models.identify.uncertainty import Interval
 from hystmpc.trials.plot_style import REFERENCE, new_figure
 
-from ..diagnosis import Gap, Interval
+from ..diagnosis import Gap
 from .evidence import Evidence, Stage, TrialEvidence
 from .intervals import rmse_interval
 from .look import COLOUR, INTERVAL, LABEL, MARKER, short, shown

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystmpc.models.identify.uncertainty import Interval
 from hystmpc.trials.types import Vec
 
-from ..diagnosis import Interval
 from .evidence import Stage, TrialEvidence
 
 _BLOCK_S, _LEAST_BLOCKS = 2.0, 4

@@ -1,188 +1,384 @@
-"""The one list of effects; plants, simulator files and the diagnosis read it."""
+"""The one list of effects: equation, sides, bounds, starts, confounders, and what separates each from its neighbours.
+
+To add an effect: write its operator in `models/operators/`, its forms and its entry here, and, for the blind check, a
+generator. The diagnosis, `hystmpc effects`, the pictures, the self-test and the blind check read this list.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 
-from ..operators.dynamics import Delay, Lag
+from ..operators.dynamics import Delay, Lag, RateLimit, Servo
 from ..operators.friction import NEVER, Asymmetry, DirectionalGain, RateDependence, StickSlip
 from ..operators.measurement import PeriodicDisturbance, Sensor
-from ..operators.operator import Operator
 from ..operators.slow_changes import Creep, Drift, FirstFlexure, TrialShift
 from ..operators.static_curves import Contact, NonlinearGain, Slack
-from .effect import Effect, Free, Side
+from .effect import CORE, Candidate, Effect, Freedom, Scale, Side
 
-BOTH: tuple[Side, ...] = ("command", "output")
-OUTPUT: tuple[Side, ...] = ("output", "command")
+LONGEST_DELAY_S = 0.4
+_OUTPUT: tuple[Side, ...] = ("output", "command")
+
+# Forms: bounds and starts are sized by the data; the verdicts of the diagnosis were calibrated with these numbers.
 
 
-def _effect(
-    operator: type[Operator],
-    equation: str,
-    apart: str,
-    neutral: Mapping[str, float],
-    free: tuple[Free, ...],
-    sides: tuple[Side, ...] = BOTH,
-    defaults: Mapping[str, float] | None = None,
-    why_side: str = "",
-    clocks: tuple[str, ...] = (),
-) -> Effect:
-    return Effect(operator.name, operator, sides, neutral, free, equation, apart, defaults or {}, why_side, clocks)
+def _lag(s: Scale) -> list[Candidate]:
+    free = (Freedom("tau_s", 0.1 * s.dt_s, 5.0, 0.0),)
+    two = (Freedom("tau_up_s", 0.1 * s.dt_s, 5.0, 0.0), Freedom("tau_down_s", 0.1 * s.dt_s, 5.0, 0.0))
+    starts = tuple((tau,) for tau in (1.5 * s.dt_s, 0.25))
+    damped = (*free, Freedom("damping", 0.4, 0.98, 0.1))
+    ringing = tuple((*start, 0.75) for start in starts)
+    limited = (Freedom("top_speed", 0.02 * s.span, 50 * s.span, 0.0), *damped)
+    slow = tuple((2.0 * s.span, *start) for start in ringing)
+    one, ways = Lag(0.1, hold=1), Lag(0.1, (0.1,), 1)
+    return [
+        Candidate("lag", "command", "command", 20, (one,), free, starts),
+        Candidate("lag", "output", "output", 50, (one,), free, starts),
+        Candidate("lag", "two poles", "command", 20, (one, one), free, starts),
+        Candidate("lag", "servo", "command", 20, (Servo(0.1, 0.7),), damped, ringing),
+        Candidate("lag", "top speed", "command", 20, (RateLimit(1.0), Servo(0.1, 0.7)), limited, slow),
+        Candidate("lag", "two ways", "command", 20, (ways,), two, ((0.1, 0.2), (0.3, 0.1))),
+    ]
+
+
+def _delay(s: Scale) -> list[Candidate]:
+    free = (Freedom("delay_s", 0.0, LONGEST_DELAY_S, 0.5 * s.dt_s),)
+    operator = Delay.at_rate(LONGEST_DELAY_S, s.dt_s)
+    return [Candidate("delay", "command", "command", 10, (operator,), free, ((0.6 * s.dt_s,), (3.2 * s.dt_s,)))]
+
+
+def _rate_dependence(s: Scale) -> list[Candidate]:
+    free, kept = (Freedom("width_s", 0.0, 0.5, 0.01),), Freedom("recovery_s", 0.5 * s.dt_s, 30.0, 0.0)
+    growth = Freedom("growth", -0.5 / s.span, 5.0 / s.span, 0.2 / s.span)
+    skew = Freedom("skew", -0.9, 0.9, 0.2)
+    thinning = Freedom("thinning", 0.0, 20.0 / s.span, 0.5 / s.span)
+    over = Freedom("lost_over", 1e-3 * s.span, s.span, 0.0)
+    starts = ((0.01,), (0.05,))
+    skewed = ((0.02, 0.08, 0.0, -0.3, 0.5 / s.span), (0.02, 0.08, 2.0 / s.span, -0.5, 0.5 / s.span))
+    dahl = ((0.02, 0.1 * s.span, 0.0, 0.3 / s.span), (0.05, 0.3 * s.span, 0.0, 0.3 / s.span))
+    plain, lasting = RateDependence(0.0), RateDependence(0.0, recovery_s=1e4)
+    return [
+        Candidate("rate_dependence", "command", "command", 60, (plain,), free, starts),
+        Candidate("rate_dependence", "skewed", "command", 60, (plain,), (*free, kept, growth, skew, thinning), skewed),
+        Candidate("rate_dependence", "presliding", "command", 60, (lasting,), (*free, over, growth, thinning), dahl),
+    ]
+
+
+def _creep(s: Scale) -> list[Candidate]:
+    free = (Freedom("share", -1.0, 0.6, 0.05), Freedom("tau_s", 0.5, 3 * s.duration_s, 0.0))
+    starts = tuple((share, tau) for tau in (2.0, 10.0) for share in (0.05, -0.1))
+    return [
+        Candidate("creep", "command", "command", 30, (Creep((0.0,), (5.0,)),), free, starts),
+        Candidate("creep", "output", "output", 30, (Creep((0.0,), (5.0,)),), free, starts),
+    ]
+
+
+def _drift(s: Scale) -> list[Candidate]:
+    per_min = 60.0 / s.total_s
+    offset = Freedom("offset_per_min", -s.angle_span * per_min, s.angle_span * per_min, 0.02 * s.angle_span * per_min)
+    gain = Freedom("gain_per_min", -0.5 * per_min, 0.5 * per_min, 0.02 * per_min)
+    made = []
+    for variant, free, starts in (("offset", (offset,), ((0.0,),)), ("gain", (gain,), ((0.0,),))):
+        for carries in ("clock", ""):
+            kind = f"{variant}, {'over all trials' if carries else 'in each trial'}"
+            made.append(Candidate("drift", kind, "output", 60, (Drift(0.0, 0.0, 0.0),), free, starts, carries))
+    return made
+
+
+def _first_flexure(s: Scale) -> list[Candidate]:
+    free = (
+        Freedom("set", -0.6, 1.5, 0.05),
+        Freedom("threshold", s.low - 0.2 * s.span, s.high, 0.1 * s.span),
+    )
+    starts = tuple((value, s.low + at * s.span) for value in (0.05, -0.1) for at in (0.02, 0.4))
+    operator = FirstFlexure(0.0, s.low)
+    at_tip = Freedom("threshold", s.angle_low - 0.2 * s.angle_span, s.angle_high, 0.1 * s.angle_span)
+    tip = (free[0], at_tip, Freedom("tau_s", 0.5 * s.dt_s, s.duration_s, 0.0))
+    begin = tuple((0.2, s.angle_low + at * s.angle_span, tau) for at, tau in ((0.05, 0.2), (0.4, 0.2), (0.2, 2.0)))
+    return [
+        Candidate("first_flexure", "once", "command", 40, (operator,), free, starts, "bend"),
+        Candidate("first_flexure", "every trial", "command", 40, (operator,), free, starts),
+        Candidate("first_flexure", "late, of the tip", "output", 35, (FirstFlexure(0.0, s.angle_low),), tip, begin),
+    ]
+
+
+def _slack(s: Scale) -> list[Candidate]:
+    free = (Freedom("slack", 0.0, 0.6 * s.span + max(s.low, 0.0), 0.05 * s.span),)
+    starts = tuple((max(s.low, 0.0) + share * s.span,) for share in (0.03, 0.15))
+    toe = Freedom("toe", 1e-3 * s.span, 0.4 * s.span, 0.0)
+    rounded = tuple((*start, 0.05 * s.span) for start in starts)
+    return [
+        Candidate("slack", "sharp", "command", 50, (Slack(0.0),), free, starts),
+        Candidate("slack", "rounded", "command", 50, (Slack(0.0),), (*free, toe), rounded),
+    ]
+
+
+def _stick_slip(s: Scale) -> list[Candidate]:
+    return [_stick_slip_on("command", 70, s.span), _stick_slip_on("output", 5, s.angle_span)]
+
+
+def _stick_slip_on(side: Side, order: int, span: float) -> Candidate:
+    free = (Freedom("break_away", 0.0, 0.5 * span, 0.02 * span), Freedom("stribeck_speed", 1e-2 * span, 20 * span, 0.0))
+    starts = tuple((0.03 * span, speed * span) for speed in (0.1, 1.0))
+    return Candidate("stick_slip", side, side, order, (StickSlip(0.0, 1.0),), free, starts)
+
+
+def _contact(s: Scale) -> list[Candidate]:
+    free = (
+        Freedom("angle", s.angle_low, s.angle_high, 0.1 * s.angle_span),
+        Freedom("stiffness_ratio", 0.0, 1.0, 0.1),
+    )
+    toe = Freedom("toe", 1e-3 * s.angle_span, 0.25 * s.angle_span, 0.0)
+    starts = tuple((s.angle_low + at * s.angle_span, 0.8) for at in (0.4, 0.65, 0.85))
+    soft = tuple((s.angle_low + at * s.angle_span, 0.6, 0.1 * s.angle_span) for at in (0.4, 0.65))
+    return [
+        Candidate("contact", "output", "output", 10, (Contact(0.0, 1.0),), free, starts),
+        Candidate("contact", "soft", "output", 10, (Contact(0.0, 1.0),), (*free, toe), soft),
+    ]
+
+
+def _nonlinear_gain(s: Scale) -> list[Candidate]:
+    made = []
+    for side, low, span in (("output", s.angle_low, s.angle_span), ("command", s.low, s.span)):
+        free = (
+            Freedom("quadratic", -0.8 / span, 0.8 / span, 0.05 / span),
+            Freedom("cubic", -1.2 / span**2, 1.2 / span**2, 0.1 / span**2),
+        )
+        operator = NonlinearGain(0.0, 0.0, low + 0.5 * span)
+        made.append(Candidate("nonlinear_gain", side, side, 20, (operator,), free, ((0.0, 0.0),)))  # type: ignore[arg-type]
+    return made
+
+
+def _asymmetry(s: Scale) -> list[Candidate]:
+    above = Freedom("slope_ratio_above", 1.0, 3.0, 0.05)
+    below = Freedom("slope_ratio_below", 0.2, 1.0, 0.05)
+    pivot = Freedom("pivot", s.angle_low, s.angle_high, 0.1 * s.angle_span)
+    starts = tuple((1.05, 0.95, s.angle_low + at * s.angle_span) for at in (0.1, 0.5, 0.9))
+    free = (above, below, pivot)
+    gain, turn = Freedom("gain", -0.6, 0.6, 0.05), Freedom("turn", 1e-3 * s.angle_span, 0.3 * s.angle_span, 0.0)
+    begin = [(g, s.angle_low + at * s.angle_span, 0.03 * s.angle_span) for g in (0.03, -0.03) for at in (0.1, 0.6)]
+    operator = DirectionalGain(0.0, 0.0, 1.0)
+    return [
+        Candidate("asymmetry", "output", "output", 40, (Asymmetry(1.0, 1.0, 0.0),), free, starts),
+        Candidate("asymmetry", "directional", "output", 40, (operator,), (gain, pivot, turn), tuple(begin)),
+    ]
 
 
 _LIST = (
-    _effect(
-        Lag,
-        "tau y' + y = u; tau_up_s while y rises and tau_down_s while it falls, if given",
-        "From delay and rate dependence: fast steps and small sines of 2 to 4 Hz. Of actuator and sensor: one class.",
-        {"tau_s": 1e-6},
-        (Free("tau_s", "1", 1e-3, 2.0, (0.1, 0.4)),),
+    Effect(
+        operator=Lag,
+        equation="tau y' + y = u; tau_up_s while y rises and tau_down_s while it falls, if given",
+        apart="From delay and rate dependence: fast steps and small sines of 2 to 4 Hz. "
+        "Of actuator and sensor: one class.",
+        neutral={"tau_s": 1e-6},
+        forms=_lag,
+        other_forms=(Servo, RateLimit),
+        confounders=("delay", "rate_dependence", "creep", "stick_slip"),
+        separated_by=("fast",),
+        shown=({"tau_s": 0.25},),
     ),
-    _effect(
-        Delay,
-        "y(t) = u(t - delay_s)",
-        "From lag: a step starts late but is not rounded. The side makes no difference to a device that stands still.",
-        {"delay_s": 0.0},
-        (Free("delay_s", "1", 0.0, 0.5, (0.05, 0.2)),),
+    Effect(
+        operator=Delay,
+        equation="y(t) = u(t - delay_s)",
+        apart="From lag: a step starts late but is not rounded. "
+        "The side makes no difference to a device that stands still.",
+        neutral={"delay_s": 0.0},
+        forms=_delay,
+        confounders=("lag", "rate_dependence"),
+        separated_by=("fast",),
+        shown=({"delay_s": 0.2},),
     ),
-    _effect(
-        RateDependence,
-        "play of half-width width_s |u'|, which a slower motion keeps for recovery_s",
-        "From lag and delay: nothing left of it in a hold, from its first sample on; ramps at three speeds.",
-        {"width_s": 0.0},
-        (Free("width_s", "1", 0.0, 0.5, (0.05,)),),
+    Effect(
+        operator=RateDependence,
+        equation="play of half-width width_s |u'|, which a slower motion keeps for recovery_s",
+        apart="From lag and delay: nothing left of it in a hold, from its first sample on; ramps at three speeds.",
+        neutral={"width_s": 0.0},
         defaults={"recovery_s": 0.0, "growth": 0.0, "skew": 0.0, "thinning": 0.0, "lost_over": NEVER},
+        forms=_rate_dependence,
+        confounders=("lag", "delay"),
+        separated_by=("fast", "speeds"),
+        shown=({"width_s": 0.1},),
     ),
-    _effect(
-        Creep,
-        "y = u - sum_i share_i l_i, tau_i l_i' + l_i = u",
-        "From lag: holds. From drift: long holds and a repeat; creep ends and starts again with each new hold.",
-        {"share": 0.0},
-        (Free("share", "1", -1.5, 0.6, (0.1, -0.1)), Free("tau_s", "1", 0.3, 300.0, (1.5, 8.0, 40.0))),
+    Effect(
+        operator=Creep,
+        equation="y = u - sum_i share_i l_i, tau_i l_i' + l_i = u",
+        apart="From lag: holds. From drift: long holds and a repeat; creep ends and starts again with each new hold.",
+        neutral={"share": 0.0},
+        forms=_creep,
+        confounders=("lag", "first_flexure", "drift"),
+        separated_by=("holds",),
+        shown=({"share": 0.15, "tau_s": 2.5},),
     ),
-    _effect(
-        Drift,
-        "y = u + (offset_per_min + gain_per_min u) t/60 + offset_per_travel (travel of u)",
-        "From creep: holds of 45 s and a repeat; it goes on whatever the command does.",
-        {"offset_per_min": 0.0, "gain_per_min": 0.0, "offset_per_travel": 0.0},
-        (
-            Free("offset_per_min", "span/duration", -0.5, 0.5, (0.02,)),
-            Free("gain_per_min", "1/duration", -0.5, 0.5, (0.0,)),
-        ),
+    Effect(
+        operator=Drift,
+        equation="y = u + (offset_per_min + gain_per_min u) t/60 + offset_per_travel (travel of u)",
+        apart="From creep: holds of 45 s and a repeat; it goes on whatever the command does.",
+        neutral={"offset_per_min": 0.0, "gain_per_min": 0.0, "offset_per_travel": 0.0},
         clocks=("t", "s"),
+        forms=_drift,
+        confounders=("creep",),
+        also_taken_for=("trial_shift",),
+        separated_by=("long_holds", "repeat"),
+        shown=({"offset_per_min": 0.0, "gain_per_min": -0.6},),
     ),
-    _effect(
-        FirstFlexure,
-        "y = u + set max(m - threshold, 0), m the largest u so far; late by tau_s",
-        "From creep: repeat the opening motion; the set does not come again.",
-        {"set": 0.0},
-        (Free("set", "1", -0.6, 1.0, (0.1, -0.1)), Free("threshold", "place", 0.0, 1.0, (0.1, 0.5))),
+    Effect(
+        operator=FirstFlexure,
+        equation="y = u + set max(m - threshold, 0), m the largest u so far; late by tau_s",
+        apart="From creep: repeat the opening motion; the set does not come again.",
+        neutral={"set": 0.0},
         defaults={"tau_s": 0.0},
+        forms=_first_flexure,
+        confounders=("creep",),
+        separated_by=("repeat",),
+        shown=({"set": 0.25, "threshold": 1.0},),
     ),
-    _effect(
-        Slack,
-        "y = max(u - slack, 0), rounded over a toe, y = u below 0",
-        "From a curved gain: other pretensions, and slow motion near zero.",
-        {"slack": 0.0},
-        (Free("slack", "span", 0.0, 0.5, (0.05, 0.15)),),
+    Effect(
+        operator=Slack,
+        equation="y = max(u - slack, 0), rounded over a toe, y = u below 0",
+        apart="From a curved gain: other pretensions, and slow motion near zero.",
+        neutral={"slack": 0.0},
         sides=("command",),
-        defaults={"toe": 0.0},
         why_side="the angle has no zero below which nothing is transmitted",
-    ),
-    _effect(
-        StickSlip,
-        "play of half-width break_away exp(-v/stribeck_speed), memory_s v' + v = its own sliding speed",
-        "From lag: ramps at three speeds; it jumps at the slowest.",
-        {"break_away": 0.0},
-        (
-            Free("break_away", "span", 0.0, 0.3, (0.03,)),
-            Free("stribeck_speed", "span", 0.005, 20.0, (0.05, 0.5)),  # per second
-        ),
-        defaults={"memory_s": 0.1},
-    ),
-    _effect(
-        Contact,
-        "y = u - (1 - stiffness_ratio) max(u - angle, 0), stiffening over a toe",
-        "From a curved gain: approach the end from several amplitudes; a corner stays where it is.",
-        {"stiffness_ratio": 1.0},
-        (Free("angle", "place", 0.2, 1.0, (0.6, 0.85)), Free("stiffness_ratio", "1", 0.0, 1.0, (0.4,))),
-        sides=OUTPUT,
         defaults={"toe": 0.0},
+        forms=_slack,
+        confounders=("nonlinear_gain",),
+        shown=({"slack": 1.0},),
     ),
-    _effect(
-        NonlinearGain,
-        "y = u + quadratic w^2 + cubic w^3, w = u - centre",
-        "Gravity and nonlinear stretch are one class until orientation or load changes; from contact: no corner.",
-        {"quadratic": 0.0, "cubic": 0.0},
-        (Free("quadratic", "1/span", -0.6, 0.6, (0.1, -0.1)), Free("cubic", "1/span^2", -0.6, 0.6, (0.0,))),
+    Effect(
+        operator=StickSlip,
+        equation="play of half-width break_away exp(-v/stribeck_speed), memory_s v' + v = its own sliding speed",
+        apart="From lag: ramps at three speeds; it jumps at the slowest.",
+        neutral={"break_away": 0.0},
+        defaults={"memory_s": 0.1},
+        forms=_stick_slip,
+        confounders=("lag",),
+        separated_by=("speeds",),
+        shown=({"break_away": 0.5, "stribeck_speed": 6.0, "memory_s": 0.03},),
+    ),
+    Effect(
+        operator=Contact,
+        equation="y = u - (1 - stiffness_ratio) max(u - angle, 0), stiffening over a toe",
+        apart="From a curved gain: approach the end from several amplitudes; a corner stays where it is.",
+        neutral={"stiffness_ratio": 1.0},
+        sides=_OUTPUT,
+        defaults={"toe": 0.0},
+        forms=_contact,
+        confounders=("nonlinear_gain",),
+        separated_by=("amplitudes",),
+        shown=({"angle": 60.0, "stiffness_ratio": 0.2},),
+    ),
+    Effect(
+        operator=NonlinearGain,
+        equation="y = u + quadratic w^2 + cubic w^3, w = u - centre",
+        apart="Gravity and nonlinear stretch are one class until orientation or load changes; from contact: no corner.",
+        neutral={"quadratic": 0.0, "cubic": 0.0},
         defaults={"centre": 0.0},
+        forms=_nonlinear_gain,
+        confounders=("slack", "contact"),
+        also_taken_for=("asymmetry",),
+        generic=True,
+        shown=({"quadratic": 0.06, "cubic": 0.0},),
     ),
-    _effect(
-        Asymmetry,
-        "play between u and g(u) = u + (slope_ratio_above - 1) (u - pivot)+ + (1 - slope_ratio_below) (pivot - u)+",
-        "From a wider loop: the width changes along the loop; from a curved gain: only one branch changes.",
-        {"slope_ratio_above": 1.0, "slope_ratio_below": 1.0},
-        (
-            Free("slope_ratio_above", "1", 1.0, 2.0, (1.05,)),
-            Free("slope_ratio_below", "1", 0.5, 1.0, (0.95,)),
-            Free("pivot", "place", 0.0, 1.0, (0.0, 0.5, 1.0)),
-        ),
+    Effect(
+        operator=Asymmetry,
+        equation="play between u and g(u) = u + (slope_ratio_above - 1) (u - pivot)+ "
+        "+ (1 - slope_ratio_below) (pivot - u)+",
+        apart="From a wider loop: the width changes along the loop; from a curved gain: only one branch changes.",
+        neutral={"slope_ratio_above": 1.0, "slope_ratio_below": 1.0},
+        forms=_asymmetry,
+        other_forms=(DirectionalGain,),
+        also_taken_for=("nonlinear_gain",),
+        generic=True,
+        shown=({"slope_ratio_above": 1.3, "slope_ratio_below": 1.0, "pivot": 1.0},),
     ),
-    _effect(
-        DirectionalGain,
-        "y = u + gain d (u - pivot), d from -1 (unloading) to 1 (loading), turning over a travel of 2 turn",
-        "A second form of asymmetry: slopes 1 + gain and 1 - gain that meet at the pivot; from a curved gain: d.",
-        {"gain": 0.0},
-        (
-            Free("gain", "1", -0.6, 0.6, (0.03, -0.03)),
-            Free("pivot", "place", 0.0, 1.0, (0.1, 0.6)),
-            Free("turn", "span", 1e-3, 0.3, (0.03,)),
-        ),
-        sides=OUTPUT,
+    Effect(
+        operator=DirectionalGain,
+        equation="y = u + gain d (u - pivot), d from -1 (unloading) to 1 (loading), turning over a travel of 2 turn",
+        apart="A second form of asymmetry: slopes 1 + gain and 1 - gain that meet at the pivot; from a curved gain: d.",
+        neutral={"gain": 0.0},
+        sides=_OUTPUT,
+        shown=({"gain": -0.12, "pivot": 30.0, "turn": 3.0},),
     ),
-    _effect(
-        TrialShift,
-        "y = play of half-width width of (gain u + offset), other values in each trial",
-        "From mis-set gain and offset: differs between trials. It also hides any single bad trial: rank it last.",
-        {"offset": 0.0, "gain": 1.0, "width": 0.0},
-        (
-            Free("offset", "span", -0.5, 0.5, (0.02,)),
-            Free("gain", "1", 0.5, 2.0, (1.0,)),
-            Free("width", "span", 0.0, 0.3, (0.0,)),
-        ),
-        sides=OUTPUT,
+    Effect(
+        operator=TrialShift,
+        equation="y = play of half-width width of (gain u + offset), other values in each trial",
+        apart="From mis-set gain and offset: differs between trials. It also hides any single bad trial: rank it last.",
+        neutral={"offset": 0.0, "gain": 1.0, "width": 0.0},
+        sides=_OUTPUT,
+        also_taken_for=("drift",),
+        separated_by=("repeat",),
+        generic=True,
+        shown=({"offset": 4.0, "gain": 0.92}, {"offset": -5.0, "gain": 1.0, "width": 2.0}),
     ),
-    _effect(
-        PeriodicDisturbance,
-        "y = u + sum_h amplitude_h sin(2 pi h frequency_hz t + phase_h)",
-        "From everything driven by the command: it goes on in holds, at its own frequency.",
-        {"amplitude": 0.0},
-        (
-            Free("frequency_hz", "1", 0.1, 5.0, (0.25, 1.1)),
-            Free("amplitude", "span", 0.0, 0.2, (0.01,)),
-            Free("phase_rad", "1", -6.4, 6.4, (0.0,)),
-        ),
-        sides=OUTPUT,
+    Effect(
+        operator=PeriodicDisturbance,
+        equation="y = u + sum_h amplitude_h sin(2 pi h frequency_hz t + phase_h)",
+        apart="From everything driven by the command: it goes on in holds, at its own frequency.",
+        neutral={"amplitude": 0.0},
+        sides=_OUTPUT,
         defaults={"phase_rad": 0.0},
         clocks=("c",),
+        shown=({"frequency_hz": 1.2, "amplitude": 2.0},),
     ),
-    _effect(
-        Sensor,
-        "y = resolution round((u + sigma n + outlier) / resolution), or the last y in a dropout",
-        "White: the upper band of the residual in holds; a grid of values; single samples far off; repeated samples.",
-        {
+    Effect(
+        operator=Sensor,
+        equation="y = resolution round((u + sigma n + outlier) / resolution), or the last y in a dropout",
+        apart="White: the upper band of the residual in holds; a grid of values; single samples far off; "
+        "repeated samples.",
+        neutral={
             "resolution": 0.0,
             "sigma": 0.0,
             "outlier_probability": 0.0,
             "outlier_size": 0.0,
             "dropout_probability": 0.0,
         },
-        (),  # a noise level is estimated from a residual, not fitted to it
         sides=("output",),
         why_side="a sensor measures the angle",
+        shown=(
+            {
+                "resolution": 1.0,
+                "sigma": 0.5,
+                "outlier_probability": 0.01,
+                "outlier_size": 8,
+                "dropout_probability": 0.05,
+            },
+        ),
     ),
 )
 
 EFFECTS: Mapping[str, Effect] = MappingProxyType({effect.name: effect for effect in _LIST})
 """Effects by public name, in the order of the documentation."""
+
+_FORM_OF = {operator.name: effect.name for effect in _LIST for operator in effect.other_forms}
+
+DIAGNOSABLE = tuple(name for name in EFFECTS if name not in _FORM_OF)
+"""Effects that a diagnosis can name; the others are forms of these."""
+
+
+def candidates(scale: Scale, in_core: Iterable[str], without: Sequence[str] = ()) -> tuple[Candidate, ...]:
+    """Every form of every effect that changes the simulated angle, sized by the data.
+
+    Args:
+        scale: of the trials.
+        in_core: effects that the core of the nominal simulator has a parameter for.
+        without: effects that are left out.
+    """
+    made = [c for name, effect in EFFECTS.items() if name not in without for c in effect.forms(scale)]
+    made += [Candidate(name, CORE, "output", 0, (), (), ((),)) for name in in_core if name not in without]
+    return tuple(made)
+
+
+def effect_of(operator: str) -> str:
+    """The effect that an operator of that name stands for; empty where it is none."""
+    return _FORM_OF.get(operator, operator if operator in EFFECTS else "")
+
+
+def confusable(a: str, b: str) -> bool:
+    """Whether two effects are the same, or some motions cannot tell them apart."""
+    return a == b or (a in EFFECTS and b in EFFECTS[a].confounders)
+
+
+def confounders(name: str) -> frozenset[str]:
+    """Effects that an effect is easily taken for: what a library has to hold for its name to mean much."""
+    effect = EFFECTS.get(name)
+    return frozenset((*effect.confounders, *effect.also_taken_for)) if effect else frozenset()

@@ -1,125 +1,176 @@
-"""What an effect is: an operator with the sides it may act on, its neutral values and where a search for it starts."""
+"""What an effect is: an operator with its sides and neutral values, and the forms in which a diagnosis looks for it."""
 
 from __future__ import annotations
 
-import itertools
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
-from hystmpc.trials.errors import ModelError
+import numpy as np
 
-from ..operators.operator import Operator, Parameter
+from hystmpc.trials.types import Vec
+
+from ..operators.operator import Operator
 
 Side = Literal["command", "output"]
+CORE = "core"  # variant of an effect that is a freedom of the core and no operator of its own
+
 _NUMBER = re.compile(r"_\d+(?=_|$)")
 _WAY = re.compile(r"_(up|down)(?=_|$)")
 
 
+class Recorded(Protocol):
+    """What sizes are read off."""
+
+    @property
+    def command(self) -> Vec:
+        """Commands (T,) [cmd]."""
+        ...
+
+    @property
+    def angle(self) -> Vec:
+        """Angles (T,) [deg]."""
+        ...
+
+    @property
+    def dt_s(self) -> float:
+        """Sample time [s]."""
+        ...
+
+
 @dataclass(frozen=True)
 class Scale:
-    """Sizes of a device and its motions, in which searches are the same for all.
+    """Sizes of a device and its trials, in which the forms of effects are stated.
 
     Attributes:
-        command: lowest and highest command [cmd].
-        angle_deg: lowest and highest angle [deg].
-        duration_s: length of a trial [s].
+        low, high: range of the command [cmd].
+        angle_low, angle_high: range of the angle [deg].
+        duration_s: of the longest trial [s].
+        total_s: of all trials together [s].
         dt_s: sample time [s].
-
-    Raises:
-        ModelError: if a range is empty or a time not above zero.
     """
 
-    command: tuple[float, float]
-    angle_deg: tuple[float, float]
+    low: float
+    high: float
+    angle_low: float
+    angle_high: float
     duration_s: float
+    total_s: float
     dt_s: float
 
-    def __post_init__(self) -> None:
-        spans = self.command[1] - self.command[0], self.angle_deg[1] - self.angle_deg[0]
-        if not (min(*spans, self.duration_s, self.dt_s) > 0):
-            raise ModelError(f"scale: got {self}, expected rising ranges and times above 0")
+    @property
+    def span(self) -> float:
+        """Range of the command [cmd]."""
+        return self.high - self.low
 
-    def range_of(self, side: Side) -> tuple[float, float]:
-        """Lowest and highest signal on a side."""
-        return self.command if side == "command" else self.angle_deg
+    @property
+    def angle_span(self) -> float:
+        """Range of the angle [deg]."""
+        return self.angle_high - self.angle_low
+
+    @classmethod
+    def of(cls, runs: Sequence[Recorded]) -> Scale:
+        """Read off trials; angles by their 1 and 99 % quantiles, so that an outlier does not count."""
+        command = np.concatenate([run.command for run in runs])
+        angle = np.quantile(np.concatenate([run.angle for run in runs]), (0.01, 0.99))
+        durations = [run.command.size * run.dt_s for run in runs]
+        low, high, angle_low, angle_high = map(float, (command.min(), command.max(), angle[0], angle[1]))
+        return cls(low, high, angle_low, angle_high, max(durations), sum(durations), runs[0].dt_s)
 
 
 @dataclass(frozen=True)
-class Free:
-    """A parameter that a diagnosis identifies, in scale-free numbers.
+class Freedom:
+    """One parameter that a fit may change.
 
     Attributes:
-        name: without the number of a term: `tau_s` also stands for `tau_2_s` and `tau_up_s`.
-        size: what one of it is: `span` of the signal, a `place` in it counted from its lowest value, 1 over it or
-            a power of it or over the `duration`, or 1.
-        lower, upper: bounds of the search; physical bounds hold as well.
-        typical: values to start from, each worth a start of its own.
+        name: of the parameter.
+        lower, upper: bounds, physical signs included.
+        scale: a typical change; 0 for a positive parameter that is searched on a logarithmic scale.
     """
 
     name: str
-    size: str
     lower: float
     upper: float
-    typical: tuple[float, ...]
-
-    def at(self, scale: Scale, side: Side, parameter: Parameter) -> Start:
-        """The same in units of the parameter, within its physical bounds."""
-        low, high = scale.range_of(side)
-        span, minutes = high - low, scale.duration_s / 60
-        origin, unit = {
-            "1": (0.0, 1.0),
-            "span": (0.0, span),
-            "place": (low, span),
-            "1/span": (0.0, 1 / span),
-            "1/span^2": (0.0, 1 / span**2),
-            "span/duration": (0.0, span / minutes),
-            "1/duration": (0.0, 1 / minutes),
-        }[self.size]
-
-        def value(number: float) -> float:
-            return min(max(origin + number * unit, parameter.lower), parameter.upper)
-
-        return Start(value(self.lower), value(self.upper), tuple(value(v) for v in self.typical))
+    scale: float
 
 
 @dataclass(frozen=True)
-class Start:
-    """Bounds of a search and values to start from, in units of the parameter."""
+class Candidate:
+    """One effect in one form, at one place of the chain.
 
-    lower: float
-    upper: float
-    typical: tuple[float, ...]
+    Attributes:
+        effect: its public name.
+        variant: name of the form.
+        side: of the command, before everything that is there, or of the output, behind it.
+        order: place among the candidates of a side; small ones come first in the order of the signal.
+        operators: in the order of the signal; `starts` overwrite their free parameters. Empty for a freedom of the
+            core itself.
+        free: parameters that are identified; operators that share one have it in common.
+        starts: values of the free parameters from which a fit begins; never exactly neutral, where a shape parameter
+            would have no gradient.
+        carries: what the state takes over from earlier trials: `bend` for a running maximum, `clock`, or nothing.
+    """
+
+    effect: str
+    variant: str
+    side: Side
+    order: int
+    operators: tuple[Operator, ...]
+    free: tuple[Freedom, ...]
+    starts: tuple[tuple[float, ...], ...]
+    carries: Literal["", "bend", "clock"] = ""
+
+    @property
+    def label(self) -> str:
+        """Effect and variant."""
+        return f"{self.effect}/{self.variant}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Effect:
     """One effect of the library.
 
     Attributes:
-        name: public name.
-        operator: its class.
-        sides: where it may act, the side that fits devices best first.
-        neutral: values that make it the identity; other parameters do not matter then.
-        free: what a diagnosis identifies; other parameters stay at their defaults.
-        defaults: values of parameters that may be left out besides the neutral ones.
+        operator: its class, whose name is the effect's.
         equation: as one line.
         apart: what separates it from its neighbours.
+        neutral: values that make it the identity; other parameters do not matter then.
+        sides: where it may act, the side that fits devices best first.
         why_side: why a side is missing.
+        defaults: values of parameters that may be left out besides the neutral ones.
         clocks: states that start at zero with a trial.
+        forms: what a diagnosis adds to a simulator to test for it, sized by the data; empty where it has its own test.
+        other_forms: further operators that stand for this effect and have no name of their own in a diagnosis.
+        confounders: effects that some motions cannot tell from it.
+        also_taken_for: effects that it is easily taken for although motions differ.
+        separated_by: what motions have to contain for it to be told from its confounders: `fast` moves, `speeds`
+            (ramps at several), `holds`, `long_holds`, a `repeat`, `amplitudes`.
+        generic: whether it can imitate almost any other effect, so that finding it means less.
+        shown: parameter values that are large enough to be seen on the plain device of the pictures, on the first
+            side; one mapping for each trial shown.
     """
 
-    name: str
     operator: type[Operator]
-    sides: tuple[Side, ...]
-    neutral: Mapping[str, float]
-    free: tuple[Free, ...]
     equation: str
     apart: str
-    defaults: Mapping[str, float]
+    neutral: Mapping[str, float]
+    shown: tuple[Mapping[str, float], ...]
+    sides: tuple[Side, ...] = ("command", "output")
     why_side: str = ""
+    defaults: Mapping[str, float] | None = None
     clocks: tuple[str, ...] = ()
+    forms: Callable[[Scale], Sequence[Candidate]] = lambda scale: ()
+    other_forms: tuple[type[Operator], ...] = ()
+    confounders: tuple[str, ...] = ()
+    also_taken_for: tuple[str, ...] = ()
+    separated_by: tuple[str, ...] = ()
+    generic: bool = False
+
+    @property
+    def name(self) -> str:
+        """Public name."""
+        return self.operator.name
 
     def neutral_values(self, operator: Operator) -> tuple[float, ...]:
         """Values of `operator` with those of `neutral` in their places: the identity."""
@@ -129,23 +180,7 @@ class Effect:
     def optional(self, name: str) -> float | None:
         """Value of a parameter that was left out, None if it has to be given."""
         base = base_name(name)
-        return self.neutral.get(base, self.defaults.get(base))
-
-    def search(self, operator: Operator, scale: Scale, side: Side) -> dict[str, Start]:
-        """Bounds and typical values of every free parameter of `operator`, by name."""
-        free = {f.name: f for f in self.free}
-        return {
-            p.name: free[base_name(p.name)].at(scale, side, p) for p in operator.parameters if base_name(p.name) in free
-        }
-
-    def starts(self, operator: Operator, scale: Scale, side: Side) -> tuple[tuple[float, ...], ...]:
-        """Parameter values to start a search from: every combination of the typical values of free parameters."""
-        found = self.search(operator, scale, side)
-        choices = [
-            found[p.name].typical if p.name in found else (value,)
-            for p, value in zip(operator.parameters, operator.values, strict=True)
-        ]
-        return tuple(itertools.product(*choices))
+        return self.neutral.get(base, (self.defaults or {}).get(base))
 
 
 def base_name(name: str) -> str:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -20,43 +19,13 @@ from hystmpc.trials.types import Vec
 from ..chain import Chain
 from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
 from .catalogue import EFFECTS
-from .describe import parameters_of, sides_text
 from .effect import Effect, unit_on
-from .place import PlacedEffect, effect_from, with_effect
+from .place import PlacedEffect, effect_from, parameters_of, sides_text, with_effect
 
 DT_S = 0.02
 REST = 22.0
 DEVICE = Chain(PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.0, REST))
 """A tendon catheter: 0 to 6 mm, 22 to 80 deg, four plays."""
-
-SHOWN: Mapping[str, tuple[Mapping[str, float], ...]] = MappingProxyType(
-    {
-        "lag": ({"tau_s": 0.25},),
-        "delay": ({"delay_s": 0.2},),
-        "rate_dependence": ({"width_s": 0.1},),
-        "creep": ({"share": 0.15, "tau_s": 2.5},),
-        "drift": ({"offset_per_min": 0.0, "gain_per_min": -0.6},),
-        "first_flexure": ({"set": 0.25, "threshold": 1.0},),
-        "slack": ({"slack": 1.0},),
-        "stick_slip": ({"break_away": 0.5, "stribeck_speed": 6.0, "memory_s": 0.03},),
-        "contact": ({"angle": 60.0, "stiffness_ratio": 0.2},),
-        "nonlinear_gain": ({"quadratic": 0.06, "cubic": 0.0},),
-        "asymmetry": ({"slope_ratio_above": 1.3, "slope_ratio_below": 1.0, "pivot": 1.0},),
-        "directional_gain": ({"gain": -0.12, "pivot": 30.0, "turn": 3.0},),
-        "trial_shift": ({"offset": 4.0, "gain": 0.92}, {"offset": -5.0, "gain": 1.0, "width": 2.0}),
-        "periodic_disturbance": ({"frequency_hz": 1.2, "amplitude": 2.0},),
-        "sensor": (
-            {
-                "resolution": 1.0,
-                "sigma": 0.5,
-                "outlier_probability": 0.01,
-                "outlier_size": 8,
-                "dropout_probability": 0.05,
-            },
-        ),
-    }
-)
-"""Numbers of every effect that are large enough to be seen, on its first side; one mapping for each trial shown."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +50,7 @@ def effect_figure(name: str) -> Figure:
         plain = _plain()
         left.plot(loop.command, plain[0], color=REFERENCE, linewidth=0.9, label="plain")
         right.plot(hold.time_s, plain[1], color=REFERENCE, linewidth=0.9)
-        for k in range(len(SHOWN[name])):
+        for k in range(len(EFFECTS[name].shown)):
             _with_effect(left, right, name, k)
         left.set(xlabel="command [mm]", ylabel="angle [deg]", title="loop")
         right.set(xlabel="time [s]", ylabel="angle [deg]", title="hold")
@@ -139,14 +108,14 @@ def parameter_rows(effect: Effect) -> list[tuple[object, ...]]:
 
 def shown_effect(name: str, k: int = 0) -> PlacedEffect:
     """The effect as the figures show it."""
-    return effect_from({"effect": name, "parameters": dict(SHOWN[name][k])}, DT_S)
+    return effect_from({"effect": name, "parameters": dict(EFFECTS[name].shown[k])}, DT_S)
 
 
 def _with_effect(left: Axes, right: Axes, name: str, k: int) -> None:
     loop, hold, placed = _loop(), _hold(), shown_effect(name, k)
     chain = with_effect(DEVICE, placed.operator, placed.side)
     colour = (MODEL, MEASURED)[k % 2]
-    label = f"with {name}" if len(SHOWN[name]) == 1 else f"trial {k + 1}"
+    label = f"with {name}" if len(EFFECTS[name].shown) == 1 else f"trial {k + 1}"
     left.plot(loop.command, run(chain, loop.command), color=colour, label=label, linewidth=1.1)
     right.plot(hold.time_s, run(chain, hold.command), color=colour, linewidth=1.1)
 

@@ -1,1 +1,1 @@
-"""Identification: which chain of operators explains the trials, and with which numbers."""
+"""The identification engine: candidates, cross-validation, selection, least squares and the other methods."""

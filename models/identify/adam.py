@@ -1,10 +1,9 @@
-"""Identification by Adam on short windows, as S2 (RA-L 2024) trains its operators, on exact sensitivities."""
+"""Identification by Adam on short windows, the way S2 trains its operators, on exact compiled sensitivities."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,11 +13,10 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
-from ..fit.chain_fit import ChainFit, ChainTask, Progress, Tracker
-from ..fit.free_run import FreeRunLoss
-from ..fit.operators import rest_with_slope
-from ..fit.trial_set import check_trial_set
-from ..kernels.chain_kernels import compile_step
+from ..model import FitProgress
+from .chain_fit import ChainFit, ChainTask, Tracker
+from .free_run import FreeRuns, StagedChain
+from .trial_set import check_trial_set
 
 
 @dataclass(frozen=True)
@@ -66,40 +64,26 @@ class WindowLoss:
     """
 
     def __init__(self, chain: Chain, dt: float) -> None:
-        self._dt, self._kernels = np.array([dt]), compile_step(chain.transition)
-        self._rest: Any = rest_with_slope(chain)
+        self._dt, self._staged = dt, StagedChain(chain)
 
     def value(self, p: Vec, windows: Windows) -> float:
         """Loss at parameters p (P,)."""
-        count = windows.commands.shape[0]
-        states, _ = self._rest.map(count)(windows.angles[:, :1].T, windows.commands[:, :1].T, np.tile(p, (count, 1)).T)
-        theta = np.empty_like(windows.commands)
-        state = np.ascontiguousarray(np.asarray(states).T)
-        self._kernels.simulate(state, windows.commands, p, self._dt, self._kernels.step_constants, theta)
-        loss = float(np.mean((theta - windows.angles) ** 2))
+        state = self._staged.rest(windows.commands[:, 0], windows.angles[:, 0], p)
+        theta, _ = self._staged.simulate(windows.commands.T, self._dt, state, p)
+        loss = float(np.mean((theta.T - windows.angles) ** 2))
         return loss if np.isfinite(loss) else np.inf
 
     def gradient(self, p: Vec, windows: Windows) -> Vec:
         """Derivative (P,) of the loss by p."""
         total = np.zeros(p.size)
         for commands, angles in zip(windows.commands, windows.angles, strict=True):
-            state, slope = self._rest(angles[0], commands[0], p)
-            theta, by_p = np.empty(commands.size), np.empty((commands.size, p.size))
-            self._kernels.differentiate(
-                np.asarray(state).ravel(),
-                np.ascontiguousarray(slope),
-                commands,
-                p,
-                self._dt,
-                self._kernels.sensitivity_constants,
-                theta,
-                by_p,
-            )
+            start = self._staged.rest_with_slope(float(commands[0]), float(angles[0]), p)
+            theta, by_p = self._staged.differentiate(commands, self._dt, *start, p)
             total += 2 * (theta - angles) @ by_p
         return total / windows.commands.size
 
 
-def fit_by_adam(task: ChainTask, settings: AdamSettings, progress: Progress | None = None) -> ChainFit:
+def fit_by_adam(task: ChainTask, settings: AdamSettings, progress: FitProgress | None = None) -> ChainFit:
     """Adam from the best of the task's starts; the best epoch by the loss over all windows side by side is kept.
 
     Parameters stay within their physical bounds. KeyboardInterrupt ends it and keeps the best epoch so far; progress
@@ -119,7 +103,7 @@ def fit_by_adam(task: ChainTask, settings: AdamSettings, progress: Progress | No
     except KeyboardInterrupt:
         interrupted = True
     chain = tracker.chain(template, interrupted)
-    rmse = np.sqrt(FreeRunLoss(template, task.trials, settings.skip_first_flexure)(chain.values))
+    rmse = np.sqrt(FreeRuns(template, task.trials, settings.skip_first_flexure).mse(chain.values))
     return ChainFit(chain, float(rmse), tracker.evaluations, tracker.report("adam", settings.epochs), interrupted)
 
 

@@ -8,8 +8,8 @@ from hystmpc.trials.trial import Trial, Units
 
 from ..chain import Chain
 from ..evaluate import RunnableModel, free_run
-from ..fit.operators import OperatorFitSettings, fit_chain
-from ..fit.starts import backlash_starts
+from ..identify.chain_kinds import backlash_starts
+from ..identify.least_squares import OperatorFitSettings, fit_chain
 from ..motions import probe_commands
 from ..simulator import Identification, Simulator
 

@@ -30,12 +30,10 @@ class ChainKernels:
     simulate: Callable[..., None]
     rollout: Callable[..., None]
     linearise: Callable[..., None]
-    differentiate: Callable[..., None]
     command_for: Callable[..., float]
     state_size: int
     step_constants: Vec
     tangent_constants: Vec
-    sensitivity_constants: Vec
 
 
 def compile_step(function: Any) -> ChainKernels:
@@ -60,25 +58,15 @@ def _compile(serialized: str) -> ChainKernels:
         dense("tangent", arguments, [theta, following, by(following, x), by(following, u), by(theta, x), by(theta, u)]),
         "tangent",
     )
-    sensitivity = scalar_program(
-        dense(
-            "sensitivity",
-            arguments,
-            [theta, following, by(following, x), by(theta, x), by(following, p), by(theta, p)],
-        ),
-        "sensitivity",
-    )
-    generated = "".join(_DECORATOR + program.source + "\n\n" for program in (step, tangent, sensitivity))
+    generated = "".join(_DECORATOR + program.source + "\n\n" for program in (step, tangent))
     loops = resources.files("hystmpc.models.kernels").joinpath("chain_loops.py").read_text(encoding="utf-8")
     module = generated_module("import math\n\n\n" + generated + loops)
     return ChainKernels(
         module.simulate,
         module.rollout,
         module.linearise,
-        module.differentiate,
         module.command_for,
         size,
         np.array(step.constants),
         np.array(tangent.constants),
-        np.array(sensitivity.constants),
     )

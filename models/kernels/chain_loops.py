@@ -6,9 +6,8 @@ k...):
     step(x, u, p, dt, theta (1,), following (S,), k)
     tangent(x, u, p, dt, theta, following, A (S*S,), B (S,), C (S,), D (1,), k): also d following / d x and d u,
         d theta / d x and d u, matrices column-major
-    sensitivity(x, u, p, dt, theta, following, A (S*S,), C (S,), E (S*P,), F (P,), k): also d/dp
 """
-# ruff: noqa: F821  (step, tangent and sensitivity are generated)
+# ruff: noqa: F821  (step and tangent are generated)
 # mypy: ignore-errors
 # pyright: reportUndefinedVariable=false
 
@@ -68,30 +67,6 @@ def linearise(state, plan, p, dt, k, theta, jacobian):
         jacobian[t, t] = d[0]
         jacobian[t, t + 1 :] = 0.0
         moved[:, t] = b
-        moving, moved = moved, moving
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def differentiate(state, slope, commands, p, dt, k, theta, gradient):
-    """Free run of one row with d theta / d p (T, P); slope (S, P) is the initial state's dependence on p."""
-    size, count = slope.shape
-    x, following = state.copy(), np.empty(size)
-    a, c = np.empty(size * size), np.empty(size)
-    e, f = np.empty(size * count), np.empty(count)
-    moving, moved = slope.copy(), np.empty((size, count))
-    for t in range(commands.size):
-        sensitivity(x, commands[t : t + 1], p, dt, theta[t : t + 1], following, a, c, e, f, k)
-        x[:] = following
-        for j in range(count):
-            value = f[j]
-            for i in range(size):
-                value += c[i] * moving[i, j]
-            gradient[t, j] = value
-            for i in range(size):
-                value = e[i + j * size]
-                for m in range(size):
-                    value += a[i + m * size] * moving[m, j]
-                moved[i, j] = value
         moving, moved = moved, moving
 
 

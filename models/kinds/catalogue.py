@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from hystmpc.trials.errors import FitError, did_you_mean
 
-from .backlash import BacklashKind
-from .bouc_wen import BoucWenKind
-from .drdpi import DrdpiKind
 from .kind import ModelKind
 from .networks import NETWORK_KINDS
-from .prandtl_ishlinskii import PrandtlIshlinskiiKind
+from .operator_kinds import BacklashKind, BoucWenKind, DrdpiKind, PrandtlIshlinskiiKind
 from .regressions import PlayKernelKind, SvrKind
 
 KINDS: tuple[ModelKind, ...] = (

@@ -1,49 +1,32 @@
-"""The one list of operators: simulator files, tests and the command line read it."""
+"""Operators by name, and operators in plain data: simulator files, effects and the command line read them."""
 
 from __future__ import annotations
 
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from hystmpc.trials.errors import ModelError, did_you_mean
 
-from .dynamics import Delay, Lag, RateLimit, Servo
-from .friction import Asymmetry, DirectionalGain, RateDependence, StickSlip
-from .hysteresis import Backlash, BoucWen, InverseBacklash, Play
-from .measurement import PeriodicDisturbance, Sensor
 from .operator import Operator, values_from
-from .prandtl_ishlinskii import Drdpi, InverseDrdpi, InversePrandtlIshlinskii, PrandtlIshlinskii
-from .slow_changes import Creep, Drift, FirstFlexure, TrialShift
-from .specification import is_number, template_from
-from .static_curves import Contact, Deadband, NonlinearGain, Slack
 
-OPERATORS: tuple[type[Operator], ...] = (
-    Play,
-    Backlash,
-    InverseBacklash,
-    PrandtlIshlinskii,
-    InversePrandtlIshlinskii,
-    Deadband,
-    Drdpi,
-    InverseDrdpi,
-    BoucWen,
-    Lag,
-    Servo,
-    RateLimit,
-    Delay,
-    RateDependence,
-    Creep,
-    Drift,
-    FirstFlexure,
-    Slack,
-    StickSlip,
-    Contact,
-    NonlinearGain,
-    Asymmetry,
-    DirectionalGain,
-    TrialShift,
-    PeriodicDisturbance,
-    Sensor,
-)
+_LIMITS = (1, 1000)
+_GUESSED = range(1, 9)
+
+
+@cache
+def operators() -> Mapping[str, type[Operator]]:
+    """Every operator by name: the concrete subclasses of `Operator` in the modules of this package."""
+    package, folder = __name__.rpartition(".")[0], str(Path(__file__).parent)
+    modules = [importlib.import_module(f"{package}.{found.name}") for found in pkgutil.iter_modules([folder])]
+    found = [kind for module in modules for kind in vars(module).values() if inspect.isclass(kind)]
+    kinds = [kind for kind in found if issubclass(kind, Operator) and not inspect.isabstract(kind)]
+    return MappingProxyType({kind.name: kind for kind in kinds})
 
 
 def operator_from(spec: Any, where: str) -> Operator:
@@ -54,7 +37,7 @@ def operator_from(spec: Any, where: str) -> Operator:
     """
     if not isinstance(spec, dict) or "operator" not in spec:
         raise ModelError(f"{where}: got {spec!r}, expected a mapping with the key 'operator'")
-    kinds = {kind.name: kind for kind in OPERATORS}
+    kinds = operators()
     name = str(spec["operator"])
     if name not in kinds:
         raise ModelError(f"{where}: no operator {name!r}, {did_you_mean(name, kinds)}")
@@ -80,3 +63,40 @@ def operator_spec(operator: Operator) -> dict[str, Any]:
         **{key: size for key, size in operator.structure.items() if size != operator.default_sizes.get(key)},
         "parameters": dict(zip(names, operator.values, strict=True)),
     }
+
+
+def template_from(kind: type[Operator], spec: Mapping[str, Any], given: Iterable[str], where: str) -> Operator:
+    """An operator of the sizes in `spec`.
+
+    A size that has a default may be left out; it then follows from the parameters' names, as `tau_up_s` means a lag of
+    two ways and `share_2` a creep of at least two terms, or else is the default.
+
+    Raises:
+        ModelError: on a size that is missing or no whole number within its limits.
+    """
+    sizes = {key: spec.get(key, kind.default_sizes.get(key)) for key in kind.shape}
+    for key, size in sizes.items():
+        _check_size(size, kind.size_limits.get(key, _LIMITS), f"{where}: {kind.name}.{key}")
+    template, wanted = kind.template(**sizes), set(given)
+    for key in kind.default_sizes:
+        if key in spec or wanted <= names_of(template):
+            continue
+        lower, upper = kind.size_limits.get(key, _LIMITS)
+        guesses = (kind.template(**{**sizes, key: n}) for n in _GUESSED if lower <= n <= upper)
+        template = next((guess for guess in guesses if wanted <= names_of(guess)), template)
+    return template
+
+
+def names_of(operator: Operator) -> set[str]:
+    """Names of the operator's parameters."""
+    return {parameter.name for parameter in operator.parameters}
+
+
+def is_number(value: Any) -> bool:
+    """Whether plain data is a number; True and False are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _check_size(value: Any, limits: tuple[int, int], where: str) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or not limits[0] <= value <= limits[1]:
+        raise ModelError(f"{where} is {value!r}, expected a whole number from {limits[0]} to {limits[1]}")

@@ -23,8 +23,7 @@ from hystmpc.trials.types import Vec
 
 from ..contract.export import ExportBundle
 from ..contract.metadata import DeviceLimits, Range
-from ..fit.facts import facts_of, fixed_rule
-from ..fit.trial_set import angle_range, check_trial_set, command_range
+from ..identify.trial_set import angle_range, check_trial_set, command_range, facts_of, fixed_rule
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from .predictor import follow_plays

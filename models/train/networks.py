@@ -18,14 +18,13 @@ from hystmpc.trials.trial import Trial
 from ..contract.equivalence import TOLERANCE_DEG
 from ..contract.export import ExportBundle
 from ..contract.metadata import DeviceLimits, InitialRule, Range
-from ..fit.facts import facts_of
-from ..fit.split import hold_out
-from ..fit.trial_set import check_trial_set, command_range
+from ..identify.trial_set import check_trial_set, command_range, facts_of
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from ..networks.nodes import network_step_graph
 from ..networks.settings import Scaling
 from ..operators.hysteresis import Backlash
+from .hold_out import hold_out
 from .runs import Prepared, Rng, Run, prepared, rest_of, scaled_run, scaling_of
 from .settings import NetworkSettings, StreamTraining, WindowTraining
 from .teacher import Teacher

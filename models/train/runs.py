@@ -14,9 +14,10 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
-from ..fit.operators import OperatorFit, OperatorFitSettings, fit_chain
-from ..fit.starts import backlash_starts
-from ..fit.trial_set import angle_range, command_range
+from ..identify.chain_fit import ChainFit
+from ..identify.chain_kinds import backlash_starts
+from ..identify.least_squares import OperatorFitSettings, fit_chain
+from ..identify.trial_set import angle_range, command_range
 from ..networks.settings import Scaling
 from ..operators.hysteresis import Backlash, InverseBacklash
 from ..operators.operator import Operator
@@ -218,7 +219,7 @@ def fitted_backlash(trials: Sequence[Trial], skip_first_flexure: bool, dead_zone
     return min(fits, key=lambda fit: fit.rmse_deg).chain.core
 
 
-def _fitted(starts: Sequence[Chain], trials: Sequence[Trial], settings: OperatorFitSettings) -> OperatorFit:
+def _fitted(starts: Sequence[Chain], trials: Sequence[Trial], settings: OperatorFitSettings) -> ChainFit:
     """The fit; stopped by the user, the training that it is part of is to end as well."""
     fit = fit_chain(starts, trials, settings)
     if fit.interrupted:

@@ -12,8 +12,8 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import DeviceLimits, Range
-from ..fit.identify import identify
-from ..fit.trial_set import check_trial_set, command_range, fastest_command
+from ..identify.methods import identify
+from ..identify.trial_set import check_trial_set, command_range, fastest_command
 from ..play_kernel.fit import PlayKernelSettings, fit_play_kernel, play_kernel_bundle
 from ..play_kernel.predictor import PlayKernelPredictor
 from ..simulator import ChainModel

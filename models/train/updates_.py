@@ -15,10 +15,10 @@ import torch
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.types import Vec
 
-from ..fit.windows import draw_windows
 from ..networks.network_ import Network, numbers
 from .runs import Rng, Run, Streams, arrange, pause, stretch
 from .settings import NetworkSettings, StreamTraining, WindowTraining
+from .windows import draw_windows
 
 _EPSILON = 1e-4  # of S2 (RA-L 2024) eq. (12)
 

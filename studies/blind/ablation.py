@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from hystmpc.gap.floor import find_floor
-from hystmpc.gap.hypothesis import CrossValidation, HeldOutErrors, gain
 from hystmpc.gap.preparation import prepare
 from hystmpc.gap.procedure import conclude, investigate
 from hystmpc.models.chain import Chain
-from hystmpc.models.effects.catalogue import EFFECTS
+from hystmpc.models.effects.catalogue import effect_of
+from hystmpc.models.identify.cross_validation import CrossValidation, HeldOutErrors, gain
 from hystmpc.models.simulator import Identification, Simulator, save_simulator
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
@@ -26,8 +26,6 @@ from .reading import DiagnosisReading, reading_of
 
 FORMAT = "hystmpc-ablation/1"
 RESULT = "ablation.json"
-# Operators that stand for an effect of another name.
-_STANDS_FOR = {"servo": "lag", "rate_limit": "lag", "directional_gain": "asymmetry"}
 
 
 @dataclass(frozen=True)
@@ -106,12 +104,6 @@ def ablate(
 def components(chain: Chain) -> tuple[str, ...]:
     """Effects around the core, in the order of the signal."""
     return tuple(dict.fromkeys(name for o in (*chain.before, *chain.after) if (name := effect_of(o.name))))
-
-
-def effect_of(operator: str) -> str:
-    """The effect that an operator of that name stands for; empty where it is none."""
-    name = _STANDS_FOR.get(operator, operator)
-    return name if name in EFFECTS else ""
 
 
 def without(simulator: Simulator, component: str) -> Simulator:

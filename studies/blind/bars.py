@@ -11,8 +11,9 @@ from typing import Literal
 import numpy as np
 from scipy.stats import binomtest
 
+from hystmpc.models.effects.catalogue import confusable
+
 from .generators import UNKNOWN
-from .plan import confusable
 from .reading import FAILED, VERDICTS, DiagnosisReading, ScoredCase, large, of_suites
 from .sealed import DENSE
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from hystmpc.models.contract.metadata import DeviceLimits, Range
-from hystmpc.models.fit.identify import simulator_of
-from hystmpc.models.fit.operators import OperatorFitSettings, fit_chain
-from hystmpc.models.fit.starts import backlash_starts, prandtl_ishlinskii_starts
+from hystmpc.models.identify.chain_kinds import backlash_starts, prandtl_ishlinskii_starts
+from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
+from hystmpc.models.identify.methods import simulator_of
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial

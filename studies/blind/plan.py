@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from hystmpc.gap.confusable import CONFUSABLE
+from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.trials.types import Vec
 
 from .motions import FAST_SMALL, LONG_HOLD, MULTISINE, POINT_TO_POINT, RAMP_HOLD, SINE, STEPS, TRIANGLES, MotionType
@@ -26,21 +26,6 @@ _PLANS: Mapping[str, tuple[MotionType, ...]] = MappingProxyType(
 )
 POOR = ("no_holds", "no_fast", "no_repeats", "sines")
 
-# What motions must contain for the effect to be told from its twins: the last column of the table in the design.
-_NEEDS: Mapping[str, frozenset[str]] = MappingProxyType(
-    {
-        "lag": frozenset({"fast"}),
-        "delay": frozenset({"fast"}),
-        "rate_dependence": frozenset({"fast", "speeds"}),
-        "creep": frozenset({"holds"}),
-        "drift": frozenset({"long_holds", "repeat"}),
-        "first_flexure": frozenset({"repeat"}),
-        "stick_slip": frozenset({"speeds"}),
-        "contact": frozenset({"amplitudes"}),
-        "trial_shift": frozenset({"repeat"}),
-    }
-)
-
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -57,7 +42,7 @@ class Plan:
 
     def separates(self, label: str) -> bool:
         """Whether these motions can tell the effect from its twins."""
-        return self.features >= _NEEDS.get(label, frozenset())
+        return label not in EFFECTS or self.features >= set(EFFECTS[label].separated_by)
 
 
 def draw_plan(random: np.random.Generator, name: str | None = None) -> Plan:
@@ -74,8 +59,3 @@ def draw_plan(random: np.random.Generator, name: str | None = None) -> Plan:
         commands += [commands[k] for k in again]
         features.add("repeat")
     return Plan(name, tuple(kind.name for kind in kinds), tuple(commands), frozenset(features))
-
-
-def confusable(a: str, b: str) -> bool:
-    """Whether two effects are the same or one of the confusable pairs."""
-    return a == b or any(a in names and b in names for names in CONFUSABLE)

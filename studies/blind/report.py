@@ -10,12 +10,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report, Table
 from hystmpc.trials.plot_style import MEASURED, MODEL, REFERENCE, new_figure
 
 from .bars import Bar, Calibration, Confusion, Rate, true_share
-from .plan import confusable
 from .score import Score, miss_json
 
 BAR_COLUMNS = ("measure", "number", "90 % interval", "goal", "cases", "state")

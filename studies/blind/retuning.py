@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hystmpc.gap.baseline import Baseline, baseline_of
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.fit.operators import FreeRunResiduals, OperatorFitSettings
+from hystmpc.models.identify.baseline import Baseline, baseline_of
+from hystmpc.models.identify.free_run import FreeRuns
 from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
@@ -57,11 +57,11 @@ def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
     """
     command = np.concatenate([trial.command for trial in trials])
     baseline = baseline_of(simulator.chain, Range(lower=float(command.min()), upper=float(command.max())))
-    residuals = FreeRunResiduals(simulator.chain, trials, OperatorFitSettings())
+    runs = FreeRuns(simulator.chain, trials)
     held = {k for own in baseline.effects.values() for k in own.values()}
     active = np.array([k not in held for k in range(baseline.nominal.size)])
     z, damping = baseline.nominal.copy(), 1e-3
-    r, jacobian = _errors(residuals, baseline, z)
+    r, jacobian = _errors(runs, baseline, z)
     for _ in range(_STEPS):
         slope = jacobian.T @ r
         # A bound that the error pushes against holds its parameter for this step.
@@ -69,7 +69,7 @@ def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
         move = np.zeros(z.size)
         move[free] = _step(jacobian[:, free], slope[free], damping)
         tried = np.clip(z + move, baseline.lower, baseline.upper)
-        following, by_z = _errors(residuals, baseline, tried)
+        following, by_z = _errors(runs, baseline, tried)
         gain = float(r @ r - following @ following)
         if not np.isfinite(gain) or gain <= 0:
             damping *= 10
@@ -81,10 +81,10 @@ def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
     return baseline.core_values(z)[0]
 
 
-def _errors(residuals: FreeRunResiduals, baseline: Baseline, z: Vec) -> tuple[Vec, Vec]:
+def _errors(runs: FreeRuns, baseline: Baseline, z: Vec) -> tuple[Vec, Vec]:
     """Free-run errors and their derivative by the baseline's freedom."""
     p, by_z = baseline.core_values(z)
-    r, by_p = residuals(p)
+    r, by_p = runs.residuals(p)
     return r, by_p @ by_z
 
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hystmpc.gap.hypothesis import HeldOutErrors, Hypothesis
-from hystmpc.gap.recording import Run
-from hystmpc.gap.select import Selection
+from hystmpc.models.identify.cross_validation import HeldOutErrors, Hypothesis
+from hystmpc.models.identify.runs import Run
+from hystmpc.models.identify.selection import Selection
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial

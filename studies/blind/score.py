@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.files import write_atomically
 
 from .bars import (
@@ -29,7 +30,6 @@ from .bars import (
 )
 from .generators import LABELS
 from .make import RATIOS, SUITES
-from .plan import confusable
 from .reading import ScoredCase, load_scored, of_suites
 
 FORMAT = "hystmpc-blind-score/1"

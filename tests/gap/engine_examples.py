@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystmpc.gap.baseline import Baseline, ScaledBaseline, baseline_of
-from hystmpc.gap.candidate import Candidate, Scale
-from hystmpc.gap.candidates import candidates
-from hystmpc.gap.recording import Run, runs_of
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.effects.catalogue import EFFECTS, candidates
+from hystmpc.models.effects.effect import Candidate, Scale, base_name
+from hystmpc.models.identify.baseline import Baseline, ScaledBaseline, baseline_of
+from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.identify.runs import Run, runs_of
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.simulator import Identification, Residual, Simulator
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
@@ -32,27 +32,14 @@ CANDIDATES: dict[str, tuple[Candidate, ...]] = {
 }
 EVERY = [(name, candidate) for name, found in CANDIDATES.items() for candidate in found]
 LABELS = [f"{name}: {candidate.label}" for name, candidate in EVERY]
-# Values that make a candidate the identity; parameters that are not here do not matter then.
-NEUTRAL = {
-    "tau_s": 1e-6,
-    "tau_up_s": 1e-6,
-    "tau_down_s": 1e-6,
-    "delay_s": 0.0,
-    "width_s": 0.0,
-    "share": 0.0,
-    "offset_per_min": 0.0,
-    "gain_per_min": 0.0,
-    "set": 0.0,
-    "slack": 0.0,
-    "toe": 1e-9,
-    "break_away": 0.0,
-    "stiffness_ratio": 1.0,
-    "quadratic": 0.0,
-    "cubic": 0.0,
-    "gain": 0.0,
-    "slope_ratio_above": 1.0,
-    "slope_ratio_below": 1.0,
-}
+
+
+def neutral_values(candidate: Candidate) -> list[float]:
+    """Free parameters that make a candidate the identity; those that do not matter then keep their first start."""
+    names = (*(operator.name for operator in candidate.operators), candidate.effect)
+    known = {"toe": 1e-9} | {k: v for name in names if name in EFFECTS for k, v in EFFECTS[name].neutral.items()}
+    pairs = zip(candidate.free, candidate.starts[0], strict=True)
+    return [known.get(freedom.name, known.get(base_name(freedom.name), start)) for freedom, start in pairs]
 
 
 def moves(seed: int, seconds: float = 12.0, hold_s: float = 1.2, speed: float = 6.0) -> Vec:
@@ -86,9 +73,9 @@ def trials_of(
     return trials
 
 
-def device_runs() -> tuple[Run, ...]:
+def device_runs(speed: float = 6.0) -> tuple[Run, ...]:
     """Two trials of a backlash without any effect."""
-    return runs_of(trials_of(Chain(BACKLASH), [moves(1), moves(2)]))
+    return runs_of(trials_of(Chain(BACKLASH), [moves(1, speed=speed), moves(2, speed=speed)]))
 
 
 def simulator_of(core: Operator, residuals: tuple[Residual, ...] = (), data_hash: str = "") -> Simulator:

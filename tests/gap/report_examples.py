@@ -13,13 +13,8 @@ from hystmpc.gap.excitation import excitation_of
 from hystmpc.gap.localise import localise
 from hystmpc.gap.motion_menu import menu
 from hystmpc.gap.next_motion import Noise, Proposal, propose
-from hystmpc.gap.report.evidence import (
-    CandidateRow,
-    Evidence,
-    ParameterRow,
-    Role,
-    TrialEvidence,
-)
+from hystmpc.gap.report.evidence import CandidateRow, Evidence, Role, TrialEvidence
+from hystmpc.models.identify.uncertainty import ParameterRow
 from hystmpc.trials.trial import Trial
 
 from ..models.zoo import CHAINS, simulator

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hystmpc.gap.fit import fit
-from hystmpc.gap.problem import Problem
-from hystmpc.gap.recording import Run
-from hystmpc.gap.trial_terms import TrialTerms
+from hystmpc.models.identify.least_squares import fit_problem
+from hystmpc.models.identify.problem import Problem
+from hystmpc.models.identify.runs import Run
+from hystmpc.models.identify.trial_terms import TrialTerms
 
 from .engine_examples import BASELINES, device_runs
 
@@ -33,7 +33,7 @@ def test_a_fit_goes_to_the_mean_of_the_shifts_from_any_gain(name: str, shifts: t
     truth = problem.start(baseline.nominal, [])
     runs = moved(problem, truth, shifts)
     away = np.clip(truth + 1.5, problem.lower, problem.upper)
-    found = fit(problem, runs, away, 60, 1e-10)
+    found = fit_problem(problem, runs, away, 60, 1e-10)
     own = np.array([problem.error_and_common(found.q, run)[1][0] for run in runs])
     assert np.abs(own.mean(axis=0)).max() < 0.15
     gain, true_gain = (baseline.quantities(problem.retuned(q))["gain"] for q in (found.q, truth))

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.candidate import CORE, Candidate
-from hystmpc.gap.fit import fit
-from hystmpc.gap.problem import Problem
+from hystmpc.models.effects.effect import CORE, Candidate
+from hystmpc.models.identify.least_squares import fit_problem
+from hystmpc.models.identify.problem import Problem
 from hystmpc.trials.types import Vec
 
-from .engine_examples import BASELINES, CANDIDATES, DT, EVERY, LABELS, NEUTRAL, device_runs
+from .engine_examples import BASELINES, CANDIDATES, DT, EVERY, LABELS, device_runs, neutral_values
 
 RUNS = device_runs()
 _STEP = 2e-6
@@ -50,10 +50,9 @@ def test_derivatives_are_those_of_the_run(name: str, candidate: Candidate) -> No
 @pytest.mark.parametrize(("name", "candidate"), EVERY, ids=LABELS)
 def test_neutral_candidates_do_nothing(name: str, candidate: Candidate) -> None:
     baseline = BASELINES[name]
-    values = [NEUTRAL.get(f.name, v) for f, v in zip(candidate.free, candidate.starts[0], strict=True)]
     alone, joined = Problem(baseline), Problem(baseline, (candidate,))
     without = alone.angles(alone.start(baseline.nominal, []), RUNS[0])
-    joint = joined.angles(joined.start(baseline.nominal, [values]), RUNS[0])
+    joint = joined.angles(joined.start(baseline.nominal, [neutral_values(candidate)]), RUNS[0])
     fastest = float(np.abs(np.diff(without)).max()) / DT  # a pole of a microsecond leaves that of the way
     np.testing.assert_allclose(joint, without, atol=1e-6 + 2.1e-6 * fastest)
 
@@ -66,6 +65,18 @@ def test_starts_lie_within_the_bounds(name: str, candidate: Candidate) -> None:
         assert np.all(problem.lower <= q)
         assert np.all(q <= problem.upper)
         problem.fitted_chain(q)  # raises where a value is out of its operator's bounds
+
+
+@pytest.mark.parametrize(("name", "candidate"), EVERY, ids=LABELS)
+def test_what_is_searched_for_shows_in_the_derivatives(name: str, candidate: Candidate) -> None:
+    """Every free parameter moves the angle from some start: a search has something to go by."""
+    problem = Problem(BASELINES[name], (candidate,))
+    sizes = []
+    for start in candidate.starts:
+        # A second shape parameter shows only where the first is not at its neutral value.
+        q = problem.start(BASELINES[name].nominal, [start]) + 1e-3
+        sizes += [np.abs(problem.linearised(q, run)[1]).max(axis=0) for run in (*RUNS, *device_runs(60.0))]
+    assert np.all(np.max(sizes, axis=0)[problem.size - len(candidate.free) :] > 0)
 
 
 @given(st.data())
@@ -134,7 +145,7 @@ def test_a_fit_recovers_what_made_the_angles(name: str) -> None:
     problem = Problem(BASELINES[name], (candidate,))
     true = problem.start(BASELINES[name].nominal, [(0.15, 3.0)])
     runs = [replace(run, angle=problem.angles(true, run)) for run in RUNS]
-    found = fit(problem, runs, problem.start(BASELINES[name].nominal, [candidate.starts[0]]), 60, 1e-9)
+    found = fit_problem(problem, runs, problem.start(BASELINES[name].nominal, [candidate.starts[0]]), 60, 1e-9)
     assert found.mse < 1e-4
     (values,) = problem.effect_values(found.q)
     assert values["share"] == pytest.approx(0.15, rel=0.1)

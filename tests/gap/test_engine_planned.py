@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hystmpc.gap.fixed_simulator import EFFECTS_FILE, fixed_simulator, network_effects
-from hystmpc.gap.hypothesis import CrossValidation, Hypothesis
-from hystmpc.gap.parameter_rows import parameter_rows
-from hystmpc.gap.predicted_response import contender_of, settled
+from hystmpc.gap.predicted_response import contender_of
 from hystmpc.gap.preparation import Prepared, prepare
-from hystmpc.gap.problem import Problem
-from hystmpc.gap.trial_terms import TrialTerms
-from hystmpc.gap.uncertainty import uncertainty
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.place import effect_from
+from hystmpc.models.identify.corrected_simulator import EFFECTS_FILE, corrected_simulator, network_effects, settled
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.identify.problem import Problem
+from hystmpc.models.identify.runs import Run
+from hystmpc.models.identify.trial_terms import TrialTerms
+from hystmpc.models.identify.uncertainty import parameter_rows, uncertainty
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.measurement import PeriodicDisturbance
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep, Drift, FirstFlexure
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.config import read_yaml
+from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..models.zoo import BACKLASH, STATIC_PI
@@ -99,7 +100,7 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say() -> None:
     for seed in range(24):
         prepared = prepared_of(Creep((0.15,), (3.0,)), noise=0.3, seed=seed)
         found = fitted(prepared, "creep/command", (0.1, 2.0))
-        rows = {row.name: row for row in parameter_rows(found, prepared.development, ()) if row.owner == "creep"}
+        rows = {row.name: row for row in parameter_rows(found, prepared.development, {}) if row.owner == "creep"}
         hits += rows["share"].ci90[0] <= 0.15 <= rows["share"].ci90[1]
     assert hits >= 17
 
@@ -112,7 +113,7 @@ def test_what_the_logs_do_not_show_is_called_flat() -> None:
     found = uncertainty(problem, q, prepared.development)
     assert found.flat[-1]
     assert not found.flat[:3].any()
-    rows = parameter_rows(Hypothesis(problem, q, 0.0), prepared.development, ())
+    rows = parameter_rows(Hypothesis(problem, q, 0.0), prepared.development, {})
     assert next(row for row in rows if row.name == "tau_s").flat
 
 
@@ -120,7 +121,7 @@ def test_a_parameter_at_its_bound_is_said_so() -> None:
     prepared = prepared_of()
     problem = Problem(prepared.baseline, (named("backlash", "delay/command"),))
     rows = parameter_rows(
-        Hypothesis(problem, problem.start(prepared.baseline.nominal, [(0.0,)]), 0.0), prepared.development, ()
+        Hypothesis(problem, problem.start(prepared.baseline.nominal, [(0.0,)]), 0.0), prepared.development, {}
     )
     (row,) = [row for row in rows if row.owner == "delay"]
     assert row.at_bound
@@ -137,9 +138,14 @@ def disturbed() -> tuple[Prepared, Hypothesis, Vec]:
     return prepared, hypothesis, prepared.everything[-1].angle
 
 
+def of(prepared: Prepared) -> tuple[Sequence[Run], Sequence[Run], Sequence[Trial], Sequence[Trial]]:
+    """What a correction takes of prepared trials."""
+    return prepared.everything, prepared.development, prepared.checked.trials, prepared.given
+
+
 def test_the_corrected_simulator_has_the_disturbance_of_the_last_trial() -> None:
     prepared, hypothesis, angle = disturbed()
-    fixed = fixed_simulator(SIMULATOR, hypothesis, prepared)
+    fixed = corrected_simulator(SIMULATOR, hypothesis, *of(prepared))
     (operator,) = fixed.chain.after
     assert isinstance(operator, PeriodicDisturbance)
     assert operator.frequency_hz == pytest.approx(1.1)
@@ -156,7 +162,7 @@ def test_shifts_between_trials_stay_out_of_the_file() -> None:
     prepared = prepared_of()
     problem = Problem(prepared.baseline, (), TrialTerms(shift=True))
     hypothesis = Hypothesis(problem, problem.start(prepared.baseline.nominal, []), 0.0)
-    fixed = fixed_simulator(SIMULATOR, hypothesis, prepared)
+    fixed = corrected_simulator(SIMULATOR, hypothesis, *of(prepared))
     assert fixed.chain.operators == (fixed.chain.core,)
     assert "not in this file" in fixed.identification.method
 
@@ -165,7 +171,7 @@ def test_effects_beside_a_network_can_be_read_back(tmp_path: Path) -> None:
     prepared = prepared_of(Lag(0.2))
     problem = Problem(BASELINES["network"], (named("network", "lag/command"),))
     hypothesis = Hypothesis(problem, problem.start(BASELINES["network"].nominal, [(0.2,)]), 0.0)
-    files = network_effects(hypothesis, replace(prepared, baseline=BASELINES["network"]), "net.onnx")
+    files = network_effects(hypothesis, BASELINES["network"], prepared.everything[-1], DT, "net.onnx")
     (tmp_path / EFFECTS_FILE).write_text(files[EFFECTS_FILE], encoding="utf-8")
     content = read_yaml(tmp_path / EFFECTS_FILE)
     assert content["format"] == "hystmpc-effects/1"
@@ -175,4 +181,4 @@ def test_effects_beside_a_network_can_be_read_back(tmp_path: Path) -> None:
     assert placed.effect.name == "lag"
     assert placed.operator.values[0] == pytest.approx(0.2)
     alone = Hypothesis(Problem(BASELINES["network"]), BASELINES["network"].nominal, 0.0)
-    assert network_effects(alone, replace(prepared, baseline=BASELINES["network"]), "net.onnx") == {}
+    assert network_effects(alone, BASELINES["network"], prepared.everything[-1], DT, "net.onnx") == {}

@@ -11,8 +11,8 @@ import pytest
 from hystmpc.gap.form_error import form_error_mse, nominal_noise_deg
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import DeviceLimits
-from hystmpc.models.fit.identify import simulator_of
-from hystmpc.models.fit.trial_set import fingerprint
+from hystmpc.models.identify.methods import simulator_of
+from hystmpc.models.identify.trial_set import fingerprint
 from hystmpc.models.simulator import Identification, Residual, Simulator, load_simulator, save_simulator
 from hystmpc.trials.resample import resample
 from hystmpc.trials.trial import Trial

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hystmpc.gap.hypothesis import CrossValidation
 from hystmpc.gap.jumps import Jumps, find_jumps
 from hystmpc.gap.preparation import prepare
 from hystmpc.gap.procedure import conclude, investigate
 from hystmpc.models.chain import Chain
+from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.studies.blind.cores import FINE_S, Scene
 from hystmpc.studies.blind.generators import lugre_tip
 from hystmpc.trials.trial import Trial

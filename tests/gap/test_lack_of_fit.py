@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from hystmpc.gap.candidate import Scale
-from hystmpc.gap.candidates import candidates
-from hystmpc.gap.hypothesis import CrossValidation, Hypothesis
 from hystmpc.gap.lack_of_fit import remaining_curvature
 from hystmpc.gap.preparation import Prepared, prepare
-from hystmpc.gap.trial_terms import NO_TERMS
 from hystmpc.models.chain import Chain
+from hystmpc.models.effects.catalogue import candidates
+from hystmpc.models.effects.effect import Scale
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.trial_terms import NO_TERMS
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.static_curves import Contact, NonlinearGain
 

@@ -16,10 +16,10 @@ from hystmpc.gap import trial_choice
 from hystmpc.gap.check import Checked, check_trials
 from hystmpc.gap.memory import explainable_share
 from hystmpc.gap.motion_type import command_segments, motion_type
-from hystmpc.gap.recording import Before, Run, runs_of
 from hystmpc.gap.repeats import find_repeats
-from hystmpc.gap.trial_terms import strongest_line
 from hystmpc.gap.workload import MOST_SAMPLES, Workload, affordable
+from hystmpc.models.identify.runs import Before, Run, runs_of
+from hystmpc.models.identify.trial_terms import strongest_line
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import EFFECTS
-from hystmpc.models.effects.pictures import DEVICE, SHOWN, shown_effect
+from hystmpc.models.effects.pictures import DEVICE, shown_effect
 from hystmpc.models.effects.place import (
     effect_from,
     effect_operator,
@@ -38,7 +38,7 @@ def neutral(name: str) -> Operator:
 
 
 def shown(name: str, k: int = 0) -> Operator:
-    return effect_operator(name, SHOWN[name][k], DT)
+    return effect_operator(name, EFFECTS[name].shown[k], DT)
 
 
 def step_response(operator: Operator, samples: int, dt: float = DT) -> np.ndarray:
@@ -64,7 +64,7 @@ def test_a_neutral_effect_changes_nothing_in_any_chain(name: str, side: str) -> 
 def test_as_shown_it_is_not_the_identity(name: str) -> None:
     u = np.concatenate([np.linspace(0, 6, 40), np.full(5, 6.0), np.linspace(6, 2, 40)])
     plain = run_chain(DEVICE, u, 22.0)
-    for k in range(len(SHOWN[name])):
+    for k in range(len(EFFECTS[name].shown)):
         placed = shown_effect(name, k)
         assert np.max(np.abs(run_chain(with_effect(DEVICE, placed.operator, placed.side), u, 22.0) - plain)) > 0.5
 
@@ -187,7 +187,7 @@ def test_periodic_disturbance_does_not_know_the_command() -> None:
 )
 def test_the_sample_time_makes_no_difference_to_what_a_held_command_shows(name: str) -> None:
     u = 3 + 2 * np.sin(np.arange(100) * DT) + np.arange(100) / 50
-    spec = {"effect": name, "parameters": dict(SHOWN[name][0])}
+    spec = {"effect": name, "parameters": dict(EFFECTS[name].shown[0])}
     coarse = run_chain(Chain(effect_from(spec, DT).operator), u)
     fine = run_chain(Chain(effect_from(spec, DT / 4).operator), np.repeat(u, 4), dt=DT / 4)
     # The rest of a fractional delay lies between other neighbours at another rate.

@@ -5,26 +5,25 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.effects.catalogue import EFFECTS
-from hystmpc.models.effects.describe import library_data
+from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS, candidates
 from hystmpc.models.effects.effect import Scale
-from hystmpc.models.effects.pictures import SHOWN, effect_figure, write_pictures
+from hystmpc.models.effects.pictures import effect_figure, write_pictures
 from hystmpc.models.effects.place import (
     EffectError,
     effect_from,
     effect_operator,
     effect_spec,
+    library_data,
     neutral_operator,
     with_effect,
 )
-from hystmpc.models.operators.catalogue import OPERATORS, operator_from, operator_spec
+from hystmpc.models.operators.catalogue import operator_from, operator_spec, operators
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.trials.errors import ModelError
 
@@ -39,37 +38,27 @@ SIDES = [(name, side) for name, effect in EFFECTS.items() for side in effect.sid
 
 def test_the_library_is_the_table_of_the_design() -> None:
     assert tuple(EFFECTS) == NAMES
-    assert {effect.operator for effect in EFFECTS.values()} <= set(OPERATORS)
-    assert set(SHOWN) == set(EFFECTS)
+    assert {effect.operator for effect in EFFECTS.values()} <= set(operators().values())
+    assert all(effect.shown for effect in EFFECTS.values())
 
 
-@pytest.mark.parametrize("name", [name for name in EFFECTS if name != "sensor"])
-def test_what_is_searched_for_shows_in_the_derivatives(name: str) -> None:
-    """Every free parameter of an effect in action moves the output: a search has something to go by."""
-    effect, scale = EFFECTS[name], Scale((0.0, 6.0), (20.0, 80.0), 60.0, DT)
-    operator = neutral_operator(name, **({"samples": 20} if name == "delay" else {}))
-    best = np.zeros(len(operator.parameters))
-    u = np.concatenate([np.linspace(0, 6, 50), np.full(20, 6.0), np.linspace(6, 1, 60), np.linspace(1, 5, 40)])
-    if effect.sides[0] == "output":
-        u = 20 + 10 * u
-    for values in effect.starts(operator, scale, effect.sides[0]):
-        chain = Chain(operator.with_values(values))
-        x, p, total = chain.rest(0.0, float(u[0]), chain.values), ca.SX.sym("p", best.size), []
-        state = ca.SX(x)
-        for value in u:
-            y, state = chain.transition(state, value, p, DT)
-            total.append(y)
-        moved = ca.Function("d", [p], [ca.jacobian(ca.vertcat(*total), p)])(chain.values)
-        best = np.maximum(best, np.abs(np.asarray(moved)).max(axis=0))
-    searched = effect.search(operator, scale, effect.sides[0])
-    # A second shape parameter shows only where the first is not at its neutral value.
-    assert all(best[k] > 0 for k, p in enumerate(operator.parameters) if p.name in searched)
+def test_every_effect_but_those_with_a_test_of_their_own_has_forms() -> None:
+    own = {"trial_shift", "periodic_disturbance", "sensor"}  # terms of each trial, signs of the sensor
+    scale = Scale(0.0, 6.0, 20.0, 80.0, 60.0, 240.0, DT)
+    assert {c.effect for c in candidates(scale, ())} == set(DIAGNOSABLE) - own
+    assert set(EFFECTS) - set(DIAGNOSABLE) == {"directional_gain"}
+
+
+def test_confounders_are_effects_and_mutual() -> None:
+    for name, effect in EFFECTS.items():
+        for fields in ("confounders", "also_taken_for"):
+            assert all(name in getattr(EFFECTS[other], fields) for other in getattr(effect, fields)), name
 
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_plain_data_and_back(name: str) -> None:
-    for k in range(len(SHOWN[name])):
-        placed = effect_from({"effect": name, "parameters": dict(SHOWN[name][k])}, DT)
+    for k in range(len(EFFECTS[name].shown)):
+        placed = effect_from({"effect": name, "parameters": dict(EFFECTS[name].shown[k])}, DT)
         again = effect_from(effect_spec(placed), DT)
         assert again.operator == placed.operator
         assert operator_from(operator_spec(placed.operator), "here") == placed.operator
@@ -78,7 +67,7 @@ def test_plain_data_and_back(name: str) -> None:
 def test_a_simulator_file_holds_effects_in_any_number_and_order(tmp_path: Path) -> None:
     chain = Chain(BACKLASH)
     for name, side in (*SIDES, *reversed(SIDES)):
-        chain = with_effect(chain, effect_operator(name, SHOWN[name][0], DT), side)  # type: ignore[arg-type]
+        chain = with_effect(chain, effect_operator(name, EFFECTS[name].shown[0], DT), side)  # type: ignore[arg-type]
     assert len(chain.operators) == 2 * len(SIDES) + 1
     assert load_simulator(save_simulator(simulator(chain), tmp_path / "sim.yaml")).chain == chain
 
@@ -118,18 +107,12 @@ def test_a_chain_refuses_an_effect_on_the_wrong_side() -> None:
         with_effect(Chain(BACKLASH), neutral_operator("sensor"), "command")
 
 
-def test_a_scale_without_extent_is_refused() -> None:
-    with pytest.raises(ModelError, match="expected rising ranges"):
-        Scale((0.0, 0.0), (0.0, 1.0), 1.0, 0.1)
-
-
-@given(scale=st.floats(0.01, 100.0), low=st.floats(-50.0, 50.0))
-def test_starts_scale_with_the_device(scale: float, low: float) -> None:
+@given(size=st.floats(0.01, 100.0), low=st.floats(-50.0, 50.0))
+def test_starts_scale_with_the_device(size: float, low: float) -> None:
     """A device in other units is searched in the same places."""
-    effect, unit = EFFECTS["contact"], Scale((0.0, 1.0), (0.0, 1.0), 60.0, DT)
-    other = Scale((0.0, 1.0), (low, low + scale), 60.0, DT)
-    a, b = (effect.search(neutral_operator("contact"), s, "output")["angle"] for s in (unit, other))
-    np.testing.assert_allclose(b.typical, low + scale * np.array(a.typical))
+    unit, other = Scale(0, 1, 0.0, 1.0, 60.0, 60.0, DT), Scale(0, 1, low, low + size, 60.0, 60.0, DT)
+    a, b = (np.array([s[0] for c in EFFECTS["contact"].forms(scale) for s in c.starts]) for scale in (unit, other))
+    np.testing.assert_allclose(b, low + size * a, atol=1e-9)
 
 
 def test_the_plain_data_of_the_library_name_units_on_each_side() -> None:

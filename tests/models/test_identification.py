@@ -10,11 +10,10 @@ import pytest
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.evaluate import evaluate, evaluation_json, mean_errors
-from hystmpc.models.fit.chain_fit import Tracker
-from hystmpc.models.fit.free_parameters import FreeParameters
-from hystmpc.models.fit.identify import identify
-from hystmpc.models.fit.operators import OperatorFitSettings, fit_chain
-from hystmpc.models.fit.starts import backlash_starts
+from hystmpc.models.identify.chain_fit import FreeParameters, Tracker
+from hystmpc.models.identify.chain_kinds import backlash_starts
+from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
+from hystmpc.models.identify.methods import identify
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.csv_ import read_csv
 from hystmpc.trials.errors import FitError, ModelError

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.fit.chain_tasks import CHAIN_KINDS, Structure, chain_task
-from hystmpc.models.fit.convergence import ConvergenceReport
-from hystmpc.models.fit.free_run import FreeRunLoss
-from hystmpc.models.fit.global_search import GlobalSettings
-from hystmpc.models.fit.iterated import IteratedSettings
-from hystmpc.models.fit.methods import METHODS, MethodSettings, identify_chain
-from hystmpc.models.fit.operators import FreeRunResiduals, OperatorFitSettings
 from hystmpc.models.identify.adam import AdamSettings, WindowLoss, Windows, parameter_scales
+from hystmpc.models.identify.chain_fit import ConvergenceReport
+from hystmpc.models.identify.chain_kinds import CHAIN_KINDS, Structure, chain_task
+from hystmpc.models.identify.free_run import FreeRuns
+from hystmpc.models.identify.global_search import GlobalSettings
+from hystmpc.models.identify.iterated import IteratedSettings
+from hystmpc.models.identify.least_squares import OperatorFitSettings
+from hystmpc.models.identify.methods import METHODS, MethodSettings, identify_chain
 from hystmpc.models.operators.hysteresis import BoucWen
 from hystmpc.trials.csv_ import read_csv
 from hystmpc.trials.errors import FitError
@@ -38,7 +38,7 @@ SHORT: dict[str, MethodSettings] = {
     "cmaes": GlobalSettings(200, 12),
 }
 WITHIN = {"least_squares": 1e-6, "adam": 0.1, "iterated": 1e-6, "global": 0.1, "cmaes": 0.1}  # [deg]
-NAMES = [method.name for method in METHODS]
+NAMES = list(METHODS)
 
 
 def fitted(method: str, kind: str = "backlash", **changes: object) -> tuple[Chain, object]:
@@ -50,10 +50,10 @@ def fitted(method: str, kind: str = "backlash", **changes: object) -> tuple[Chai
 @pytest.mark.parametrize("method", NAMES)
 def test_every_method_finds_a_backlash_again(method: str) -> None:
     chain, fit = fitted(method)
-    assert fit.rmse < WITHIN[method]  # type: ignore[attr-defined]
+    assert fit.rmse_deg < WITHIN[method]  # type: ignore[attr-defined]
     assert fit.chain == chain  # type: ignore[attr-defined]
     np.testing.assert_allclose(chain.values[:2], BACKLASH.values[:2], rtol=0.02)
-    assert fit.rmse == pytest.approx(math.sqrt(FreeRunLoss(chain, BACKLASH_TRIALS)(chain.values)), abs=1e-9)  # type: ignore[attr-defined]
+    assert fit.rmse_deg == pytest.approx(math.sqrt(FreeRuns(chain, BACKLASH_TRIALS).mse(chain.values)), abs=1e-9)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("method", NAMES)
@@ -76,7 +76,7 @@ def test_ctrl_c_keeps_the_best_so_far(method: str) -> None:
     assert fit.report.iterations == 3  # type: ignore[attr-defined]
     assert seen == sorted(seen, reverse=True)
     if method != "adam":  # whose loss is over windows
-        assert fit.rmse == pytest.approx(seen[-1])  # type: ignore[attr-defined]
+        assert fit.rmse_deg == pytest.approx(seen[-1])  # type: ignore[attr-defined]
 
 
 def test_convergence_is_reported_as_in_s1_table_iv() -> None:
@@ -97,7 +97,7 @@ def test_a_global_search_spends_its_budget_and_never_gets_worse() -> None:
 def test_a_polish_ends_at_the_least_squares_minimum() -> None:
     settings = GlobalSettings(30, 20, polish=True)
     _, fit = identify_chain("backlash", BACKLASH_TRIALS, "global", settings)
-    assert fit.rmse < 1e-6
+    assert fit.rmse_deg < 1e-6
     assert fit.report.loss > 1e-6  # of the search itself
 
 
@@ -105,9 +105,9 @@ def test_a_polish_ends_at_the_least_squares_minimum() -> None:
 def test_the_fast_loss_is_that_of_the_residuals(name: str) -> None:
     chain = CHAINS[name]
     for settings in (OperatorFitSettings(), OperatorFitSettings(True, True)):
-        residuals, _ = FreeRunResiduals(chain, BACKLASH_TRIALS, settings)(chain.values)
-        loss = FreeRunLoss(chain, BACKLASH_TRIALS, settings.skip_first_flexure, settings.offset_free)
-        assert loss(chain.values) == pytest.approx(float(residuals @ residuals), rel=1e-9)
+        runs = FreeRuns(chain, BACKLASH_TRIALS, settings.skip_first_flexure, settings.offset_free)
+        residuals, _ = runs.residuals(chain.values)
+        assert runs.mse(chain.values) == pytest.approx(float(residuals @ residuals), rel=1e-9)
 
 
 @pytest.mark.parametrize("chain", [CHAINS["backlash"], CHAINS["pi"]], ids=["backlash", "pi"])
@@ -137,7 +137,7 @@ def test_starts_and_boxes_are_models(kind: str) -> None:
     free, (lower, upper) = task.free, task.box
     assert np.all(lower[free.index] < upper[free.index])
     for values in (lower, upper, 0.5 * (lower + upper), *(start.values for start in task.starts)):
-        assert np.isfinite(FreeRunLoss(task.starts[0].with_values(values.tolist()), data)(values))
+        assert np.isfinite(FreeRuns(task.starts[0].with_values(values.tolist()), data).mse(values))
 
 
 @pytest.mark.slow
@@ -146,9 +146,9 @@ def test_least_squares_finds_the_new_operators_again(kind: str, truth: object) -
     """To a hundredth of a degree in 60: pieces of dead zones that few samples reach are not told apart further."""
     data = trials(Chain(truth))  # type: ignore[arg-type]
     chain, fit = identify_chain(kind, data, settings=OperatorFitSettings(evaluations=400))
-    assert fit.rmse < 0.05
+    assert fit.rmse_deg < 0.05
     if kind == "bouc_wen":
-        assert fit.rmse < 1e-5
+        assert fit.rmse_deg < 1e-5
         same = BoucWen(*BOUC_WEN.values[:1], 0.0, *BOUC_WEN.values[2:6], BOUC_WEN.b + BOUC_WEN.delta / BOUC_WEN.v)
         # The steepness is that of the range of these trials, a little under 6 mm: only its product with alpha shows.
         np.testing.assert_allclose(chain.values[[0, 1, 2, 6]], np.array(same.values)[[0, 1, 2, 6]], rtol=1e-3)
@@ -161,7 +161,7 @@ def test_a_global_search_finds_a_drdpi_again(method: str, seed: int) -> None:
     if method == "cmaes":
         pytest.importorskip("cma", reason="cma is an extra")
     _, fit = identify_chain("drdpi", trials(Chain(DRDPI)), method, GlobalSettings(120, 60, seed=seed))
-    assert fit.rmse < 0.5
+    assert fit.rmse_deg < 0.5
 
 
 def test_an_inverse_backlash_is_found_again() -> None:
@@ -170,17 +170,17 @@ def test_an_inverse_backlash_is_found_again() -> None:
     swapped = []
     for trial in BACKLASH_TRIALS:
         wish = 30 + 8 * trial.command
-        commands = FreeRunLoss(truth, [Trial(trial.t, wish, trial.command, units=Units("deg", "mm"))])
+        commands = FreeRuns(truth, [Trial(trial.t, wish, trial.command, units=Units("deg", "mm"))])
         swapped.append(Trial(trial.t, wish, commands.angles(truth.values)[0][1:].copy(), units=Units("deg", "mm")))
     chain, fit = identify_chain("inverse_backlash", swapped, structure=Structure(dead_zone_deg=0.05))
-    assert fit.rmse < 1e-6  # mm
+    assert fit.rmse_deg < 1e-6  # mm
     np.testing.assert_allclose(chain.values, truth.values, rtol=1e-6)
 
 
 def test_a_fitted_inverse_of_static_plays_is_the_analytic_one() -> None:
     swapped = [trial.swapped() for trial in trials(Chain(STATIC_PI))]
     chain, fit = identify_chain("inverse_pi", swapped)
-    assert fit.rmse < 0.01  # mm
+    assert fit.rmse_deg < 0.01  # mm
     assert chain.core.parameters[0].name == "a0"
 
 
@@ -243,6 +243,6 @@ def test_methods_agree_on_the_real_logs(real_logs: list[Path]) -> None:
         "adam": AdamSettings(**skip),
         "global": GlobalSettings(60, 40, **skip),
     }
-    rmse = {name: identify_chain("backlash", logs, name, settings)[1].rmse for name, settings in reached.items()}
+    rmse = {name: identify_chain("backlash", logs, name, settings)[1].rmse_deg for name, settings in reached.items()}
     assert rmse["least_squares"] < 1.2
     assert all(rmse["least_squares"] - 1e-3 <= value < 1.05 * rmse["least_squares"] for value in rmse.values())

@@ -11,14 +11,14 @@ import pytest
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate
-from hystmpc.models.fit.split import hold_out
-from hystmpc.models.fit.windows import draw_windows
 from hystmpc.models.kinds.networks import NETWORK_PRESETS
 from hystmpc.models.networks.settings import RecurrentSettings
+from hystmpc.models.train.hold_out import hold_out
 from hystmpc.models.train.networks import NetworkCheck, NetworkFit, fit_network, network_bundle
 from hystmpc.models.train.runs import Run, arrange, pause, stretch
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining, TeacherSettings, WindowTraining
 from hystmpc.models.train.teacher import Teacher
+from hystmpc.models.train.windows import draw_windows
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 

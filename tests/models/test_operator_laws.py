@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.operators.catalogue import OPERATORS, operator_from, operator_spec
+from hystmpc.models.operators.catalogue import operator_from, operator_spec, operators
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.friction import Asymmetry
 from hystmpc.models.operators.hysteresis import Play
@@ -47,7 +47,7 @@ def polyline(points: list[float], samples: int) -> np.ndarray:
 
 
 def test_every_operator_has_an_example() -> None:
-    assert {type(example) for example in EXAMPLES} == set(OPERATORS)
+    assert {type(example) for example in EXAMPLES} == set(operators().values())
 
 
 @pytest.mark.parametrize("operator", RATE_INDEPENDENT, ids=lambda o: o.name)

@@ -15,8 +15,8 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata
 from hystmpc.models.evaluate import evaluate, mean_errors
-from hystmpc.models.fit.identify import identify
-from hystmpc.models.fit.operators import OperatorFitSettings
+from hystmpc.models.identify.least_squares import OperatorFitSettings
+from hystmpc.models.identify.methods import identify
 from hystmpc.models.inverse.one_step import CompiledInverse
 from hystmpc.models.kinds.kind import FitRequest, Identified
 from hystmpc.models.kinds.regressions import PlayKernelKind

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import EFFECTS
-from hystmpc.models.effects.pictures import SHOWN
 from hystmpc.models.operators.dynamics import Delay
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.operators.measurement import Sensor
@@ -164,7 +163,7 @@ def plant_with(*specs: dict[str, object], seed: int = 0, **others: object) -> Si
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_every_effect_runs_in_a_plant_and_a_reset_finds_the_same_device(name: str) -> None:
-    plant = plant_with({"effect": name, "parameters": dict(SHOWN[name][0])}, seed=4)
+    plant = plant_with({"effect": name, "parameters": dict(EFFECTS[name].shown[0])}, seed=4)
     first = [plant.reset(), *(plant.apply(float(u)) for u in COMMANDS)]
     assert first == [plant.reset(), *(plant.apply(float(u)) for u in COMMANDS)]
     assert np.all(np.isfinite(first))

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.hypothesis import CrossValidation
-from hystmpc.gap.recording import Run, runs_of
-from hystmpc.gap.select import Selection, SelectionSettings, select
 from hystmpc.models.chain import Chain
+from hystmpc.models.identify.cross_validation import CrossValidation
+from hystmpc.models.identify.runs import Run, runs_of
+from hystmpc.models.identify.selection import Selection, SelectionSettings, select
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.studies.blind.rules import bic_choice, effective_samples, fit_rules
 

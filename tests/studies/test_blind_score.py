@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hystmpc.models.effects.catalogue import confusable
 from hystmpc.studies.blind.bars import Rate, bars, calibration, chance, confusion, overlap, true_share
 from hystmpc.studies.blind.generators import LABELS
-from hystmpc.studies.blind.plan import confusable
 from hystmpc.studies.blind.reading import DiagnosisReading, ScoredCase, reading_of
 from hystmpc.studies.blind.report import blind_report
 from hystmpc.studies.blind.score import score_json, score_of

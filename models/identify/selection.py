@@ -8,11 +8,12 @@ from typing import final
 
 import numpy as np
 
-from .candidate import Candidate
-from .hypothesis import CrossValidation, HeldOutErrors, Hypothesis, gain
+from ..effects.effect import Candidate
+from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
 from .trial_terms import TrialTerms, strongest_line
 
-Progress = Callable[[float, str], None]
+RoundProgress = Callable[[float, str], None]
+"""Told the share of the present round, and the candidate that is tried."""
 
 _OWN = 100
 OWN_TO_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial anew: has to recur
@@ -26,11 +27,11 @@ class SelectionSettings:
         most: greatest number of causes.
         standard_errors: by which the held-out error has to fall for a cause to be added.
         least_share: of the structural error that remains, by which it has to fall.
-        shift_share: the same for `trial_shift`, which mops up any single bad trial.
+        shift_share: the same for `trial_shift`, which can explain any single bad trial.
         gap_share, form_share: least fall by the whole structural error, and by the floor.
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
-        gives_way: effects that bend to almost anything, and the share of what they explain by which another cause may
-            be worse and is preferred.
+        gives_way: generic effects, and the share of what they explain by which another cause may be worse and is still
+            preferred.
         line_of_shifts: the same for `trial_shift` where the other is a drift, which has one number for all trials.
         variants: forms of one effect that are tried again once it was tried alone.
         judged: candidates of a round that are judged on held-out trials; the others only by their fit.
@@ -69,7 +70,7 @@ class Selection:
 
 @final
 class Selector:
-    """One selection over a court; see `select`."""
+    """One selection; see `select`."""
 
     def __init__(
         self,
@@ -78,16 +79,16 @@ class Selector:
         settings: SelectionSettings,
         floor_mse: float,
         without: Sequence[str],
-        progress: Progress,
+        progress: RoundProgress,
     ) -> None:
-        self._court, self._candidates, self._settings = validation, tuple(candidates), settings
+        self._validation, self._candidates, self._settings = validation, tuple(candidates), settings
         self._floor, self._without, self._progress = floor_mse, without, progress
         self._baseline_mse, self._blocks = 0.0, 0.0
         self.tried: dict[frozenset[str], HeldOutErrors] = {}
 
     def run(self) -> Selection:
         """Add, drop, swap."""
-        current = baseline = self._judge(self._court.retuned())
+        current = baseline = self._judge(self._validation.retuned())
         self._baseline_mse, self._blocks = baseline.mse, float(baseline.energy.size)
         been: set[frozenset[str]] = set()  # what is added may drop what has it added again
         while len(current.hypothesis.effects) < self._settings.most and current.hypothesis.effects not in been:
@@ -101,7 +102,7 @@ class Selector:
         return Selection(baseline, current, self.tried)
 
     def _judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        judged = self._court.judge(hypothesis)
+        judged = self._validation.judge(hypothesis)
         known = self.tried.get(hypothesis.effects)
         if known is None or judged.mse < known.mse:
             self.tried[hypothesis.effects] = judged
@@ -143,14 +144,14 @@ class Selector:
                 continue
             effects = (*base.problem.effects, candidate)
             starts = [[*there, start] for start in candidate.starts]
-            made = self._court.with_causes(effects, base.problem.terms, z, starts)
+            made = self._validation.with_causes(effects, base.problem.terms, z, starts)
             reached[candidate] = made.mse * self._expected(len(candidate.free))
             if candidate.effect not in best or reached[candidate] < predicted[candidate.effect]:
                 best[candidate.effect], predicted[candidate.effect] = made, reached[candidate]
         if not base.effects:
             self._candidates = _favourites(reached, self._settings.variants)
         for terms in self._terms(base):
-            made = self._court.with_causes(base.problem.effects, terms, z, [there])
+            made = self._validation.with_causes(base.problem.effects, terms, z, [there])
             best[terms.names[-1] if terms.frequency_hz and not base.problem.terms.frequency_hz else "trial_shift"] = (
                 made
             )
@@ -160,7 +161,7 @@ class Selector:
     def _expected(self, free: int) -> float:
         """Factor from the error of a fit to that of other trials: what flexible forms of an effect gain by chance.
 
-        (B + Q) / (B - Q) with B blocks, as neighbouring errors are no news, and Q free parameters (Akaike, Fitting
+        (B + Q) / (B - Q) with B blocks, as neighbouring errors are correlated, and Q free parameters (Akaike, Fitting
         autoregressive models for prediction, Ann. Inst. Statist. Math. 21, 1969: final prediction error).
         """
         blocks = self._blocks
@@ -169,11 +170,12 @@ class Selector:
     def _terms(self, base: Hypothesis) -> list[TrialTerms]:
         """Terms of the base with one more."""
         terms, made = base.problem.terms, []
-        if not terms.shift and "trial_shift" not in self._without and len(self._court.runs) > 1:
+        if not terms.shift and "trial_shift" not in self._without and len(self._validation.runs) > 1:
             made.append(replace(terms, shift=True))
         if not terms.frequency_hz and "periodic_disturbance" not in self._without:
-            errors = [base.problem.error(base.q, run)[0] for run in self._court.runs]
-            line = strongest_line(list(self._court.runs), errors, self._settings.lowest_hz, self._settings.highest_hz)
+            runs, settings = list(self._validation.runs), self._settings
+            errors = [base.problem.error(base.q, run)[0] for run in runs]
+            line = strongest_line(runs, errors, settings.lowest_hz, settings.highest_hz)
             made.append(replace(terms, frequency_hz=line))
         return made
 
@@ -182,20 +184,20 @@ class Selector:
         for effect in sorted(current.hypothesis.effects):
             if len(current.hypothesis.effects) < 2:
                 break
-            simpler = self._judge(self._court.without(current.hypothesis, {effect}))
+            simpler = self._judge(self._validation.without(current.hypothesis, {effect}))
             if not self._worth_adding(simpler, current):
                 current = simpler
         return current
 
     def _swapped(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
-        """With each cause exchanged for each other one; the better stands, all are kept for the ambiguity."""
+        """With each cause exchanged for each other one; the better is kept, all are recorded for the ambiguity."""
         for effect in sorted(current.hypothesis.effects):
             if effect not in current.hypothesis.effects:
                 continue
             if len(current.hypothesis.effects) == 1:
                 rest = baseline.hypothesis
             else:
-                rest = self._court.without(current.hypothesis, {effect})
+                rest = self._validation.without(current.hypothesis, {effect})
                 self._judge(rest)
             for hypothesis in self._additions(rest):
                 known = self.tried.get(hypothesis.effects)
@@ -205,7 +207,7 @@ class Selector:
         return current
 
     def _better(self, present: HeldOutErrors, other: HeldOutErrors, baseline: HeldOutErrors) -> bool:
-        """Whether an exchange is an improvement; what bends to anything gives way to what does nearly as well."""
+        """Whether an exchange is an improvement; a generic effect gives way to one that does nearly as well."""
         if len(other.hypothesis.effects) != len(present.hypothesis.effects) or other is present:
             return False
         fall, error = gain(present, other)
@@ -252,15 +254,15 @@ def select(
     settings: SelectionSettings,
     floor_mse: float,
     without: Sequence[str] = (),
-    progress: Progress = lambda share, what: None,
+    progress: RoundProgress = lambda share, what: None,
 ) -> Selection:
     """Choose the causes.
 
     Args:
-        court: development runs and baseline.
+        validation: development runs and baseline.
         candidates: effects that may be added.
         settings: thresholds.
-        floor_mse: below which an error is no news [deg^2].
+        floor_mse: error of sensor noise and model form; a fall below it does not count [deg^2].
         without: effects that are left out of the library.
         progress: told the share of the present round and what is tried.
     """

@@ -1,16 +1,21 @@
-"""Free runs of a chain, stage by stage: each operator passes over the whole signal before the next one sees it."""
+"""Free runs of a chain: the one compiled engine with exact sensitivities, and its error over trials."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, final
 
 import numpy as np
 
 from hystmpc.trials.errors import ModelError
+from hystmpc.trials.segments import first_flexure_end
+from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
-from .kernels import StageKernels, stage_kernels
+from ..kernels.stage_kernels import StageKernels, stage_kernels
+from .trial_set import check_trial_set
 
 _ROUNDS, _CLOSE, _FLAT, _WITHIN = 8, 1e-9, 1e-3, 1e-6
 
@@ -213,3 +218,89 @@ def _stage_at_rest(kernels: StageKernels, u: float, seen: float, p: Vec, x: Vec)
     own, by_u, by_seen = np.zeros((x.size, p.size)), np.zeros(x.size), np.zeros(x.size)
     kernels.rest(u, seen, np.ascontiguousarray(p), kernels.constants[2], x, own, by_u, by_seen)
     return own, by_u, by_seen
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredRun:
+    """One trial as a fit runs it.
+
+    Attributes:
+        commands: the trial's commands behind the chain's warm-up, in which the first is held (W + T,).
+        angle: what was measured (T,).
+        warmup: samples W.
+        start: first sample of the trial that counts.
+    """
+
+    commands: Vec
+    angle: Vec
+    warmup: int
+    start: int
+
+
+@final
+class FreeRuns:
+    """Free runs of a chain over trials, and their error; every trial has the same weight.
+
+    A run starts at rest (`StagedChain.rest`) at the first command and angle, and is compared after the chain's warm-up.
+
+    Args:
+        chain: its structure; parameters are given with each call.
+        trials: uniformly sampled at one rate, in one pair of units.
+        skip_first_flexure: score each trial from the first reversal of its command on.
+        offset_free: take the mean off the error of each trial.
+
+    Raises:
+        FitError: on unusable trials, see `check_trial_set`.
+    """
+
+    def __init__(
+        self, chain: Chain, trials: Sequence[Trial], skip_first_flexure: bool = False, offset_free: bool = False
+    ) -> None:
+        self._dt, self._staged, self._offset_free = check_trial_set(trials), StagedChain(chain), offset_free
+        warmup = chain.settling_samples
+        self.runs = [
+            ScoredRun(
+                np.concatenate([np.full(warmup, trial.command[0]), trial.command]),
+                trial.angle,
+                warmup,
+                first_flexure_end(trial) if skip_first_flexure else 0,
+            )
+            for trial in trials
+        ]
+
+    def angles(self, p: Vec) -> list[Vec]:
+        """Outputs (W + T,) of each run at parameters p (P,)."""
+        found = []
+        for run in self.runs:
+            state = self._staged.rest(run.commands[:1], run.angle[:1], p)
+            found.append(self._staged.simulate(run.commands[:, None], self._dt, state, p)[0][:, 0])
+        return found
+
+    def mse(self, p: Vec) -> float:
+        """Mean over trials of the mean square error at parameters p (P,); infinite where a run is not finite."""
+        errors = [self._error(run, theta) for run, theta in zip(self.runs, self.angles(p), strict=True)]
+        loss = sum(float(error @ error) / error.size for error in errors) / len(self.runs)
+        return loss if np.isfinite(loss) else np.inf
+
+    def residuals(self, p: Vec) -> tuple[Vec, Vec]:
+        """Residuals (R,) at parameters p (P,) and their Jacobian (R, P), initial states' dependence on p included.
+
+        r = (theta(p) - measured) / sqrt(T_trial n_trials), so that sum r^2 is the mean square error of `mse`.
+        """
+        residuals, jacobians = [], []
+        for run in self.runs:
+            start = self._staged.rest_with_slope(float(run.commands[0]), float(run.angle[0]), p)
+            theta, gradient = self._staged.differentiate(run.commands, self._dt, *start, p)
+            error = self._error(run, theta)
+            by_p = gradient[-error.size :]
+            if self._offset_free:
+                by_p = by_p - by_p.mean(axis=0)
+            scale = 1 / np.sqrt(error.size * len(self.runs))
+            residuals.append(error * scale)
+            jacobians.append(by_p * scale)
+        return np.concatenate(residuals), np.vstack(jacobians)
+
+    def _error(self, run: ScoredRun, theta: Vec) -> Vec:
+        """Model less measurement over the samples that count, from theta (W + T,)."""
+        error = theta[run.warmup + run.start :] - run.angle[run.start :]
+        return error - error.mean() if self._offset_free else error

@@ -1,4 +1,4 @@
-"""A trial as the diagnosis runs it."""
+"""Trials as an identification runs them, and their squared errors in blocks of a few seconds."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ class Run:
         counts: samples that are scored (T,).
         bent_before: greatest command of all trials recorded before [cmd]; the rest command for the first.
         clock_s: time recorded before this trial [s].
-        correction: what the nominal simulator says beyond the chain that stands for it (T,) [deg]; zero for chains.
+        correction: angle of the nominal simulator less that of the chain that represents it (T,) [deg]; zero for a
+            chain.
     """
 
     name: str
@@ -106,3 +107,39 @@ def _rest_angle(trial: Trial, still: float) -> float:
     moved = np.flatnonzero(np.abs(trial.command - trial.command[0]) > still)
     stop = max(int(moved[0]) if moved.size else len(trial), 1)
     return float(np.mean(trial.angle[: min(stop, round(1.0 / trial.dt) + 1)]))
+
+
+_BLOCK_S = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Squared errors in blocks; blocks without a sample are left out.
+
+    Attributes:
+        energy: sum of squared errors of each block (B,) [deg^2].
+        samples: of each block (B,).
+        run: number of the run that each belongs to (B,).
+    """
+
+    energy: Vec
+    samples: Vec
+    run: NDArray[np.intp]
+
+    @property
+    def mse(self) -> float:
+        """Mean square error [deg^2]."""
+        return float(self.energy.sum() / self.samples.sum())
+
+
+def blocks_of(errors: Sequence[Vec], runs: Sequence[Run]) -> Blocks:
+    """Errors (C,) of the counted samples of each run, in blocks of three seconds."""
+    energy, samples, owner = [], [], []
+    for k, (error, run) in enumerate(zip(errors, runs, strict=True)):
+        blocks = run.blocks(_BLOCK_S)
+        blocks = blocks - blocks.min()
+        energy.append(np.bincount(blocks, error**2).astype(np.float64))
+        samples.append(np.bincount(blocks).astype(np.float64))
+        owner.append(np.full(energy[-1].size, k))
+    filled = np.concatenate(samples) > 0
+    return Blocks(np.concatenate(energy)[filled], np.concatenate(samples)[filled], np.concatenate(owner)[filled])

@@ -12,9 +12,10 @@ from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
+from ..model import FitProgress
 from ..operators.hysteresis import Backlash
-from .chain_fit import ChainFit, ChainTask, Progress, Tracker
-from .free_run import FreeRunLoss, ScoredRun
+from .chain_fit import ChainFit, ChainTask, Tracker
+from .free_run import FreeRuns, ScoredRun
 from .trial_set import check_trial_set
 
 
@@ -68,7 +69,7 @@ class Frame:
         return np.concatenate([slopes, self.y / slopes - self.u + lines[2:] * self.u_scale])
 
 
-def fit_by_iteration(task: ChainTask, settings: IteratedSettings, progress: Progress | None = None) -> ChainFit:
+def fit_by_iteration(task: ChainTask, settings: IteratedSettings, progress: FitProgress | None = None) -> ChainFit:
     """Assign samples to lines by the lines as they are, regress the lines from the samples, and so on.
 
     f1 = [u_k <= y_{k-1} / m_lo - c_lo],  f2 = [u_k >= y_{k-1} / m_up - c_up]
@@ -87,8 +88,8 @@ def fit_by_iteration(task: ChainTask, settings: IteratedSettings, progress: Prog
     if not isinstance(template.core, Backlash) or len(template.operators) > 1:
         raise FitError(f"iterated least squares fits a backlash alone, got {', '.join(template.labels)}")
     frame = _frame(task.trials)
-    loss = FreeRunLoss(template, task.trials, settings.skip_first_flexure)
-    tracker = Tracker(loss, task.free, progress)
+    loss = FreeRuns(template, task.trials, settings.skip_first_flexure)
+    tracker = Tracker(loss.mse, task.free, progress)
     lines, interrupted = np.array(settings.start) * [1, 1, 1, -1], False
     try:
         for _ in range(settings.iterations):

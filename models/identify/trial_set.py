@@ -1,16 +1,18 @@
-"""What a set of trials says about itself: fingerprint, ranges, and whether a model can be identified from it."""
+"""What a set of trials says about itself: sample time, ranges, fingerprint, and whether a model can be identified."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
-from ..contract.metadata import Range
+from ..contract.metadata import DeviceLimits, InitialRule, ModelMetadata, Range
 
 LEAST_SAMPLES = 50
 
@@ -61,3 +63,52 @@ def check_trial_set(trials: Sequence[Trial]) -> float:
             if np.ptp(signal) <= 1e-9 * max(1.0, float(np.max(np.abs(signal)))):
                 raise FitError(f"{trial.source}: the {name} is constant at {signal[0]:.6g}, expected a motion")
     return dt
+
+
+Fact = str | float | int | bool
+
+
+def facts_of(
+    kind: str,
+    trials: Sequence[Trial],
+    limits: DeviceLimits,
+    rules: tuple[InitialRule, InitialRule],
+    warmup_samples: int,
+    training: Mapping[str, Fact],
+) -> ModelMetadata:
+    """Metadata of a model identified on `trials`: ranges, fingerprint and names of the logs are theirs.
+
+    Args:
+        kind: name of the kind.
+        trials: all that it was given.
+        limits: what the device may be sent; what the trials show where left out.
+        rules: `initial` and `conditioned`.
+        warmup_samples: see `ModelMetadata`.
+        training: further facts.
+
+    Raises:
+        FitError: on unusable trials.
+        ModelError: if they are beyond what a model file may say.
+    """
+    dt, trained = check_trial_set(trials), command_range(trials)
+    return ModelMetadata.of(
+        kind=kind,
+        dt_s=dt,
+        command_unit=trials[0].units.command,
+        angle_unit=trials[0].units.angle,
+        command_limits=limits.command or trained,
+        command_rate=limits.rate_per_s or fastest_command(trials),
+        trained_command=trained,
+        trained_angle=angle_range(trials),
+        trained_rate=fastest_command(trials),
+        initial=rules[0],
+        conditioned=rules[1],
+        warmup_samples=warmup_samples,
+        training_data_hash=fingerprint(trials),
+        training={**training, "logs": ", ".join(Path(trial.source).name for trial in trials)},
+    )
+
+
+def fixed_rule(state: Vec) -> InitialRule:
+    """A start (S,) that does not depend on the measured angle."""
+    return InitialRule(offset=tuple(state.tolist()), slope=(0.0,) * state.size)

@@ -1,16 +1,16 @@
-"""The staged engine: every operator alone and in chains equals its own equation, with exact sensitivities."""
+"""The free-run engine: every operator alone and in chains equals its own equation, with exact sensitivities."""
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.fit.operators import rest_with_slope
-from hystmpc.models.kernels.chain_kernels import compile_step
+from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.kernels.program import dense
 from hystmpc.models.operators.slow_changes import Creep, TrialShift
 from hystmpc.models.operators.static_curves import Contact, NonlinearGain
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.errors import ModelError
 
 from .zoo import BACKLASH, CHAINS, DT, EXAMPLES, RATE_PI
@@ -48,24 +48,28 @@ def test_a_run_equals_the_equation_sample_by_sample(chain: Chain) -> None:
     np.testing.assert_allclose(last[:, 0], state, rtol=0, atol=1e-9)
 
 
+def forward_sensitivity(chain: Chain, u: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (T,) and their derivative (T, P) from rest, by the chain rule over the whole chain's own equation."""
+    x, command, values = ca.SX.sym("x", chain.state_size), ca.SX.sym("u"), ca.SX.sym("p", p.size)
+    y, following = chain.transition(x, command, values, DT)
+    by = [ca.jacobian(part, variable) for part in (y, following) for variable in (x, values)]
+    step = dense("step", [x, command, values], [y, following, *by])
+    rest = chain.rest(ANGLE, command, values)
+    state, slope = dense("rest", [command, values], [rest, ca.jacobian(rest, values)])(u[0], p)
+    slope = np.asarray(slope)
+    theta, gradient = np.empty(u.size), np.empty((u.size, p.size))
+    for k, sent in enumerate(u):
+        angle, state, y_x, y_p, x_x, x_p = (np.asarray(part) for part in step(state, sent, p))
+        theta[k], gradient[k], slope = angle.item(), (y_x @ slope + y_p).ravel(), x_x @ slope + x_p
+    return theta, gradient
+
+
 @pytest.mark.parametrize("chain", CASES, ids=IDS)
 def test_sensitivities_equal_those_of_the_whole_chain(chain: Chain) -> None:
     u, p = wandering(), chain.values
     staged = StagedChain(chain)
     theta, gradient = staged.differentiate(u, DT, *staged.rest_with_slope(float(u[0]), ANGLE))
-    kernels = compile_step(chain.transition)
-    state, slope = rest_with_slope(chain)(ANGLE, u[0], p)
-    reference, by_p = np.empty(u.size), np.empty((u.size, p.size))
-    kernels.differentiate(
-        np.asarray(state).ravel(),
-        np.ascontiguousarray(slope),
-        u,
-        p,
-        np.array([DT]),
-        kernels.sensitivity_constants,
-        reference,
-        by_p,
-    )
+    reference, by_p = forward_sensitivity(chain, u, p)
     np.testing.assert_allclose(theta, reference, rtol=0, atol=1e-9)
     np.testing.assert_allclose(gradient, by_p, rtol=1e-8, atol=1e-8)
 

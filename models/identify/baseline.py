@@ -9,11 +9,12 @@ from typing import final
 
 import numpy as np
 
-from hystmpc.models.chain import Chain
-from hystmpc.models.contract.metadata import Range
-from hystmpc.models.operators.hysteresis import Backlash
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.types import Vec
+
+from ..chain import Chain
+from ..contract.metadata import Range
+from ..operators.hysteresis import Backlash
+from .free_run import StagedChain
 
 # Parameters of cores that are effects by another name: retuning leaves them at their nominal values.
 _EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence"}

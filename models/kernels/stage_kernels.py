@@ -1,18 +1,109 @@
-"""Source of an operator's kernels: what depends on parameters alone is computed once, the rest sample by sample."""
+"""Compiled kernels of one operator over whole trials, shared by all operators of the same structure.
+
+The operator's equation becomes straight-line code: what depends on parameters alone is computed once (`prepare`), the
+rest sample by sample.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from functools import lru_cache
+from typing import Any, final
 
 import casadi as ca
+import numpy as np
 
-from ..kernels.program import SCALAR, Instruction, dense, instructions
+from hystmpc.trials.types import Vec
+
 from ..operators.operator import Operator
+from .numba_ import generated_module
+from .program import SCALAR, Instruction, dense, instructions
 
 _STATE, _INPUT = 0, 1  # arguments of an operator's function that change from sample to sample
 _ARGUMENTS = ("x", "u", "p", "dt")
+_DECORATOR = '@njit(cache=True, error_model="numpy", nogil=True)'
+
+# Choices as calls, which LLVM inlines: numba's compile time grows with the square of a function's branches.
+_CHOICES = {
+    "lt": "1.0 if a < b else 0.0",
+    "le": "1.0 if a <= b else 0.0",
+    "eq": "1.0 if a == b else 0.0",
+    "ne": "1.0 if a != b else 0.0",
+    "or": "1.0 if a + b > 0.0 else 0.0",
+    "if_else_zero": "b if a != 0.0 else 0.0",
+    "fmin": "a if a <= b else b",
+    "fmax": "a if a >= b else b",
+}
+_TEMPLATES = {**SCALAR, **{name: f"choose_{name}({{0}}, {{1}})" for name in _CHOICES}}
+_HEADER = "import math\n" + "".join(
+    f"\n\n{_DECORATOR}\ndef choose_{name}(a, b):\n    return {value}\n" for name, value in _CHOICES.items()
+)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class StageKernels:
+    """What is compiled for an operator with S states and P parameters, for N rows of T samples, time first.
+
+    Attributes:
+        prepare: (p (P, N), dt, k, c) fills c, everything that does not change from sample to sample, for `simulate`.
+        simulate: (x (S, N), u (T, N), c, y (T, N)) runs all rows; x is updated.
+        prepare_slopes, differentiate: the same for one row with tangents, (x (S,), m (S, Q), u (T,), du (T, Q), c,
+            own, count, y (T,), dy (T, Q)): of the Q directions the first `count` are in use, the operator's own
+            parameters from `own` on.
+        rest: (u, seen, p (P,), k, x (S,), slope (S, P), by_u (S,), by_seen (S,)) the state at rest at input u and
+            output seen, and its derivatives.
+        constants: arguments k of `prepare`, `prepare_slopes` and `rest`.
+        kept: rows of c for `simulate` and `differentiate`.
+    """
+
+    prepare: Callable[..., None]
+    simulate: Callable[..., None]
+    prepare_slopes: Callable[..., None]
+    differentiate: Callable[..., None]
+    rest: Callable[..., None]
+    constants: tuple[Vec, Vec, Vec]
+    kept: tuple[int, int]
+
+
+def stage_kernels(operator: Operator) -> StageKernels:
+    """Kernels of an operator's structure; compiled at their first call, kept on disk."""
+    return _compile(type(operator), tuple(operator.structure.items()))
+
+
+@lru_cache(maxsize=256)
+def _compile(kind: type[Operator], structure: tuple[tuple[str, Any], ...]) -> StageKernels:
+    operator = kind.template(**dict(structure))
+    x, u = ca.SX.sym("x", len(operator.states)), ca.SX.sym("u")
+    p, dt = ca.SX.sym("p", len(operator.parameters)), ca.SX.sym("dt")
+    following, y = (ca.densify(ca.SX(part)) for part in operator.equation(x, u, p, dt))
+    plain = _split(dense("step", [x, u, p, dt], [y, following]))
+    slopes = _Slopes.of(following, y, x, u, p)
+    exact = _split(dense("slopes", [x, u, p, dt], [y, following, slopes.values]))
+    seen = ca.SX.sym("seen")
+    rest = ca.densify(ca.SX(operator.at_rest(u, seen, p)))
+    by = [ca.jacobian(rest, variable) for variable in (p, u, seen)]
+    at_rest = _split(dense("rest", [seen, u, p, dt], [rest, *by]))
+    functions = (
+        _HEADER,
+        _prepare("prepare", plain),
+        _prepare("prepare_slopes", exact),
+        _simulate(plain, x.numel()),
+        _differentiate(exact, slopes, x.numel()),
+        _rest(at_rest, x.numel(), p.numel()),
+    )
+    module = generated_module("\n\n".join(functions))
+    plain_k, exact_k, rest_k = (np.array(s.constants, dtype=np.float64) for s in (plain, exact, at_rest))
+    return StageKernels(
+        module.prepare,
+        module.simulate,
+        module.prepare_slopes,
+        module.differentiate,
+        module.rest,
+        (plain_k, exact_k, rest_k),
+        (len(plain.kept), len(exact.kept)),
+    )
 
 
 @dataclass
@@ -34,51 +125,6 @@ class _Split:
     kept: list[str] = field(default_factory=list)
     parameters: list[int] = field(default_factory=list)
     outputs: dict[tuple[int, int], str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class StageSource:
-    """Text of an operator's kernels, see `kernels.StageKernels` for their arguments.
-
-    Attributes:
-        text: Python source.
-        constants: numbers for the argument `k` of `prepare`.
-        kept, kept_with_slopes: rows that `prepare` fills for `simulate` and for `differentiate`.
-    """
-
-    text: str
-    constants: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
-    kept: tuple[int, int]
-
-
-def stage_source(operator: Operator) -> StageSource:
-    """Write the kernels of one operator's structure; operators that differ in numbers only give the same text."""
-    x, u = ca.SX.sym("x", len(operator.states)), ca.SX.sym("u")
-    p, dt = ca.SX.sym("p", len(operator.parameters)), ca.SX.sym("dt")
-    following, y = operator.equation(x, u, p, dt)
-    following, y = ca.densify(ca.SX(following)), ca.densify(ca.SX(y))
-    plain = _split(dense("step", [x, u, p, dt], [y, following]))
-    slopes = _Slopes.of(following, y, x, u, p)
-    exact = _split(dense("slopes", [x, u, p, dt], [y, following, slopes.values]))
-    seen = ca.SX.sym("seen")
-    rest = ca.densify(ca.SX(operator.at_rest(u, seen, p)))
-    at_rest = _split(
-        dense("rest", [seen, u, p, dt], [rest, ca.jacobian(rest, p), ca.jacobian(rest, u), ca.jacobian(rest, seen)])
-    )
-    text = "\n\n".join(
-        [
-            _prepare("prepare", plain),
-            _prepare("prepare_slopes", exact),
-            _simulate(plain, x.numel()),
-            _differentiate(exact, slopes, x.numel()),
-            _rest(at_rest, x.numel(), p.numel()),
-        ]
-    )
-    return StageSource(
-        text,
-        (tuple(plain.constants), tuple(exact.constants), tuple(at_rest.constants)),
-        (len(plain.kept), len(exact.kept)),
-    )
 
 
 @dataclass(frozen=True)
@@ -153,7 +199,7 @@ def _expression(step: Instruction, where: dict[int, str], split: _Split) -> str:
     if step.name == "const":
         split.constants.append(step.value)
         return f"k[{len(split.constants) - 1}]"
-    return SCALAR[step.name].format(*(where[a] for a in step.args))
+    return _TEMPLATES[step.name].format(*(where[a] for a in step.args))
 
 
 def _prepare(name: str, split: _Split) -> str:
@@ -164,7 +210,7 @@ def _prepare(name: str, split: _Split) -> str:
 
 
 def _simulate(split: _Split, size: int) -> str:
-    """`simulate(x, u, c, y)`: x (S, N) goes on, u (T, N), y (T, N)."""
+    """`simulate(x, u, c, y)`: x (S, N) is updated, u (T, N), y (T, N)."""
     reads = [f"x{i} = x[{i}, n]" for i in range(size)] + ["u0 = u[t, n]"]
     reads += [f"{value} = c[{i}, n]" for i, value in enumerate(split.kept)]
     writes = [f"y[t, n] = {split.outputs[0, 0]}"] + [f"x[{i}, n] = {split.outputs[1, i]}" for i in range(size)]
@@ -207,8 +253,7 @@ def _rest(split: _Split, size: int, count: int) -> str:
 
 
 def _function(header: str, lines: Sequence[str]) -> str:
-    decorator = '@njit(cache=True, error_model="numpy", nogil=True)'
-    return "\n".join([decorator, f"def {header}:", *_deeper(lines or ["pass"])]) + "\n"
+    return "\n".join([_DECORATOR, f"def {header}:", *_deeper(lines or ["pass"])]) + "\n"
 
 
 def _deeper(lines: Sequence[str]) -> list[str]:

@@ -7,13 +7,13 @@ from typing import final
 
 import numpy as np
 
-from hystmpc.models.chain import Chain
-from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.types import Vec
 
+from ..chain import Chain
+from ..effects.effect import CORE, Candidate
 from .baseline import Baseline
-from .candidate import CORE, Candidate
-from .recording import Run
+from .free_run import StagedChain
+from .runs import Run
 from .trial_terms import NO_TERMS, TrialTerms
 
 

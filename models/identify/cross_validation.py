@@ -11,12 +11,11 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
+from ..effects.effect import Candidate
 from .baseline import Baseline
-from .blocks import Blocks, blocks_of
-from .candidate import Candidate
-from .fit import fit
+from .least_squares import fit_problem
 from .problem import Problem
-from .recording import Run
+from .runs import Blocks, Run, blocks_of
 from .trial_terms import TrialTerms
 
 LARGEST_FOLDS = 3
@@ -83,7 +82,7 @@ class CrossValidation:
     def retuned(self) -> Hypothesis:
         """The baseline alone."""
         problem = Problem(self.baseline)
-        found = fit(problem, self.runs, problem.start(self.baseline.nominal, []), 40, 1e-6)
+        found = fit_problem(problem, self.runs, problem.start(self.baseline.nominal, []), 40, 1e-6)
         return Hypothesis(problem, found.q, found.mse)
 
     def with_causes(
@@ -91,12 +90,12 @@ class CrossValidation:
     ) -> Hypothesis:
         """Fit causes jointly with the baseline, from baseline values z and several values of the effects."""
         problem = Problem(self.baseline, effects, terms)
-        found = [fit(problem, self.runs, problem.start(z, values), self.evaluations, 1e-3) for values in starts]
+        found = [fit_problem(problem, self.runs, problem.start(z, values), self.evaluations, 1e-3) for values in starts]
         best = min(found, key=lambda f: f.mse)
         return Hypothesis(problem, best.q, best.mse)
 
     def without(self, hypothesis: Hypothesis, dropped: AbstractSet[str]) -> Hypothesis:
-        """A hypothesis less some of its causes, fitted anew from where it stands."""
+        """A hypothesis less some of its causes, fitted anew from its present values."""
         problem = hypothesis.problem
         values = [list(v.values()) for v in problem.effect_values(hypothesis.q)]
         kept = [(c, v) for c, v in zip(problem.effects, values, strict=True) if c.effect not in dropped]
@@ -110,7 +109,7 @@ class CrossValidation:
 
     def polished(self, hypothesis: Hypothesis) -> Hypothesis:
         """The same with its fit run to the end."""
-        found = fit(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
+        found = fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
         return Hypothesis(hypothesis.problem, found.q, found.mse)
 
     def judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
@@ -118,7 +117,7 @@ class CrossValidation:
         parts: dict[int, Vec] = {}
         for fold in self.folds:
             rest = [run for k, run in enumerate(self.runs) if k not in fold]
-            q = fit(hypothesis.problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
+            q = fit_problem(hypothesis.problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
             parts |= {k: hypothesis.problem.held_out_error(q, self.runs[k]) for k in fold}
         errors = tuple(parts[k] for k in range(len(self.runs)))
         held_out = blocks_of(errors, self.runs)
@@ -136,7 +135,7 @@ def gain(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:
     return float(difference.sum() / total), float(np.sqrt(variance) / total)
 
 
-def apart(one: HeldOutErrors, other: HeldOutErrors) -> float:
-    """Mean square by which what two hypotheses say of held-out trials differs [deg^2]."""
+def mean_square_difference(one: HeldOutErrors, other: HeldOutErrors) -> float:
+    """Mean square difference of what two hypotheses predict on held-out trials [deg^2]."""
     differences = [a - b for a, b in zip(one.errors, other.errors, strict=True)]
     return float(sum(np.sum(d**2) for d in differences) / sum(d.size for d in differences))

@@ -12,9 +12,10 @@ from scipy.optimize import differential_evolution
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.types import Vec
 
-from .chain_fit import ChainFit, ChainTask, Progress, Tracker
-from .free_run import FreeRunLoss
-from .operators import OperatorFitSettings, fit_chain
+from ..model import FitProgress
+from .chain_fit import ChainFit, ChainTask, Tracker
+from .free_run import FreeRuns
+from .least_squares import OperatorFitSettings, fit_chain
 
 Search = Callable[[Tracker, "Region", "GlobalSettings"], None]
 
@@ -67,7 +68,7 @@ class Region:
 
 
 def fit_globally(
-    name: str, search: Search, task: ChainTask, settings: GlobalSettings, progress: Progress | None = None
+    name: str, search: Search, task: ChainTask, settings: GlobalSettings, progress: FitProgress | None = None
 ) -> ChainFit:
     """Run a search over the task's box and report how it converged.
 
@@ -76,9 +77,9 @@ def fit_globally(
     Raises:
         FitError: on unusable trials, or if no point has a finite error.
     """
-    loss = FreeRunLoss(task.starts[0], task.trials, settings.skip_first_flexure, settings.offset_free)
+    loss = FreeRuns(task.starts[0], task.trials, settings.skip_first_flexure, settings.offset_free)
     free = task.free
-    tracker, interrupted = Tracker(loss, free, progress), False
+    tracker, interrupted = Tracker(loss.mse, free, progress), False
     try:
         ends = (free.part(end) for end in (*task.box, *task.first, task.starts[0].values))
         search(tracker, Region(*ends), settings)
@@ -126,6 +127,38 @@ def _polished(found: ChainFit, task: ChainTask, settings: GlobalSettings) -> Cha
     polish = OperatorFitSettings(settings.skip_first_flexure, settings.offset_free, restarts=0, seed=settings.seed)
     fit = fit_chain([found.chain], task.trials, polish, fixed=task.fixed)
     evaluations = found.evaluations + fit.evaluations
-    if fit.rmse_deg >= found.rmse:
+    if fit.rmse_deg >= found.rmse_deg:
         return replace(found, evaluations=evaluations)
     return ChainFit(fit.chain, fit.rmse_deg, evaluations, found.report, fit.interrupted)
+
+
+SPREAD = 0.25  # first standard deviation, as a share of the box
+
+
+def adapt(tracker: Tracker, region: Region, settings: GlobalSettings) -> None:
+    """Covariance matrix adaptation over the box scaled to one, from the start; once settled, from a random point.
+
+    Needs the extra `train`.
+
+    Raises:
+        FitError: without the extra.
+
+    Source: Hansen, arXiv 1604.00772.
+    """
+    try:
+        import cma
+    except ImportError as error:
+        raise FitError(f"cmaes needs {error.name}, expected it installed: pip install hystmpc[train]") from None
+    rng = np.random.default_rng(settings.seed)
+    lower, width = region.lower, region.upper - region.lower
+    point, done = np.clip((region.start - lower) / width, 0.02, 0.98), 0
+    while done < settings.iterations:
+        seed = int(rng.integers(1, 2**31))  # zero would mean the clock
+        options = {"bounds": [0, 1], "popsize": settings.population, "seed": seed, "verbose": -9, "maxiter": np.inf}
+        strategy = cma.CMAEvolutionStrategy(point, SPREAD, options)
+        while done < settings.iterations and not strategy.stop():
+            points = strategy.ask()
+            strategy.tell(points, [min(tracker(lower + x * width), 1e300) for x in points])
+            tracker.iteration()
+            done += 1
+        point = (rng.uniform(region.first_lower, region.first_upper) - lower) / width

@@ -10,7 +10,7 @@ from scipy.signal import zoom_fft
 
 from hystmpc.trials.types import Vec
 
-from .recording import Run
+from .runs import Run
 
 _BLOCK_S = 4.0
 _RIDGE = 1e-9

@@ -1,0 +1,246 @@
+"""Identification of chains by any method, and the simulator made of what was identified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from hystmpc.trials.errors import FitError, did_you_mean
+from hystmpc.trials.segments import Motion, segment
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from ..chain import Chain
+from ..contract.metadata import DeviceLimits, Range
+from ..evaluate import evaluate
+from ..model import FitProgress
+from ..operators.hysteresis import Backlash
+from ..simulator import ChainModel, Identification, Residual, Simulator
+from .adam import AdamSettings, fit_by_adam
+from .chain_fit import ChainFit, ChainTask
+from .chain_kinds import Structure, backlash_starts, chain_task, prandtl_ishlinskii_starts
+from .global_search import GlobalSettings, adapt, evolve, fit_globally
+from .iterated import IteratedSettings, fit_by_iteration
+from .least_squares import OperatorFitSettings, fit_by_least_squares, fit_chain
+from .trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
+
+HOLDS_SHARE = 0.2
+OPERATOR_KINDS = ("backlash", "pi")
+
+MethodSettings = OperatorFitSettings | AdamSettings | IteratedSettings | GlobalSettings
+Fit = Callable[[ChainTask, Any, FitProgress | None], ChainFit]
+
+
+@dataclass(frozen=True)
+class IdentificationMethod:
+    """One way to identify a chain.
+
+    Attributes:
+        name: as it is asked for.
+        settings: class of its settings, whose defaults are the papers' where they say so.
+        fit: from task, settings and progress to the result.
+        kinds: kinds of chain that it can identify; None for all.
+        summary: one line for help texts.
+    """
+
+    name: str
+    settings: type[MethodSettings]
+    fit: Fit
+    kinds: tuple[str, ...] | None
+    summary: str
+
+    def settings_for(self, steps: int | None, seed: int, skip_first_flexure: bool) -> MethodSettings:
+        """Its settings with a greatest number of steps (free runs, epochs, iterations), None for the default."""
+        known = {f.name for f in fields(self.settings)}
+        count = next(name for name in ("evaluations", "epochs", "iterations") if name in known)
+        chosen = {"seed": seed, "skip_first_flexure": skip_first_flexure} | ({count: steps} if steps else {})
+        return self.settings(**{name: value for name, value in chosen.items() if name in known})  # type: ignore[arg-type]
+
+
+def identify_chain(
+    kind: str,
+    trials: Sequence[Trial],
+    method: str = "least_squares",
+    settings: MethodSettings | None = None,
+    plays: int = 4,
+    progress: FitProgress | None = None,
+    structure: Structure | None = None,
+) -> tuple[Chain, ChainFit]:
+    """Identify a chain by one of `METHODS`.
+
+    Args:
+        kind: `backlash`, `pi`, `drdpi` or `bouc_wen`; for trials whose command and angle have changed places
+            (`Trial.swapped`) `inverse_backlash`, `inverse_pi` or `inverse_drdpi`, whose numbers are their own.
+        trials: uniformly sampled at one rate, in one pair of units.
+        method: name of the method.
+        settings: of the method; None for its defaults.
+        plays: number of plays of a `pi` or `drdpi`; `structure` has the other sizes, and this one too if given.
+        progress: called with the iteration (for least squares: the free runs over all trials) and the best error so
+            far; KeyboardInterrupt ends the fit and keeps the best so far.
+        structure: see `Structure`.
+
+    Returns:
+        The chain, and the result of which it is part.
+
+    Raises:
+        FitError: on an unknown kind or method, settings of another method, a kind that the method cannot identify,
+            unusable trials, a missing extra, or no finite error.
+    """
+    if method not in METHODS:
+        raise FitError(f"no identification method {method!r}, {did_you_mean(method, METHODS)}")
+    chosen = METHODS[method]
+    settings = settings or chosen.settings()
+    if not isinstance(settings, chosen.settings):
+        raise FitError(f"{method}: got {type(settings).__name__}, expected {chosen.settings.__name__}")
+    task = chain_task(kind, trials, structure or Structure(plays=plays))
+    if chosen.kinds is not None and kind not in chosen.kinds:
+        raise FitError(f"{method} cannot identify {kind!r}, {did_you_mean(kind, chosen.kinds)}")
+    found = chosen.fit(task, settings, progress)
+    return found.chain, found
+
+
+def identify(
+    kind: str,
+    trials: Sequence[Trial],
+    settings: OperatorFitSettings | None = None,
+    plays: int = 4,
+    limits: DeviceLimits | None = None,
+    progress: FitProgress | None = None,
+) -> tuple[Simulator, ChainFit]:
+    """Identify an operator and wrap it as a simulator.
+
+    Args:
+        kind: `backlash` (S2 eq. (1)-(2)) or `pi` (S2 eq. (4)).
+        trials: uniformly sampled at one rate, in one unit.
+        settings: of the least-squares fit.
+        plays: number of plays of a `pi`.
+        limits: what the device may be sent.
+        progress: see `fit_chain`.
+
+    Raises:
+        FitError: on an unknown kind, unusable trials, or lines that cross within the trained range.
+    """
+    check_trial_set(trials)
+    settings = settings or OperatorFitSettings()
+    if kind not in OPERATOR_KINDS:
+        raise FitError(f"no operator kind {kind!r}, {did_you_mean(kind, OPERATOR_KINDS)}")
+    starts = backlash_starts(trials) if kind == "backlash" else prandtl_ishlinskii_starts(trials, plays)
+    fit = fit_chain(starts, trials, settings, progress)
+    method = "bounded least squares on free runs"
+    return (
+        simulator_of(fit.chain, trials, limits or DeviceLimits(), method, settings.seed, settings.skip_first_flexure),
+        fit,
+    )
+
+
+def simulator_of(
+    chain: Chain,
+    trials: Sequence[Trial],
+    limits: DeviceLimits,
+    method: str,
+    seed: int = 0,
+    skip_first_flexure: bool = False,
+) -> Simulator:
+    """An identified chain with the facts of its trials; the residuals are found by running it.
+
+    Args:
+        chain: what was identified.
+        trials: from which.
+        limits: what the device may be sent.
+        method: how, in words.
+        seed: of what was drawn at random.
+        skip_first_flexure: whether each trial counted from the first reversal of its command on.
+
+    Raises:
+        FitError: on unusable trials, or a backlash whose lines cross within the trained range.
+    """
+    _check_lines(chain, command_range(trials))
+
+    def build(residuals: tuple[Residual, ...]) -> Simulator:
+        return Simulator(
+            chain=chain,
+            dt_s=check_trial_set(trials),
+            command_unit=trials[0].units.command,
+            angle_unit=trials[0].units.angle,
+            command_limits=limits.command or command_range(trials),
+            command_rate_per_s=limits.rate_per_s or fastest_command(trials),
+            trained_command=command_range(trials),
+            trained_angle_deg=angle_range(trials),
+            trained_rate_per_s=fastest_command(trials),
+            identification=Identification(
+                method=method,
+                seed=seed,
+                skip_first_flexure=skip_first_flexure,
+                training_data_hash=fingerprint(trials),
+                residuals=residuals,
+            ),
+        )
+
+    model = ChainModel(build(()))
+    runs = [(trial, evaluate(model, trial, skip_first_flexure)) for trial in trials]
+    return build(tuple(residual(trial, trial, run.theta, run.start) for trial, run in runs))
+
+
+def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:
+    """What a simulator leaves unexplained on a trial.
+
+    Args:
+        log: as recorded, for its name and fingerprint.
+        trial: at the simulator's rate.
+        theta: the simulator's free run (T,) [deg].
+        start: first sample that counts.
+    """
+    error = (theta - trial.angle)[start:]
+    around = error - error.mean()
+    power = float(np.sum(around**2))
+    held = float(np.mean(segment(trial).labels == Motion.HOLD))
+    return Residual(
+        log=Path(log.source).name,
+        motion="holds" if held >= HOLDS_SHARE else "continuous",
+        samples=error.size,
+        rmse_deg=float(np.sqrt(np.mean(error**2))),
+        bias_deg=float(np.mean(error)),
+        lag_one=float(np.clip(np.sum(around[1:] * around[:-1]) / power, -1, 1)) if power > 0 else 0.0,
+        fingerprint=fingerprint([log]),
+    )
+
+
+def _check_lines(chain: Chain, trained: Range) -> None:
+    """A backlash whose unloading line dips below its loading line has no inverse there."""
+    if isinstance(chain.core, Backlash):
+        for u in (trained.lower, trained.upper):
+            if chain.core.gap(u) < 0:
+                raise FitError(
+                    f"the fitted lines cross: at command {u:.4g} unloading lies {-chain.core.gap(u):.3g} deg below "
+                    "loading, expected above; is the sign of the command right?"
+                )
+
+
+METHODS: Mapping[str, IdentificationMethod] = MappingProxyType({
+    method.name: method
+    for method in (
+        IdentificationMethod(
+            "least_squares", OperatorFitSettings, fit_by_least_squares, None,
+            "bounded least squares on free runs with exact sensitivities, from several starts",
+        ),
+        IdentificationMethod("adam", AdamSettings, fit_by_adam, None, "Adam on windows of 50 samples, as S2"),
+        IdentificationMethod(
+            "iterated", IteratedSettings, fit_by_iteration, ("backlash",), "iterated regression of the two lines, as S2"
+        ),
+        IdentificationMethod(
+            "global", GlobalSettings, partial(fit_globally, "global", evolve), None,
+            "differential evolution, in place of S1's GA",
+        ),
+        IdentificationMethod(
+            "cmaes", GlobalSettings, partial(fit_globally, "cmaes", adapt), None,
+            "covariance matrix adaptation (CMA-ES)",
+        ),
+    )
+})  # fmt: skip
+"""Identification methods by name."""

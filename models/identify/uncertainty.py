@@ -1,0 +1,212 @@
+"""Identified numbers with their intervals, and which of them the data do not determine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from hystmpc.trials.types import Vec
+
+from ..effects.catalogue import EFFECTS
+from ..effects.effect import base_name
+from .cross_validation import Hypothesis
+from .problem import Problem
+from .runs import Run
+
+_BLOCKS_S = (3.0, 6.0, 12.0)
+_AT_BOUND = 1e-3  # of the unknowns' typical changes
+_TOLERANCE = 1e-8  # of the greatest eigenvalue: what is less has no information
+_FLAT_LOG, _FLAT_RANGE = float(np.log(3.0)), 0.25  # half width of the interval: a factor; of the range between bounds
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """How well the development errors determine the unknowns.
+
+    Attributes:
+        covariance: of the unknowns q (Q, Q); zero for those at a bound.
+        quantile: of Student's t, 95 %, by which a standard error becomes half an interval of 90 %.
+        flat: unknowns that the errors do not determine (Q,).
+        at_bound: unknowns that ended at an edge of their range (Q,).
+    """
+
+    covariance: Vec
+    quantile: float
+    flat: NDArray[np.bool_]
+    at_bound: NDArray[np.bool_]
+
+    def half_width(self, slope: Vec) -> float:
+        """Half the interval of 90 % of a quantity with derivative `slope` (Q,) by the unknowns."""
+        return self.quantile * float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0)))
+
+
+def uncertainty(problem: Problem, q: Vec, runs: Sequence[Run]) -> Uncertainty:
+    """Gauss-Newton covariance with the spread of block sums (sandwich).
+
+    C = H^+ (sum_b g_b g_b^T) H^+ B / (B - Q),  H = J^T J,  g_b = J_b^T e_b
+
+    over blocks b of time, whose errors may be correlated within; of blocks of 3, 6 and 12 s those with the largest
+    variance count. Unknowns at a bound are held there.
+
+    Source: Liang, Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73 (1986), eq. (8).
+    """
+    pairs = [problem.error(q, run) for run in runs]
+    at_bound = np.minimum(np.abs(q - problem.lower), np.abs(q - problem.upper)) < _AT_BOUND
+    free = np.flatnonzero(~at_bound)
+    hessian = sum((j[:, free].T @ j[:, free] for _, j in pairs), np.zeros((free.size, free.size)))
+    inverse, lost = _inverse(hessian)
+    best, quantile = np.zeros_like(hessian), float(student.ppf(0.95, 1))
+    for seconds in _BLOCKS_S:
+        scores = np.array(
+            [g for (e, j), run in zip(pairs, runs, strict=True) for g in _scores(e, j[:, free], run, seconds)]
+        )
+        spare = len(scores) - free.size
+        if spare < 1 or (spare < 2 * free.size and best.any()):
+            break
+        found = inverse @ (scores.T @ scores) @ inverse * len(scores) / spare
+        if np.trace(found) > np.trace(best):
+            best, quantile = found, float(student.ppf(0.95, spare))
+    covariance = np.zeros((q.size, q.size))
+    covariance[free[:, None], free[None, :]] = best
+    flat = _flat(problem, quantile * np.sqrt(np.diag(covariance)))
+    flat[free[lost]] = True
+    return Uncertainty(covariance, quantile, flat & ~at_bound, at_bound)
+
+
+def _inverse(hessian: Vec) -> tuple[Vec, NDArray[np.bool_]]:
+    """Pseudo-inverse (Q, Q), and which unknowns have a part in what it leaves out (Q,)."""
+    size = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    weights, turn = np.linalg.eigh(hessian / np.outer(size, size))
+    seen = weights > _TOLERANCE * max(float(weights.max(initial=0.0)), 1e-300)
+    inverse = (turn[:, seen] / weights[seen]) @ turn[:, seen].T / np.outer(size, size)
+    lost = (turn[:, ~seen] ** 2).sum(axis=1) > 0.5
+    return inverse, lost | (size <= 1e-140)
+
+
+def _scores(error: Vec, by_q: Vec, run: Run, seconds: float) -> list[Vec]:
+    """Derivative of half the squared error of each block (Q,)."""
+    blocks = run.blocks(seconds)
+    return [by_q[blocks == b].T @ error[blocks == b] for b in np.unique(blocks)]
+
+
+def _flat(problem: Problem, half: Vec) -> NDArray[np.bool_]:
+    """Unknowns whose interval is no narrower than a factor of three either way, or half of their range."""
+    logarithmic = np.zeros(problem.size, dtype=np.bool_)
+    scales = [freedom.scale for c in problem.effects for freedom in c.free]
+    if scales:
+        logarithmic[-len(scales) :] = np.array(scales) == 0
+    return np.where(logarithmic, half > _FLAT_LOG, half > _FLAT_RANGE * (problem.upper - problem.lower))
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One identified number of the corrected simulator.
+
+    Attributes:
+        owner: effect, or `baseline`.
+        name: with its unit, as `tau_s`.
+        value, ci90: identified value and its 90 % interval, not-a-number where unknown.
+        neutral: value at which it does nothing; None for a baseline quantity.
+        at_bound: whether it ended at an edge of its range.
+        flat: whether the logs do not determine it.
+    """
+
+    owner: str
+    name: str
+    value: float
+    ci90: Interval
+    neutral: float | None = None
+    at_bound: bool = False
+    flat: bool = False
+
+
+Interval = tuple[float, float]
+
+
+UNKNOWN: Interval = (float("nan"), float("nan"))
+
+_NUDGE = 1e-3
+
+
+def parameter_rows(
+    hypothesis: Hypothesis, runs: Sequence[Run], estimated: Mapping[str, Mapping[str, float]]
+) -> tuple[ParameterRow, ...]:
+    """Every number of the corrected simulator: the baseline's, those of operators, those estimated beside the fit.
+
+    Args:
+        hypothesis: the corrected simulator, at its optimum.
+        runs: what it was fitted on.
+        estimated: parameters by effect and name; those that are no unknown of the fit are listed without interval.
+    """
+    found = uncertainty(hypothesis.problem, hypothesis.q, runs)
+    rows = [*_baseline_rows(hypothesis, found), *_effect_rows(hypothesis, found)]
+    known = {(row.owner, row.name) for row in rows}
+    rows += [
+        ParameterRow(effect, name, value, UNKNOWN, _neutral(effect, name))
+        for effect, parameters in estimated.items()
+        for name, value in parameters.items()
+        if (effect, name) not in known
+    ]
+    return tuple(rows)
+
+
+def _effect_rows(hypothesis: Hypothesis, found: Uncertainty) -> Iterator[ParameterRow]:
+    problem, q = hypothesis.problem, hypothesis.q
+    values, z = problem.plain(q), problem.retuned(q)
+    k = problem.size - sum(len(c.free) for c in problem.effects)
+    for c in problem.effects:
+        for freedom in c.free:
+            half = found.half_width(np.eye(q.size)[k])
+            ends = _ends(values[k], half, freedom.scale, (freedom.lower, freedom.upper))
+            neutral = _neutral(c.effect, freedom.name)
+            at_bound, flat = bool(found.at_bound[k]), bool(found.flat[k])
+            yield ParameterRow(
+                c.effect, freedom.name, float(values[k]), UNKNOWN if at_bound else ends, neutral, at_bound, flat
+            )
+            k += 1
+        in_core = {} if c.operators else problem.baseline.effects.get(c.effect, {})
+        for name, at in in_core.items():
+            half, value = found.half_width(_slope(_entry(problem, at), q)), float(z[at])
+            yield ParameterRow(c.effect, name, value, (value - half, value + half), float(problem.baseline.nominal[at]))
+
+
+def _baseline_rows(hypothesis: Hypothesis, found: Uncertainty) -> Iterator[ParameterRow]:
+    problem, q = hypothesis.problem, hypothesis.q
+    for name, value in problem.baseline.quantities(problem.retuned(q)).items():
+        half = found.half_width(_slope(_quantity(problem, name), q))
+        yield ParameterRow("baseline", name, value, (value - half, value + half))
+
+
+def _entry(problem: Problem, at: int) -> Callable[[Vec], float]:
+    """One number of the baseline's freedom by the unknowns."""
+    return lambda q: float(problem.retuned(q)[at])
+
+
+def _quantity(problem: Problem, name: str) -> Callable[[Vec], float]:
+    """One quantity of the baseline by the unknowns."""
+    return lambda q: problem.baseline.quantities(problem.retuned(q))[name]
+
+
+def _ends(value: float, half: float, scale: float, bounds: Interval) -> Interval:
+    if scale:
+        low, high = value - half * scale, value + half * scale
+    else:
+        half = min(half, 50.0)
+        low, high = value * np.exp(-half), value * np.exp(half)
+    return float(max(low, bounds[0])), float(min(high, bounds[1]))
+
+
+def _slope(quantity: Callable[[Vec], float], q: Vec) -> Vec:
+    """Derivative (Q,) of a quantity by central differences."""
+    moves = _NUDGE * np.eye(q.size)
+    return np.array([(quantity(q + row) - quantity(q - row)) / (2 * _NUDGE) for row in moves])
+
+
+def _neutral(effect: str, parameter: str) -> float | None:
+    """Value at which an effect does nothing; None for a parameter that does not matter then."""
+    known = EFFECTS.get(effect)
+    return None if known is None else known.neutral.get(parameter, known.neutral.get(base_name(parameter)))
