@@ -29,7 +29,7 @@ from hystmpc.gap.blind.generator import Withheld
 from hystmpc.gap.blind.plan import RICH
 from hystmpc.gap.blind.rod_core import RodCore
 from hystmpc.gap.blind.scene import RATE_HZ
-from hystmpc.gap.procedure import conclude, investigate
+from hystmpc.gap.diagnose import conclude, investigate
 from hystmpc.models.fit.identify import identify
 from hystmpc.models.fit.operators import OperatorFitSettings
 from hystmpc.models.simulator import Simulator

@@ -1,4 +1,4 @@
-"""What a diagnosis says: verdict, effects, ambiguity, gap, places; and its fixed JSON form."""
+"""The result of a diagnosis and its fixed JSON form."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """One effect that the diagnosis put into the simulator.
+    """One effect that the diagnosis added to the simulator.
 
     Attributes:
         name: its public name.
-        probability: calibrated probability that this effect is there.
+        probability: calibrated probability that this effect is present.
         inclusion: share of block resamples in which it was chosen.
         closed_share: share of the structural gap that it closes on the final trials (its Shapley value).
         closed_ci90: 90 % interval of that share, block bootstrap over the final trials.
@@ -38,15 +38,14 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Gap:
-    """How large the gap is, and how far it shrinks.
+    """Sizes of the gap on the final trials, which were not used for any choice.
 
-    closed_share = (MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor), on trials that nothing was chosen on.
+    closed_share = (MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor)
 
     Attributes:
         nominal_rmse_deg, retuned_rmse_deg, with_effects_rmse_deg: on the final trials [deg].
-        floor_rmse_deg: what no simulator can go below [deg].
-        floor_kind: from repeats of a motion, or from the upper band of the residual (then a lower bound: every share
-            is relative).
+        floor_rmse_deg: error that stays with any simulator [deg].
+        floor_kind: from repeats of a motion, or from the noise of the residual (a lower bound).
         closed_share, unexplained_share: of the structural gap; they add up to one.
         closed_ci90: 90 % interval of the closed share.
         final_trials: names of the trials.
@@ -80,11 +79,11 @@ class Place:
 
 @dataclass(frozen=True)
 class NextMotion:
-    """What to record next.
+    """The motion to record next.
 
     Attributes:
         file: name of the motion's file beside the diagnosis.
-        separates: effects that it tells apart.
+        separates: effects that it is to tell apart.
         expected_probability: probability that it names the right one of them.
         duration_s: of the motion [s].
     """
@@ -107,9 +106,9 @@ class Diagnosis:
         ranking: every effect with its probability, most likely first.
         gap: sizes.
         retuned: baseline quantities, each (nominal, retuned).
-        where: places by name.
-        notes: what was checked and what the trials cannot show, a sentence each.
-        next_motion: what to record next; None where nothing is open.
+        where: share of the residual by part of the motion.
+        notes: faults and shortcomings of the trials, a sentence each.
+        next_motion: the motion to record next; None where nothing is open.
     """
 
     verdict: Verdict

@@ -25,14 +25,14 @@ from hystmpc.trials.segments import Motion, first_flexure_end, segment
 from hystmpc.trials.trial import Trial
 
 from .hypothesis import Hypothesis
-from .predicted_response import settled
-from .preparation import Prepared
+from .logs.preparation import PreparedTrials
+from .next.open_hypotheses import settled
 
 EFFECTS_FILE = "effects.yaml"
 _FORMAT = "hystmpc-effects/1"
 
 
-def fixed_simulator(simulator: Simulator, chosen: Hypothesis, prepared: Prepared) -> Simulator:
+def fixed_simulator(simulator: Simulator, chosen: Hypothesis, prepared: PreparedTrials) -> Simulator:
     """A simulator retuned and with its causes.
 
     A disturbance has the amplitude, the frequency and the phase of the last trial. What each trial has of its own
@@ -52,7 +52,7 @@ def fixed_simulator(simulator: Simulator, chosen: Hypothesis, prepared: Prepared
     return replace(simulator, chain=chain, identification=_identification(simulator, chain, prepared, note))
 
 
-def network_effects(chosen: Hypothesis, prepared: Prepared, simulator: str) -> dict[str, str]:
+def network_effects(chosen: Hypothesis, prepared: PreparedTrials, simulator: str) -> dict[str, str]:
     """The file that stands beside a network, which cannot hold effects itself; none where there are no effects."""
     effects = [_spec(c.effect, c.side, operator) for c, operator in _placed(chosen)]
     disturbance = _disturbance(chosen, prepared, prepared.checked.dt)
@@ -74,7 +74,7 @@ def network_effects(chosen: Hypothesis, prepared: Prepared, simulator: str) -> d
     return {EFFECTS_FILE: dump_yaml(content)}
 
 
-def _disturbance(chosen: Hypothesis, prepared: Prepared, dt_s: float) -> Operator | None:
+def _disturbance(chosen: Hypothesis, prepared: PreparedTrials, dt_s: float) -> Operator | None:
     """The disturbance of the last trial, for a clock of that sample time; None if there is none.
 
     Terms are s_h sin(2 pi h f t) + c_h cos(2 pi h f t), taken off the error; the operator's clock has made one step
@@ -105,7 +105,7 @@ def _remarks(chosen: Hypothesis) -> str:
     return "".join(f"; {text}" for text in said)
 
 
-def _identification(simulator: Simulator, chain: Chain, prepared: Prepared, note: str) -> Identification:
+def _identification(simulator: Simulator, chain: Chain, prepared: PreparedTrials, note: str) -> Identification:
     """Where the numbers come from, with the residuals on the development trials."""
     names = {run.name for run in prepared.development}
     at = [k for k, run in enumerate(prepared.everything) if run.name in names]
@@ -141,7 +141,7 @@ def _residual(chain: Chain, trial: Trial, given: Trial, skip_first_flexure: bool
     )
 
 
-def _mended(prepared: Prepared, k: int) -> Trial:
+def _mended(prepared: PreparedTrials, k: int) -> Trial:
     """A trial at the common rate, the sensor's faults repaired."""
     trial = prepared.checked.trials[k]
     return Trial(trial.t, trial.command, prepared.everything[k].angle, units=trial.units, source=trial.source)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from .diagnosis import FoundEffect, Interval
 from .hypothesis import Hypothesis
 from .problem import Problem
 from .recording import Run
-from .report.evidence import ParameterRow
 from .uncertainty import Uncertainty, uncertainty
 
 UNKNOWN: Interval = (float("nan"), float("nan"))
@@ -100,3 +100,25 @@ def _neutral(effect: str, parameter: str) -> float | None:
     """Value at which an effect does nothing; None for a parameter that does not matter then."""
     known = EFFECTS.get(effect)
     return None if known is None else known.neutral.get(parameter, known.neutral.get(base_name(parameter)))
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One identified number of the corrected simulator.
+
+    Attributes:
+        owner: effect, or `baseline`.
+        name: with its unit, as `tau_s`.
+        value, ci90: identified value and its 90 % interval, not-a-number where unknown.
+        neutral: value at which it does nothing; None for a baseline quantity.
+        at_bound: whether it ended at an edge of its range.
+        flat: whether the logs do not determine it.
+    """
+
+    owner: str
+    name: str
+    value: float
+    ci90: Interval
+    neutral: float | None = None
+    at_bound: bool = False
+    flat: bool = False

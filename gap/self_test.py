@@ -1,4 +1,4 @@
-"""Known truths, made with the package's own operators, put before the diagnosis."""
+"""Self-test: known truths, made with the package's own operators, that the diagnosis has to find."""
 
 from __future__ import annotations
 
@@ -29,13 +29,11 @@ from hystmpc.models.operators.trial_shift import TrialShift
 from hystmpc.models.simulator import Simulator
 from hystmpc.models.staged.chain_run import StagedChain
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Progress, Vec
 
+from .diagnose import conclude, investigate
 from .diagnosis import Diagnosis
-from .predicted_response import settled
-from .procedure import conclude, investigate
-
-Progress = Callable[..., None]
+from .next.open_hypotheses import settled
 
 _DT_S, _TRIAL_S, _SPAN, _SPEED = 0.04, 20.0, 6.0, 12.0
 _DEVICE = PrandtlIshlinskii(3.0, (3.0, 2.0, 1.0), 0.25, 0.0, 20.0)
@@ -125,17 +123,18 @@ def self_test(
 
     Args:
         seed: of noise, of motions and of the diagnoses.
-        progress: called with steps done, steps in all and the present truth.
+        progress: called with truths done, truths in all and the present one.
         cases: names from `CASES`; all where left out.
     """
-    told = progress or (lambda done, total, note="": None)
     names = tuple(CASES) if cases is None else tuple(cases)
     simulator = identify("backlash", record(CASES["none"], seed + 1000))[0]
     rows = []
     for k, name in enumerate(names):
-        told(k, len(names), name)
+        if progress:
+            progress(k, len(names), name)
         rows.append(_row(name, CASES[name], simulator, seed))
-    told(len(names), len(names), "done")
+    if progress:
+        progress(len(names), len(names), "done")
     return tuple(rows)
 
 

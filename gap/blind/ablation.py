@@ -17,10 +17,10 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 
-from ..floor import find_floor
+from ..diagnose import conclude, investigate
 from ..hypothesis import CrossValidation, HeldOutErrors, gain
-from ..preparation import prepare
-from ..procedure import conclude, investigate
+from ..logs.noise_floor import find_floor
+from ..logs.preparation import prepare
 from .reading import Reading, reading_of
 
 Progress = Callable[[int, int, str], None]

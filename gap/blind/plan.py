@@ -10,7 +10,7 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from ..confusable import CONFUSABLE
+from ..logs.identifiability import CONFUSABLE
 from .motions import (
     FAST_SMALL,
     LONG_HOLD,

@@ -17,7 +17,7 @@ from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 
-from ..findings import Findings
+from ..decide.findings import Findings
 from .fit_rules import fit_rules
 from .record import record_again, record_motion
 from .rule import correlation_rule
@@ -117,8 +117,8 @@ def diagnose_job(job: Job) -> tuple[Job, bool]:
 
 def _diagnose(trials: Sequence[Trial], simulator: Simulator, job: Job) -> tuple[dict[str, Any], dict[str, Any]]:
     """The diagnosis in its fixed form, and what goes beside it; the motion that it proposes is written."""
-    from ..next_motion import write_motion
-    from ..procedure import conclude, investigate
+    from ..diagnose import conclude, investigate
+    from ..next.motion_design import write_motion
 
     findings = investigate(trials, simulator, seed=job.seed, without=job.without, only=job.only or None)
     found, evidence = conclude(findings)
@@ -130,11 +130,11 @@ def _diagnose(trials: Sequence[Trial], simulator: Simulator, job: Job) -> tuple[
 
 def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: Job) -> dict[str, Any]:
     """What rules of thumb would say, and what the causes close in another session of the device, if it can have one."""
-    from ..fresh_session import closed_again
+    from ..decide.findings import closed_again
 
-    rules = fit_rules(findings.selection, findings.prepared.development)
+    rules = fit_rules(findings.attribution.selection, findings.prepared.development)
     found: dict[str, Any] = {"others": {"correlation": correlation_rule(trials, simulator), **rules}}
-    if findings.far.shares:
+    if findings.conclusion.closed.causes:
         with suppress(ConfigError):  # logs of a real device
             found["closed_again"] = closed_again(findings, record_again(job.folder, job.case))
     return found

@@ -19,9 +19,8 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import RunFolder
 
 from ..diagnosis import FORMAT, Diagnosis
-from ..next_motion import MOTION_FILE, write_motion
-from .evidence import STAGES, Evidence
-from .page import write_report
+from ..next.motion_design import MOTION_FILE, write_motion
+from .report_data import STAGES, Evidence
 
 DIAGNOSIS_FILE, FIXED_FILE = "diagnosis.json", "sim.fixed.yaml"
 _SOMETIMES = (FIXED_FILE, MOTION_FILE, "log.mcap")
@@ -99,6 +98,8 @@ def _write(evidence: Evidence, run: RunFolder) -> None:
         write_motion(run.path / MOTION_FILE, evidence.proposal, evidence.command_unit)
     for name, content in evidence.files.items():
         write_atomically(run.path / name, content)
+    from .page import write_report  # imports matplotlib
+
     write_report(evidence, run.path)
 
 

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.check import Checked, check_trials, confusability
-from hystmpc.gap.excitation import excitation_of
-from hystmpc.gap.motion_type import command_segments, motion_type
-from hystmpc.gap.repeats import find_repeats
+from hystmpc.gap.logs.check import Checked, check_trials
+from hystmpc.gap.logs.excitation import excitation_of
+from hystmpc.gap.logs.identifiability import confusability
+from hystmpc.gap.logs.motion_type import command_segments, motion_type
+from hystmpc.gap.logs.noise_floor import find_repeats
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial, Units
 

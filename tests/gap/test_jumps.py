@@ -10,10 +10,10 @@ import pytest
 
 from hystmpc.gap.blind.scene import FINE_S, Scene
 from hystmpc.gap.blind.tip_effects import lugre_tip
+from hystmpc.gap.decide.jumps import Jumps, find_jumps
+from hystmpc.gap.diagnose import conclude, investigate
 from hystmpc.gap.hypothesis import CrossValidation
-from hystmpc.gap.jumps import Jumps, find_jumps
-from hystmpc.gap.preparation import prepare
-from hystmpc.gap.procedure import conclude, investigate
+from hystmpc.gap.logs.preparation import prepare
 from hystmpc.models.chain import Chain
 from hystmpc.trials.trial import Trial
 

@@ -6,9 +6,9 @@ import pytest
 
 from hystmpc.gap.candidate import Scale
 from hystmpc.gap.candidates import candidates
+from hystmpc.gap.decide.lack_of_fit import remaining_curvature
 from hystmpc.gap.hypothesis import CrossValidation, Hypothesis
-from hystmpc.gap.lack_of_fit import remaining_curvature
-from hystmpc.gap.preparation import Prepared, prepare
+from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.gap.trial_terms import NO_TERMS
 from hystmpc.models.chain import Chain
 from hystmpc.models.operators.contact import Contact
@@ -21,7 +21,7 @@ from .engine_examples import moves, simulator_of, sine, trials_of
 NOISE_DEG = 0.05
 
 
-def fitted(behind: Operator, effect: str) -> tuple[Hypothesis, Prepared]:
+def fitted(behind: Operator, effect: str) -> tuple[Hypothesis, PreparedTrials]:
     """An effect of the output side fitted to a device that has another one."""
     chain = Chain(BACKLASH, after=(behind,))
     trials = trials_of(chain, [moves(1, 20.0), sine(0.1), moves(2, 20.0), sine(0.2), moves(3, 20.0)], NOISE_DEG)

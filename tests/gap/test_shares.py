@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.gap.blocks import Blocks, blocks_of
-from hystmpc.gap.shares import closed_interval, closed_share, shapley
+from hystmpc.gap.decide.gap_closed import closed_interval, closed_share, shapley
 
 from .engine_examples import device_runs
 

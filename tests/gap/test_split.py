@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hystmpc.gap.logs.trial_choice import FINAL_SHARE, split_runs
 from hystmpc.gap.recording import Run
-from hystmpc.gap.split import FINAL_SHARE, split_runs
 
 from .engine_examples import device_runs
 

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.localise import PLACES, Localisation, explainable_share, localise, place_labels
+from hystmpc.gap.residual.localise import PLACES, Localisation, localise, place_labels
+from hystmpc.gap.residual.memory import explainable_share
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 
@@ -38,9 +39,6 @@ def test_shares_add_up_and_densities_average_to_one(seed: int) -> None:
     time = np.bincount(labels, minlength=len(PLACES)) / labels.size
     assert sum(place.share for place in found.places.values()) == pytest.approx(1)
     assert sum(found.places[name].density * time[k] for k, name in enumerate(PLACES)) == pytest.approx(1)
-    assert sum(share for *_, share in found.spectrum.bands) == pytest.approx(1)
-    for bins in (found.command, found.angle, found.speed):
-        assert sum(bins.share) == pytest.approx(1)
     for place in found.places.values():
         assert 0 <= place.ci90[0] <= place.ci90[1] <= 1
 
@@ -83,12 +81,6 @@ def test_labels_follow_their_precedence() -> None:
     assert names[-1] == "loading"
 
 
-def test_bins_show_the_end_of_the_command() -> None:
-    found = localise(TRIALS, [np.where(own.command > 4.4, 1.0, 0.0) + 0.01 * noise(own) for own in TRIALS], WIDTH)
-    assert found.command.share[-1] > 0.95
-    assert found.angle.share[-1] + found.angle.share[-2] > 0.7
-
-
 @pytest.mark.parametrize("hz", [0.3, 1.13, 3.4])
 def test_a_line_that_is_not_the_commands_is_found(hz: float) -> None:
     errors = [0.5 * np.sin(2 * np.pi * hz * own.t + k) + 0.2 * noise(own, k) for k, own in enumerate(TRIALS)]
@@ -108,15 +100,11 @@ def test_no_line_is_invented(kind: str) -> None:
         assert localise(TRIALS, errors, WIDTH).spectrum.lines == ()
 
 
-def test_coherence_and_harmonics_follow_the_command() -> None:
+def test_coherence_follows_the_command() -> None:
     linear = localise(TRIALS, [0.3 * own.command + 0.02 * noise(own) for own in TRIALS], WIDTH).spectrum
     white = localise(TRIALS, [noise(own, k) for k, own in enumerate(TRIALS)], WIDTH).spectrum
     assert linear.coherent > 0.9
     assert white.coherent < 0.2
-    own = trial(sine(0.25, 40.0))
-    double = localise([own], [np.cos(2 * np.pi * 0.5 * own.t) + 0.01 * noise(own)], WIDTH).spectrum
-    assert double.harmonics[1] > 0.9
-    assert max(double.harmonics[0], double.harmonics[2]) < 0.1
 
 
 def test_memory_names_what_the_error_remembers() -> None:
