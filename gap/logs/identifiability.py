@@ -30,6 +30,29 @@ class Confusable:
     one_class: bool = False
 
 
+_PAIRS: tuple[tuple[tuple[str, ...], str, float, float], ...] = (
+    (("lag", "delay", "rate_dependence"), "fast steps and small sines of 2 to 4 Hz", 1.0, 0.99),
+    (("actuator lag", "sensor lag"), "nothing; reported as one class, lag", 0.99, 1.0),
+    (("lag", "creep"), "holds of 3 s and more", 0.95, 0.3),
+    (("creep", "first_flexure"), "the opening motion repeated", 0.97, 0.3),
+    (("drift", "creep"), f"holds of {LONG_HOLD_S:g} s and more, and a repeat of a motion", 0.96, 0.78),
+    (("stick_slip", "lag"), "ramps at three speeds", 0.83, 0.54),
+    (
+        ("gravity", "nonlinear stretch"),
+        "another orientation or load; reported as one class, nonlinear_gain",
+        0.99,
+        0.98,
+    ),
+    (
+        ("slack", "nonlinear_gain"),
+        "another pretension; slow moves near the lowest command, three times and more",
+        0.63,
+        0.38,
+    ),
+    (("contact", "nonlinear_gain"), "the end approached from three amplitudes and more", 0.71, 0.8),
+)
+"""Effects, the motion that separates them, and the shares `alike_in_sine` and `alike_in_hold` of `Confusable`."""
+
 CONFUSABLE = (
     ("lag", "delay", "rate_dependence"),
     ("lag", "creep"),
@@ -45,78 +68,27 @@ _ALSO = (("asymmetry", "nonlinear_gain"), ("drift", "trial_shift"))  # found on 
 
 def confusability(excitation: Excitation) -> tuple[Confusable, ...]:
     """The table of confusable effects, judged for these motions."""
-    longest = f"longest hold {excitation.longest_hold_s:.3g} s" if excitation.longest_hold_s else "no hold"
-    repeats = f"{len(excitation.repeats)} pairs of repeats" if excitation.repeats else "no repeat"
-    speeds = ", ".join(f"{speed:.3g}" for speed in excitation.ramp_speeds) or "none"
+    e, longest = excitation, excitation.longest_hold_s
+    hold = f"longest hold {longest:.3g} s" if longest else "no hold"
+    repeats = f"{len(e.repeats)} pairs of repeats" if e.repeats else "no repeat"
+    speeds = ", ".join(f"{speed:.3g}" for speed in e.ramp_speeds) or "none"
+    opening = "comes" if e.opening_repeated else "does not come"
+    low = f"{e.low_s:.3g} s in {e.low_visits} visits to the lowest tenth of the command"
     signals = "command and angle only"
-    return (
-        Confusable(
-            ("lag", "delay", "rate_dependence"),
-            excitation.has_fast,
-            "fast steps and small sines of 2 to 4 Hz",
-            f"{excitation.steps} fast steps, {excitation.fast_small} small moves faster than 1.5 Hz",
-            1.0,
-            0.99,
-        ),
-        Confusable(
-            ("actuator lag", "sensor lag"),
-            False,
-            "nothing; reported as one class, lag",
-            signals,
-            0.99,
-            1.0,
-            one_class=True,
-        ),
-        Confusable(("lag", "creep"), excitation.has_holds, "holds of 3 s and more", longest, 0.95, 0.3),
-        Confusable(
-            ("creep", "first_flexure"),
-            excitation.opening_repeated,
-            "the opening motion repeated",
-            f"the opening motion {'comes' if excitation.opening_repeated else 'does not come'} again",
-            0.97,
-            0.3,
-        ),
-        Confusable(
-            ("drift", "creep"),
-            excitation.has_long_hold and excitation.has_repeats,
-            f"holds of {LONG_HOLD_S:g} s and more, and a repeat of a motion",
-            f"{longest}, {repeats}",
-            0.96,
-            0.78,
-        ),
-        Confusable(
-            ("stick_slip", "lag"),
-            excitation.has_speeds,
-            "ramps at three speeds",
-            f"ramps at distinct speeds: {speeds}",
-            0.83,
-            0.54,
-        ),
-        Confusable(
-            ("gravity", "nonlinear stretch"),
-            False,
-            "another orientation or load; reported as one class, nonlinear_gain",
-            signals,
-            0.99,
-            0.98,
-            one_class=True,
-        ),
-        Confusable(
-            ("slack", "nonlinear_gain"),
-            excitation.dwells_low and not excitation.sine_only,
-            "another pretension; slow moves near the lowest command, three times and more",
-            f"{excitation.low_s:.3g} s in {excitation.low_visits} visits to the lowest tenth of the command",
-            0.63,
-            0.38,
-        ),
-        Confusable(
-            ("contact", "nonlinear_gain"),
-            excitation.top_levels >= 3,
-            "the end approached from three amplitudes and more",
-            f"{excitation.top_levels} distinct upper turning points",
-            0.71,
-            0.8,
-        ),
+    found: tuple[tuple[bool | None, str], ...] = (  # in the order of `_PAIRS`; None: one class whatever the motion
+        (e.has_fast, f"{e.steps} fast steps, {e.fast_small} small moves faster than 1.5 Hz"),
+        (None, signals),
+        (e.has_holds, hold),
+        (e.opening_repeated, f"the opening motion {opening} again"),
+        (e.has_long_hold and e.has_repeats, f"{hold}, {repeats}"),
+        (e.has_speeds, f"ramps at distinct speeds: {speeds}"),
+        (None, signals),
+        (e.dwells_low and not e.sine_only, low),
+        (e.top_levels >= 3, f"{e.top_levels} distinct upper turning points"),
+    )
+    return tuple(
+        Confusable(effects, bool(separable), motion, text, in_sine, in_hold, one_class=separable is None)
+        for (effects, motion, in_sine, in_hold), (separable, text) in zip(_PAIRS, found, strict=True)
     )
 
 
