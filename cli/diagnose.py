@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +16,7 @@ from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError, LogError, ModelError
 from hystmpc.trials.files import require_writable
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Progress
 
 from .console import Bar, bar, errors, out, table
 from .options import Layout, warn_of_units
@@ -153,7 +154,7 @@ def _recorded(files: Sequence[Path], layout: str) -> list[Trial]:
     return trials
 
 
-def _progress(show: Bar) -> Callable[..., None]:
+def _progress(show: Bar) -> Progress:
     return lambda done, total, note="": show(done, note, total=total)
 
 

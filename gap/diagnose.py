@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
@@ -28,6 +27,8 @@ from .next.open_hypotheses import next_step
 from .residual.localise import Localisation, localise
 
 if TYPE_CHECKING:
+    from hystmpc.models.contract.load import OnnxModel
+
     from .report.report_data import Evidence
 
 LIBRARY = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 FORMAT = "hystmpc-diagnosis/1"
@@ -121,26 +121,14 @@ class Diagnosis:
     where: Mapping[str, Place]
     notes: tuple[str, ...] = ()
     next_motion: NextMotion | None = None
-    extra: Mapping[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """The fixed form `hystmpc-diagnosis/1`: plain dicts, lists, numbers and strings."""
-        return {
-            "format": FORMAT,
-            "verdict": self.verdict,
-            "reason": self.reason,
-            "effects": [{**_plain(effect), "parameters": dict(effect.parameters)} for effect in self.effects],
-            "ambiguity": [list(names) for names in self.ambiguity],
-            "ranking": [[name, probability] for name, probability in self.ranking],
-            "gap": _plain(self.gap),
-            "retuned": {name: list(values) for name, values in self.retuned.items()},
-            "where": {name: _plain(place) for name, place in self.where.items()},
-            "notes": list(self.notes),
-            "next_motion": _plain(self.next_motion) if self.next_motion else None,
-            **self.extra,
-        }
+        return {"format": FORMAT, **_plain(asdict(self))}
 
 
-def _plain(record: Any) -> dict[str, Any]:
-    values = {name: getattr(record, name) for name in record.__dataclass_fields__}
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+def _plain(value: Any) -> Any:
+    """Tuples as lists, inside dicts too."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, tuple) else value

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 
@@ -13,6 +13,9 @@ from ..logs.preparation import PreparedTrials, prepare
 from ..residual.localise import Localisation
 from .attribution import Attribution, Conclusion
 from .gap_closed import FinalErrors
+
+if TYPE_CHECKING:
+    from hystmpc.models.contract.load import OnnxModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.contract.load import OnnxModel
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.fit.starts import prandtl_ishlinskii_starts
 from hystmpc.models.fit.trial_set import fingerprint
-from hystmpc.models.prediction.build import predictor_for
 from hystmpc.models.simulator import Identification, Simulator
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.resample import resample
@@ -29,6 +27,9 @@ from ..recording import Run, runs_of
 from .check import Checked, check_trials
 from .sensor import SensorSigns, repaired, sensor_signs
 from .trial_choice import split_runs
+
+if TYPE_CHECKING:
+    from hystmpc.models.contract.load import OnnxModel
 
 _LEAST_S, _LEAST_TURNS = 15.0, 3
 _PLAYS, _EVALUATIONS, _TOLERANCE = 8, 40, 1e-5
@@ -135,6 +136,8 @@ def _network_baseline(model: OnnxModel, trials: Sequence[Trial], command: Range)
 
     Effects are applied to the plays: exact without effects, first order with them.
     """
+    from hystmpc.models.prediction.build import predictor_for  # opens onnxruntime and CasADi
+
     predictor = predictor_for(model)
     angles = []
     for trial in trials:
@@ -149,6 +152,8 @@ def _network_baseline(model: OnnxModel, trials: Sequence[Trial], command: Range)
 
 def _plays(copies: Sequence[Trial], command: Range) -> Chain:
     """Rate-independent plays fitted to a network's own free runs."""
+    from hystmpc.models.fit.starts import prandtl_ishlinskii_starts
+
     runs, found = runs_of(copies), []
     for start in prandtl_ishlinskii_starts(copies, _PLAYS):
         values = [0.0 if p.name == "beta" else v for p, v in zip(start.parameters, start.values, strict=True)]

@@ -1,20 +1,21 @@
-"""The menu of safe motions that a diagnosis may ask for: within command and rate limits by construction."""
+"""Menu of safe motions that a diagnosis may ask for; all within command and rate limits by construction."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import root_scalar
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.trajectories.checks import require_positive
+from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 
-LONGEST_S = 90.0  # but where a plan needs more
+LONGEST_S = 90.0  # unless a template needs more
 REST_S = 1.0
-RATE_SHARE = 0.9  # of the rate limit: what every motion stays below
+RATE_SHARE = 0.9  # of the rate limit, for every motion
 _NYQUIST_SHARE = 0.4  # a sine is sampled five times a period at least
 _SINE_RATE_SHARE = 0.8  # leaves room for the rise and fall of a burst
 _EDGE_S = 1.0
@@ -61,8 +62,8 @@ class MenuMotion:
     """One motion of the menu, sampled.
 
     Attributes:
-        name: what it is called.
-        purpose: what it tells apart, in words.
+        name: of the motion.
+        purpose: what it tells apart, for the report.
         t: times [s], (T,), from 0 in steps of dt.
         command: command [mm or bar], (T,); starts and ends at rest at the lowest one.
     """
@@ -99,57 +100,21 @@ class MotionTemplate:
     longest_s: float = LONGEST_S
 
 
-def _opening() -> tuple[Leg, ...]:
-    return (Leg(1.0, 4.0), Leg(0.0, 4.0)) * 3
-
-
-def _three_speeds() -> Iterator[Leg]:
-    for speed in (1.0, 0.33, 0.1):
-        yield from (Leg(0.9, 3.0, speed), Leg(0.0, 3.0, speed))
-
-
-def _steps() -> tuple[Leg, ...]:
-    return tuple(Leg(target, 1.5, 1.0) for target in (0.5, 0.25, 0.75, 0.4, 0.6, 0.5))
-
-
-def _dwell() -> Iterator[Leg]:
-    for peak in (0.06, 0.12, 0.2, 0.3, 0.06, 0.12):
-        yield from (Leg(peak, 1.5, 0.15), Leg(0.0, 1.5, 0.15))
-
-
-def _tops() -> Iterator[Leg]:
-    for start in (0.75, 0.5, 0.25, 0.0):
-        yield from (Leg(1.0, 1.0), Leg(start, 1.0))
-
-
-def _slow() -> tuple[Leg, ...]:
-    return (Leg(1.0, 1.0, 1.0, 12.0), Leg(0.0, 1.0, 1.0, 12.0)) * 2
-
-
-def _growing() -> Iterator[Leg]:
-    for peak in (0.2, 0.4, 0.6, 0.8, 1.0, 0.5, 1.0):
-        yield from (Leg(peak, 1.0, 1.0, 5.0), Leg(0.0, 1.0, 1.0, 5.0))
-
-
-def _fast() -> Iterator[Leg]:
-    for peak in (0.4, 0.8, 0.6, 1.0):
-        yield from (Leg(peak, 1.5, 1.0), Leg(0.2, 0.0, 1.0), Leg(0.7 * peak, 1.5, 1.0), Leg(0.0, 1.5, 1.0))
-
-
-def _again_and_again() -> tuple[Leg, ...]:
-    return (Leg(0.9, 2.0, 1.0, 8.0), Leg(0.0, 2.0, 1.0, 8.0)) * 12
+def _strokes(peaks: Sequence[float], hold_s: float, speed: float = 0.5, stroke_s: float = 0.0) -> tuple[Leg, ...]:
+    """To each peak and back to the lowest command."""
+    return tuple(Leg(target, hold_s, speed, stroke_s) for peak in peaks for target in (peak, 0.0))
 
 
 TEMPLATES = (
     MotionTemplate(
         "opening_repeat",
         "the same opening three times: a set taken once differs only in the first, creep and shifts in all",
-        _opening(),
+        _strokes((1.0,) * 3, 4.0),
     ),
     MotionTemplate(
         "ramps_three_speeds",
         "the same way at three speeds, with holds: friction that jumps, lag and rate dependence change with speed",
-        tuple(_three_speeds()),
+        tuple(leg for speed in (1.0, 0.33, 0.1) for leg in _strokes((0.9,), 3.0, speed)),
     ),
     MotionTemplate(
         "long_holds",
@@ -161,22 +126,20 @@ TEMPLATES = (
         "steps at full speed, then small sines of 2 to 4 Hz: lag rounds and damps, delay only moves in time, "
         "rate dependence widens the loop",
         (
-            *_steps(),
-            SineBurst((2.0,), 0.08, 5.0),
-            SineBurst((3.0,), 0.08, 5.0),
-            SineBurst((4.0,), 0.08, 5.0),
+            *(Leg(target, 1.5, 1.0) for target in (0.5, 0.25, 0.75, 0.4, 0.6, 0.5)),
+            *(SineBurst((hz,), 0.08, 5.0) for hz in (2.0, 3.0, 4.0)),
             Leg(0.0, 2.0),
         ),
     ),
     MotionTemplate(
         "dwell_near_lowest",
         "small moves near the lowest command: slack is dead there, a curved map is not",
-        tuple(_dwell()),
+        _strokes((0.06, 0.12, 0.2, 0.3, 0.06, 0.12), 1.5, 0.15),
     ),
     MotionTemplate(
         "top_from_amplitudes",
         "the top reached from several commands: a stop or saturation acts at one angle whatever the way there",
-        tuple(_tops()),
+        tuple(Leg(target, 1.0) for start in (0.75, 0.5, 0.25, 0.0) for target in (1.0, start)),
     ),
     MotionTemplate(
         "small_multi_sine",
@@ -186,22 +149,26 @@ TEMPLATES = (
     MotionTemplate(
         "slow_strokes",
         "the whole range at a crawl, twice: a corner, a toe and a smooth curve differ, nothing that needs speed does",
-        _slow(),
+        _strokes((1.0, 1.0), 1.0, 1.0, 12.0),
     ),
     MotionTemplate(
         "growing_strokes",
         "strokes that reach further each time, then less far: what a new greatest bend does, and what one angle does",
-        tuple(_growing()),
+        _strokes((0.2, 0.4, 0.6, 0.8, 1.0, 0.5, 1.0), 1.0, 1.0, 5.0),
     ),
     MotionTemplate(
         "fast_strokes",
         "strokes at full speed that stop and turn: a lag goes on, friction that grows with speed lets go",
-        tuple(_fast()),
+        tuple(
+            Leg(target, 0.0 if target == 0.2 else 1.5, 1.0)
+            for peak in (0.4, 0.8, 0.6, 1.0)
+            for target in (peak, 0.2, 0.7 * peak, 0.0)
+        ),
     ),
     MotionTemplate(
         "again_and_again",
         "one slow stroke for four minutes: a drift goes on, a shift between trials does not, creep comes to rest",
-        _again_and_again(),
+        _strokes((0.9,) * 12, 2.0, 1.0, 8.0),
         300.0,
     ),
 )
@@ -210,8 +177,8 @@ TEMPLATES = (
 def menu(limits: CommandLimits, dt: float) -> tuple[MenuMotion, ...]:
     """Every motion of the menu on one device.
 
-    All lie within the limits and change by at most 0.9 of the rate limit; the reach of a motion shrinks where its
-    travel would not fit into 90 s otherwise.
+    All lie within the limits and change by at most 0.9 of the rate limit. The reach of a motion shrinks where it would
+    take more than 90 s otherwise.
 
     Args:
         limits: box and rate of the command [mm or bar, and per second].
@@ -220,14 +187,15 @@ def menu(limits: CommandLimits, dt: float) -> tuple[MenuMotion, ...]:
     Raises:
         TrajectoryError: if dt is not finite and positive.
     """
-    require_positive(dt=dt)
-    return tuple(_motion(plan, limits, dt) for plan in TEMPLATES)
+    if not (math.isfinite(dt) and dt > 0):
+        raise TrajectoryError(f"dt: got {dt}, expected a finite number > 0")
+    return tuple(_motion(template, limits, dt) for template in TEMPLATES)
 
 
-def _motion(plan: MotionTemplate, limits: CommandLimits, dt: float) -> MenuMotion:
-    rate, reach = RATE_SHARE * limits.rate, _reach(plan, limits)
+def _motion(template: MotionTemplate, limits: CommandLimits, dt: float) -> MenuMotion:
+    rate, reach = RATE_SHARE * limits.rate, _reach(template, limits)
     pieces, at, start = [(np.array([0.0, REST_S]), np.zeros(2))], 0.0, REST_S
-    for part in plan.parts:
+    for part in template.parts:
         if isinstance(part, Leg):
             way = part.way_s(at, reach, rate)
             piece = np.array([0.0, way, way + part.hold_s]), reach * np.array([at, part.target, part.target])
@@ -239,22 +207,22 @@ def _motion(plan: MotionTemplate, limits: CommandLimits, dt: float) -> MenuMotio
     knots, values = (np.concatenate(rows) for rows in zip(*pieces, strict=True))
     t: Vec = np.arange(int(np.floor((start + REST_S) / dt)) + 1, dtype=np.float64) * dt
     command = limits.lower + np.interp(t, knots, values)
-    return MenuMotion(plan.name, plan.purpose, t, np.clip(command, limits.lower, limits.upper))
+    return MenuMotion(template.name, template.purpose, t, np.clip(command, limits.lower, limits.upper))
 
 
-def _reach(plan: MotionTemplate, limits: CommandLimits) -> float:
-    """Greatest command above the lowest that the motion can go to and back within its longest duration."""
+def _reach(template: MotionTemplate, limits: CommandLimits) -> float:
+    """Greatest command above the lowest with which the motion keeps within its longest duration."""
     rate, whole = RATE_SHARE * limits.rate, limits.upper - limits.lower
-    if _lasts(plan, whole, rate) <= plan.longest_s:
+    if _duration_s(template, whole, rate) <= template.longest_s:
         return whole
-    found = root_scalar(lambda reach: _lasts(plan, reach, rate) - plan.longest_s, bracket=(0.0, whole))
+    found = root_scalar(lambda reach: _duration_s(template, reach, rate) - template.longest_s, bracket=(0.0, whole))
     return float(found.root)
 
 
-def _lasts(plan: MotionTemplate, reach: float, rate: float) -> float:
-    """Duration of a plan at a reach [s]."""
+def _duration_s(template: MotionTemplate, reach: float, rate: float) -> float:
+    """Duration at a reach [s]."""
     at, seconds = 0.0, 2 * REST_S
-    for part in plan.parts:
+    for part in template.parts:
         if isinstance(part, Leg):
             seconds, at = seconds + part.way_s(at, reach, rate) + part.hold_s, part.target
         else:
@@ -263,7 +231,7 @@ def _lasts(plan: MotionTemplate, reach: float, rate: float) -> float:
 
 
 def _burst(part: SineBurst, centre: float, reach: float, rate: float, dt: float) -> tuple[Vec, Vec]:
-    """Times and commands of a burst, on its own grid: between samples a command runs straight.
+    """Times and commands of a burst, on a grid of its own with linear interpolation.
 
     Slopes of A w(t) sum_i sin(2 pi f_i t) / n are at most A (2 pi mean f + 1 / edge), w rising within the edge.
     """
