@@ -180,7 +180,7 @@ def _diagnosis(findings: Findings, proposal: MotionProposal | None) -> Diagnosis
     library = [name for name in LIBRARY if name not in findings.left_out]
     return Diagnosis(
         verdict=ruling.verdict,
-        reason=reason_for(ruling, effects, conclusion.closed.gap, prepared.too_little, prepared.unrelated),
+        reason=reason_for(ruling, effects, conclusion.closed.gap, prepared.too_little, prepared.checked.unrelated),
         effects=effects,
         ambiguity=ruling.ambiguity,
         ranking=ranking(probabilities, attribution.inclusion, ruling.ambiguity, library),

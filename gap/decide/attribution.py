@@ -97,7 +97,7 @@ def attribute(
         advance: called with the share of the present round of the selection and the effect that is tried.
     """
     jumps = find_jumps(prepared.everything, retuned, prepared.signs)
-    unusable = bool(prepared.too_little or prepared.unrelated)
+    unusable = bool(prepared.too_little or prepared.checked.unrelated)
     jumping = jumps.seen and "stick_slip" not in left_out and not unusable
     floor_mse = max(white_noise(prepared.residuals(retuned)) ** 2, prepared.form_mse)
     if jumping:
@@ -108,7 +108,7 @@ def attribute(
         (*left_out, "stick_slip") if jumps.absent else left_out,
     )
     without = left_out
-    if prepared.unrelated:  # nothing to explain: only the baseline is evaluated
+    if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
         library, without = (), (*left_out, *OWN_TO_TRIALS)
     selection = select(validation, library, settings.selection, floor_mse, without, advance)
     return Attribution(
@@ -129,7 +129,7 @@ def attribute(
             sensor="sensor" not in without and _sensor_matters(prepared, selection, settings.verdict),
             jumps=jumping,
             too_little=bool(prepared.too_little),
-            unrelated=bool(prepared.unrelated),
+            unrelated=bool(prepared.checked.unrelated),
         ),
     )
 

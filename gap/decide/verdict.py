@@ -221,7 +221,7 @@ def _confirmed(facts: VerdictFacts, settings: VerdictSettings) -> bool:
 
 
 def reason_for(ruling: Ruling, effects: Sequence[FoundEffect], gap: Gap, too_little: str, unrelated: str) -> str:
-    """The verdict in one sentence, with its numbers; `too_little` and `unrelated` as `Prepared` has them."""
+    """The verdict in one sentence, with its numbers; `too_little` and `unrelated` say why trials are unusable."""
     sizes = f"retuned {gap.retuned_rmse_deg:.2f} deg, floor {gap.floor_rmse_deg:.2f} deg"
     names = ", ".join(effect.name.replace("_", " ") for effect in effects)
     closed = f"{100 * gap.closed_share:.0f} % of the structural gap closed on trials kept for the end"

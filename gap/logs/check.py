@@ -15,10 +15,9 @@ from hystmpc.trials.check_time import require_seconds
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 
-from ..recording import Before
 from .dependence import follows_command
 from .excitation import Excitation, excitation_of
-from .trial_choice import LEAST_S, Workload, choose_trials
+from .trial_choice import LEAST_S, ChosenTrials, choose_trials
 
 _WRONG_SIGN = -0.3  # correlation; above it a lag of up to a third of a period may be the cause
 _SURELY_WRONG = -0.7  # of a single trial, where all together have the right sign
@@ -40,37 +39,20 @@ _AT_EXTREME, _TRAVEL = 0.02, 0.05  # of the samples; of the command's range
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
+class Checked(ChosenTrials):
     """Trials that can be diagnosed.
 
     Attributes:
-        trials: uniform, all at one rate, in recording order.
-        recorded: the same trials as recorded, gaps cut off; what sensor statistics are made on.
-        rate_hz: rate of `trials` [Hz].
         excitation: motions, speeds, holds and repeats of their commands.
         notes: faults and shortcomings of the trials, a sentence each.
-        given: the same trials as recorded.
-        before: history of the device before each of them, trials that are left out included.
-        workload: cost of their diagnosis.
         left_out: what is not diagnosed and why, a line each; also among the notes.
         unrelated: why the angles of all trials say nothing on a simulator; empty where they follow their commands.
     """
 
-    trials: tuple[Trial, ...]
-    recorded: tuple[Trial, ...]
-    rate_hz: float
     excitation: Excitation
     notes: tuple[str, ...]
-    given: tuple[Trial, ...]
-    before: tuple[Before, ...]
-    workload: Workload
-    left_out: tuple[str, ...] = ()
-    unrelated: str = ""
-
-    @property
-    def dt(self) -> float:
-        """Sample interval of `trials` [s]."""
-        return 1.0 / self.rate_hz
+    left_out: tuple[str, ...]
+    unrelated: str
 
 
 def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata, seed: int = 0) -> Checked:
@@ -101,31 +83,18 @@ def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata, 
     _require_commands(trials, facts)
     chosen = choose_trials(trials, facts, not isinstance(simulator, Simulator), seed)
     follows = follows_command(chosen.trials, seed)
-    if not any(follows):
-        left_out, unrelated = chosen.left_out, _UNRELATED
-    else:
-        left_out = (
-            *chosen.left_out,
-            *(_left_out(t) for t, kept in zip(chosen.given, follows, strict=True) if not kept),
-        )
-        chosen, unrelated = chosen.only(follows), ""
+    left_out, unrelated = [chosen.workload.note] if chosen.workload.note else [], ""
+    if any(follows):
+        left_out += [_left_out(t) for t, kept in zip(chosen.given, follows, strict=True) if not kept]
+        chosen = chosen.only(follows)
         _require_sign(chosen.given)
         _require_angles(chosen.given, facts)
+    else:
+        unrelated = _UNRELATED
     excitation = excitation_of(chosen.trials)
     logs = zip(chosen.given, chosen.recorded, strict=True)
     notes = (*left_out, *(note for pair in logs for note in _log_notes(*pair)), *_set_notes(excitation))
-    return Checked(
-        trials=chosen.trials,
-        recorded=chosen.recorded,
-        rate_hz=1.0 / chosen.dt,
-        excitation=excitation,
-        notes=notes,
-        given=chosen.given,
-        before=chosen.before,
-        workload=chosen.workload,
-        left_out=left_out,
-        unrelated=unrelated,
-    )
+    return Checked(**vars(chosen), excitation=excitation, notes=notes, left_out=tuple(left_out), unrelated=unrelated)
 
 
 def _left_out(trial: Trial) -> str:

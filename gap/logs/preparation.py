@@ -49,7 +49,6 @@ class PreparedTrials:
         raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
         form_mse: model-form error [deg^2]; zero where unknown.
         too_little: why the trials do not allow a diagnosis, in words; empty where they do.
-        unrelated: why their angles say nothing on a simulator, see `Checked`.
         excess_mse: energy of the sensor's noise beyond its noise at identification [deg^2]; zero where unknown.
     """
 
@@ -62,9 +61,8 @@ class PreparedTrials:
     everything: tuple[Run, ...]
     raw: tuple[Vec, ...]
     form_mse: float
-    too_little: str = ""
-    unrelated: str = ""
-    excess_mse: float = 0.0
+    too_little: str
+    excess_mse: float
 
     def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
         """Measured less simulated angle of every run (T,) each [deg]."""
@@ -111,7 +109,6 @@ def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel, seed: int
         raw=tuple(trial.angle for trial in checked.trials),
         form_mse=model_form_mse(identification, trials, motions, _sample_time(simulator)),
         too_little=shortage(checked.trials),
-        unrelated=checked.unrelated,
         excess_mse=max(signs.energy - nominal**2, 0.0) if nominal is not None and faulty else 0.0,
     )
 

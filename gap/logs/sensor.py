@@ -37,10 +37,8 @@ class SensorSigns:
 
     Attributes:
         quantisation_deg: step of the grid that the angles lie on; 0 where there is none [deg].
-        on_grid: share of samples within a tenth of a step of that grid.
         noise_deg: white noise, rounding included [deg].
         spike_rate: isolated spikes per sample.
-        spike_deg: root mean square of their heights [deg].
         held_rate: share of samples that repeat the last value while the angle goes on.
         coarse: whether rounding is a good part of the noise; a log written with few digits is on a grid, too.
         noisy: whether the noise exceeds the nominal noise by half; False where that is unknown.
@@ -48,10 +46,8 @@ class SensorSigns:
     """
 
     quantisation_deg: float
-    on_grid: float
     noise_deg: float
     spike_rate: float
-    spike_deg: float
     held_rate: float
     coarse: bool
     noisy: bool
@@ -76,22 +72,19 @@ def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None
     """
     if not trials:
         raise GapError("no trial given, expected one or more")
-    step, on_grid = _grid(np.concatenate([trial.angle for trial in trials]))
+    step = _grid(np.concatenate([trial.angle for trial in trials]))
     noise = white_noise([trial.angle[:: _pace(trial)] for trial in trials])
     spikes = [_spikes(trial, step, noise) for trial in trials]
     held = [_held(trial, step, noise) for trial in trials]
     ticks = sum(len(trial) / _pace(trial) for trial in trials)
-    heights = np.concatenate([height for _, height in spikes])
-    count = heights.size
+    count = sum(number for _, number in spikes)
     drops = sum(len(stretches(mask)) for mask in held)
     held_rate = sum(int(mask.sum()) for mask in held) / sum(len(trial) for trial in trials)
     fine = nominal_noise_deg if nominal_noise_deg is not None else noise
     return SensorSigns(
         quantisation_deg=step,
-        on_grid=on_grid,
         noise_deg=noise,
         spike_rate=count / ticks,
-        spike_deg=math.sqrt(float(np.mean(heights**2))) if heights.size else 0.0,
         held_rate=held_rate,
         coarse=step / math.sqrt(12) > _COARSE * max(fine, 1e-12) and step > 0,
         noisy=nominal_noise_deg is not None and noise > _NOISY * nominal_noise_deg,
@@ -116,25 +109,21 @@ def repaired(trial: Trial, signs: SensorSigns) -> Trial:
     return Trial(trial.t, trial.command, angle, trial.channels, trial.units, trial.source)
 
 
-def _grid(values: Vec) -> tuple[float, float]:
-    """Largest step of a grid with any offset that holds 95 % of the values, and the share that it holds."""
+def _grid(values: Vec) -> float:
+    """Largest step of a grid with any offset that holds 95 % of the values; 0 without one."""
     levels = np.unique(values)
     if levels.size < 2:
-        return 0.0, 0.0
+        return 0.0
     levels = levels[:: max(1, levels.size // _MOST_VALUES)] if levels.size > _MOST_VALUES else levels
     gaps = np.diff(levels)
     gaps = gaps[gaps > 1e-9 * max(float(np.abs(levels).max()), 1.0)]
     if gaps.size < _LEAST_LEVELS:
-        return 0.0, 0.0
+        return 0.0
     least = float(np.percentile(gaps, 1))
     coarse = gaps[gaps > 0.5 * float(np.median(gaps))]
     guesses = {float(np.median(gaps)), float(np.percentile(coarse, 5)), float(np.percentile(gaps, 10)), least}
-    best = (0.0, 0.0)
-    for guess in sorted(guesses, reverse=True):
-        step, share = _fitted(levels, guess, values)
-        if share >= _ON_GRID and step > best[0]:
-            best = (step, share)
-    return best
+    fits = [_fitted(levels, guess, values) for guess in guesses]
+    return max((step for step, share in fits if share >= _ON_GRID), default=0.0)
 
 
 def _fitted(levels: Vec, guess: float, values: Vec) -> tuple[float, float]:
@@ -159,8 +148,8 @@ def _pace(trial: Trial) -> int:
     return typical if 1 < typical <= _SLOWEST_S / trial.dt else 1
 
 
-def _spikes(trial: Trial, step: float, noise: float) -> tuple[Mask, Vec]:
-    """Samples that leave the line between their neighbours and return at once (T,), and the height of each spike.
+def _spikes(trial: Trial, step: float, noise: float) -> tuple[Mask, int]:
+    """Samples that leave the line between their neighbours and return at once (T,), and the number of spikes.
 
     With h_k = y_k - (y_{k-1} + y_{k+1}) / 2 a spike of height H gives h = -H/2, H, -H/2; a jump gives two neighbours
     of opposite sign, a bend neighbours of one sign.
@@ -171,7 +160,7 @@ def _spikes(trial: Trial, step: float, noise: float) -> tuple[Mask, Vec]:
         values = values[edges]
     mask = np.zeros(len(trial), dtype=np.bool_)
     if values.size < 5:
-        return mask, np.zeros(0)
+        return mask, 0
     h = values[1:-1] - 0.5 * (values[:-2] + values[2:])
     least = max(_SPIKE * 1.5**0.5 * noise, _STEPS * step, _LEAST_JUMP * float(np.ptp(trial.angle)), 1e-9)
     middle, pull = h[1:-1], np.stack([h[:-2], h[2:]])
@@ -181,7 +170,7 @@ def _spikes(trial: Trial, step: float, noise: float) -> tuple[Mask, Vec]:
     bounds = np.append(edges, len(trial))
     for k in found.tolist():
         mask[bounds[k] : bounds[k + 1]] = True
-    return mask, h[found - 1]
+    return mask, found.size
 
 
 def _held(trial: Trial, step: float, noise: float) -> Mask:

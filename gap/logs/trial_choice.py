@@ -87,11 +87,6 @@ class ChosenTrials:
     dt: float
     workload: Workload
 
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        """One line on the trials that were not chosen, or none."""
-        return (self.workload.note,) if self.workload.note else ()
-
     def only(self, kept: Sequence[bool]) -> ChosenTrials:
         """Some of the trials."""
         return replace(

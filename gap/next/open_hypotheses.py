@@ -44,7 +44,7 @@ def next_step(findings: Findings) -> MotionProposal | None:
     Args:
         findings: of all earlier steps.
     """
-    fitted = {} if findings.prepared.unrelated else _open(findings)
+    fitted = {} if findings.prepared.checked.unrelated else _open(findings)
     if len(fitted) < 2:
         return None
     prepared = findings.prepared

@@ -180,7 +180,7 @@ def report_data(findings: Findings, diagnosis: Diagnosis, proposal: MotionPropos
 def _fixed(findings: Findings) -> Simulator | None:
     """The corrected simulator; none of a network, and none from angles that do not follow their commands."""
     simulator, prepared = findings.simulator, findings.prepared
-    if prepared.unrelated or not isinstance(simulator, Simulator):
+    if prepared.checked.unrelated or not isinstance(simulator, Simulator):
         return None
     return fixed_simulator(simulator, findings.conclusion.chosen, prepared)
 
