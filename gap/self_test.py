@@ -139,7 +139,7 @@ def self_test(
 
 
 def record(case: _Case, seed: int) -> list[Trial]:
-    """Trials of a device, one after another: what it keeps from trial to trial is kept."""
+    """Trials of a device, one after another; states that persist between trials are kept."""
     random, trials = np.random.default_rng(seed), []
     shifts = np.random.default_rng(_SHIFT_SEED)
     gain, offset = case.off
@@ -199,7 +199,7 @@ def _row(name: str, case: _Case, simulator: Simulator, seed: int) -> SelfTestRow
 
 
 def _sets(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
-    """Each effect found, with those that stand for it."""
+    """Each effect found, with those that could replace it."""
     alike = {names[0]: names for names in diagnosis.ambiguity}
     return [alike.get(effect.name, (effect.name,)) for effect in diagnosis.effects]
 

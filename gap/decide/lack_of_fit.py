@@ -73,7 +73,7 @@ def remaining_curvature(hypothesis: Hypothesis, runs: Sequence[Run], floor_mse: 
 
 
 def slow_mse(hypothesis: Hypothesis, runs: Sequence[Run]) -> float:
-    """Mean square of the remaining error's means over three seconds [deg^2]: what goes on within trials."""
+    """Mean square of the remaining error's means over three seconds [deg^2], slow change within trials."""
     total, count = 0.0, 0
     for run in runs:
         error, blocks = hypothesis.problem.error(hypothesis.q, run)[0], run.blocks(_SLOW_S)

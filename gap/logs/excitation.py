@@ -1,4 +1,4 @@
-"""What a set of motions excites: speeds, holds, repeats, small fast parts, the ends of the travel."""
+"""Excitation of a set of motions: speeds, holds, repeats, small fast parts, ends of the travel."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _OPENING_LEVEL, _OPENING_TIME = 0.02, 0.1
 
 @dataclass(frozen=True)
 class Excitation:
-    """What the commands of all trials do together; shares are of the range of all commands.
+    """Excitation by the commands of all trials together; shares refer to the range of all commands.
 
     Attributes:
         motions: kind of motion per trial.
-        trials: how many.
+        trials: their number.
         repeats: pairs of stretches with equal commands.
         longest_hold_s: longest rest of the command [s]; 0 without one.
         fastest: 99th percentile of its speed while it moves [cmd/s].
@@ -37,7 +37,7 @@ class Excitation:
         steps: moves of a tenth of the range or more within 0.2 s.
         fast_small: moves of less than a third of a second (1.5 Hz and above) and of less than 30 %.
         low_s: time within the lowest tenth [s].
-        low_visits: how often it goes there.
+        low_visits: number of visits to it.
         top_levels: distinct levels, 8 % apart, in the upper 60 % at which it turns.
         opening_repeated: whether the first rise of the first trial comes again, in it or a later trial.
     """
@@ -92,7 +92,7 @@ class Excitation:
 
 
 def excitation_of(trials: Sequence[Trial]) -> Excitation:
-    """What uniform trials at one rate excite, from their commands alone.
+    """Excitation by uniform trials at one rate, from their commands alone.
 
     Raises:
         LogError: if a trial is not uniform.

@@ -1,4 +1,4 @@
-"""What kind of motion a command is, told from the command alone."""
+"""Motion type of a trial, from its command alone: sine, steps, holds, ramps, scan, ..."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .white_noise import white_noise
 
 MotionType = Literal["sine", "sines", "holds", "steps", "ramps", "point_to_point", "scan", "mixed"]
 
-STEP_S = 0.2  # a move that takes no longer is a step: no hand or joystick is as fast
-_HELD_SHARE = 0.2  # less rest, and the motion is continuous
+STEP_S = 0.2  # longest move that counts as a step, faster than any hand or joystick
+_HELD_SHARE = 0.2  # of the time at rest, below which the motion is continuous
 _HOLDS_SHARE, _HOLDS_S = 0.6, 3.0
 _SHAPE_POINTS = np.linspace(0.0, 1.0, 33)
 _HALF_COSINE = 0.5 - 0.5 * np.cos(np.pi * _SHAPE_POINTS)
 _LINE = 0.05  # of the height of a move, root mean square: a line and a half cosine are 0.07 apart
-_COSINE = 0.2  # a half cosine behind an actuator with lag and friction still is one
-_SMALL = 0.05  # of the range: moves below say nothing on the shape
+_COSINE = 0.2  # of the height: a half cosine after an actuator with lag and friction
+_SMALL = 0.05  # of the range, below which moves are ignored for the shape
 _REGULAR = 0.1  # spread of the times between turns, relative to their mean
 _NOISE_BAND = 6.0  # standard deviations of the command's own noise
 
@@ -63,7 +63,7 @@ class Move:
 
 
 def command_segments(trial: Trial) -> Segments:
-    """Segments of a uniform trial; the bands widen with the noise of a command that was measured, not sent.
+    """Segments of a uniform trial; the bands widen with the noise of a measured command.
 
     Raises:
         LogError: if the sampling is not uniform.

@@ -185,7 +185,7 @@ def affordable(
 
 
 def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, seed: int) -> str:
-    """What is not used, in one line."""
+    """One line on the trials and parts that are not used."""
     cut = used < recorded
     text = (
         f"{what}, more than are diagnosed in minutes ({most:,} samples of {_MOST_TRIALS} trials): {used.size} trials "
@@ -258,7 +258,7 @@ def split_runs(runs: Sequence[Run], motions: Sequence[str]) -> tuple[tuple[Run, 
     found = characters([run.command for run in runs], runs[0].dt_s)
     apart = np.linalg.norm(found[:, None] - found[None], axis=-1)
     while len(chosen) < count:
-        # Of the most frequent motion among those that remain, what is most like another; the first is never taken.
+        # Of the most frequent motion left, the trial most like another; the first trial is never taken.
         often = max(
             left[1:],
             key=lambda k: (

@@ -1,4 +1,4 @@
-"""90 % intervals of an RMSE over whole blocks of time, since neighbouring residuals are alike."""
+"""Figures of the gap closed, of the effects, and of the motion to record next."""
 
 from __future__ import annotations
 
@@ -21,6 +21,53 @@ from .words import in_words
 
 _BLOCK_S, _LEAST_BLOCKS = 2.0, 4
 _DRAWS = 400
+
+MOST_EFFECTS = 10
+_CHOSEN, _AMBIGUOUS, _OTHER = MODEL, ACCENTS[2], "#c4c4c4"
+
+MOST_ROWS = 10
+_OFFSET = {"nominal": -0.22, "retuned": 0.0, "with_effects": 0.22}
+
+_DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (6, 1, 1, 1)), (0, (3, 1, 1, 1, 1, 1)))
+_COLOURS = (PALETTE[0], PALETTE[1], PALETTE[3], PALETTE[5], PALETTE[4])
+
+
+def closed_figure(evidence: Evidence) -> Figure:
+    """RMSE of every final trial and of all together, with 90 % intervals, against the floor [deg]."""
+    trials = shown(evidence.final, MOST_ROWS)
+    gap, rows = evidence.diagnosis.gap, len(trials) + 1
+    with new_figure(7.0, 1.1 + 0.42 * rows) as figure:
+        axes: Axes = figure.subplots()
+        for stage in evidence.stages:
+            values = [_pooled(gap, stage), *(trial.rmse(stage) for trial in trials)]
+            groups: list[Sequence[TrialEvidence]] = [evidence.final, *([trial] for trial in trials)]
+            _points(axes, stage, values, [rmse_interval(group, stage) for group in groups])
+        floors = [gap.floor_rmse_deg, *(trial.floor_deg for trial in trials)]
+        axes.plot(floors, np.arange(rows), "|", color=REFERENCE, markersize=17, markeredgewidth=1.6, label="floor")
+        names = [f"all {evidence.measured_on}", *(short(trial.name) for trial in trials)]
+        axes.set_yticks(range(rows), names)
+        axes.get_yticklabels()[0].set_fontweight("bold")
+        axes.axhline(0.5, color=REFERENCE, linewidth=0.6)
+        axes.set(ylim=(rows - 0.5, -0.5), xlabel="RMSE of simulated less measured angle [deg]")
+        axes.set_xlim(left=0.0)
+        axes.grid(visible=False, axis="y")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    return figure
+
+
+def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Interval | None]) -> None:
+    """One stage's values, one a row, each with its interval."""
+    rows = np.arange(len(values)) + _OFFSET[stage]
+    for row, value, interval in zip(rows, values, intervals, strict=True):
+        if interval is not None and np.isfinite(value):
+            reach = [[max(value - interval[0], 0.0)], [max(interval[1] - value, 0.0)]]
+            axes.errorbar(value, row, xerr=reach, zorder=2, **{**INTERVAL, "color": COLOUR[stage]})
+    style: Any = {"color": COLOUR[stage], "marker": MARKER[stage], "linestyle": "none", "markersize": 5.5}
+    axes.plot(values, rows, label=LABEL[stage], zorder=3, **style)
+
+
+def _pooled(gap: Gap, stage: Stage) -> float:
+    return float(getattr(gap, f"{stage}_rmse_deg"))
 
 
 def rmse_interval(trials: Sequence[TrialEvidence], stage: Stage) -> Interval | None:
@@ -49,10 +96,6 @@ def _blocks(trials: Sequence[TrialEvidence], stage: Stage) -> tuple[Vec, Vec]:
     return np.array(sums), np.array(counts)
 
 
-MOST_EFFECTS = 10
-_CHOSEN, _AMBIGUOUS, _OTHER = MODEL, ACCENTS[2], "#c4c4c4"
-
-
 def effects_figure(evidence: Evidence) -> Figure:
     """Candidates by probability; those chosen, and those that these trials cannot tell apart, stand out."""
     diagnosis, rows = evidence.diagnosis, {row.name: row for row in evidence.candidates}
@@ -74,7 +117,7 @@ def effects_figure(evidence: Evidence) -> Figure:
 
 
 def _names(diagnosis: Diagnosis) -> list[str]:
-    """Effects to draw: the most probable, and in any case those that the verdict speaks of."""
+    """Effects to draw: the most probable, and all that the verdict names."""
     ranked = [name for name, _ in diagnosis.ranking]
     spoken = [effect.name for effect in diagnosis.effects] + [name for names in diagnosis.ambiguity for name in names]
     keep = set(ranked[:MOST_EFFECTS]) | set(spoken)
@@ -145,52 +188,6 @@ def _look(diagnosis: Diagnosis, name: str) -> tuple[str, str]:
     if any(name in names for names in diagnosis.ambiguity):
         return _AMBIGUOUS, "////"
     return (_CHOSEN, "") if any(effect.name == name for effect in diagnosis.effects) else (_OTHER, "")
-
-
-MOST_ROWS = 10
-_OFFSET = {"nominal": -0.22, "retuned": 0.0, "with_effects": 0.22}
-
-
-def closed_figure(evidence: Evidence) -> Figure:
-    """RMSE of every final trial and of all together, with 90 % intervals, against the floor [deg]."""
-    trials = shown(evidence.final, MOST_ROWS)
-    gap, rows = evidence.diagnosis.gap, len(trials) + 1
-    with new_figure(7.0, 1.1 + 0.42 * rows) as figure:
-        axes: Axes = figure.subplots()
-        for stage in evidence.stages:
-            values = [_pooled(gap, stage), *(trial.rmse(stage) for trial in trials)]
-            groups: list[Sequence[TrialEvidence]] = [evidence.final, *([trial] for trial in trials)]
-            _points(axes, stage, values, [rmse_interval(group, stage) for group in groups])
-        floors = [gap.floor_rmse_deg, *(trial.floor_deg for trial in trials)]
-        axes.plot(floors, np.arange(rows), "|", color=REFERENCE, markersize=17, markeredgewidth=1.6, label="floor")
-        names = [f"all {evidence.measured_on}", *(short(trial.name) for trial in trials)]
-        axes.set_yticks(range(rows), names)
-        axes.get_yticklabels()[0].set_fontweight("bold")
-        axes.axhline(0.5, color=REFERENCE, linewidth=0.6)
-        axes.set(ylim=(rows - 0.5, -0.5), xlabel="RMSE of simulated less measured angle [deg]")
-        axes.set_xlim(left=0.0)
-        axes.grid(visible=False, axis="y")
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
-    return figure
-
-
-def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Interval | None]) -> None:
-    """One stage's values, one a row, each with its interval."""
-    rows = np.arange(len(values)) + _OFFSET[stage]
-    for row, value, interval in zip(rows, values, intervals, strict=True):
-        if interval is not None and np.isfinite(value):
-            reach = [[max(value - interval[0], 0.0)], [max(interval[1] - value, 0.0)]]
-            axes.errorbar(value, row, xerr=reach, zorder=2, **{**INTERVAL, "color": COLOUR[stage]})
-    style: Any = {"color": COLOUR[stage], "marker": MARKER[stage], "linestyle": "none", "markersize": 5.5}
-    axes.plot(values, rows, label=LABEL[stage], zorder=3, **style)
-
-
-def _pooled(gap: Gap, stage: Stage) -> float:
-    return float(getattr(gap, f"{stage}_rmse_deg"))
-
-
-_DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (6, 1, 1, 1)), (0, (3, 1, 1, 1, 1, 1)))
-_COLOURS = (PALETTE[0], PALETTE[1], PALETTE[3], PALETTE[5], PALETTE[4])
 
 
 def next_figure(proposal: MotionProposal, unit: str) -> Figure:

@@ -1,4 +1,4 @@
-"""Colours, markers and words that every figure of a diagnosis uses alike, and the choice of trials to draw."""
+"""Style of the figures of a diagnosis: colours, markers, labels, and the choice of trials to draw."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def save_diagnosis(
     """Write everything that a diagnosis leaves; files appear whole, an older diagnosis in the folder is replaced.
 
     Args:
-        evidence: the diagnosis and what is behind it.
+        evidence: data of the report.
         folder: new, empty, or that of an older diagnosis.
         settings: how it was called, resolved.
         models: model files that it used; their SHA-256 is kept.
@@ -85,7 +85,7 @@ def save_diagnosis(
 
 
 def diagnosis_json(diagnosis: Diagnosis) -> str:
-    """The text of `diagnosis.json`; what is not a finite number is null."""
+    """The text of `diagnosis.json`; numbers that are not finite are null."""
     return json.dumps(_plain(diagnosis.as_json()), indent=2, allow_nan=False) + "\n"
 
 

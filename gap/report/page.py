@@ -1,4 +1,4 @@
-"""The report of a diagnosis: verdict and how far, which effect, where, what next; then the tables behind it."""
+"""Page of the report: verdict, effects, localisation, next motion, and the tables behind them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A diagnosis in words: the headline, the sentence on how far, the sentence on what next."""
+"""Sentences of the report: headline, gap closed, next motion."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ def _places(power: Vec, labels: Index, blocks: Index, seed: int) -> dict[str, Pl
     random = np.random.default_rng(seed)
     weights = random.multinomial(len(energy), np.full(len(energy), 1 / len(energy)), size=_RESAMPLES)
     drawn, seconds = weights @ energy, weights @ spent
-    # The time in a place is the motion's, not chance: what is drawn is its density.
+    # The time in each part is given by the motion, so that only the density is resampled.
     drawn = time * np.divide(drawn, seconds, out=np.zeros_like(drawn), where=seconds > 0)
     totals = np.maximum(drawn.sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
     low, high = np.quantile(drawn / totals, [0.05, 0.95], axis=0).tolist()
