@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -80,3 +82,14 @@ def test_the_check_of_steps_itself(tmp_path: Path) -> None:
     (tmp_path / "gap/logs/a.py").write_text("from ..decide.b import x")
     (tmp_path / "gap/decide/b.py").write_text("from ..logs import a")
     assert len(list(backward_steps(tmp_path))) == 1
+
+
+@pytest.mark.slow
+def test_a_diagnosis_opens_the_report_only_when_it_is_asked_for() -> None:
+    code = (
+        "import sys, hystmpc.gap.diagnose\n"
+        "found = [name for name in sys.modules if name == 'matplotlib' or name.startswith('hystmpc.gap.report')]\n"
+        "sys.exit(' '.join(found))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == ""
