@@ -202,7 +202,7 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
         ("ambiguous", bool(facts.ambiguity)),
         ("explained", True),
     )
-    case = next(name for name, applies in rows if applies)
+    case: VerdictCase = next(name for name, applies in rows if applies)
     usable = case not in _UNUSABLE
     if usable and facts.jumps and VERDICTS[case] in ("none", "unknown"):
         case = "jumps"
