@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hystmpc.gap.procedure import conclude, investigate
+from hystmpc.gap.diagnose import conclude, investigate
 from hystmpc.models.identify.least_squares import OperatorFitSettings
 from hystmpc.models.identify.methods import identify
 from hystmpc.models.simulator import Simulator

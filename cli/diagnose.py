@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +16,7 @@ from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError, LogError, ModelError
 from hystmpc.trials.files import require_writable
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Progress
 
 from .console import Bar, bar, errors, out, table
 from .options import Layout, warn_of_units
@@ -77,7 +78,7 @@ def _diagnosed(
     require_free(folder)
     simulator = _simulator(sim)
     trials = _recorded(files, preset)
-    from hystmpc.gap.procedure import conclude, investigate  # compiles: kept out of the way of refusals
+    from hystmpc.gap.diagnose import conclude, investigate  # compiles: kept out of the way of refusals
 
     with bar("diagnose") as show:
         told = _progress(show)
@@ -97,10 +98,9 @@ def _diagnosed(
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """The verdict in words, then the sizes of the gap, the effects and what to record next."""
-    from hystmpc.gap.report.look import plain
-    from hystmpc.gap.report.words import headline, how_far, percent
+    from hystmpc.gap.report.words import closed_sentence, headline, in_words, percent
 
-    for line in (headline(diagnosis), diagnosis.reason, how_far(diagnosis)):
+    for line in (headline(diagnosis), diagnosis.reason, closed_sentence(diagnosis)):
         out.print(line, highlight=False)
     if diagnosis.ranking:
         found = {effect.name: effect for effect in diagnosis.effects}
@@ -112,10 +112,10 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
                 low, high = effect.closed_ci90
                 values = ", ".join(f"{key} {value:.3g}" for key, value in effect.parameters.items())
                 shares = (percent(effect.closed_share), f"{percent(low)} to {percent(high)}", values)
-            rows.append([plain(name), percent(probability), *shares])
+            rows.append([in_words(name), percent(probability), *shares])
         out.print(table("effects", ("effect", "probability", "closes", "90 % interval", "parameters"), rows))
     if (motion := diagnosis.next_motion) is not None:
-        names = ", ".join(plain(name) for name in motion.separates)
+        names = ", ".join(in_words(name) for name in motion.separates)
         out.print(
             f"next: record {motion.file} ({motion.duration_s:.0f} s) to tell apart {names}: "
             f"{percent(motion.expected_probability)} expected",
@@ -144,17 +144,17 @@ def _simulator(path: Path) -> Simulator | OnnxModel:
 
 def _recorded(files: Sequence[Path], layout: str) -> list[Trial]:
     """Trials as recorded; a motion that was proposed but not yet recorded is told from a log."""
-    from hystmpc.gap.next_motion import PLANNED
+    from hystmpc.gap.next.motion_design import SEPARATION_COLUMN
 
     trials = read_trials(files, layout)
     for trial in trials:
-        if PLANNED in trial.channels:
+        if SEPARATION_COLUMN in trial.channels:
             raise LogError(f"{trial.source}: is a motion proposed by a diagnosis, expected what was recorded on it")
     warn_of_units(trials)
     return trials
 
 
-def _progress(show: Bar) -> Callable[..., None]:
+def _progress(show: Bar) -> Progress:
     return lambda done, total, note="": show(done, note, total=total)
 
 

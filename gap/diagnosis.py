@@ -1,9 +1,9 @@
-"""What a diagnosis says: verdict, effects, ambiguity, gap, places; and its fixed JSON form."""
+"""The result of a diagnosis and its fixed JSON form."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from hystmpc.models.identify.uncertainty import Interval
@@ -15,11 +15,11 @@ FloorKind = Literal["repeats", "noise"]
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """One effect that the diagnosis put into the simulator.
+    """One effect that the diagnosis added to the simulator.
 
     Attributes:
         name: its public name.
-        probability: calibrated probability that this effect is there.
+        probability: calibrated probability that this effect is present.
         inclusion: share of block resamples in which it was chosen.
         closed_share: share of the structural gap that it closes on the final trials (its Shapley value).
         closed_ci90: 90 % interval of that share, block bootstrap over the final trials.
@@ -39,15 +39,14 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Gap:
-    """How large the gap is, and how far it shrinks.
+    """Sizes of the gap on the final trials, which were not used for any choice.
 
-    closed_share = (MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor), on trials that nothing was chosen on.
+    closed_share = (MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor)
 
     Attributes:
         nominal_rmse_deg, retuned_rmse_deg, with_effects_rmse_deg: on the final trials [deg].
-        floor_rmse_deg: what no simulator can go below [deg].
-        floor_kind: from repeats of a motion, or from the upper band of the residual (then a lower bound: every share
-            is relative).
+        floor_rmse_deg: error that stays with any simulator [deg].
+        floor_kind: from repeats of a motion, or from the noise of the residual (a lower bound).
         closed_share, unexplained_share: of the structural gap; they add up to one.
         closed_ci90: 90 % interval of the closed share.
         final_trials: names of the trials.
@@ -81,11 +80,11 @@ class Place:
 
 @dataclass(frozen=True)
 class NextMotion:
-    """What to record next.
+    """The motion to record next.
 
     Attributes:
         file: name of the motion's file beside the diagnosis.
-        separates: effects that it tells apart.
+        separates: effects that it is to tell apart.
         expected_probability: probability that it names the right one of them.
         duration_s: of the motion [s].
     """
@@ -108,9 +107,9 @@ class Diagnosis:
         ranking: every effect with its probability, most likely first.
         gap: sizes.
         retuned: baseline quantities, each (nominal, retuned).
-        where: places by name.
-        notes: what was checked and what the trials cannot show, a sentence each.
-        next_motion: what to record next; None where nothing is open.
+        where: share of the residual by part of the motion.
+        notes: faults and shortcomings of the trials, a sentence each.
+        next_motion: the motion to record next; None where nothing is open.
     """
 
     verdict: Verdict
@@ -123,26 +122,14 @@ class Diagnosis:
     where: Mapping[str, Place]
     notes: tuple[str, ...] = ()
     next_motion: NextMotion | None = None
-    extra: Mapping[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """The fixed form `hystmpc-diagnosis/1`: plain dicts, lists, numbers and strings."""
-        return {
-            "format": FORMAT,
-            "verdict": self.verdict,
-            "reason": self.reason,
-            "effects": [{**_plain(effect), "parameters": dict(effect.parameters)} for effect in self.effects],
-            "ambiguity": [list(names) for names in self.ambiguity],
-            "ranking": [[name, probability] for name, probability in self.ranking],
-            "gap": _plain(self.gap),
-            "retuned": {name: list(values) for name, values in self.retuned.items()},
-            "where": {name: _plain(place) for name, place in self.where.items()},
-            "notes": list(self.notes),
-            "next_motion": _plain(self.next_motion) if self.next_motion else None,
-            **self.extra,
-        }
+        return {"format": FORMAT, **_plain(asdict(self))}
 
 
-def _plain(record: Any) -> dict[str, Any]:
-    values = {name: getattr(record, name) for name in record.__dataclass_fields__}
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+def _plain(value: Any) -> Any:
+    """Tuples as lists, inside dicts too."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, tuple) else value

@@ -1,4 +1,4 @@
-"""Known truths, made with the package's own operators, put before the diagnosis."""
+"""Self-test: known truths, made with the package's own operators, that the diagnosis has to find."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS
+from hystmpc.models.effects.place import effect_from
 from hystmpc.models.identify.corrected_simulator import settled
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.methods import identify
@@ -21,12 +23,10 @@ from hystmpc.models.operators.slow_changes import Creep, Drift, FirstFlexure, Tr
 from hystmpc.models.operators.static_curves import Contact, NonlinearGain, Slack
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Progress, Vec
 
+from .diagnose import conclude, investigate
 from .diagnosis import Diagnosis
-from .procedure import conclude, investigate
-
-Progress = Callable[..., None]
 
 _DT_S, _TRIAL_S, _SPAN, _SPEED = 0.04, 20.0, 6.0, 12.0
 _DEVICE = PrandtlIshlinskii(3.0, (3.0, 2.0, 1.0), 0.25, 0.0, 20.0)
@@ -84,7 +84,14 @@ def _shift(random: np.random.Generator) -> Operator:
     return TrialShift(float(2.5 * random.standard_normal()), 1 + 0.04 * float(random.standard_normal()), 0.0)
 
 
-CASES: Mapping[str, _Case] = {
+def _as_shown(name: str) -> _Case:
+    """An effect at the size of its picture, on its first side."""
+    placed = effect_from({"effect": name, "parameters": dict(EFFECTS[name].shown[0])}, _DT_S)
+    operators = (placed.operator,)
+    return _Case((name,), before=operators) if placed.side == "command" else _Case((name,), after=operators)
+
+
+_CASES: dict[str, _Case] = {
     "none": _Case(),
     "mis-set only": _Case(off=(1.12, 3.0)),
     "lag": _Case(("lag",), (Lag(0.25),)),
@@ -103,6 +110,7 @@ CASES: Mapping[str, _Case] = {
     "sensor": _Case(("sensor",), sensor=Sensor(1.0, 0.08, 0.02, 12.0, 0.0)),
     "lag and creep": _Case(("creep", "lag"), (Lag(0.2), Creep((0.2,), (5.0,)))),
 }
+CASES: Mapping[str, _Case] = _CASES | {name: _as_shown(name) for name in DIAGNOSABLE if name not in _CASES}
 """Every truth: nothing, a merely mis-set simulator, each effect at a clear size, and two at once."""
 
 
@@ -116,22 +124,23 @@ def self_test(
 
     Args:
         seed: of noise, of motions and of the diagnoses.
-        progress: called with steps done, steps in all and the present truth.
+        progress: called with truths done, truths in all and the present one.
         cases: names from `CASES`; all where left out.
     """
-    told = progress or (lambda done, total, note="": None)
     names = tuple(CASES) if cases is None else tuple(cases)
     simulator = identify("backlash", record(CASES["none"], seed + 1000))[0]
     rows = []
     for k, name in enumerate(names):
-        told(k, len(names), name)
+        if progress:
+            progress(k, len(names), name)
         rows.append(_row(name, CASES[name], simulator, seed))
-    told(len(names), len(names), "done")
+    if progress:
+        progress(len(names), len(names), "done")
     return tuple(rows)
 
 
 def record(case: _Case, seed: int) -> list[Trial]:
-    """Trials of a device, one after another: what it keeps from trial to trial is kept."""
+    """Trials of a device, one after another; states that persist between trials are kept."""
     random, trials = np.random.default_rng(seed), []
     shifts = np.random.default_rng(_SHIFT_SEED)
     gain, offset = case.off
@@ -191,7 +200,7 @@ def _row(name: str, case: _Case, simulator: Simulator, seed: int) -> SelfTestRow
 
 
 def _sets(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
-    """Each effect found, with those that stand for it."""
+    """Each effect found, with those that could replace it."""
     alike = {names[0]: names for names in diagnosis.ambiguity}
     return [alike.get(effect.name, (effect.name,)) for effect in diagnosis.effects]
 

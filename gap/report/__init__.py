@@ -1,1 +1,1 @@
-"""The report of a diagnosis: what it shows (`evidence`), the page, its figures, and the folder that it leaves."""
+"""Report of a diagnosis: its data, tables, figures, page and folder."""

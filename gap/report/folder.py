@@ -19,9 +19,8 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import RunFolder
 
 from ..diagnosis import FORMAT, Diagnosis
-from ..next_motion import MOTION_FILE, write_motion
-from .evidence import STAGES, Evidence
-from .page import write_report
+from ..next.motion_design import MOTION_FILE, write_motion
+from .report_data import STAGES, Evidence
 
 DIAGNOSIS_FILE, FIXED_FILE = "diagnosis.json", "sim.fixed.yaml"
 _SOMETIMES = (FIXED_FILE, MOTION_FILE, "log.mcap")
@@ -58,7 +57,7 @@ def save_diagnosis(
     """Write everything that a diagnosis leaves; files appear whole, an older diagnosis in the folder is replaced.
 
     Args:
-        evidence: the diagnosis and what is behind it.
+        evidence: data of the report.
         folder: new, empty, or that of an older diagnosis.
         settings: how it was called, resolved.
         models: model files that it used; their SHA-256 is kept.
@@ -86,7 +85,7 @@ def save_diagnosis(
 
 
 def diagnosis_json(diagnosis: Diagnosis) -> str:
-    """The text of `diagnosis.json`; what is not a finite number is null."""
+    """The text of `diagnosis.json`; numbers that are not finite are null."""
     return json.dumps(_plain(diagnosis.as_json()), indent=2, allow_nan=False) + "\n"
 
 
@@ -99,6 +98,8 @@ def _write(evidence: Evidence, run: RunFolder) -> None:
         write_motion(run.path / MOTION_FILE, evidence.proposal, evidence.command_unit)
     for name, content in evidence.files.items():
         write_atomically(run.path / name, content)
+    from .page import write_report  # imports matplotlib
+
     write_report(evidence, run.path)
 
 

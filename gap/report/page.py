@@ -1,4 +1,4 @@
-"""The report of a diagnosis: verdict and how far, which effect, where, what next; then the tables behind it."""
+"""Page of the report: verdict, effects, localisation, next motion, and the tables behind them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,19 @@ from pathlib import Path
 
 from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report, Table
 
-from ..next_motion import MOTION_FILE
-from .evidence import Evidence
-from .far_figure import MOST_ROWS, far_figure
-from .heat_figure import heat_figure
-from .look import plain, shown, worst_first
-from .next_figure import next_figure
-from .overlay_figures import loop_figure, time_figure
-from .place_figures import bins_figure, memory_figure, share_figure, spectrum_figure
+from ..next.motion_design import MOTION_FILE
+from .effect_figures import MOST_ROWS, closed_figure, effects_figure, next_figure
+from .figure_style import shown, worst_first
+from .report_data import Evidence
+from .residual_figures import (
+    bins_figure,
+    heat_figure,
+    loop_figure,
+    memory_figure,
+    share_figure,
+    spectrum_figure,
+    time_figure,
+)
 from .tables import (
     candidates_table,
     check_pieces,
@@ -26,8 +31,7 @@ from .tables import (
     retuned_table,
     trials_table,
 )
-from .which_figure import which_figure
-from .words import choices, floor_words, headline, how_far, percent, what_next
+from .words import choices, closed_sentence, floor_words, headline, in_words, next_sentence, percent
 
 MOST_HEAT, MOST_LOOPS, MOST_TIMES = 6, 6, 3
 
@@ -48,10 +52,10 @@ def _verdict(evidence: Evidence) -> Iterator[Piece]:
     diagnosis = evidence.diagnosis
     yield Heading(headline(diagnosis))
     yield Paragraph(diagnosis.reason)
-    yield Paragraph(how_far(diagnosis))
+    yield Paragraph(closed_sentence(diagnosis))
     left_out = len(evidence.final) - MOST_ROWS
     yield Plot(
-        far_figure(evidence),
+        closed_figure(evidence),
         f"RMSE on the {evidence.measured_on}, with 90 % intervals over blocks of 2 s. "
         + floor_words(diagnosis.gap)
         + (f" {left_out} further {evidence.measured_on} are in the table below." if left_out > 0 else ""),
@@ -63,7 +67,7 @@ def _which(evidence: Evidence) -> Iterator[Piece]:
     yield Heading("Which effect")
     if diagnosis.ranking or diagnosis.effects:
         yield Plot(
-            which_figure(evidence),
+            effects_figure(evidence),
             "Left: calibrated probability. Middle: held-out gain of each effect alone, with two standard errors. "
             "Right: share of the structural gap that each chosen effect closes on the final trials, with its 90 % "
             "interval; letters mark sets that these trials cannot tell apart.",
@@ -100,9 +104,10 @@ def _where(evidence: Evidence) -> Iterator[Piece]:
     if bins is not None:
         yield Plot(bins, "RMSE by command, angle and speed of the command; grey: share of time, of the whole height.")
     yield from _memory_and_spectrum(evidence)
-    if evidence.ceiling_share is not None:
+    share = evidence.explainable_share
+    if share is not None:
         yield Paragraph(
-            f"A flexible model of no particular cause explains {percent(evidence.ceiling_share)} of the structural gap "
+            f"A flexible model of no particular cause explains {percent(share)} of the structural gap "
             "on trials left out: about what any effect can reach."
         )
 
@@ -128,14 +133,14 @@ def _next(evidence: Evidence) -> Iterator[Piece]:
     if proposal is None:
         yield Paragraph("Nothing is open that a motion of the safe menu would settle.")
         return
-    yield Paragraph(what_next(proposal))
+    yield Paragraph(next_sentence(proposal))
     yield Plot(
         next_figure(proposal, evidence.command_unit),
         f"{MOTION_FILE}: command within limits and rate limit, from rest to rest at the lowest command. Middle: what "
         "each candidate expects. Below: what stays apart when each is retuned to the other.",
     )
     rows = [
-        (plain(option.motion.name), option.motion.duration_s, option.probability, option.motion.purpose)
+        (in_words(option.motion.name), option.motion.duration_s, option.probability, option.motion.purpose)
         for option in sorted(proposal.options, key=lambda option: -option.probability)
     ]
     yield Table(("motion", "duration [s]", "expected probability", "what it shows"), rows, "The whole menu.")

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 from hystmpc.trials.html import KeyValues, Paragraph, Piece, Table
 
-from .evidence import STAGES, CandidateRow, Evidence, TrialEvidence
-from .look import LABEL, plain
-from .words import percent
+from .figure_style import LABEL
+from .report_data import STAGES, CandidateRow, Evidence, TrialEvidence
+from .words import in_words, percent
 
 _SIDES = {"command": "command side", "output": "output side", "sensor": "sensor", "trial": "trial to trial"}
 
@@ -18,7 +18,7 @@ def effects_table(evidence: Evidence) -> Table:
     """The chosen effects with what each closes."""
     rows = [
         (
-            plain(effect.name),
+            in_words(effect.name),
             effect.probability,
             effect.inclusion,
             effect.closed_share,
@@ -57,7 +57,7 @@ def confusable_table(evidence: Evidence) -> Table:
     """What these motions can hardly tell apart; what they cannot comes first."""
     rows = [
         (
-            ", ".join(plain(name) for name in row.effects),
+            ", ".join(in_words(name) for name in row.effects),
             "one class" if row.one_class else "yes" if row.separable else "no",
             "nothing: equal by algebra" if row.one_class else row.separated_by,
             row.found,
@@ -82,7 +82,7 @@ def parameters_table(evidence: Evidence) -> Table:
             text for flag, text in ((row.at_bound, "at a bound"), (row.flat, "not determined by these logs")) if flag
         ]
         neutral = "" if row.neutral is None else row.neutral
-        rows.append((plain(row.owner), row.name, row.value, _interval(row.ci90), neutral, ", ".join(remarks)))
+        rows.append((in_words(row.owner), row.name, row.value, _interval(row.ci90), neutral, ", ".join(remarks)))
     columns = ("of", "parameter", "value", "90 % interval", "no effect at", "remark")
     return Table(columns, rows, "Parameters of the corrected simulator; names carry the unit.")
 
@@ -90,7 +90,7 @@ def parameters_table(evidence: Evidence) -> Table:
 def retuned_table(evidence: Evidence) -> Table:
     """Baseline quantities before and after the refit."""
     rows = [
-        (plain(name), given, found, "" if given == 0 else f"{100 * (found / given - 1):+.1f} %")
+        (in_words(name), given, found, "" if given == 0 else f"{100 * (found / given - 1):+.1f} %")
         for name, (given, found) in evidence.diagnosis.retuned.items()
     ]
     return Table(("quantity", "as given", "retuned", "change"), rows, "Retuning of the simulator: not an effect.")
@@ -102,7 +102,7 @@ def check_pieces(evidence: Evidence) -> Iterator[Piece]:
     if found is not None:
         speeds = ", ".join(f"{speed:.3g}" for speed in found.ramp_speeds)
         rows = {
-            "motions": ", ".join(dict.fromkeys(plain(motion) for motion in found.motions)),
+            "motions": ", ".join(dict.fromkeys(in_words(motion) for motion in found.motions)),
             "pairs of repeats": len(found.repeats),
             "opening motion repeated": "yes" if found.opening_repeated else "no",
             "longest hold": f"{found.longest_hold_s:.1f} s",
@@ -127,19 +127,19 @@ def made_by(evidence: Evidence, versions: dict[str, str]) -> KeyValues:
     rows: dict[str, object] = {"simulator": evidence.simulator, "trials": f"{len(roles)} ({split})"}
     rows["seed"] = evidence.seed
     if evidence.seconds:
-        parts = ", ".join(f"{plain(name)} {seconds:.1f}" for name, seconds in evidence.seconds.items())
+        parts = ", ".join(f"{in_words(name)} {seconds:.1f}" for name, seconds in evidence.seconds.items())
         rows["time [s]"] = f"{sum(evidence.seconds.values()):.1f} ({parts})"
     return KeyValues(rows | dict(versions))
 
 
 def _candidate(row: CandidateRow) -> tuple[object, ...]:
     numbers = (row.rmse_deg, row.gain_deg, row.standard_error_deg, row.probability)
-    return plain(row.name), _SIDES[row.side], *numbers, "chosen" if row.chosen else ""
+    return in_words(row.name), _SIDES[row.side], *numbers, "chosen" if row.chosen else ""
 
 
 def _trial(row: TrialEvidence) -> tuple[object, ...]:
     sizes = [row.rmse(stage) for stage in STAGES]
-    return row.name, plain(row.motion), row.role, round(row.trial.duration_s, 1), *sizes, row.floor_deg
+    return row.name, in_words(row.motion), row.role, round(row.trial.duration_s, 1), *sizes, row.floor_deg
 
 
 def _interval(ends: tuple[float, float]) -> str:

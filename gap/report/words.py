@@ -1,4 +1,4 @@
-"""A diagnosis in words: the headline, the sentence on how far, the sentence on what next."""
+"""Sentences of the report: headline, gap closed, next motion."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ import math
 from collections.abc import Sequence
 
 from ..diagnosis import Diagnosis, Gap
-from ..next_motion import Proposal
-from .look import plain
+from ..next.motion_design import MotionProposal
 
 
 def headline(diagnosis: Diagnosis) -> str:
     """The verdict in a few words."""
-    names = listed([plain(effect.name) for effect in diagnosis.effects], "and")
+    names = listed([in_words(effect.name) for effect in diagnosis.effects], "and")
     if diagnosis.verdict == "named":
         return f"Named: {names or 'no effect'}"
     if diagnosis.verdict == "one_of":
@@ -26,10 +25,10 @@ def headline(diagnosis: Diagnosis) -> str:
 
 def choices(diagnosis: Diagnosis) -> list[str]:
     """Every set of effects that these trials cannot tell apart, as `lag or delay`."""
-    return [listed([plain(name) for name in names], "or") for names in diagnosis.ambiguity]
+    return [listed([in_words(name) for name in names], "or") for names in diagnosis.ambiguity]
 
 
-def how_far(diagnosis: Diagnosis) -> str:
+def closed_sentence(diagnosis: Diagnosis) -> str:
     """Sizes of the gap, before and after, against the floor; without final trials on all of them."""
     gap, chosen = diagnosis.gap, bool(diagnosis.effects)
     count = len(gap.final_trials)
@@ -59,12 +58,12 @@ def floor_words(gap: Gap) -> str:
     )
 
 
-def what_next(proposal: Proposal) -> str:
+def next_sentence(proposal: MotionProposal) -> str:
     """The motion to record and why."""
     chosen = proposal.chosen
-    names = listed([plain(name) for name in proposal.names], "from")
+    names = listed([in_words(name) for name in proposal.names], "from")
     return (
-        f"To tell {names}, record {plain(chosen.motion.name)} ({chosen.motion.duration_s:.0f} s): "
+        f"To tell {names}, record {in_words(chosen.motion.name)} ({chosen.motion.duration_s:.0f} s): "
         f"{chosen.motion.purpose}. Expected probability of naming the right one: {percent(chosen.probability)}."
     )
 
@@ -83,3 +82,8 @@ def percent(share: float) -> str:
 
 def _deg(value: float) -> str:
     return f"{value:.3g} deg" if math.isfinite(value) else "unknown"
+
+
+def in_words(name: str) -> str:
+    """A public name in words: `rate_dependence` as `rate dependence`."""
+    return name.replace("_", " ")

@@ -164,13 +164,13 @@ def _spec(effect: str, side: str, operator: Operator) -> Mapping[str, Any]:
 def settled(chain: Chain, command: float, angle: float, bent: float, clock_s: float) -> Vec:
     """State (S,) of a chain after a long rest.
 
-    The rule for a start at rest takes each operator alone; creep before a play, for one, moves on from there. The
-    command is therefore held for half an hour. Clocks and running maxima are set afterwards: a rest is no use.
+    The start at rest is known for each operator alone; in a chain, creep before a play moves on from there. The command
+    is therefore held for half an hour. Clocks and running maxima are set afterwards.
 
     Args:
         chain: with its numbers.
         command: held [cmd].
-        angle: about what the device shows [deg].
+        angle: approximate angle of the device [deg].
         bent: greatest command that the device has seen [cmd]; the rest command for one that forgets.
         clock_s: of the device [s].
     """

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.gap.floor import find_floor
-from hystmpc.gap.preparation import prepare
-from hystmpc.gap.procedure import conclude, investigate
+from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.logs.noise_floor import find_floor
+from hystmpc.gap.logs.preparation import prepare
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import effect_of
 from hystmpc.models.identify.cross_validation import CrossValidation, HeldOutErrors, gain

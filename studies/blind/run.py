@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.gap.findings import Findings
+from hystmpc.gap.decide.findings import Findings
 from hystmpc.models.simulator import Simulator
 from hystmpc.sim.jobs.backend import backend_for
 from hystmpc.sim.jobs.runner import attempt, run_jobs
@@ -176,8 +176,8 @@ def _diagnose(
     trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The diagnosis in its fixed form, and what goes beside it; the motion that it proposes is written."""
-    from hystmpc.gap.next_motion import write_motion
-    from hystmpc.gap.procedure import conclude, investigate
+    from hystmpc.gap.diagnose import conclude, investigate
+    from hystmpc.gap.next.motion_design import write_motion
 
     findings = investigate(trials, simulator, seed=job.seed, without=job.without, only=job.only or None)
     found, evidence = conclude(findings)
@@ -189,11 +189,11 @@ def _diagnose(
 
 def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob) -> dict[str, Any]:
     """Answers of simple rules, and the share that the causes close in another session, if the device can have one."""
-    from hystmpc.gap.fresh_session import closed_again
+    from hystmpc.gap.decide.findings import closed_again
 
-    rules = fit_rules(findings.selection, findings.prepared.development)
+    rules = fit_rules(findings.attribution.selection, findings.prepared.development)
     found: dict[str, Any] = {"others": {"correlation": correlation_rule(trials, simulator), **rules}}
-    if findings.far.shares:
+    if findings.conclusion.closed.causes:
         with suppress(ConfigError):  # logs of a real device
             found["closed_again"] = closed_again(findings, record_again(job.folder, job.case))
     return found

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from hystmpc.cli import diagnose
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.gap.motion_menu import menu
-from hystmpc.gap.next_motion import Noise, propose, write_motion
+from hystmpc.gap.next.motion_design import Noise, propose, write_motion
+from hystmpc.gap.next.motion_menu import menu
 from hystmpc.models.simulator import ChainModel, save_simulator
 from hystmpc.trials.csv_ import write_csv
 from hystmpc.trials.trial import Trial

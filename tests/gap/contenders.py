@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from hystmpc.gap.next_motion import OpenHypothesis, Simulate
+from hystmpc.gap.next.motion_design import OpenHypothesis, Simulate
 from hystmpc.trials.types import Vec
 
 

@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.gap.confusable import confusability
 from hystmpc.gap.diagnosis import Diagnosis, FoundEffect, Gap, NextMotion, Place, Verdict
-from hystmpc.gap.excitation import excitation_of
-from hystmpc.gap.localise import localise
-from hystmpc.gap.motion_menu import menu
-from hystmpc.gap.next_motion import Noise, Proposal, propose
-from hystmpc.gap.report.evidence import CandidateRow, Evidence, Role, TrialEvidence
+from hystmpc.gap.logs.excitation import excitation_of
+from hystmpc.gap.logs.identifiability import confusability
+from hystmpc.gap.next.motion_design import MotionProposal, Noise, propose
+from hystmpc.gap.next.motion_menu import menu
+from hystmpc.gap.report.report_data import CandidateRow, Evidence, Role, TrialEvidence
+from hystmpc.gap.residual.localise import localise
 from hystmpc.models.identify.uncertainty import ParameterRow
 from hystmpc.trials.trial import Trial
 
@@ -76,7 +76,7 @@ def effects_of(verdict: Verdict) -> tuple[FoundEffect, ...]:
     return ()
 
 
-def proposal_of(verdict: Verdict) -> Proposal | None:
+def proposal_of(verdict: Verdict) -> MotionProposal | None:
     """What to record next."""
     if verdict in ("none", "named"):
         return None
@@ -84,7 +84,7 @@ def proposal_of(verdict: Verdict) -> Proposal | None:
     return propose(pair, menu(CommandLimits(0.0, 6.0, 12.0), DT), Noise(0.14))
 
 
-def diagnosis_of(verdict: Verdict, trials: tuple[TrialEvidence, ...], proposal: Proposal | None) -> Diagnosis:
+def diagnosis_of(verdict: Verdict, trials: tuple[TrialEvidence, ...], proposal: MotionProposal | None) -> Diagnosis:
     """A diagnosis of that verdict."""
     top = {"named": (0.93, 0.04), "one_of": (0.48, 0.46), "unknown": (0.2, 0.15), "none": (0.02, 0.01)}
     first, second = top.get(verdict, (0.0, 0.0))

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.check import Checked, check_trials, confusability
-from hystmpc.gap.excitation import excitation_of
-from hystmpc.gap.motion_type import command_segments, motion_type
-from hystmpc.gap.repeats import find_repeats
+from hystmpc.gap.logs.check import Checked, check_trials
+from hystmpc.gap.logs.excitation import excitation_of
+from hystmpc.gap.logs.identifiability import confusability
+from hystmpc.gap.logs.motion_type import command_segments, motion_type
+from hystmpc.gap.logs.noise_floor import find_repeats
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial, Units
 
@@ -134,7 +135,7 @@ def test_the_rate_is_the_simulators_where_near_else_the_logs_up_to_50_hz() -> No
     def rate(log_hz: float, own_dt: float) -> float:
         t = np.arange(round(30 * log_hz)) / log_hz
         u = 2.5 - 2.5 * np.cos(t)
-        return check_trials([Trial(t, u, 10 * u)], simulator(Chain(BACKLASH), own_dt)).rate_hz
+        return 1 / check_trials([Trial(t, u, 10 * u)], simulator(Chain(BACKLASH), own_dt)).dt
 
     assert rate(500, 0.02) == pytest.approx(50)
     assert rate(500, 0.002) == pytest.approx(50)
@@ -145,7 +146,7 @@ def test_the_rate_is_the_simulators_where_near_else_the_logs_up_to_50_hz() -> No
 
 def test_a_network_is_run_at_its_own_rate() -> None:
     facts = simulator(Chain(BACKLASH), 0.1).metadata()
-    assert check_trials([trial(LONG)], facts).rate_hz == pytest.approx(10)
+    assert check_trials([trial(LONG)], facts).dt == pytest.approx(0.1)
 
 
 def test_gaps_are_cut_and_noted() -> None:

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.check import check_trials
-from hystmpc.gap.dependence import dependence
+from hystmpc.gap.diagnose import conclude, investigate
 from hystmpc.gap.diagnosis import Diagnosis
-from hystmpc.gap.procedure import conclude, investigate
-from hystmpc.gap.report.evidence import Evidence
+from hystmpc.gap.logs.check import check_trials
+from hystmpc.gap.logs.dependence import follows_command
+from hystmpc.gap.report.report_data import Evidence
 from hystmpc.models.simulator import Residual
 from hystmpc.studies.blind.cores import RATE_HZ, CapstanCore, DahlCore
 from hystmpc.studies.blind.device import BlindDevice
@@ -73,8 +73,8 @@ def noisy(ratio: float) -> Angles:
 @settings(max_examples=5)
 @given(seed=st.integers(0, 10_000))
 def test_angles_that_do_not_depend_on_the_command_do_not_follow_it(kind: str, seed: int) -> None:
-    found = dependence(with_angles(recorded("capstan", 1), UNRELATED[kind], seed))
-    assert not any(found.follows), found
+    found = follows_command(with_angles(recorded("capstan", 1), UNRELATED[kind], seed))
+    assert not any(found), found
 
 
 @pytest.mark.parametrize("core", CORES)
@@ -84,7 +84,7 @@ def test_angles_of_other_trials_do_not_follow(core: str) -> None:
     shuffled = [
         Trial(t.t, t.command, y, source=t.source) for t, y in zip(trials, [*angles[1:], angles[0]], strict=True)
     ]
-    assert not any(dependence(shuffled).follows)
+    assert not any(follows_command(shuffled))
 
 
 @settings(max_examples=15)
@@ -99,16 +99,16 @@ def test_a_device_with_hysteresis_follows_even_where_noise_is_twice_its_motion(
     core: str, device: int, ratio: float, count: int, seed: int
 ) -> None:
     trials = with_angles(recorded(core, device)[:count], noisy(ratio), seed)
-    assert all(dependence(trials, seed).follows)
+    assert all(follows_command(trials, seed))
 
 
 @pytest.mark.slow
 def test_no_effect_of_the_blind_check_makes_a_device_unrelated() -> None:
     """Each at its greatest size: slack, stick-slip, creep, drift, faulty sensors, disturbances."""
     lost = {
-        generator.name: found.follows
+        generator.name: found
         for generator in GENERATORS
-        if not all((found := dependence(recorded("capstan", 6, 4, generator))).follows)
+        if not all(found := follows_command(recorded("capstan", 6, 4, generator)))
     }
     assert not lost
 
@@ -117,7 +117,7 @@ def test_no_effect_of_the_blind_check_makes_a_device_unrelated() -> None:
 def test_a_single_trial_of_any_motion_follows(kind: str) -> None:
     for command in KINDS[kind]:
         noise = np.random.default_rng(0).normal(0, 2.0, command.size)
-        assert dependence([trial(command, noise)]).follows == (True,)
+        assert follows_command([trial(command, noise)]) == (True,)
 
 
 def test_a_motion_within_the_slack_and_a_command_at_rest_say_nothing() -> None:
@@ -126,7 +126,7 @@ def test_a_motion_within_the_slack_and_a_command_at_rest_say_nothing() -> None:
     inside = Trial(t, 2.0 + 0.1 * np.sin(t), 40 + random.normal(0, 0.05, t.size), source="slack.csv")
     still = Trial(t, np.full(t.size, 2.0), 40 + random.normal(0, 0.05, t.size), source="still.csv")
     large = [trial(command, name=f"{k}.csv") for k, command in enumerate((sine(0.1), sine(0.2), sine(0.15)))]
-    assert all(dependence([*large, inside, still]).follows)
+    assert all(follows_command([*large, inside, still]))
 
 
 @settings(max_examples=5)
@@ -134,15 +134,15 @@ def test_a_motion_within_the_slack_and_a_command_at_rest_say_nothing() -> None:
 def test_the_one_trial_that_does_not_follow_is_found(seed: int, kind: str, bad: int) -> None:
     trials = list(recorded("dahl", 4))
     trials[bad] = with_angles((trials[bad],), UNRELATED[kind], seed)[0]
-    assert [k for k, follows in enumerate(dependence(trials, seed).follows) if not follows] == [bad]
+    assert [k for k, follows in enumerate(follows_command(trials, seed)) if not follows] == [bad]
 
 
 def test_the_recorded_catheter_follows_alone_and_together(real_logs: list[Path]) -> None:
     trials = [resample(t, 25.0) for t in read_trials(real_logs, "tendon-catheter")]
-    assert all(dependence(trials).follows)
+    assert all(follows_command(trials))
     for own in trials:
-        assert dependence([own]).follows == (True,)
-        assert dependence(with_angles((own,), noisy(1.0))).follows == (True,)
+        assert follows_command([own]) == (True,)
+        assert follows_command(with_angles((own,), noisy(1.0))) == (True,)
 
 
 def test_the_trial_that_is_left_out_is_named_in_one_line() -> None:

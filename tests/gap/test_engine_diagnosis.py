@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hystmpc.gap.decide.findings import closed_again
+from hystmpc.gap.diagnose import LIBRARY, conclude, investigate
 from hystmpc.gap.diagnosis import Diagnosis
-from hystmpc.gap.fresh_session import closed_again
-from hystmpc.gap.procedure import LIBRARY, conclude, investigate
-from hystmpc.gap.report.evidence import Evidence
 from hystmpc.gap.report.folder import diagnosis_json
+from hystmpc.gap.report.report_data import Evidence
 from hystmpc.models.chain import Chain
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.operator import Operator
@@ -70,7 +70,7 @@ def test_nothing_is_found_where_there_is_nothing() -> None:
     assert not diagnosis.effects
     assert diagnosis.next_motion is None
     assert diagnosis.gap.with_effects_rmse_deg == pytest.approx(0.05, rel=0.3)
-    assert evidence.ceiling_share is None
+    assert evidence.explainable_share is None
 
 
 def test_creep_is_named_with_its_numbers() -> None:
@@ -98,8 +98,8 @@ def test_its_evidence_is_whole() -> None:
     assert evidence.localisation is not None
     assert set(diagnosis.where) == set(evidence.localisation.places)
     assert evidence.noise_deg == pytest.approx(0.05, rel=0.3)
-    assert evidence.ceiling_share is not None
-    assert 0.0 <= evidence.ceiling_share <= 1.0
+    assert evidence.explainable_share is not None
+    assert 0.0 <= evidence.explainable_share <= 1.0
     assert {trial.role for trial in evidence.trials} == {"fit", "final"}
     assert tuple(t.trial.source for t in evidence.trials if t.role == "final") == diagnosis.gap.final_trials
     assert next(row for row in evidence.candidates if row.name == "creep").chosen
@@ -212,5 +212,7 @@ def test_what_is_not_finite_is_null() -> None:
 
 def test_another_session_of_the_device_is_closed_as_far_and_that_of_another_device_is_not() -> None:
     findings = investigate(recorded(CREEP), SIMULATOR, seed=3)
-    assert closed_again(findings, recorded(CREEP, seed=8)) == pytest.approx(findings.far.gap.closed_share, abs=0.1)
+    assert closed_again(findings, recorded(CREEP, seed=8)) == pytest.approx(
+        findings.conclusion.closed.gap.closed_share, abs=0.1
+    )
     assert closed_again(findings, recorded(seed=8)) < 0.0

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.gap.predicted_response import contender_of
-from hystmpc.gap.preparation import Prepared, prepare
+from hystmpc.gap.logs.preparation import PreparedTrials, prepare
+from hystmpc.gap.next.open_hypotheses import open_hypothesis
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.place import effect_from
 from hystmpc.models.identify.corrected_simulator import EFFECTS_FILE, corrected_simulator, network_effects, settled
@@ -34,13 +34,17 @@ from .test_engine import named
 SIMULATOR = simulator_of(BACKLASH)
 
 
-def prepared_of(*before: Operator, after: tuple[Operator, ...] = (), noise: float = 0.05, seed: int = 0) -> Prepared:
+def prepared_of(
+    *before: Operator, after: tuple[Operator, ...] = (), noise: float = 0.05, seed: int = 0
+) -> PreparedTrials:
     """Four trials of a backlash with some effects."""
     trials = trials_of(Chain(BACKLASH, before, after), [moves(k, 16.0) for k in range(4)], noise, seed)
     return prepare(trials, SIMULATOR)
 
 
-def fitted(prepared: Prepared, label: str, start: tuple[float, ...], terms: TrialTerms = TrialTerms()) -> Hypothesis:
+def fitted(
+    prepared: PreparedTrials, label: str, start: tuple[float, ...], terms: TrialTerms = TrialTerms()
+) -> Hypothesis:
     """Baseline and one candidate."""
     validation = CrossValidation(prepared.baseline, prepared.development)
     made = validation.with_causes((named("backlash", label),), terms, prepared.baseline.nominal, [[start]])
@@ -71,7 +75,7 @@ def test_clocks_and_maxima_are_those_of_the_device() -> None:
 
 def test_contenders_do_not_move_before_the_motion_does() -> None:
     prepared = prepared_of(Creep((0.15,), (3.0,)))
-    contender = contender_of("creep", fitted(prepared, "creep/command", (0.1, 2.0)), prepared)
+    contender = open_hypothesis("creep", fitted(prepared, "creep/command", (0.1, 2.0)), prepared)
     command = np.concatenate([np.zeros(50), moves(9)])
     for simulate in (contender.simulate, *contender.retunings):
         angle = simulate(command, DT)
@@ -83,8 +87,8 @@ def test_contenders_do_not_move_before_the_motion_does() -> None:
 
 def test_a_set_that_was_taken_shows_no_more() -> None:
     prepared = prepared_of(FirstFlexure(0.3, 1.0))
-    once = contender_of("first_flexure", fitted(prepared, "first_flexure/once", (0.2, 1.0)), prepared)
-    again = contender_of("first_flexure", fitted(prepared, "first_flexure/every trial", (0.2, 1.0)), prepared)
+    once = open_hypothesis("first_flexure", fitted(prepared, "first_flexure/once", (0.2, 1.0)), prepared)
+    again = open_hypothesis("first_flexure", fitted(prepared, "first_flexure/every trial", (0.2, 1.0)), prepared)
     opening = np.concatenate([np.linspace(0, 5, 100), np.linspace(5, 0, 100)])
     twice = np.tile(opening, 2)
     first, second = np.split(once.simulate(twice, DT), 2)
@@ -129,7 +133,7 @@ def test_a_parameter_at_its_bound_is_said_so() -> None:
     assert np.isnan(row.ci90).all()
 
 
-def disturbed() -> tuple[Prepared, Hypothesis, Vec]:
+def disturbed() -> tuple[PreparedTrials, Hypothesis, Vec]:
     """Trials with a disturbance of one phase; the hypothesis that knows it; the last trial's angle without noise."""
     shaken = PeriodicDisturbance(1.1, (1.5,), (0.8,))
     prepared = prepared_of(after=(shaken,), noise=0.02)
@@ -138,7 +142,7 @@ def disturbed() -> tuple[Prepared, Hypothesis, Vec]:
     return prepared, hypothesis, prepared.everything[-1].angle
 
 
-def of(prepared: Prepared) -> tuple[Sequence[Run], Sequence[Run], Sequence[Trial], Sequence[Trial]]:
+def of(prepared: PreparedTrials) -> tuple[Sequence[Run], Sequence[Run], Sequence[Trial], Sequence[Trial]]:
     """What a correction takes of prepared trials."""
     return prepared.everything, prepared.development, prepared.checked.trials, prepared.given
 

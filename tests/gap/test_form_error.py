@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from hystmpc.gap.form_error import form_error_mse, nominal_noise_deg
+from hystmpc.gap.logs.preparation import model_form_mse, nominal_noise_deg
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import DeviceLimits
 from hystmpc.models.identify.methods import simulator_of
@@ -37,32 +37,32 @@ def residual(
 
 
 def test_a_file_that_does_not_say_has_no_form_error() -> None:
-    assert form_error_mse(Identification(method="known"), TRIALS, MOTIONS, DT) == 0.0
+    assert model_form_mse(Identification(method="known"), TRIALS, MOTIONS, DT) == 0.0
     assert nominal_noise_deg(Identification(method="known")) is None
 
 
 def test_it_is_taken_by_motion_type() -> None:
     stored = (residual("continuous", 1.0, 0), residual("continuous", 2.0, 1), residual("holds", 3.0))
     known = Identification(method="fit", residuals=stored)
-    assert form_error_mse(known, TRIALS, ("sine", "sines"), DT) == pytest.approx(2.5)
-    assert form_error_mse(known, TRIALS, ("holds", "point_to_point"), DT) == pytest.approx(9.0)
-    assert form_error_mse(known, TRIALS, MOTIONS, DT) == pytest.approx((2.5 + 9.0) / 2)
+    assert model_form_mse(known, TRIALS, ("sine", "sines"), DT) == pytest.approx(2.5)
+    assert model_form_mse(known, TRIALS, ("holds", "point_to_point"), DT) == pytest.approx(9.0)
+    assert model_form_mse(known, TRIALS, MOTIONS, DT) == pytest.approx((2.5 + 9.0) / 2)
 
 
 def test_a_motion_it_never_saw_takes_the_mean_of_all() -> None:
     known = Identification(method="fit", residuals=(residual("continuous", 1.0), residual("continuous", 3.0)))
-    assert form_error_mse(known, TRIALS, ("holds", "steps"), DT) == pytest.approx(5.0)
+    assert model_form_mse(known, TRIALS, ("holds", "steps"), DT) == pytest.approx(5.0)
 
 
 def test_trials_that_it_was_identified_from_say_nothing() -> None:
     """Their residuals hold the gap itself."""
     stored = (residual("continuous", 2.0, 0), residual("holds", 2.0, 1))
     known = Identification(method="fit", residuals=stored)
-    assert form_error_mse(known, TRIALS, MOTIONS, DT) > 0
-    assert form_error_mse(known, [TRIALS[0], OTHERS[1]], MOTIONS, DT) == 0.0
+    assert model_form_mse(known, TRIALS, MOTIONS, DT) > 0
+    assert model_form_mse(known, [TRIALS[0], OTHERS[1]], MOTIONS, DT) == 0.0
     older = Identification(method="fit", residuals=(residual("holds", 2.0),), training_data_hash=fingerprint(TRIALS))
-    assert form_error_mse(older, TRIALS, MOTIONS, DT) == 0.0
-    assert form_error_mse(older, OTHERS, MOTIONS, DT) > 0
+    assert model_form_mse(older, TRIALS, MOTIONS, DT) == 0.0
+    assert model_form_mse(older, OTHERS, MOTIONS, DT) > 0
 
 
 def logs_at(hz: float, seed: int, decimals: int = 9) -> list[Trial]:
@@ -90,22 +90,22 @@ def test_it_knows_the_logs_that_it_was_identified_from(
     own_hz = logger if logger > rate_hz else rate_hz
     logs, others = logs_at(own_hz, 1, decimals), logs_at(own_hz, 3, decimals)
     made = identified_on(logs, rate_hz, tmp_path)
-    assert form_error_mse(made.identification, logs, MOTIONS, made.dt_s) == 0.0
-    assert form_error_mse(made.identification, logs, MOTIONS, round(made.dt_s, 9)) == 0.0  # as older files have it
-    assert form_error_mse(made.identification, [others[0], logs[1]], MOTIONS, made.dt_s) == 0.0
-    assert form_error_mse(made.identification, others, MOTIONS, made.dt_s) > 0.0
+    assert model_form_mse(made.identification, logs, MOTIONS, made.dt_s) == 0.0
+    assert model_form_mse(made.identification, logs, MOTIONS, round(made.dt_s, 9)) == 0.0  # as older files have it
+    assert model_form_mse(made.identification, [others[0], logs[1]], MOTIONS, made.dt_s) == 0.0
+    assert model_form_mse(made.identification, others, MOTIONS, made.dt_s) > 0.0
 
 
 def test_it_knows_logs_slower_than_itself(tmp_path: Path) -> None:
     """`fit` takes 20 Hz logs at its 25 Hz."""
     logs = logs_at(20.0, 1)
     made = identified_on(logs, 25.0, tmp_path)
-    assert form_error_mse(made.identification, logs, MOTIONS, made.dt_s) == 0.0
+    assert model_form_mse(made.identification, logs, MOTIONS, made.dt_s) == 0.0
 
 
 def test_logs_that_it_could_not_have_taken_are_others(tmp_path: Path) -> None:
     made = identified_on(logs_at(60.0, 1), 60.0, tmp_path)
-    assert form_error_mse(made.identification, logs_at(25.0, 1), MOTIONS, made.dt_s) > 0.0
+    assert model_form_mse(made.identification, logs_at(25.0, 1), MOTIONS, made.dt_s) > 0.0
 
 
 def test_white_noise_is_bounded_by_the_correlation_of_neighbours() -> None:

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hystmpc.gap.jumps import Jumps, find_jumps
-from hystmpc.gap.preparation import prepare
-from hystmpc.gap.procedure import conclude, investigate
+from hystmpc.gap.decide.jumps import Jumps, find_jumps
+from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.logs.preparation import prepare
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.studies.blind.cores import FINE_S, Scene

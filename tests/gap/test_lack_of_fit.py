@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hystmpc.gap.lack_of_fit import remaining_curvature
-from hystmpc.gap.preparation import Prepared, prepare
+from hystmpc.gap.decide.lack_of_fit import remaining_curvature
+from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import candidates
 from hystmpc.models.effects.effect import Scale
@@ -20,7 +20,7 @@ from .engine_examples import moves, simulator_of, sine, trials_of
 NOISE_DEG = 0.05
 
 
-def fitted(behind: Operator, effect: str) -> tuple[Hypothesis, Prepared]:
+def fitted(behind: Operator, effect: str) -> tuple[Hypothesis, PreparedTrials]:
     """An effect of the output side fitted to a device that has another one."""
     chain = Chain(BACKLASH, after=(behind,))
     trials = trials_of(chain, [moves(1, 20.0), sine(0.1), moves(2, 20.0), sine(0.2), moves(3, 20.0)], NOISE_DEG)

@@ -10,18 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.gap.motion_menu import PLANS, Motion, menu
-from hystmpc.gap.next_motion import (
-    PLANNED,
+from hystmpc.gap.next.motion_design import (
+    SEPARATION_COLUMN,
+    MotionProposal,
     Noise,
     OpenHypothesis,
     Option,
-    Proposal,
     expected_probability,
     propose,
     separations,
     write_motion,
 )
+from hystmpc.gap.next.motion_menu import TEMPLATES, MenuMotion, menu
 from hystmpc.trajectories.sampled_csv import read_sampled
 from hystmpc.trials.csv_ import read_csv
 from hystmpc.trials.errors import FitError
@@ -43,7 +43,7 @@ any_limits = st.builds(
 @given(limits=any_limits, dt=st.floats(0.001, 0.2))
 @settings(max_examples=25)
 def test_every_motion_stays_within_box_and_rate_and_rests_at_both_ends(limits: CommandLimits, dt: float) -> None:
-    longest = {plan.name: plan.longest_s for plan in PLANS}
+    longest = {plan.name: plan.longest_s for plan in TEMPLATES}
     for motion in menu(limits, dt):
         u, slack = motion.command, 1e-9 * max(1.0, abs(limits.lower), abs(limits.upper))
         assert u.min() >= limits.lower
@@ -60,10 +60,10 @@ def test_a_slow_actuator_gets_a_smaller_motion_not_a_longer_one() -> None:
     slow = {m.name: m for m in menu(CommandLimits(0.0, 6.0, 0.05), 0.04)}
     for motion in MOTIONS:
         assert np.ptp(slow[motion.name].command) < np.ptp(motion.command)
-    assert len({plan.name for plan in PLANS}) == len(MOTIONS) == len(slow)
+    assert len({plan.name for plan in TEMPLATES}) == len(MOTIONS) == len(slow)
 
 
-def held_s(motion: Motion) -> float:
+def held_s(motion: MenuMotion) -> float:
     """Longest time at one command above the lowest."""
     longest = run = 0
     for moved, up in zip(np.diff(motion.command), motion.command[1:] > LIMITS.lower + 0.1, strict=True):
@@ -72,7 +72,7 @@ def held_s(motion: Motion) -> float:
     return longest * motion.dt
 
 
-def fast_share(motion: Motion) -> float:
+def fast_share(motion: MenuMotion) -> float:
     """Share of the command's movement (its energy of speed) above 1 Hz."""
     power = np.abs(np.fft.rfft(np.diff(motion.command))) ** 2
     return float(power[np.fft.rfftfreq(motion.t.size - 1, motion.dt) > 1.0].sum() / power.sum())
@@ -183,7 +183,7 @@ def test_the_file_reads_back_as_log_and_as_reference(tmp_path: Path) -> None:
         trial = read_csv(path)
         assert trial.units.command == unit
         assert np.array_equal(trial.command, motion.command)
-        assert PLANNED in trial.channels
+        assert SEPARATION_COLUMN in trial.channels
         assert np.abs(np.diff(trial.t) - motion.dt).max() < 1e-8
         reference = read_sampled(path)
         assert reference.duration_s == pytest.approx(motion.duration_s)
@@ -200,14 +200,14 @@ def test_the_summary_is_the_diagnosis_form() -> None:
 
 def test_at_equal_odds_the_shorter_motion_wins() -> None:
     short = min(MOTIONS, key=lambda motion: motion.duration_s)
-    doubled = Motion(
+    doubled = MenuMotion(
         "twice",
         "the same twice",
         np.arange(2 * short.t.size) * short.dt,
         np.concatenate((short.command, short.command)),
     )
     proposal = propose((LAG, CREEP), (doubled, short), Noise(1e-3))
-    assert isinstance(proposal, Proposal)
+    assert isinstance(proposal, MotionProposal)
     assert all(isinstance(option, Option) for option in proposal.options)
     assert proposal.chosen.motion is short
 

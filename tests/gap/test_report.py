@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 
 from hystmpc.gap.diagnosis import Verdict
-from hystmpc.gap.report.derived import amplitude_density, binned
-from hystmpc.gap.report.evidence import Evidence
-from hystmpc.gap.report.far_figure import MOST_ROWS, far_figure
+from hystmpc.gap.report.effect_figures import MOST_ROWS, closed_figure, rmse_interval
+from hystmpc.gap.report.figure_style import short, shown
 from hystmpc.gap.report.folder import diagnosis_json, require_free, save_diagnosis
-from hystmpc.gap.report.intervals import rmse_interval
-from hystmpc.gap.report.look import short, shown
 from hystmpc.gap.report.page import MOST_HEAT, diagnosis_report, write_report
-from hystmpc.gap.report.words import headline, how_far, listed
+from hystmpc.gap.report.report_data import Evidence
+from hystmpc.gap.report.residual_figures import amplitude_density, binned
+from hystmpc.gap.report.words import closed_sentence, headline, listed
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.html import Heading, Paragraph, Plot, Table
@@ -132,7 +131,7 @@ def test_ambiguity_is_spelled_out_and_no_effect_is_drawn_where_none_was_chosen()
     assert any(text.startswith("Set A: lag or delay.") for text in texts)
     assert one_of.stages == ("nominal", "retuned", "with_effects")
     assert unknown.stages == ("nominal", "retuned")
-    labels = far_figure(unknown).axes[0].get_legend_handles_labels()[1]
+    labels = closed_figure(unknown).axes[0].get_legend_handles_labels()[1]
     assert "with effects" not in labels
     assert "floor" in labels
 
@@ -141,14 +140,14 @@ def test_how_far_says_what_it_was_measured_on() -> None:
     named, unknown = report_data("named", 6).diagnosis, report_data("unknown", 6).diagnosis
 
     def words(**changed: object) -> str:
-        return how_far(replace(named, gap=replace(named.gap, **changed)))
+        return closed_sentence(replace(named, gap=replace(named.gap, **changed)))
 
     assert "On 2 trials that nothing was chosen on" in words()
     assert "close 90 %" in words()
     assert "On all trials together" in words(final_trials=())
     assert "close" not in words(closed_share=math.nan)
     assert "close nothing: -6 %" in words(closed_share=-0.06)
-    assert "with effects" not in how_far(unknown)
+    assert "with effects" not in closed_sentence(unknown)
 
 
 def test_an_interval_holds_its_rmse_and_narrows_with_more_trials(named: Evidence) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from hystmpc.gap.procedure import LIBRARY
+from hystmpc.gap.diagnose import LIBRARY
 from hystmpc.gap.self_test import CASES, SelfTestRow, motions, record, self_test
 
 

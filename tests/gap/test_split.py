@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.split import FINAL_SHARE, split_runs
+from hystmpc.gap.logs.trial_choice import FINAL_SHARE, split_runs
 from hystmpc.models.identify.runs import Run
 
 from .engine_examples import device_runs

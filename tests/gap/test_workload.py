@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap import trial_choice
-from hystmpc.gap.check import Checked, check_trials
-from hystmpc.gap.memory import explainable_share
-from hystmpc.gap.motion_type import command_segments, motion_type
-from hystmpc.gap.repeats import find_repeats
-from hystmpc.gap.workload import MOST_SAMPLES, Workload, affordable
+from hystmpc.gap.logs import trial_choice
+from hystmpc.gap.logs.check import Checked, check_trials
+from hystmpc.gap.logs.motion_type import command_segments, motion_type
+from hystmpc.gap.logs.noise_floor import find_repeats
+from hystmpc.gap.logs.trial_choice import MOST_SAMPLES, Workload, affordable
+from hystmpc.gap.residual.memory import explainable_share
 from hystmpc.models.identify.runs import Before, Run, runs_of
 from hystmpc.models.identify.trial_terms import strongest_line
 from hystmpc.trials.trial import Trial

@@ -1,0 +1,124 @@
+"""Jumps: stick-slip found by its pattern of motion, since the moment of a slip cannot be predicted in a free run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.runs import Run
+from hystmpc.trials.types import Vec
+
+from ..logs.sensor import SensorSigns
+
+_STEADY_S = 0.4  # of steady motion before and after a sample
+_UNEVEN = 0.4  # greatest range of the speed in it, relative to its mean
+_NOISES, _STEPS = 5.0, 3.0  # standard deviations and resolutions that the motion in a window has to exceed
+_STUCK, _JUMPED, _BACK = 0.3, 2.0, -0.5  # of the simulated motion in a window
+_ENOUGH = 100  # windows
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """Motion of the tip while the simulator moves steadily.
+
+    In each window, as short as noise and resolution allow, the measured motion is a multiple g of the simulated one. A
+    tip that sticks and slips does not move in many windows, moves several times too far in others, and never moves back
+    as it would under a disturbance from outside.
+
+    Attributes:
+        windows: number of windows.
+        stuck, jumped, back: share of them with g below 0.3, above 2, and below -0.5.
+        height_deg: median change of the tip's lead over the simulator in a jump [deg].
+        fastest_deg_s: 90 % quantile of the simulated speeds at which it jumps [deg/s].
+    """
+
+    windows: int
+    stuck: float
+    jumped: float
+    back: float
+    height_deg: float
+    fastest_deg_s: float
+
+    @property
+    def seen(self) -> bool:
+        """Whether the pattern is that of stick-slip."""
+        return self.windows >= _ENOUGH and self.stuck > 0.25 and self.jumped > 0.04 and self.back < 0.1
+
+    @property
+    def absent(self) -> bool:
+        """Whether there was enough steady motion to exclude stick-slip."""
+        return self.windows >= _ENOUGH and (self.stuck < 0.1 or self.jumped < 0.01)
+
+    @property
+    def mse(self) -> float:
+        """Energy of a sawtooth of that height [deg^2], the part of it that no free run can predict."""
+        return self.height_deg**2 / 12.0 if self.seen else 0.0
+
+    @property
+    def note(self) -> str:
+        """Note for the report."""
+        return (
+            f"Stick-slip by its jumps: in {self.stuck:.0%} of {self.windows} windows of steady motion the tip stands "
+            f"still, in {self.jumped:.0%} it jumps, by {self.height_deg:.2g} deg, at speeds up to "
+            f"{self.fastest_deg_s:.2g} deg/s. When it lets go cannot be predicted in a free run, so that its share of "
+            "the gap stays open."
+        )
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameters of the effect in the result."""
+        return {"jump_deg": self.height_deg, "fastest_deg_s": self.fastest_deg_s}
+
+
+class _Windows(NamedTuple):
+    """Of N windows: measured over simulated motion, lead of the measured one [deg], simulated speed [deg/s]."""
+
+    share: Vec
+    ahead: Vec
+    speed: Vec
+
+
+def find_jumps(runs: Sequence[Run], retuned: Hypothesis, signs: SensorSigns) -> Jumps:
+    """Look for stick-slip in steady motion.
+
+    Args:
+        runs: of all trials.
+        retuned: the simulator refitted.
+        signs: noise and resolution of the sensor.
+    """
+    least = max(_NOISES * signs.noise_deg, _STEPS * signs.quantisation_deg, 1e-9)
+    found = [_windows(run, retuned.problem.angles(retuned.q, run), least) for run in runs]
+    share, ahead, speed = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    if not share.size:
+        return Jumps(0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    jumped = share > _JUMPED
+    return Jumps(
+        int(share.size),
+        float(np.mean(share < _STUCK)),
+        float(np.mean(jumped)),
+        float(np.mean(share < _BACK)),
+        float(np.median(ahead[jumped])) if jumped.any() else 0.0,
+        float(np.quantile(speed[jumped], 0.9)) if jumped.any() else 0.0,
+    )
+
+
+def _windows(run: Run, simulated: Vec, least: float) -> _Windows:
+    speed, half = np.diff(simulated), max(round(_STEADY_S / run.dt_s), 1)
+    kept = []
+    for k in range(half, speed.size - half):
+        around = speed[k - half : k + half]
+        mean = float(around.mean())
+        if mean == 0 or np.ptp(around) > _UNEVEN * abs(mean):
+            continue
+        length = max(int(np.ceil(least / abs(mean))), 2)
+        if length > half:
+            continue
+        moved, expected = (float(x[k + length] - x[k]) for x in (run.angle, simulated))
+        if expected:
+            kept.append((moved / expected, (moved - expected) * np.sign(mean), abs(mean) / run.dt_s))
+    share, ahead, speeds = np.array(kept).reshape(-1, 3).T
+    return _Windows(share, ahead, speeds)

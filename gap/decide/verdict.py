@@ -1,0 +1,236 @@
+"""The verdict of a diagnosis: one decision table over the facts that the other steps found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from ..diagnosis import FoundEffect, Gap, Verdict
+
+VerdictCase = Literal[
+    "too_little",
+    "unrelated",
+    "no_gap",
+    "sensor_alone",
+    "small_gap",
+    "no_effect",
+    "left_open",
+    "structure_left",
+    "not_confirmed",
+    "ambiguous",
+    "explained",
+    "jumps",
+    "sensor_beside_unknown",
+]
+
+VERDICTS: Mapping[VerdictCase, Verdict] = {
+    "too_little": "too_little",
+    "unrelated": "unknown",
+    "no_gap": "none",
+    "sensor_alone": "named",
+    "small_gap": "none",
+    "no_effect": "unknown",
+    "left_open": "unknown",
+    "structure_left": "unknown",
+    "not_confirmed": "unknown",
+    "ambiguous": "one_of",
+    "explained": "named",
+    "jumps": "named",
+    "sensor_beside_unknown": "named",
+}
+_UNUSABLE = ("too_little", "unrelated")
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """Thresholds of the verdict; chosen on development cases and frozen. MSE: mean square error.
+
+    Attributes:
+        no_gap: retuned MSE over the model-form error, below which there is no gap.
+        no_cause: the same where no effect of the library lowers the error, or not enough to explain it: a simulator
+            whose model-form error has grown, as by friction, is then likelier than an unknown cause.
+        least_closed: share of the structural error that the causes have to close to explain it.
+        still_open: remaining MSE over the floor, below which the error counts as explained all the same.
+        curve_left, curve_size: a curved gain alone is no explanation where two free curves of the angle explain more
+            than the first share of the structural error that it leaves, and more than the second share of all of it.
+        wander: slow change within trials, over what shifts between them explain, above which a shift is no explanation.
+        nearer: how much nearer the measurement is to the chosen explanation than to another, -1 to 1, for the two to
+            be told apart ...
+        nearer_errors: ... and by how many standard errors.
+        significant_drift: standard errors by which a drift has to show within trials to be told apart from shifts
+            between them.
+        confirmed_alone, confirmed_several: share of the gap on the final trials that one cause, or several, must close.
+        confirmed_left: RMSE with all causes over noise and model-form error, up to which they are confirmed as well.
+        noise_share: share of the remaining error from which noise and resolution of the sensor are named.
+        mended_share: the same for outliers and dropouts.
+        simplicity: share of the structural error that a resample has to gain by one more cause.
+    """
+
+    no_gap: float = 2.2
+    no_cause: float = 7.0
+    least_closed: float = 0.4
+    still_open: float = 1.5
+    curve_left: float = 0.7
+    curve_size: float = 0.012
+    wander: float = 0.7
+    nearer: float = 0.2
+    nearer_errors: float = 1.5
+    significant_drift: float = 3.0
+    confirmed_alone: float = 0.55
+    confirmed_several: float = 0.8
+    confirmed_left: float = 2.4
+    noise_share: float = 0.3
+    mended_share: float = 0.1
+    simplicity: float = 0.04
+
+
+@dataclass(frozen=True)
+class FinalFacts:
+    """Errors on the final trials.
+
+    Attributes:
+        closed_share: share of the gap that the causes close.
+        residual_ratio: RMSE with all causes over noise and model-form error; 1 where that is unknown.
+    """
+
+    closed_share: float
+    residual_ratio: float
+
+
+@dataclass(frozen=True)
+class VerdictFacts:
+    """All that the verdict depends on.
+
+    Attributes:
+        effects: names of the effects selected on the development trials.
+        retuned_mse, chosen_mse: held-out errors without and with them [deg^2].
+        retuned_fit_mse: error of the retuned simulator on the trials that it was retuned on [deg^2].
+        floor_mse: below which an error carries no evidence [deg^2].
+        form_mse: model-form error, or `floor_mse` where that is unknown [deg^2].
+        structure_left: whether the selected effect alone leaves structure that contradicts it (`structure_left`).
+        ambiguity: for each effect the others that explain the development trials as well.
+        sensor: whether the sensor's faults are a good part of the error that the effects leave.
+        jumps: whether the tip sticks and slips in steady motion.
+        too_little, unrelated: whether the trials are too short, or no angle follows its command.
+        final: errors on the final trials with the causes that were selected; None before these are evaluated.
+    """
+
+    effects: frozenset[str]
+    retuned_mse: float
+    chosen_mse: float
+    retuned_fit_mse: float
+    floor_mse: float
+    form_mse: float
+    structure_left: bool = False
+    ambiguity: tuple[tuple[str, ...], ...] = ()
+    sensor: bool = False
+    jumps: bool = False
+    too_little: bool = False
+    unrelated: bool = False
+    final: FinalFacts | None = None
+
+
+@dataclass(frozen=True)
+class Ruling:
+    """The verdict and what follows from it.
+
+    Attributes:
+        case: row of the table in `decide_verdict`.
+        ambiguity: sets of effects that these trials cannot tell apart; empty but for the verdict `one_of`.
+        sensor: whether the sensor is a cause.
+    """
+
+    case: VerdictCase
+    ambiguity: tuple[tuple[str, ...], ...] = ()
+    sensor: bool = False
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict of the diagnosis."""
+        return VERDICTS[self.case]
+
+    @property
+    def explained(self) -> bool:
+        """Whether the selected effects are the explanation, and part of the corrected simulator."""
+        return self.case in ("sensor_alone", "ambiguous", "explained")
+
+    @property
+    def effects_unknown(self) -> bool:
+        """Whether a gap remains for which no effect is known."""
+        return self.verdict in ("unknown", "too_little") or self.case == "sensor_beside_unknown"
+
+
+def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
+    """The verdict: the first row that applies.
+
+    | case                  | applies if                                                                  | verdict    |
+    |-----------------------|-----------------------------------------------------------------------------|------------|
+    | too_little            | the trials are too short or turn too rarely                                 | too_little |
+    | unrelated             | no angle follows its command                                                | unknown    |
+    | no_gap                | retuned MSE < `no_gap` x model-form error                                   | none (a)   |
+    | sensor_alone          | no effect was selected, the sensor is faulty                                | named      |
+    | small_gap             | no effect, or effects that leave the gap open; MSE < `no_cause` x form error | none (a)  |
+    | no_effect             | no effect was selected                                                      | unknown (b)|
+    | left_open             | the effects close < `least_closed`, and leave > `still_open` x floor        | unknown (b)|
+    | structure_left        | the effect leaves structure that contradicts it                             | unknown (b)|
+    | not_confirmed         | final trials: the effects close too little and leave too much; no sensor    | unknown    |
+    |                       | fault, no jumps (what these leave is noise to any free run)                 |            |
+    | ambiguous             | other effects explain the trials as well                                    | one_of     |
+    | explained             | otherwise                                                                   | named      |
+    | jumps                 | in place of (a) and (b): the tip sticks and slips                           | named      |
+    | sensor_beside_unknown | in place of (b): repairing the sensor closes >= `least_closed` of the gap   | named      |
+
+    Effects that are not in the library are imitated by others, mostly several at once, that close a part of the gap:
+    therefore several effects have to close more on the final trials than one alone.
+    """
+    none_selected, form = not facts.effects, facts.form_mse
+    # The errors on the trials of the fit count, too: held-out motions that are new add no structural gap.
+    retuned = min(facts.retuned_mse, facts.retuned_fit_mse)
+    closed = (facts.retuned_mse - facts.chosen_mse) / max(facts.retuned_mse - facts.floor_mse, 1e-12)
+    left_open = closed < settings.least_closed and facts.chosen_mse > settings.still_open * facts.floor_mse
+    rows: tuple[tuple[VerdictCase, bool], ...] = (
+        ("too_little", facts.too_little),
+        ("unrelated", facts.unrelated),
+        ("no_gap", retuned < settings.no_gap * form),
+        ("sensor_alone", none_selected and facts.sensor),
+        ("small_gap", (none_selected or left_open) and retuned < settings.no_cause * form),
+        ("no_effect", none_selected),
+        ("left_open", left_open),
+        ("structure_left", facts.structure_left),
+        ("not_confirmed", not (facts.sensor or facts.jumps or _confirmed(facts, settings))),
+        ("ambiguous", bool(facts.ambiguity)),
+        ("explained", True),
+    )
+    case: VerdictCase = next(name for name, applies in rows if applies)
+    usable = case not in _UNUSABLE
+    if usable and facts.jumps and VERDICTS[case] in ("none", "unknown"):
+        case = "jumps"
+    if usable and facts.sensor and VERDICTS[case] == "unknown" and facts.final is not None:
+        case = "sensor_beside_unknown" if facts.final.closed_share >= settings.least_closed else case
+    sensor = usable and facts.sensor and VERDICTS[case] != "none"
+    return Ruling(case, facts.ambiguity if case == "ambiguous" else (), sensor)
+
+
+def _confirmed(facts: VerdictFacts, settings: VerdictSettings) -> bool:
+    """Whether the final trials confirm the selected effects; True before these are evaluated."""
+    if facts.final is None:
+        return True
+    enough = settings.confirmed_several if len(facts.effects) > 1 else settings.confirmed_alone
+    return facts.final.closed_share >= enough or facts.final.residual_ratio <= settings.confirmed_left
+
+
+def reason_for(ruling: Ruling, effects: Sequence[FoundEffect], gap: Gap, too_little: str, unrelated: str) -> str:
+    """The verdict in one sentence, with its numbers; `too_little` and `unrelated` say why trials are unusable."""
+    sizes = f"retuned {gap.retuned_rmse_deg:.2f} deg, floor {gap.floor_rmse_deg:.2f} deg"
+    names = ", ".join(effect.name.replace("_", " ") for effect in effects)
+    closed = f"{100 * gap.closed_share:.0f} % of the structural gap closed on trials kept for the end"
+    sets = "; ".join(" or ".join(name.replace("_", " ") for name in names) for names in ruling.ambiguity)
+    unexplained = "a structural gap that no effect of the library explains"
+    return {
+        "named": f"{names}: {closed}, {100 * gap.unexplained_share:.0f} % unexplained ({sizes})",
+        "one_of": f"one of {sets}: these trials cannot tell them apart; {closed} ({sizes})",
+        "unknown": f"{unrelated or unexplained} ({sizes})",
+        "none": f"no structural gap: retuning leaves no more than noise and the simulator's own form error ({sizes})",
+        "too_little": f"too little: {too_little} ({sizes})",
+    }[ruling.verdict]

@@ -1,0 +1,217 @@
+"""The diagnosis step by step: logs, attribution, verdict on the final trials, localisation, next motion, report."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hystmpc.models.effects.catalogue import DIAGNOSABLE, confounders
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.simulator import Simulator
+from hystmpc.trials.errors import GapError, did_you_mean
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Progress
+
+from .decide.ambiguity import probability, ranking
+from .decide.attribution import DiagnosisSettings, attribute, confirm
+from .decide.findings import Findings
+from .decide.verdict import reason_for
+from .diagnosis import Diagnosis, FoundEffect
+from .logs.preparation import PreparedTrials, prepare
+from .next.motion_design import MotionProposal
+from .next.open_hypotheses import next_step
+from .residual.localise import Localisation, localise
+
+if TYPE_CHECKING:
+    from hystmpc.models.contract.load import OnnxModel
+
+    from .report.report_data import Evidence
+
+LIBRARY = DIAGNOSABLE
+DEFAULT_SETTINGS = DiagnosisSettings()
+_STEPS = 100  # of the progress
+
+
+def diagnose(
+    trials: Sequence[Trial],
+    simulator: Simulator | OnnxModel,
+    *,
+    seed: int = 0,
+    without: Sequence[str] = (),
+    only: Sequence[str] | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find where a simulator departs from its device, which effects cause it and how far they close the gap.
+
+    Args:
+        trials: of one device, in recording order.
+        simulator: a chain of operators or an exported model.
+        seed: of every resampling.
+        without: effects left out of the library.
+        only: the library itself; all effects where left out.
+        progress: called with steps done, steps in all and the present step.
+
+    Raises:
+        GapError: on unusable trials (`check_trials`), or an unknown effect.
+        ModelError: if the simulator is an inverse map.
+    """
+    findings = investigate(trials, simulator, seed=seed, without=without, only=only, progress=progress)
+    return _diagnosis(findings, next_step(findings))
+
+
+def investigate(
+    trials: Sequence[Trial],
+    simulator: Simulator | OnnxModel,
+    *,
+    seed: int = 0,
+    without: Sequence[str] = (),
+    only: Sequence[str] | None = None,
+    progress: Progress | None = None,
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
+    say: Callable[[str], None] | None = None,
+) -> Findings:
+    """All steps up to the verdict; see `diagnose`.
+
+    Before the long part `say` is called with a line on each trial that is left out and on the expected duration.
+    """
+    left_out = _left_out(without, only)
+    progress = progress or _no_progress
+    clock = _Clock()
+    progress(0, _STEPS, "checking the trials")
+    prepared = prepare(trials, simulator, seed)
+    if say:
+        for line in filter(None, (*prepared.checked.left_out, prepared.checked.workload.estimate)):
+            say(line)
+    validation = CrossValidation(prepared.baseline, prepared.development)
+    retuned = validation.retuned()
+    clock.lap("check and retune")
+    attribution = attribute(prepared, validation, retuned, left_out, settings, seed, _selection_progress(progress))
+    clock.lap("which")
+    progress(88, _STEPS, "measuring the gap on the final trials")
+    conclusion = confirm(prepared, attribution, settings.verdict, seed)
+    clock.lap("how far")
+    progress(94, _STEPS, "where and what next")
+    localisation = _localisation(prepared, retuned, seed)
+    clock.lap("where")
+    return Findings(
+        simulator=simulator,
+        prepared=prepared,
+        attribution=attribution,
+        conclusion=conclusion,
+        localisation=localisation,
+        left_out=left_out,
+        seed=seed,
+        seconds=clock.seconds,
+    )
+
+
+def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diagnosis, Evidence]:
+    """The next motion, the diagnosis, and all that its report shows."""
+    from .report.report_data import report_data
+
+    clock = _Clock()
+    proposal = next_step(findings)
+    clock.lap("what next")
+    findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
+    diagnosis = _diagnosis(findings, proposal)
+    evidence = report_data(findings, diagnosis, proposal)
+    (progress or _no_progress)(_STEPS, _STEPS, diagnosis.verdict)
+    return diagnosis, evidence
+
+
+def _no_progress(done: float, total: float, note: str = "", /) -> None:
+    """No progress is shown."""
+
+
+def _selection_progress(progress: Progress) -> Callable[[float, str], None]:
+    """Progress of the selection, 5 to 85 %; every round counts its candidates anew, so that it is kept from falling."""
+    done = [5]
+
+    def advance(share: float, what: str) -> None:
+        done[0] = max(done[0], 5 + int(80 * share))
+        progress(done[0], _STEPS, what)
+
+    return advance
+
+
+class _Clock:
+    """Duration of each step."""
+
+    def __init__(self) -> None:
+        self._last = time.perf_counter()
+        self.seconds: dict[str, float] = {}
+
+    def lap(self, step: str) -> None:
+        now = time.perf_counter()
+        self.seconds[step], self._last = now - self._last, now
+
+
+def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, ...]:
+    for name in (*without, *(only or ())):
+        if name not in LIBRARY:
+            raise GapError(f"no effect {name!r} in the library, {did_you_mean(name, LIBRARY)}")
+    kept = LIBRARY if only is None else tuple(only)
+    return tuple(name for name in LIBRARY if name in without or name not in kept)
+
+
+def _localisation(prepared: PreparedTrials, retuned: Hypothesis, seed: int) -> Localisation | None:
+    errors = prepared.residuals(retuned)
+    if not any(np.any(error) for error in errors):
+        return None
+    width = prepared.baseline.quantities(retuned.problem.retuned(retuned.q))["backlash_width"]
+    return localise(prepared.checked.trials, errors, max(width, 0.0), seed)
+
+
+def _diagnosis(findings: Findings, proposal: MotionProposal | None) -> Diagnosis:
+    """The result, from the findings of all steps."""
+    prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
+    ruling, jumps, hypothesis = conclusion.ruling, attribution.jumps, attribution.retuned
+    probabilities = _probabilities(findings)
+    effects = _effects(findings, probabilities)
+    nominal = prepared.baseline.quantities(prepared.baseline.nominal)
+    retuned = prepared.baseline.quantities(hypothesis.problem.retuned(hypothesis.q))
+    library = [name for name in LIBRARY if name not in findings.left_out]
+    return Diagnosis(
+        verdict=ruling.verdict,
+        reason=reason_for(ruling, effects, conclusion.closed.gap, prepared.too_little, prepared.checked.unrelated),
+        effects=effects,
+        ambiguity=ruling.ambiguity,
+        ranking=ranking(probabilities, attribution.inclusion, ruling.ambiguity, library),
+        gap=conclusion.closed.gap,
+        retuned={name: (nominal[name], retuned[name]) for name in nominal},
+        where=dict(findings.localisation.places) if findings.localisation else {},
+        notes=(*prepared.checked.notes, *([jumps.note] if jumps else [])),
+        next_motion=proposal.summary() if proposal else None,
+    )
+
+
+def _probabilities(findings: Findings) -> dict[str, float]:
+    """Probability of each effect found."""
+    causes, missing = findings.conclusion.closed.causes, set(findings.left_out)
+    ambiguous = {name for names in findings.conclusion.ruling.ambiguity for name in names}
+    return {
+        name: probability(name, cause.share, len(causes) > 1, name in ambiguous, bool(confounders(name) & missing))
+        for name, cause in causes.items()
+    }
+
+
+def _effects(findings: Findings, probabilities: Mapping[str, float]) -> tuple[FoundEffect, ...]:
+    """Effects found, largest share first."""
+    closed = findings.conclusion.closed
+    return tuple(
+        FoundEffect(
+            name=name,
+            probability=probabilities[name],
+            inclusion=findings.attribution.inclusion.get(name, 1.0),
+            closed_share=cause.share,
+            closed_ci90=cause.ci90,
+            rmse_before_deg=cause.rmse_without_deg,
+            rmse_after_deg=closed.gap.with_effects_rmse_deg,
+            parameters=cause.parameters,
+        )
+        for name, cause in sorted(closed.causes.items(), key=lambda item: -item[1].share)
+    )

@@ -1,0 +1,1 @@
+"""Logs of the diagnosis: checks, motions, noise floor, sensor, choice of trials, identifiability of effects."""

@@ -1,0 +1,222 @@
+"""Check of trials: whether they can be compared with a simulator, and what they excite."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.simulator import Simulator
+from hystmpc.trials.check_time import require_seconds
+from hystmpc.trials.errors import GapError
+from hystmpc.trials.trial import Trial
+
+from .dependence import follows_command
+from .excitation import Excitation, excitation_of
+from .trial_choice import LEAST_S, ChosenTrials, choose_trials
+
+_WRONG_SIGN = -0.3  # correlation; above it a lag of up to a third of a period may be the cause
+_SURELY_WRONG = -0.7  # of a single trial, where all together have the right sign
+_WRONG_SCALE = 5.0
+_SMALL_COMMAND = 1 / 50  # of the simulator's range: less is another unit, not a small motion
+_LEAST_SPAN = 0.3  # of the simulator's trained command: in less, backlash may absorb the motion
+_UNIT_FACTOR = 1.6  # an error text names a unit whose factor is that near
+_COMMAND_UNITS = {
+    "mm": {1e3: "um", 1e-3: "m", 0.1: "cm", 1 / 25.4: "inch"},
+    "bar": {100.0: "kPa", 1e5: "Pa", 1e3: "mbar", 14.5: "psi", 0.1: "MPa"},
+}
+_ANGLE_UNITS = {1 / 57.3: "radians", 60.0: "minutes of arc", 1e3: "thousandths of a degree"}
+_JITTER = 0.1
+_UNRELATED = (
+    "the angle of no trial follows its command: a model of the command's past explains no more of its changes than if "
+    "they came in another order, so that these logs say nothing on a simulator"
+)
+_AT_EXTREME, _TRAVEL = 0.02, 0.05  # of the samples; of the command's range
+
+
+@dataclass(frozen=True, eq=False)
+class Checked(ChosenTrials):
+    """Trials that can be diagnosed.
+
+    Attributes:
+        excitation: motions, speeds, holds and repeats of their commands.
+        notes: faults and shortcomings of the trials, a sentence each.
+        left_out: what is not diagnosed and why, a line each; also among the notes.
+        unrelated: why the angles of all trials say nothing on a simulator; empty where they follow their commands.
+    """
+
+    excitation: Excitation
+    notes: tuple[str, ...]
+    left_out: tuple[str, ...]
+    unrelated: str
+
+
+def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata, seed: int = 0) -> Checked:
+    """Compare units, sign and scale with the simulator's, and bring the trials to one rate.
+
+    The rate is the lowest of 50 Hz and the trials' own median rates; where the simulator's own rate lies within a
+    factor of 1.5 of that and below 50 Hz, it is the simulator's. A network, given by its metadata, always keeps its own
+    rate. Of a log with a gap, the longest part without one is used. Of more trials than can be afforded some are chosen
+    (`affordable`), and those whose angle does not follow the command are left out (`follows_command`).
+
+    Args:
+        trials: of one device, in recording order.
+        simulator: chain of operators, or metadata of another model.
+        seed: of the choice of trials and of the test.
+
+    Raises:
+        GapError: if there is no trial, units differ, commands or angles never change, the angle falls as the command
+            rises, or command or angle are off by so much that the unit or the device is another.
+        LogError: if a network's rate is above a log's, or time seems to be in milliseconds.
+    """
+    facts = simulator.metadata() if isinstance(simulator, Simulator) else simulator
+    if not trials:
+        raise GapError("no trial given, expected one or more logs of the simulator's device")
+    for trial in trials:
+        require_seconds(trial)
+        _require_units(trial, facts)
+    _require_motion(trials)
+    _require_commands(trials, facts)
+    chosen = choose_trials(trials, facts, not isinstance(simulator, Simulator), seed)
+    follows = follows_command(chosen.trials, seed)
+    left_out, unrelated = [chosen.workload.note] if chosen.workload.note else [], ""
+    if any(follows):
+        left_out += [_left_out(t) for t, kept in zip(chosen.given, follows, strict=True) if not kept]
+        chosen = chosen.only(follows)
+        _require_sign(chosen.given)
+        _require_angles(chosen.given, facts)
+    else:
+        unrelated = _UNRELATED
+    excitation = excitation_of(chosen.trials)
+    logs = zip(chosen.given, chosen.recorded, strict=True)
+    notes = (*left_out, *(note for pair in logs for note in _log_notes(*pair)), *_set_notes(excitation))
+    return Checked(**vars(chosen), excitation=excitation, notes=notes, left_out=tuple(left_out), unrelated=unrelated)
+
+
+def _left_out(trial: Trial) -> str:
+    return (
+        f"{Path(trial.source).name}: left out, the angle does not follow the command (no more than if its changes "
+        "came in another order), expected one that does; is it another trial's, or the sensor's noise?"
+    )
+
+
+def _require_units(trial: Trial, facts: ModelMetadata) -> None:
+    got, wanted = (trial.units.command, trial.units.angle), (facts.command_unit, facts.angle_unit)
+    if facts.angle_unit != "deg":
+        raise GapError(f"the simulator maps {wanted[0]} to {wanted[1]}, expected one that gives angles in deg")
+    if got != wanted:
+        raise GapError(
+            f"{trial.source}: command in {got[0]} and angle in {got[1]}, expected {wanted[0]} and {wanted[1]} as the "
+            "simulator has them"
+        )
+
+
+def _require_motion(trials: Sequence[Trial]) -> None:
+    names = ", ".join(Path(trial.source).name for trial in trials)
+    if all(np.ptp(trial.command) == 0 for trial in trials):
+        raise GapError(f"{names}: the command is constant in every trial, expected one that moves")
+    for trial in trials:
+        if np.ptp(trial.command) > 0 and np.ptp(trial.angle) == 0:
+            raise GapError(
+                f"{trial.source}: the angle is {trial.angle[0]:g} deg throughout while the command moves, expected an "
+                "angle that follows it"
+            )
+        if trial.duration_s < LEAST_S:
+            raise GapError(f"{trial.source}: {trial.duration_s:.3g} s long, expected {LEAST_S:g} s or more")
+
+
+def _require_sign(trials: Sequence[Trial]) -> None:
+    pooled = _pooled_correlation(trials)
+    for trial in trials:
+        limit = _SURELY_WRONG if pooled >= _WRONG_SIGN else _WRONG_SIGN
+        if np.ptp(trial.command) > 0 and (together := _correlation(trial)) < limit:
+            raise GapError(
+                f"{trial.source}: the angle falls as the command rises (correlation {together:.2f}), expected it to "
+                "rise; flip the sign of one of them"
+            )
+
+
+def _pooled_correlation(trials: Sequence[Trial]) -> float:
+    """Correlation of command and angle about each trial's means, over all trials."""
+    u = np.concatenate([trial.command - trial.command.mean() for trial in trials])
+    y = np.concatenate([trial.angle - trial.angle.mean() for trial in trials])
+    return float(u @ y / math.sqrt(max((u @ u) * (y @ y), 1e-300)))
+
+
+def _correlation(trial: Trial) -> float:
+    u, y = trial.command - trial.command.mean(), trial.angle - trial.angle.mean()
+    return float(u @ y / math.sqrt((u @ u) * (y @ y)))
+
+
+def _require_commands(trials: Sequence[Trial], facts: ModelMetadata) -> None:
+    low, high = min(float(t.command.min()) for t in trials), max(float(t.command.max()) for t in trials)
+    least = min(facts.command_limits.lower, facts.trained_command.lower)
+    most = max(facts.command_limits.upper, facts.trained_command.upper)
+    factor, unit = (high - low) / (most - least), facts.command_unit
+    name = Path(trials[0].source).name if len(trials) == 1 else f"{len(trials)} trials"
+    text = f"{name}: command {low:.4g} to {high:.4g} {unit}, expected within about {least:.4g} to {most:.4g} {unit}"
+    if factor > _WRONG_SCALE or factor < _SMALL_COMMAND:
+        raise GapError(f"{text} (factor {factor:.3g}{_unit_remark(factor, _COMMAND_UNITS.get(unit, {}))})")
+    if low > most + (most - least) or high < least - (most - least):
+        raise GapError(f"{text}: it lies outside by more than the whole range; another zero or device?")
+
+
+def _require_angles(trials: Sequence[Trial], facts: ModelMetadata) -> None:
+    """Compare the angle's range with that of the simulator, scaled to the command's range."""
+    command = max(float(t.command.max()) for t in trials) - min(float(t.command.min()) for t in trials)
+    trained = facts.trained_command.upper - facts.trained_command.lower
+    if command < _LEAST_SPAN * trained:
+        return
+    angle = max(float(t.angle.max()) for t in trials) - min(float(t.angle.min()) for t in trials)
+    expected = (facts.trained_angle.upper - facts.trained_angle.lower) * command / trained
+    factor = angle / expected
+    if not 1 / _WRONG_SCALE <= factor <= _WRONG_SCALE:
+        name = Path(trials[0].source).name if len(trials) == 1 else f"{len(trials)} trials"
+        raise GapError(
+            f"{name}: the angle ranges over {angle:.4g} deg, expected about {expected:.4g} deg from the simulator "
+            f"(factor {factor:.3g}{_unit_remark(factor, _ANGLE_UNITS) or '; another unit or device?'})"
+        )
+
+
+def _unit_remark(factor: float, units: dict[float, str]) -> str:
+    near = sorted((abs(math.log(factor / known)), name) for known, name in units.items())
+    return f": looks like {near[0][1]}" if near and near[0][0] < math.log(_UNIT_FACTOR) else ""
+
+
+def _log_notes(trial: Trial, part: Trial) -> Iterator[str]:
+    name, intervals = Path(trial.source).name, np.diff(part.t)
+    if part is not trial:
+        yield f"{name}: gaps in time; only its longest part, {part.t[0]:.4g} to {part.t[-1]:.4g} s, is used."
+    jitter = float(np.std(intervals)) / part.dt
+    if jitter > _JITTER:
+        yield f"{name}: sample intervals scatter by {jitter:.0%} of {1e3 * part.dt:.3g} ms."
+    if np.ptp(part.command) == 0:
+        yield f"{name}: the command is constant; it shows noise and drift only."
+        return
+    onward = np.gradient(part.command)
+    for end, at, way in (("greatest", part.angle.max(), 1.0), ("least", part.angle.min(), -1.0)):
+        # On the way back backlash holds the angle as well; on the way there a stop or the sensor does.
+        stuck = (part.angle == at) & (way * onward > 0)
+        travel = float(np.ptp(part.command[stuck])) / float(np.ptp(part.command)) if stuck.any() else 0.0
+        if np.mean(stuck) > _AT_EXTREME and travel > _TRAVEL:
+            yield (
+                f"{name}: the angle sits at its {end} value, {at:.4g} deg, for {np.mean(stuck):.0%} of the samples "
+                f"while the command goes on by {travel:.0%} of its range: a saturated sensor, a stop, or slack."
+            )
+    if _correlation(trial) < -_WRONG_SIGN:
+        yield f"{name}: the angle hardly follows the command (correlation {_correlation(trial):.2f})."
+
+
+def _set_notes(e: Excitation) -> Iterator[str]:
+    if e.trials == 1:
+        yield "One trial only: what is held out comes from the same recording, and changes between trials cannot show."
+    if not e.has_repeats:
+        yield "No motion is repeated: the floor is the residual's noise, a lower bound, and every share is relative."
+    if not e.has_holds:
+        yield f"No hold of 3 s or more ({e.longest_hold_s:.3g} s at most): creep and lag cannot be told apart."
+    if e.sine_only:
+        yield "Single sines only: most effects look alike in them, and refitting hides most of a gap."

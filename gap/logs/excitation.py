@@ -1,0 +1,164 @@
+"""Excitation of a set of motions: speeds, holds, repeats, small fast parts, ends of the travel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hystmpc.trials.segments import Segments
+from hystmpc.trials.trial import Trial
+
+from .motion_type import STEP_S, MotionType, Move, command_segments, motion_type, moves_of
+from .noise_floor import Repeat, find_repeats
+
+LONG_HOLD_S = 30.0
+_SPEED_RATIO = 1.6  # speeds nearer than that are one speed
+_FAST_S, _FAST_HEIGHT, _FAST_COUNT = 1 / 3, 0.3, 8  # half periods of 1.5 Hz or more; of the range; moves
+_STEP_HEIGHT, _STEP_COUNT = 0.1, 3
+_RAMP_HEIGHT = 0.1
+_LOW, _LOW_S, _LOW_VISITS = 0.1, 3.0, 3
+_LEVEL, _UPPER = 0.08, 0.4  # turning points nearer than that are at one level; of the range
+_OPENING_LEVEL, _OPENING_TIME = 0.02, 0.1
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """Excitation by the commands of all trials together; shares refer to the range of all commands.
+
+    Attributes:
+        motions: kind of motion per trial.
+        trials: their number.
+        repeats: pairs of stretches with equal commands.
+        longest_hold_s: longest rest of the command [s]; 0 without one.
+        fastest: 99th percentile of its speed while it moves [cmd/s].
+        ramp_speeds: speeds of its constant-speed moves that are a factor of 1.6 or more apart, slowest first [cmd/s].
+        steps: moves of a tenth of the range or more within 0.2 s.
+        fast_small: moves of less than a third of a second (1.5 Hz and above) and of less than 30 %.
+        low_s: time within the lowest tenth [s].
+        low_visits: number of visits to it.
+        top_levels: distinct levels, 8 % apart, in the upper 60 % at which it turns.
+        opening_repeated: whether the first rise of the first trial comes again, in it or a later trial.
+    """
+
+    motions: tuple[MotionType, ...]
+    trials: int
+    repeats: tuple[Repeat, ...]
+    longest_hold_s: float
+    fastest: float
+    ramp_speeds: tuple[float, ...]
+    steps: int
+    fast_small: int
+    low_s: float
+    low_visits: int
+    top_levels: int
+    opening_repeated: bool
+
+    @property
+    def has_holds(self) -> bool:
+        """A rest of 3 s or more."""
+        return self.longest_hold_s >= 3.0
+
+    @property
+    def has_long_hold(self) -> bool:
+        """A rest of 30 s or more."""
+        return self.longest_hold_s >= LONG_HOLD_S
+
+    @property
+    def has_repeats(self) -> bool:
+        """Whether any motion is repeated."""
+        return bool(self.repeats)
+
+    @property
+    def has_fast(self) -> bool:
+        """Whether there are fast steps or fast small oscillations."""
+        return self.steps >= _STEP_COUNT or self.fast_small >= _FAST_COUNT
+
+    @property
+    def has_speeds(self) -> bool:
+        """Ramps at three speeds or more."""
+        return len(self.ramp_speeds) >= 3
+
+    @property
+    def dwells_low(self) -> bool:
+        """3 s or more, in three visits or more, near the lowest command."""
+        return self.low_s >= _LOW_S and self.low_visits >= _LOW_VISITS
+
+    @property
+    def sine_only(self) -> bool:
+        """Whether every trial is one sine."""
+        return all(motion == "sine" for motion in self.motions)
+
+
+def excitation_of(trials: Sequence[Trial]) -> Excitation:
+    """Excitation by uniform trials at one rate, from their commands alone.
+
+    Raises:
+        LogError: if a trial is not uniform.
+    """
+    dt = trials[0].dt
+    parts = [command_segments(trial) for trial in trials]
+    moves = [moves_of(trial, part) for trial, part in zip(trials, parts, strict=True)]
+    low = min(float(trial.command.min()) for trial in trials)
+    span = max(float(trial.command.max()) for trial in trials) - low
+    every = [move for own in moves for move in own]
+    bottom = [trial.command <= low + _LOW * span for trial in trials]
+    holds = [stop - start for part in parts for start, stop in part.holds]
+    return Excitation(
+        motions=tuple(motion_type(trial, part) for trial, part in zip(trials, parts, strict=True)),
+        trials=len(trials),
+        repeats=find_repeats(trials),
+        longest_hold_s=max(holds, default=0) * dt,
+        fastest=_fastest(trials, span),
+        ramp_speeds=_ramp_speeds(every, dt, _RAMP_HEIGHT * span),
+        steps=sum(move.samples * dt <= STEP_S and move.height >= _STEP_HEIGHT * span for move in every),
+        fast_small=sum(move.samples * dt < _FAST_S and 0.01 < move.height / span < _FAST_HEIGHT for move in every),
+        low_s=sum(int(np.count_nonzero(inside)) for inside in bottom) * dt,
+        low_visits=sum(int(np.count_nonzero(np.diff(b.astype(np.int8), prepend=0) == 1)) for b in bottom),
+        top_levels=_top_levels(trials, parts, low, span),
+        opening_repeated=_opening_repeated(moves, span),
+    )
+
+
+def _fastest(trials: Sequence[Trial], span: float) -> float:
+    speeds = np.concatenate([np.abs(np.diff(trial.command)) / trial.dt for trial in trials])
+    moving = speeds[speeds > 1e-3 * span]
+    return float(np.percentile(moving, 99)) if moving.size else 0.0
+
+
+def _ramp_speeds(moves: Sequence[Move], dt: float, least: float) -> tuple[float, ...]:
+    ramps = [m for m in moves if m.straight and m.height >= least and m.samples * dt > STEP_S]
+    distinct: list[float] = []
+    for speed in sorted(m.height / (m.samples * dt) for m in ramps):
+        if not distinct or speed > _SPEED_RATIO * distinct[-1]:
+            distinct.append(speed)
+    return tuple(distinct)
+
+
+def _top_levels(trials: Sequence[Trial], parts: Sequence[Segments], low: float, span: float) -> int:
+    """Levels of the upper turning points that lie apart."""
+    levels: list[float] = []
+    for trial, part in zip(trials, parts, strict=True):
+        turns = np.concatenate([trial.command[:1], trial.command[part.reversals], trial.command[-1:]])
+        upper = (turns[1:-1] > turns[:-2]) & (turns[1:-1] > turns[2:]) & (turns[1:-1] > low + _UPPER * span)
+        levels += turns[1:-1][upper].tolist()
+    distinct: list[float] = []
+    for level in sorted(levels):
+        if not distinct or level > distinct[-1] + _LEVEL * span:
+            distinct.append(level)
+    return len(distinct)
+
+
+def _opening_repeated(moves: Sequence[Sequence[Move]], span: float) -> bool:
+    """Whether a later move is equal to the first one in level and, to a tenth, in time."""
+    if not moves or not moves[0]:
+        return False
+    opening = moves[0][0]
+    later = [move for own in moves for move in own][1:]
+    return any(
+        abs(move.first - opening.first) <= _OPENING_LEVEL * span
+        and abs(move.last - opening.last) <= _OPENING_LEVEL * span
+        and abs(move.samples - opening.samples) <= _OPENING_TIME * opening.samples + 1
+        for move in later
+    )

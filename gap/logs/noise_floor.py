@@ -1,0 +1,204 @@
+"""Noise floor: the error that the best simulator keeps, from repeats of a motion or from the residual's noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hystmpc.trials.errors import GapError
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Index, Mask, Vec
+
+from ..diagnosis import FloorKind
+from .motion_type import command_segments
+from .sensor import stretches
+from .white_noise import white_noise
+
+TOLERANCE = 0.01
+"""Commands are equal where they differ by less than this share of their range."""
+
+_LEAST_REPEATED_S = 5.0  # of repeats in all, for a floor from repeats
+_LEAST_S = 2.0  # of one repeat
+_LEAST_SPAN = 0.3  # of the range of all commands
+_LEAST_SHIFT_S = 0.5
+_MOST_SHIFTS = 40  # per pair of trials, best supported first
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Root mean square error of the best simulator.
+
+    Attributes:
+        rmse_deg: from repeats where there are any, else the noise [deg].
+        kind: which of the two.
+        noise_deg: white noise of the residual [deg]. Differences between repeats also hold what is not locked to the
+            command, such as a heartbeat or drift; the noise does not.
+    """
+
+    rmse_deg: float
+    kind: FloorKind
+    noise_deg: float
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """Two stretches with equal commands.
+
+    Attributes:
+        first, second: numbers of the trials; equal within one trial.
+        start, stop: samples of the first trial, stop exclusive.
+        shift: sample k of the first trial corresponds to sample k + shift of the second, fractions included.
+    """
+
+    first: int
+    second: int
+    start: int
+    stop: int
+    shift: float
+
+    def differences(self, signals: Sequence[Vec]) -> tuple[Vec, float]:
+        """Second less first stretch of one signal per trial, (T,) each, and its white-noise variance over the signal's.
+
+        Interpolation to fractions of a sample reduces that ratio below two.
+        """
+        whole = int(np.floor(self.shift))
+        part = self.shift - whole
+        later = signals[self.second][self.start + whole : self.stop + whole]
+        if part > 0:
+            later = (1 - part) * later + part * signals[self.second][self.start + whole + 1 : self.stop + whole + 1]
+        return later - signals[self.first][self.start : self.stop], 1 + part**2 + (1 - part) ** 2
+
+
+def find_floor(
+    trials: Sequence[Trial], residuals: Sequence[Vec], dt: float, repeats: Sequence[Repeat] | None = None
+) -> Floor:
+    """Both floors of uniform trials.
+
+    From repeats: sigma^2 = sum_p sum_k (e2 - e1)^2 / sum_p n_p w_p over pairs p of n_p samples, with w = 2 at a shift
+    of whole samples, less where interpolation reduces the noise. Residuals, not angles, are compared, since commands of
+    repeats may differ by 1 % of their range.
+
+    Args:
+        trials: in recording order, at one rate.
+        residuals: measured less simulated angle, (T,) each [deg]; the result hardly depends on the simulator.
+        dt: sample interval [s].
+        repeats: of these trials, if known already.
+
+    Raises:
+        GapError: if residuals do not fit the trials or are not finite.
+        LogError: if a trial is not uniform.
+    """
+    require_residuals(trials, residuals)
+    noise = white_noise(residuals)
+    pairs = find_repeats(trials) if repeats is None else repeats
+    if sum(repeat.stop - repeat.start for repeat in pairs) * dt < _LEAST_REPEATED_S:
+        return Floor(noise, "noise", noise)
+    differences = [repeat.differences(residuals) for repeat in pairs]
+    squares = np.array([float(d @ d) for d, _ in differences])
+    weights = np.array([d.size * w for d, w in differences])
+    return Floor(math.sqrt(float(squares.sum() / weights.sum())), "repeats", noise)
+
+
+def require_residuals(trials: Sequence[Trial], residuals: Sequence[Vec]) -> None:
+    """Check that there is one finite residual (T,) per trial.
+
+    Raises:
+        GapError: if numbers or shapes differ, or a value is not finite.
+    """
+    if len(trials) != len(residuals):
+        raise GapError(f"got {len(residuals)} residuals for {len(trials)} trials, expected one per trial")
+    for trial, e in zip(trials, residuals, strict=True):
+        if e.shape != (len(trial),):
+            raise GapError(f"{trial.source}: residual has shape {e.shape}, expected ({len(trial)},) as the trial")
+        if not np.all(np.isfinite(e)):
+            raise GapError(f"{trial.source}: residual is not finite at sample {int(np.argmin(np.isfinite(e)))}")
+
+
+def find_repeats(trials: Sequence[Trial], tolerance: float = TOLERANCE) -> tuple[Repeat, ...]:
+    """All pairs of stretches of uniform trials at one rate whose commands are equal.
+
+    Turning points and ends of holds at equal levels propose the shifts. A stretch counts once it has visited both its
+    extremes, since hysteresis has then lost its earlier memory (wiping-out property). It is at least 2 s long and
+    covers 30 % of the range of all commands.
+
+    Args:
+        trials: in recording order.
+        tolerance: greatest difference of equal commands, relative to the range of all.
+
+    Raises:
+        LogError: if a trial is not uniform.
+    """
+    if not trials:
+        return ()
+    span = max(float(t.command.max()) for t in trials) - min(float(t.command.min()) for t in trials)
+    if span <= 0:
+        return ()
+    noise = white_noise([trial.command for trial in trials])
+    band = max(tolerance * span, 4 * 2**0.5 * noise)
+    marks = [_marks(trial) for trial in trials]
+    found: list[Repeat] = []
+    for a, first in enumerate(trials):
+        for b in range(a, len(trials)):
+            for shift in _shifts(first, trials[b], marks[a], marks[b], band, a == b):
+                repeat = _stretch((a, b), (first, trials[b]), shift, band, _LEAST_SPAN * span)
+                if repeat and not any(_same(repeat, other) for other in found):
+                    found.append(repeat)
+    return tuple(found)
+
+
+def _marks(trial: Trial) -> Index:
+    parts = command_segments(trial)
+    return np.unique(np.concatenate([parts.reversals, [b - 1 for _, b in parts.holds], [0]]).astype(np.intp))
+
+
+def _shifts(first: Trial, second: Trial, a: Index, b: Index, band: float, same: bool) -> list[int]:
+    """Shifts that bring at least two marks onto marks of equal level, best supported first."""
+    equal = np.abs(first.command[a][:, None] - second.command[b][None, :]) <= 2 * band
+    shifts = (b[None, :] - a[:, None])[equal]
+    if same:
+        shifts = shifts[shifts * first.dt >= _LEAST_SHIFT_S]
+    values, votes = np.unique(shifts, return_counts=True)
+    counted = np.concatenate([[0], np.cumsum(votes)])
+    near = np.searchsorted(values, values + 2, side="right"), np.searchsorted(values, values - 2)
+    support = counted[near[0]] - counted[near[1]]
+    order = np.argsort(-support, kind="stable")
+    return [int(values[k]) for k in order if support[k] >= 2][:_MOST_SHIFTS]
+
+
+def _stretch(
+    pair: tuple[int, int], trials: tuple[Trial, Trial], shift: int, band: float, least: float
+) -> Repeat | None:
+    """The longest equal stretch at about that shift, the shift refined to a fraction of a sample."""
+    u, v = trials[0].command, trials[1].command
+    start, stop = _longest(np.abs(_shifted(v, shift, u.size) - u) <= 4 * band)
+    if (stop - start) * trials[0].dt < _LEAST_S:
+        return None
+    slope = np.gradient(v)[start + shift : stop + shift]
+    power = float(slope @ slope)
+    lead = float(slope @ (u[start:stop] - v[start + shift : stop + shift])) / power if power > 0 else 0.0
+    exact = shift + float(np.clip(lead, -1.5, 1.5))
+    exact = round(exact) if abs(exact - round(exact)) < 0.02 else exact
+    start, stop = _longest(np.abs(_shifted(v, exact, u.size) - u) <= band)
+    if stop <= start or np.ptp(u[start:stop]) < least:
+        return None
+    start += max(int(np.argmax(u[start:stop])), int(np.argmin(u[start:stop])))
+    if (stop - start) * trials[0].dt < _LEAST_S:
+        return None
+    return Repeat(*pair, start, stop, float(exact))
+
+
+def _shifted(v: Vec, shift: float, size: int) -> Vec:
+    """v at k + shift for k = 0 ... size - 1, not-a-number outside."""
+    return np.interp(np.arange(size) + shift, np.arange(v.size), v, left=np.nan, right=np.nan)
+
+
+def _longest(inside: Mask) -> tuple[int, int]:
+    """First and last sample (exclusive) of the longest stretch; (0, 0) without one."""
+    return max(stretches(inside), key=lambda ends: ends[1] - ends[0], default=(0, 0))
+
+
+def _same(a: Repeat, b: Repeat) -> bool:
+    return (a.first, a.second) == (b.first, b.second) and abs(a.shift - b.shift) < 3

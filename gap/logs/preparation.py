@@ -1,0 +1,217 @@
+"""Preparation: trials checked, resampled, repaired and split; the nominal simulator run and its model-form error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hystmpc.models.chain import Chain
+from hystmpc.models.contract.metadata import Range
+from hystmpc.models.identify.baseline import Baseline, FreeCoreBaseline, ScaledBaseline, baseline_of
+from hystmpc.models.identify.cross_validation import Hypothesis
+from hystmpc.models.identify.least_squares import fit_problem
+from hystmpc.models.identify.problem import Problem
+from hystmpc.models.identify.runs import Run, runs_of
+from hystmpc.models.identify.trial_set import fingerprint
+from hystmpc.models.simulator import Identification, Simulator
+from hystmpc.trials.errors import LogError
+from hystmpc.trials.resample import resample
+from hystmpc.trials.segments import segment
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from .check import Checked, check_trials
+from .sensor import SensorSigns, repaired, sensor_signs
+from .trial_choice import split_runs
+
+if TYPE_CHECKING:
+    from hystmpc.models.contract.load import OnnxModel
+
+_LEAST_S, _LEAST_TURNS = 15.0, 3
+_PLAYS, _EVALUATIONS, _TOLERANCE = 8, 40, 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedTrials:
+    """Trials and nominal simulator, ready for the attribution.
+
+    Attributes:
+        given: diagnosed trials as recorded.
+        checked: trials at one rate, and what their commands excite.
+        signs: of the sensor.
+        baseline: the nominal simulator and the freedom of retuning.
+        development, final: runs for the choice of causes, and runs that are evaluated once.
+        everything: all runs in recording order, every sample counted.
+        raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
+        form_mse: model-form error [deg^2]; zero where unknown.
+        too_little: why the trials do not allow a diagnosis, in words; empty where they do.
+        excess_mse: energy of the sensor's noise beyond its noise at identification [deg^2]; zero where unknown.
+    """
+
+    given: tuple[Trial, ...]
+    checked: Checked
+    signs: SensorSigns
+    baseline: Baseline
+    development: tuple[Run, ...]
+    final: tuple[Run, ...]
+    everything: tuple[Run, ...]
+    raw: tuple[Vec, ...]
+    form_mse: float
+    too_little: str
+    excess_mse: float
+
+    def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
+        """Measured less simulated angle of every run (T,) each [deg]."""
+        return [run.angle - hypothesis.problem.angles(hypothesis.q, run) for run in self.everything]
+
+
+def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel, seed: int = 0) -> PreparedTrials:
+    """Check, resample, repair and split trials, and derive the baseline of the simulator.
+
+    Args:
+        trials: of one device, in recording order.
+        simulator: a chain of operators or an exported model.
+        seed: of the choice among more trials than can be diagnosed.
+
+    Raises:
+        GapError: on unusable trials, see `check_trials`.
+        ModelError: if the simulator is an inverse map.
+    """
+    checked = check_trials(trials, simulator if isinstance(simulator, Simulator) else simulator.metadata, seed)
+    identification = simulator.identification if isinstance(simulator, Simulator) else Identification(method="network")
+    nominal = nominal_noise_deg(identification)
+    signs = sensor_signs(checked.recorded, nominal)
+    repaired_trials = [repaired(trial, signs) for trial in checked.trials]
+    command = Range(
+        lower=min(float(t.command.min()) for t in repaired_trials),
+        upper=max(float(t.command.max()) for t in repaired_trials),
+    )
+    if isinstance(simulator, Simulator):
+        baseline, corrections = baseline_of(simulator.chain, command), None
+    else:
+        baseline, corrections = _network_baseline(simulator, repaired_trials, command)
+    runs = runs_of(repaired_trials, corrections, checked.before)
+    motions = checked.excitation.motions
+    development, final = split_runs(runs, motions)
+    faulty = signs.noisy or signs.coarse
+    return PreparedTrials(
+        given=checked.given,
+        checked=checked,
+        signs=signs,
+        baseline=baseline,
+        development=development,
+        final=final,
+        everything=runs,
+        raw=tuple(trial.angle for trial in checked.trials),
+        form_mse=model_form_mse(identification, trials, motions, _sample_time(simulator)),
+        too_little=shortage(checked.trials),
+        excess_mse=max(signs.energy - nominal**2, 0.0) if nominal is not None and faulty else 0.0,
+    )
+
+
+def shortage(trials: Sequence[Trial]) -> str:
+    """Why trials are too short, or turn too rarely, to select causes and test them; empty where they are not."""
+    seconds = sum(trial.duration_s for trial in trials)
+    turns = sum(segment(trial).reversals.size for trial in trials)
+    if seconds < _LEAST_S:
+        return f"{seconds:.3g} s in all, expected {_LEAST_S:g} s or more"
+    if turns < _LEAST_TURNS:
+        return f"the command turns {turns} times in all, expected {_LEAST_TURNS} or more"
+    return ""
+
+
+def _sample_time(simulator: Simulator | OnnxModel) -> float:
+    return simulator.dt_s if isinstance(simulator, Simulator) else simulator.metadata.dt_s
+
+
+def _network_baseline(model: OnnxModel, trials: Sequence[Trial], command: Range) -> tuple[Baseline, list[Vec]]:
+    """Plays in place of a network on these commands, and the difference of the network's angles from theirs (T,) each.
+
+    Effects are applied to the plays: exact without effects, first order with them.
+    """
+    from hystmpc.models.prediction.build import predictor_for  # opens onnxruntime and CasADi
+
+    predictor = predictor_for(model)
+    angles = []
+    for trial in trials:
+        state = predictor.initial(float(trial.angle[0]), float(trial.command[0]))
+        angles.append(predictor.rollout(state, trial.command[None])[0])
+    copies = [replace(trial, angle=y) for trial, y in zip(trials, angles, strict=True)]
+    baseline = ScaledBaseline(_plays(copies, command), command)
+    problem = Problem(baseline)
+    start = problem.start(baseline.nominal, [])
+    return baseline, [y - problem.angles(start, run) for y, run in zip(angles, runs_of(trials), strict=True)]
+
+
+def _plays(copies: Sequence[Trial], command: Range) -> Chain:
+    """Rate-independent plays fitted to a network's own free runs."""
+    from hystmpc.models.identify.chain_kinds import prandtl_ishlinskii_starts
+
+    runs, found = runs_of(copies), []
+    for start in prandtl_ishlinskii_starts(copies, _PLAYS):
+        values = [0.0 if p.name == "beta" else v for p, v in zip(start.parameters, start.values, strict=True)]
+        baseline = FreeCoreBaseline(start.with_values(values), command)
+        problem = Problem(baseline)
+        found.append(
+            (problem, fit_problem(problem, runs, problem.start(baseline.nominal, []), _EVALUATIONS, _TOLERANCE))
+        )
+    problem, best = min(found, key=lambda pair: pair[1].mse)
+    return problem.fitted_chain(best.q)
+
+
+def model_form_mse(
+    identification: Identification, trials: Sequence[Trial], motions: Sequence[str], dt_s: float
+) -> float:
+    """Model-form error: mean square residual of the nominal simulator on its own identification data [deg^2].
+
+    Zero where it is unknown: the simulator's file stores no residuals, or it was identified on one of these trials
+    (compared by fingerprint), so that its residuals contain the gap itself.
+
+    Args:
+        identification: of the simulator.
+        trials: to be diagnosed, as recorded.
+        motions: motion type of each.
+        dt_s: sample time of the simulator, at which it was identified [s].
+    """
+    stored = identification.residuals
+    if not stored or _has_seen(identification, trials, dt_s):
+        return 0.0
+    held = ["holds" if motion in ("holds", "steps", "point_to_point", "ramps") else "continuous" for motion in motions]
+    everything = [r.rmse_deg**2 for r in stored]
+    own = [[r.rmse_deg**2 for r in stored if r.motion == kind] or everything for kind in held]
+    return float(np.mean([np.mean(values) for values in own]))
+
+
+def _has_seen(identification: Identification, trials: Sequence[Trial], dt_s: float) -> bool:
+    """Whether it was identified on one of these trials, or on all of them, at any rate."""
+    known = {r.fingerprint for r in identification.residuals if r.fingerprint}
+    # A file's sample time is rounded: 0.03333333333 s stand for 30 Hz, but 0.03 s for 1 / 0.03 Hz.
+    for taken in (trials, *(_at(trials, rate) for rate in {1 / dt_s, round(1 / dt_s, 4)})):
+        if identification.training_data_hash == fingerprint(taken):
+            return True
+        if any(fingerprint([trial]) in known for trial in taken):
+            return True
+    return False
+
+
+def _at(trials: Sequence[Trial], rate_hz: float) -> list[Trial]:
+    """The trials resampled to that rate; those that cannot be are left out."""
+    taken = []
+    for trial in trials:
+        with suppress(LogError):
+            taken.append(resample(trial, rate_hz))
+    return taken
+
+
+def nominal_noise_deg(identification: Identification) -> float | None:
+    """Upper bound of the sensor's white noise when the simulator was identified [deg]; None where unknown.
+
+    A residual with lag-one correlation c has at most the share 1 - c of its energy in white noise.
+    """
+    if not identification.residuals:
+        return None
+    return float(np.median([r.rmse_deg * np.sqrt(max(1 - r.lag_one, 0.0)) for r in identification.residuals]))

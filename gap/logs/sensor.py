@@ -1,0 +1,204 @@
+"""Faults of an angle sensor: resolution, white noise, spikes and held values; and a trial repaired of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hystmpc.trials.errors import GapError
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Mask, Vec
+
+from .white_noise import white_noise
+
+_ON_GRID, _GRID_TOLERANCE = 0.95, 0.1  # share of samples; of the step (a fifth of the samples is that near by chance)
+_LEAST_LEVELS, _MOST_VALUES = 8, 20_000
+_COARSE = 0.4  # rms of rounding over white noise, from which the resolution counts as a fault
+_NOISY = 1.5  # over the nominal noise
+_SPIKE = 6.0  # standard deviations of noise
+_SHAPE = 0.2, 0.8  # of a spike's height: pull on its neighbours' second difference, exactly half without noise
+_SPIKES, _SPIKE_RATE = 3, 0.001
+_RESUMES = 5.0  # standard deviations of noise by which a held value jumps when it resumes
+_HELD_STRETCHES, _HELD_RATE = 3, 0.003
+_LEAST_JUMP = 0.003  # of the angle's range: smallest spike or jump that is looked at
+_JUMP = 1.6  # times the steps around it
+_FINE, _EQUAL = 0.02, 2  # step over noise; updates
+_STEPS = 3.0  # least spike or jump in steps of the grid
+_SLOWEST_S = 0.05  # update interval of a tip tracker; a value that stays for longer is held
+_MOVING = 1e-4  # of the command's range per sample
+
+
+@dataclass(frozen=True)
+class SensorSigns:
+    """Statistics of the angle sensor over trials as recorded.
+
+    Attributes:
+        quantisation_deg: step of the grid that the angles lie on; 0 where there is none [deg].
+        noise_deg: white noise, rounding included [deg].
+        spike_rate: isolated spikes per sample.
+        held_rate: share of samples that repeat the last value while the angle goes on.
+        coarse: whether rounding is a good part of the noise; a log written with few digits is on a grid, too.
+        noisy: whether the noise exceeds the nominal noise by half; False where that is unknown.
+        spikes, drops: whether spikes and held values occur more often than by chance.
+    """
+
+    quantisation_deg: float
+    noise_deg: float
+    spike_rate: float
+    held_rate: float
+    coarse: bool
+    noisy: bool
+    spikes: bool
+    drops: bool
+
+    @property
+    def energy(self) -> float:
+        """Mean square error of noise and rounding [deg^2]; holds of a coarse sensor show no noise."""
+        return max(self.noise_deg**2, self.quantisation_deg**2 / 12.0 if self.coarse else 0.0)
+
+
+def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None) -> SensorSigns:
+    """Look for faults of the sensor in trials as recorded; resampling would take the angles off their grid.
+
+    Args:
+        trials: of one device.
+        nominal_noise_deg: white noise that the simulator's device had when it was identified [deg].
+
+    Raises:
+        GapError: if there is no trial.
+    """
+    if not trials:
+        raise GapError("no trial given, expected one or more")
+    step = _grid(np.concatenate([trial.angle for trial in trials]))
+    noise = white_noise([trial.angle[:: _pace(trial)] for trial in trials])
+    spikes = [_spikes(trial, step, noise) for trial in trials]
+    held = [_held(trial, step, noise) for trial in trials]
+    ticks = sum(len(trial) / _pace(trial) for trial in trials)
+    count = sum(number for _, number in spikes)
+    drops = sum(len(stretches(mask)) for mask in held)
+    held_rate = sum(int(mask.sum()) for mask in held) / sum(len(trial) for trial in trials)
+    fine = nominal_noise_deg if nominal_noise_deg is not None else noise
+    return SensorSigns(
+        quantisation_deg=step,
+        noise_deg=noise,
+        spike_rate=count / ticks,
+        held_rate=held_rate,
+        coarse=step / math.sqrt(12) > _COARSE * max(fine, 1e-12) and step > 0,
+        noisy=nominal_noise_deg is not None and noise > _NOISY * nominal_noise_deg,
+        spikes=count >= max(_SPIKES, _SPIKE_RATE * ticks),
+        drops=drops >= _HELD_STRETCHES and held_rate >= _HELD_RATE,
+    )
+
+
+def repaired(trial: Trial, signs: SensorSigns) -> Trial:
+    """The trial with spikes and held values replaced by lines between the samples around them.
+
+    For a spike of one sample a line equals the local median, and it does not lag on a moving angle.
+    """
+    angle = trial.angle.copy()
+    mask = np.zeros(len(trial), dtype=np.bool_)
+    if signs.spikes:
+        mask |= _spikes(trial, signs.quantisation_deg, signs.noise_deg)[0]
+    if signs.drops:
+        mask |= _held(trial, signs.quantisation_deg, signs.noise_deg)
+    if mask.any() and not mask.all():
+        angle[mask] = np.interp(trial.t[mask], trial.t[~mask], angle[~mask])
+    return Trial(trial.t, trial.command, angle, trial.channels, trial.units, trial.source)
+
+
+def _grid(values: Vec) -> float:
+    """Largest step of a grid with any offset that holds 95 % of the values; 0 without one."""
+    levels = np.unique(values)
+    if levels.size < 2:
+        return 0.0
+    levels = levels[:: max(1, levels.size // _MOST_VALUES)] if levels.size > _MOST_VALUES else levels
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * max(float(np.abs(levels).max()), 1.0)]
+    if gaps.size < _LEAST_LEVELS:
+        return 0.0
+    least = float(np.percentile(gaps, 1))
+    coarse = gaps[gaps > 0.5 * float(np.median(gaps))]
+    guesses = {float(np.median(gaps)), float(np.percentile(coarse, 5)), float(np.percentile(gaps, 10)), least}
+    fits = [_fitted(levels, guess, values) for guess in guesses]
+    return max((step for step, share in fits if share >= _ON_GRID), default=0.0)
+
+
+def _fitted(levels: Vec, guess: float, values: Vec) -> tuple[float, float]:
+    """Step near the guess by regression of levels on their whole numbers, and the share of values on that grid."""
+    numbers = np.concatenate([[0.0], np.cumsum(np.rint(np.diff(levels) / guess))])
+    if numbers[-1] < _LEAST_LEVELS:
+        return 0.0, 0.0
+    step = float(np.polyfit(numbers, levels, 1)[0])
+    if step <= 0:
+        return 0.0, 0.0
+    turn = np.exp(2j * np.pi * values / step)
+    off = np.angle(turn * np.conj(np.mean(turn))) / (2 * np.pi)
+    return step, float(np.mean(np.abs(off) <= _GRID_TOLERANCE))
+
+
+def _pace(trial: Trial) -> int:
+    """Log samples per update of a sensor that is slower than the log: the typical run of one value."""
+    changes = np.flatnonzero(np.diff(trial.angle) != 0)
+    if changes.size < 2:
+        return 1
+    typical = round(float(np.percentile(np.diff(changes), 25)))
+    return typical if 1 < typical <= _SLOWEST_S / trial.dt else 1
+
+
+def _spikes(trial: Trial, step: float, noise: float) -> tuple[Mask, int]:
+    """Samples that leave the line between their neighbours and return at once (T,), and the number of spikes.
+
+    With h_k = y_k - (y_{k-1} + y_{k+1}) / 2 a spike of height H gives h = -H/2, H, -H/2; a jump gives two neighbours
+    of opposite sign, a bend neighbours of one sign.
+    """
+    values, edges = trial.angle, np.arange(len(trial))
+    if _pace(trial) > 1:
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0) + 1])
+        values = values[edges]
+    mask = np.zeros(len(trial), dtype=np.bool_)
+    if values.size < 5:
+        return mask, 0
+    h = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+    least = max(_SPIKE * 1.5**0.5 * noise, _STEPS * step, _LEAST_JUMP * float(np.ptp(trial.angle)), 1e-9)
+    middle, pull = h[1:-1], np.stack([h[:-2], h[2:]])
+    safe = np.where(middle == 0, np.inf, middle)
+    alike = (pull / safe <= -_SHAPE[0]) & (pull / safe >= -_SHAPE[1])
+    found = np.flatnonzero((np.abs(middle) > least) & alike.all(axis=0)) + 2
+    bounds = np.append(edges, len(trial))
+    for k in found.tolist():
+        mask[bounds[k] : bounds[k + 1]] = True
+    return mask, found.size
+
+
+def _held(trial: Trial, step: float, noise: float) -> Mask:
+    """Samples that repeat the last value, longer than usual, before a jump larger than the changes around it.
+
+    A dead zone holds the angle as well, but without such a jump. Where the sensor is noisy and finer than its noise,
+    three equal values or more count as held whatever follows.
+    """
+    angle, usual = trial.angle, _pace(trial)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(angle) != 0) + 1])
+    lengths = np.diff(np.append(edges, angle.size))
+    moving = np.abs(np.diff(trial.command)) > _MOVING * float(np.ptp(trial.command))
+    least = max(_RESUMES * noise, _STEPS * step, _LEAST_JUMP * float(np.ptp(angle)))
+    mask = np.zeros(angle.size, dtype=np.bool_)
+    fine = noise > _LEAST_JUMP * 0.1 * float(np.ptp(angle)) and step < _FINE * noise
+    for k in np.flatnonzero(lengths[:-2] >= 2 * usual):
+        start, stop = int(edges[k]), int(edges[k + 1])
+        jump = abs(float(angle[stop] - angle[start]))
+        around = abs(float(angle[edges[k + 2]] - angle[stop]))
+        if k:
+            around = max(around, abs(float(angle[start] - angle[edges[k - 1]])))
+        resumes = jump > max(least, _JUMP * around + 2 * step + 3 * noise) and np.mean(moving[start : stop - 1]) >= 0.5
+        if resumes or (fine and lengths[k] > _EQUAL * usual):
+            mask[start + usual : stop] = True
+    return mask
+
+
+def stretches(mask: Mask) -> list[tuple[int, int]]:
+    """First sample and last sample (exclusive) of every stretch in which the mask holds."""
+    edges = np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
+    return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))

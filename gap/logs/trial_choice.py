@@ -1,0 +1,302 @@
+"""Choice of trials: those that can be afforded, at one rate, and their split into development and final runs."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.identify.runs import Before, Run
+from hystmpc.trials.errors import GapError
+from hystmpc.trials.resample import gap_limit_s, resample
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Index, Vec
+
+from .motion_type import MotionType, command_segments, motion_type
+
+FINAL_SHARE = 0.25
+_LEAST_TRIALS = 3
+_PART_FINAL = 0.35
+_SPEEDS = (0.25, 0.5, 0.75, 0.9, 0.99)
+_STILL = 1e-3  # strokes per second
+_LENGTH = 0.3
+_DIGITS = 2  # of a distance: repeats by hand are never quite equal
+
+
+MOST_SAMPLES = 300_000
+"""Samples of all trials together that are diagnosed; 20 trials of 600 s at 25 Hz."""
+
+# Measured with `benchmarks/diagnosis_time.py --trials 20 --seconds 600`: two effects, 102 s of one core, 0.53 GB.
+_SECONDS, _START_S = 0.33e-3, 5.0
+_BYTES, _START_BYTES = 0.6e3, 0.35e9
+_SOON_S = 30.0  # a shorter diagnosis is not announced
+_MOST_TRIALS = 200  # repeats are searched in all pairs of trials
+_LEAST_UNCUT_TRIALS = 12  # trials are cut before fewer than these are used
+_REPEAT = 0.005  # distance of `characters`: the same motion again
+
+MOST_HZ = 50.0
+"""Greatest rate of a diagnosis: tip motions end at a few Hz, and time grows with the rate."""
+
+LEAST_S = 2.0
+"""Shortest trial [s]."""
+
+_NEAR_RATE = 1.5
+
+
+@dataclass(frozen=True)
+class Workload:
+    """Trials that are used, and the cost of their diagnosis.
+
+    Attributes:
+        kept: numbers of the trials, in recording order.
+        samples: number of first samples of each that are used.
+        seconds, gigabytes: estimate of the whole diagnosis.
+        note: what is left out, in one line; empty where nothing is.
+        estimate: the cost in one line; empty below 30 s.
+    """
+
+    kept: tuple[int, ...]
+    samples: tuple[int, ...]
+    seconds: float
+    gigabytes: float
+    note: str
+    estimate: str
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenTrials:
+    """Trials that are diagnosed.
+
+    Attributes:
+        trials: uniform, all at one rate, in recording order.
+        recorded: the same as recorded, gaps cut off.
+        given: the same as given.
+        before: history of the device before each, trials that were not chosen included.
+        dt: sample interval of `trials` [s].
+        workload: cost of their diagnosis.
+    """
+
+    trials: tuple[Trial, ...]
+    recorded: tuple[Trial, ...]
+    given: tuple[Trial, ...]
+    before: tuple[Before, ...]
+    dt: float
+    workload: Workload
+
+    def only(self, kept: Sequence[bool]) -> ChosenTrials:
+        """Some of the trials."""
+        return replace(
+            self,
+            trials=tuple(itertools.compress(self.trials, kept)),
+            recorded=tuple(itertools.compress(self.recorded, kept)),
+            given=tuple(itertools.compress(self.given, kept)),
+            before=tuple(itertools.compress(self.before, kept)),
+        )
+
+
+def choose_trials(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool, seed: int) -> ChosenTrials:
+    """Choose trials that can be afforded and bring them to one rate.
+
+    Args:
+        trials: as given, in recording order.
+        facts: metadata of the simulator.
+        fixed: whether the simulator is valid at its own rate only.
+        seed: of the choice.
+
+    Raises:
+        GapError: if the gaps of a trial leave no part that is long enough.
+        LogError: if the simulator's rate is fixed and above a log's.
+    """
+    recorded = [_longest_part(trial) for trial in trials]
+    rate = _common_rate(recorded, facts, fixed)
+    uniform = [resample(trial, rate) for trial in recorded]
+    before = Before.each(uniform)
+    motions: list[MotionType] = [motion_type(trial, command_segments(trial)) for trial in uniform]
+    workload = affordable(uniform, motions, seed)
+    kept = list(zip(workload.kept, workload.samples, strict=True))
+    return ChosenTrials(
+        tuple(_first(uniform[k], uniform[k].t[count - 1]) for k, count in kept),
+        tuple(_first(recorded[k], uniform[k].t[count - 1]) for k, count in kept),
+        tuple(_first(trials[k], uniform[k].t[count - 1]) for k, count in kept),
+        tuple(before[k] for k, _ in kept),
+        1.0 / rate,
+        workload,
+    )
+
+
+def _first(trial: Trial, end_s: float) -> Trial:
+    """The trial up to a time [s], itself where no more than a sample of it comes later."""
+    stop = int(np.searchsorted(trial.t, end_s, side="right"))
+    return trial if trial.t[-1] - end_s <= 1.5 * trial.dt else trial.select(0, stop)
+
+
+def _longest_part(trial: Trial) -> Trial:
+    cuts = np.flatnonzero(np.diff(trial.t) > gap_limit_s(trial.dt)) + 1
+    edges = [0, *cuts.tolist(), len(trial)]
+    start, stop = max(itertools.pairwise(edges), key=lambda e: trial.t[e[1] - 1] - trial.t[e[0]])
+    if trial.t[stop - 1] - trial.t[start] < LEAST_S:
+        raise GapError(f"{trial.source}: {cuts.size} gaps leave no part of {LEAST_S:g} s or more")
+    return trial.select(start, stop) if cuts.size else trial
+
+
+def _common_rate(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool) -> float:
+    own = 1.0 / facts.dt_s
+    if fixed:
+        return own
+    slowest = min(MOST_HZ, *(1.0 / trial.dt for trial in trials))
+    near = slowest / _NEAR_RATE <= own <= min(_NEAR_RATE * slowest, MOST_HZ)
+    return own if near else slowest
+
+
+def affordable(
+    trials: Sequence[Trial], motions: Sequence[MotionType], seed: int = 0, most: int = MOST_SAMPLES
+) -> Workload:
+    """Choose trials that together have at most `most` samples; all of them where that suffices.
+
+    First and last trial, one of every kind of motion and, of every kind, the two trials most alike come first; then
+    the kinds in turn, in an order that the seed draws. Where fewer than twelve trials would be used, long ones are cut
+    to their first part instead, since the state of the hysteresis is known at the start of a trial only.
+
+    Args:
+        trials: uniform, at one rate, in recording order.
+        motions: kind of motion of each.
+        seed: of the order.
+        most: samples in all.
+    """
+    sizes = np.array([len(trial) for trial in trials])
+    kept, samples = list(range(len(trials))), sizes
+    if sizes.sum() > most or len(trials) > _MOST_TRIALS:
+        order, needed = _order(trials, motions, seed)
+        level = _level(sizes[order[: max(needed, min(_LEAST_UNCUT_TRIALS, len(order)))]], most)
+        samples = np.minimum(sizes, level)
+        fitting = int(np.searchsorted(np.cumsum(samples[order]), most, side="right"))
+        kept = sorted(order[: min(fitting, _MOST_TRIALS)])
+    used_samples = samples[kept]
+    what = f"{len(trials)} trials, {int(sizes.sum()):,} samples at {1 / trials[0].dt:.4g} Hz"
+    taken = int(used_samples.sum())
+    note = _left_out(what, used_samples, sizes[kept], trials[0].dt, most, seed) if taken < sizes.sum() else ""
+    seconds, size = _START_S + _SECONDS * taken, (_START_BYTES + _BYTES * taken) / 1e9
+    cost = f"{what}: about {_time(seconds)} and {size:.1f} GB, longer where more effects are found"
+    return Workload(tuple(kept), tuple(used_samples.tolist()), seconds, size, note, cost if seconds > _SOON_S else "")
+
+
+def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, seed: int) -> str:
+    """One line on the trials and parts that are not used."""
+    cut = used < recorded
+    text = (
+        f"{what}, more than are diagnosed in minutes ({most:,} samples of {_MOST_TRIALS} trials): {used.size} trials "
+        f"with {int(used.sum()):,} samples are used, among them the first, the last, every kind of motion and repeats "
+        f"(drawn by seed {seed})"
+    )
+    if cut.any():
+        text += f"; of {int(cut.sum())} long ones the first {int(used[cut].max()) * dt:.0f} s"
+    return text + "."
+
+
+def _order(trials: Sequence[Trial], motions: Sequence[MotionType], seed: int) -> tuple[list[int], int]:
+    """Numbers of all trials, those that are needed most first, and how many are needed."""
+    found = characters([trial.command for trial in trials], trials[0].dt)
+    kinds = [np.flatnonzero(np.array(motions) == kind) for kind in dict.fromkeys(motions)]
+    needed = dict.fromkeys([0, len(trials) - 1])
+    for own in kinds:
+        pair = _most_alike(found[own])
+        if pair or not set(own.tolist()) & set(needed):
+            needed |= dict.fromkeys(own[list(pair or (0,))].tolist())
+    random = np.random.default_rng(seed)
+    queues = [random.permutation([k for k in own.tolist() if k not in needed]).tolist() for own in kinds]
+    rest = [queue[turn] for turn in range(max(map(len, queues))) for queue in queues if turn < len(queue)]
+    return [*needed, *rest], len(needed)
+
+
+def _most_alike(found: Vec) -> tuple[int, int] | None:
+    """Numbers of the two motions that are most alike; None where no motion repeats another."""
+    if len(found) < 2:
+        return None
+    distance, other = (np.asarray(part) for part in KDTree(found).query(found, k=2))
+    first = int(np.argmin(distance[:, 1]))
+    second = int(other[first, int(other[first, 1] != first)])  # of equal ones a motion may come after its repeat
+    return (first, second) if distance[first, 1] < _REPEAT else None
+
+
+def _level(sizes: Index, most: int) -> int:
+    """Greatest length to which trials can be cut so that together they have no more than `most` samples."""
+    ascending = np.sort(sizes)
+    left = most
+    for k, size in enumerate(ascending.tolist()):
+        share = left // (len(ascending) - k)
+        if size > share:
+            return share
+        left -= size
+    return int(ascending[-1])
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+
+
+def split_runs(runs: Sequence[Run], motions: Sequence[str]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+    """Development and final runs, by whole trials.
+
+    A quarter of the trials is final, if possible of motions that the development runs have too: first repeats of a
+    motion, then motions most like another, the latest among equals. A motion that is like no other, such as one that a
+    diagnosis asked for, stays with the development runs. Of one or two trials the last third of each is final: it is
+    simulated from the beginning of the trial and scored alone. The other two thirds of a single trial are two folds.
+
+    Args:
+        runs: in recording order.
+        motions: motion type of each.
+    """
+    if len(runs) < _LEAST_TRIALS:
+        return _cut(runs)
+    count = max(round(FINAL_SHARE * len(runs)), 1)
+    chosen: list[int] = []
+    left = list(range(len(runs)))
+    found = characters([run.command for run in runs], runs[0].dt_s)
+    apart = np.linalg.norm(found[:, None] - found[None], axis=-1)
+    while len(chosen) < count:
+        # Of the most frequent motion left, the trial most like another; the first trial is never taken.
+        often = max(
+            left[1:],
+            key=lambda k: (
+                sum(motions[j] == motions[k] for j in left),
+                -round(min(float(apart[k, j]) for j in left if j != k), _DIGITS),
+                k,
+            ),
+        )
+        chosen.append(often)
+        left.remove(often)
+    return tuple(runs[k] for k in left), tuple(runs[k] for k in sorted(chosen))
+
+
+def _cut(runs: Sequence[Run]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+    development, final = [], []
+    for run in runs:
+        samples = np.arange(run.command.size)
+        edge = round((1 - _PART_FINAL) * samples.size)
+        final.append(replace(run, counts=samples >= edge))
+        edges = [0, edge // 2, edge] if len(runs) == 1 else [0, edge]
+        development += [replace(run, counts=(samples >= a) & (samples < b)) for a, b in itertools.pairwise(edges)]
+    return tuple(development), tuple(final)
+
+
+def characters(commands: Sequence[Vec], dt_s: float) -> Vec:
+    """Levels, speeds, rests and length of K commands (K, 10); near to each other where one repeats another.
+
+    Args:
+        commands: (T,) each [cmd].
+        dt_s: sample time [s].
+    """
+    low, high = min(float(u.min()) for u in commands), max(float(u.max()) for u in commands)
+    return np.array([_character(u, dt_s, max(high - low, 1e-12)) for u in commands])
+
+
+def _character(command: Vec, dt_s: float, span: float) -> Vec:
+    speed = np.abs(np.diff(command)) / (dt_s * span)
+    levels = np.array([command.min(), command.mean(), command.max()]) / span
+    quantiles = np.log1p(np.quantile(speed, _SPEEDS))
+    still, length = float(np.mean(speed < _STILL)), _LENGTH * float(np.log(command.size * dt_s))
+    return np.concatenate([levels, quantiles, [still, length]]).astype(np.float64)

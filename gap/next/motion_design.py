@@ -1,0 +1,229 @@
+"""Motion design: the safe motion on which the open hypotheses differ most."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import ndtr
+
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.table import format_table
+from hystmpc.trials.types import Vec
+
+from ..diagnosis import NextMotion
+from .motion_menu import MenuMotion
+
+Simulate = Callable[[Vec, float], Vec]
+
+MOTION_FILE = "next_motion.csv"
+SEPARATION_COLUMN = "separation_deg"  # a column that no recording has, by which a proposed motion is told from a log
+_EQUAL_FACTOR, _EQUAL_ERRORS = 1.05, 0.005  # equal probabilities: error up to this factor, plus this, of the least
+_FORM_SPREAD = 2.0  # root of the number of directions that a model-form error may take
+_SHIFT, _SCALE = 0.01, 0.01  # of the command's range, and of the command
+
+
+@dataclass(frozen=True)
+class OpenHypothesis:
+    """One explanation that the logs leave open, as a fitted simulator.
+
+    Attributes:
+        name: public name of the effect.
+        simulate: command (T,) [mm or bar] and sample time [s] to angle (T,) [deg], from rest.
+        retunings: the same simulator with one of its own parameters a little changed, each; what these differences
+            can absorb does not count as separation. Without any, its angle one sample later stands in for them.
+    """
+
+    name: str
+    simulate: Simulate
+    retunings: Sequence[Simulate] = ()
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise, (1 - white) AR(1) + white, and model-form error, in whose units separations are measured.
+
+    Noise averages out over a motion. The model-form error, by which a device differs from the equations, does not: it
+    is the same in every recording, and may point from one candidate to another.
+
+    Attributes:
+        rmse_deg: standard deviation of the noise [deg].
+        ar: correlation of its slow part from one sample to the next.
+        white: share of its variance that has no memory.
+        form_deg: root mean square of the model-form error [deg].
+
+    Raises:
+        FitError: if the deviation is not positive, or a share out of its bounds.
+    """
+
+    rmse_deg: float
+    ar: float = 0.95
+    white: float = 0.3
+    form_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        shares = 0 <= self.ar < 1 and 0 <= self.white <= 1 and 0 <= self.form_deg < np.inf
+        if not (np.isfinite(self.rmse_deg) and self.rmse_deg > 0 and shares):
+            raise FitError(f"noise: got {self}, expected rmse_deg > 0, ar in [0, 1), white in [0, 1], form_deg >= 0")
+
+    def whiten(self, signals: Vec) -> Vec:
+        """Signals (..., T) in units of the noise: each frequency over the root of the noise's spectrum."""
+        samples = signals.shape[-1]
+        unit = np.exp(-2j * np.pi * np.fft.rfftfreq(samples))
+        spectrum = (1 - self.white) * (1 - self.ar**2) / np.abs(1 - self.ar * unit) ** 2 + self.white
+        whitened = np.fft.rfft(signals) / (self.rmse_deg * np.sqrt(spectrum))
+        return np.asarray(np.fft.irfft(whitened, samples))
+
+
+@dataclass(frozen=True, eq=False)
+class Option:
+    """One motion of the menu and its expected result.
+
+    Attributes:
+        motion: the motion.
+        probability: expected probability of naming the right candidate.
+        angles: of every candidate on it [deg], (K, T).
+        separation: greatest difference of a pair after retuning at each sample [deg], (T,).
+    """
+
+    motion: MenuMotion
+    probability: float
+    angles: Vec
+    separation: Vec
+
+
+@dataclass(frozen=True, eq=False)
+class MotionProposal:
+    """The motion to record next.
+
+    Attributes:
+        names: effects that it is to tell apart.
+        chosen: the best of the options.
+        options: every motion that could be simulated, in the order of the menu.
+    """
+
+    names: tuple[str, ...]
+    chosen: Option
+    options: tuple[Option, ...] = field(repr=False)
+
+    def summary(self, file: str = MOTION_FILE) -> NextMotion:
+        """The proposal as a diagnosis states it."""
+        motion = self.chosen.motion
+        return NextMotion(file, self.names, self.chosen.probability, motion.duration_s)
+
+
+def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[MenuMotion], noise: Noise) -> MotionProposal:
+    """Choose the motion that most probably names the right candidate; at about equal probability the shortest.
+
+    With candidate i true and j retuned to it, the part r_ij that is left favours i with probability
+    P_ij = Phi(d_ij / 2), the hit rate for two known signals in Gaussian noise, with
+
+        1 / d_ij^2 = 1 / |r_ij|^2 + (form / (2 rms r_ij))^2,
+
+    |r_ij| whitened, in units of the noise, and a form error that lies in any of four directions. Pairs are
+    combined by P_i = 1 / (sum_{j != i} 1 / P_ij - (K - 2)) (Price, Knerr, Personnaz, Dreyfus, NIPS 1994); all
+    candidates are equally likely. Retuning is linear least squares on offset, gain, command shift, command scale and
+    the candidate's own parameters.
+
+    Args:
+        candidates: two or more.
+        motions: see `motion_menu.menu`.
+        noise: of the device, and form error of the candidates.
+
+    Raises:
+        FitError: if there are fewer than two candidates, no motions, or no motion on which all give finite angles.
+    """
+    if len(candidates) < 2 or not motions:
+        raise FitError(f"next motion: got {len(candidates)} candidates and {len(motions)} motions, expected 2 and 1")
+    options = tuple(option for motion in motions if (option := _option(candidates, motion, noise)))
+    if not options:
+        raise FitError(f"next motion: none of {len(motions)} motions gives finite angles with all candidates")
+    fewest = min(1 - option.probability for option in options)
+    close = [option for option in options if 1 - option.probability <= _EQUAL_FACTOR * fewest + _EQUAL_ERRORS]
+    chosen = min(close, key=lambda option: (option.motion.duration_s, -option.probability))
+    return MotionProposal(tuple(candidate.name for candidate in candidates), chosen, options)
+
+
+def expected_probability(distances: ArrayLike) -> float:
+    """Mean probability of the right candidate from distances (K, K) in units of the noise; the diagonal is left out.
+
+    Identical candidates give 1 / K; it grows with every distance.
+    """
+    d = np.asarray(distances, dtype=np.float64)
+    inverse = 1 / ndtr(d / 2)
+    np.fill_diagonal(inverse, 0.0)
+    return float(np.mean(1 / (inverse.sum(axis=1) - (d.shape[0] - 2))))
+
+
+def separations(candidates: Sequence[OpenHypothesis], command: Vec, dt: float) -> tuple[Vec, list[Vec]]:
+    """Angles (K, T) of the candidates, and for each the directions (P, T) that its retuning can take [deg]."""
+    angles = np.array([candidate.simulate(command, dt) for candidate in candidates])
+    directions = [_directions(c, angle, command, dt) for c, angle in zip(candidates, angles, strict=True)]
+    return angles, directions
+
+
+def write_motion(path: Path | str, proposal: MotionProposal, command_unit: str = "mm") -> Path:
+    """Write the motion in canonical columns.
+
+    `angle_deg` is the expected angle, the mean of the candidates, so that the file also serves as a sampled reference;
+    `separation_deg` is the difference of the candidates after retuning.
+    """
+    chosen = proposal.chosen
+    columns = {
+        "time_s": np.round(chosen.motion.t, 9),
+        "command_bar" if command_unit == "bar" else "command": chosen.motion.command,
+        "angle_deg": chosen.angles.mean(axis=0),
+        SEPARATION_COLUMN: chosen.separation,
+    }
+    return write_atomically(path, format_table(columns))
+
+
+def _option(candidates: Sequence[OpenHypothesis], motion: MenuMotion, noise: Noise) -> Option | None:
+    """Expected result of one motion; None where a simulator does not give finite angles on it."""
+    angles, directions = separations(candidates, motion.command, motion.dt)
+    if not all(np.isfinite(part).all() for part in (angles, *directions)):
+        return None
+    count, separation = len(candidates), np.zeros(motion.t.size)
+    distances = np.zeros((count, count))
+    for j, basis in enumerate(directions):
+        others = [i for i in range(count) if i != j]
+        left = _left(angles[others] - angles[j], basis, noise)
+        distances[others, j] = _distance(left, noise)
+        separation = np.maximum(separation, np.abs(left).max(axis=0))
+    return Option(motion, expected_probability(distances), angles, separation)
+
+
+def _distance(left: Vec, noise: Noise) -> Vec:
+    """Distances d of the separations (N, T) in units of the noise."""
+    still = left - left.mean(axis=-1, keepdims=True)
+    seen = np.linalg.norm(noise.whiten(still), axis=-1)
+    form = noise.form_deg / (_FORM_SPREAD * np.maximum(np.sqrt(np.mean(still**2, axis=-1)), 1e-300))
+    return np.asarray(seen / np.sqrt(1 + (seen * form) ** 2))
+
+
+def _directions(candidate: OpenHypothesis, angle: Vec, command: Vec, dt: float) -> Vec:
+    """Changes of the angle [deg] that the candidate's retuning can make, one a row."""
+    low, span = float(command.min()), float(np.ptp(command))
+    shifted = np.maximum(command - _SHIFT * span, low)
+    scaled = low + (1 - _SCALE) * (command - low)
+    changed = [candidate.simulate(shifted, dt), candidate.simulate(scaled, dt)]
+    own = [simulate(command, dt) for simulate in candidate.retunings]
+    if not candidate.retunings:
+        own = [np.concatenate((angle[:1], angle[:-1]))]
+    return np.array([np.ones_like(angle), angle, *(np.asarray(other) - angle for other in (*changed, *own))])
+
+
+def _left(targets: Vec, basis: Vec, noise: Noise) -> Vec:
+    """Part of `targets` (N, T) that no sum of the basis (P, T) explains, by least squares in units of the noise."""
+    weighted = noise.whiten(basis)
+    norms = np.linalg.norm(weighted, axis=1)
+    moves = norms > 1e-9
+    if not moves.any():
+        return targets
+    scaled = weighted[moves].T / norms[moves]
+    weights = np.linalg.lstsq(scaled, noise.whiten(targets).T, rcond=1e-9)[0]
+    return targets - weights.T @ (basis[moves] / norms[moves, None])

@@ -1,0 +1,179 @@
+"""Open hypotheses: explanations that the trials leave open, as simulators of a motion that was not recorded yet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.effects.catalogue import candidates
+from hystmpc.models.effects.effect import Scale
+from hystmpc.models.identify.corrected_simulator import settled
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.identify.problem import Problem
+from hystmpc.models.simulator import Simulator
+from hystmpc.trials.types import Vec
+
+from ..decide.attribution import Attribution
+from ..decide.findings import Findings
+from ..logs.identifiability import confusability
+from ..logs.preparation import PreparedTrials
+from .motion_design import MotionProposal, Noise, OpenHypothesis, Simulate, propose
+from .motion_menu import menu
+
+_STEP = 0.3  # of the unknowns' typical changes
+
+_LEAST_NOISE_DEG = 1e-3
+_TYPICAL = ("lag", "creep", "stick_slip", "contact")  # one of each family, where fewer than two effects were tried
+_MOST = 4  # hypotheses for a gap that nothing explains
+
+
+def next_step(findings: Findings) -> MotionProposal | None:
+    """The motion to record next; None where nothing is open.
+
+    It is to separate, in this order: a set of effects that these trials cannot tell apart; an effect that was named and
+    another from which these motions cannot tell it (`confusability`); for a gap without explanation, effects of
+    different families. Where no angle follows its command, no motion is proposed.
+
+    Args:
+        findings: of all earlier steps.
+    """
+    fitted = {} if findings.prepared.checked.unrelated else _open(findings)
+    if len(fitted) < 2:
+        return None
+    prepared = findings.prepared
+    hypotheses = [open_hypothesis(name, hypothesis, prepared) for name, hypothesis in fitted.items()]
+    return propose(hypotheses, menu(_limits(findings), prepared.checked.dt), _noise(findings))
+
+
+def _open(findings: Findings) -> dict[str, Hypothesis]:
+    """Open hypotheses by the effect that tells each from the others."""
+    ruling, attribution = findings.conclusion.ruling, findings.attribution
+    if ruling.effects_unknown:
+        return _families(findings)
+    rivals = ruling.ambiguity[0] if ruling.ambiguity else _unseparated(findings)
+    if not rivals:
+        return {}
+    rest = findings.conclusion.chosen.effects - {rivals[0]}
+    base = _tried(attribution, rest)
+    # In one more trial a shift of its own is a matter of retuning.
+    fitted = {name: base if name == "trial_shift" else _with(findings, rest, name) for name in rivals}
+    return {name: hypothesis for name, hypothesis in fitted.items() if hypothesis is not None}
+
+
+def _unseparated(findings: Findings) -> tuple[str, ...]:
+    """A named effect and those from which these motions cannot tell it, judged by their commands."""
+    chosen = findings.conclusion.chosen.effects
+    if findings.conclusion.ruling.verdict != "named":
+        return ()
+    for row in confusability(findings.prepared.checked.excitation):
+        named = [name for name in row.effects if name in chosen]
+        if named and not row.separable and not row.one_class:
+            others = [n for n in row.effects if n not in chosen and n not in findings.left_out]
+            if others:
+                return (named[0], *others)
+    return ()
+
+
+def _with(findings: Findings, rest: frozenset[str], name: str) -> Hypothesis | None:
+    """The causes `rest` and one more, as the selection fitted it, else fitted now."""
+    attribution, names = findings.attribution, rest | {name}
+    if names == findings.conclusion.chosen.effects:
+        return findings.conclusion.chosen
+    if names in attribution.selection.tried:
+        return attribution.selection.tried[names].hypothesis
+    return _fitted(attribution.validation, _tried(attribution, rest), name)
+
+
+def _tried(attribution: Attribution, names: frozenset[str]) -> Hypothesis:
+    """The hypothesis with these causes, as the selection fitted it; else the retuned simulator."""
+    known = attribution.selection.tried.get(names)
+    return known.hypothesis if known else attribution.retuned
+
+
+def _fitted(validation: CrossValidation, base: Hypothesis, name: str) -> Hypothesis | None:
+    """The best variant of an effect added to a hypothesis; None where it is no operator."""
+    problem = base.problem
+    z, there = problem.retuned(base.q), [list(values.values()) for values in problem.effect_values(base.q)]
+    library = candidates(Scale.of(validation.runs), validation.baseline.effects)
+    made = [
+        validation.with_causes((*problem.effects, c), problem.terms, z, [[*there, start] for start in c.starts])
+        for c in library
+        if c.effect == name
+    ]
+    return min(made, key=lambda h: h.mse, default=None)
+
+
+def _families(findings: Findings) -> dict[str, Hypothesis]:
+    """Single effects that were tried, the best first; if fewer than two, one of each family, of typical size."""
+    attribution, retuned = findings.attribution, findings.attribution.retuned
+    singles = sorted((j for names, j in attribution.selection.tried.items() if len(names) == 1), key=lambda j: j.mse)
+    tried = {next(iter(j.hypothesis.effects)): j.hypothesis for j in singles if j.hypothesis.problem.effects}
+    if len(tried) >= 2:
+        return dict(list(tried.items())[:_MOST])
+    baseline, z = findings.prepared.baseline, retuned.problem.retuned(retuned.q)
+    made: dict[str, Hypothesis] = {}
+    for c in candidates(Scale.of(attribution.validation.runs), (), findings.left_out):
+        if c.effect in _TYPICAL and c.effect not in made:
+            problem = Problem(baseline, (c,))
+            made[c.effect] = Hypothesis(problem, problem.start(z, [c.starts[-1]]), np.nan)
+    return made
+
+
+def _noise(findings: Findings) -> Noise:
+    """White noise of the sensor, and the error of the best explanation beyond it."""
+    conclusion = findings.conclusion
+    rmse = max(conclusion.floor.noise_deg, _LEAST_NOISE_DEG)
+    if conclusion.ruling.effects_unknown:
+        return Noise(rmse)
+    return Noise(rmse, white=1.0, form_deg=float(np.sqrt(max(conclusion.chosen.mse - rmse**2, 0.0))))
+
+
+def _limits(findings: Findings) -> CommandLimits:
+    """Range of the recorded commands; the higher of the recorded rate and that of the simulator's file."""
+    simulator, runs = findings.simulator, findings.prepared.everything
+    facts: ModelMetadata = simulator.metadata() if isinstance(simulator, Simulator) else simulator.metadata
+    fastest = max(float(np.abs(np.diff(run.command)).max()) / run.dt_s for run in runs)
+    commands: Sequence[float] = [float(v) for run in runs for v in (run.command.min(), run.command.max())]
+    return CommandLimits(min(commands), max(commands), max(fastest, facts.command_rate))
+
+
+def open_hypothesis(name: str, hypothesis: Hypothesis, prepared: PreparedTrials) -> OpenHypothesis:
+    """A fitted hypothesis as `propose` takes it; its retunings move one unknown each.
+
+    What each trial has of its own (`trial_shift`, the phase of a disturbance) is not simulated: in a single further
+    motion a shift is a matter of retuning, and a phase would be another one.
+
+    Args:
+        name: of the effect that tells it from the others.
+        hypothesis: fitted.
+        prepared: trials, for the history of the device.
+    """
+    problem, q = hypothesis.problem, hypothesis.q
+    nudges = [np.clip(q + _STEP * row, problem.lower, problem.upper) for row in np.eye(problem.size)]
+    moved = [nudge for nudge in nudges if not np.array_equal(nudge, q)]
+    return OpenHypothesis(name, _simulator(problem, q, prepared), [_simulator(problem, n, prepared) for n in moved])
+
+
+def _simulator(problem: Problem, q: Vec, prepared: PreparedTrials) -> Simulate:
+    """Free run of a chain from a settled start at the motion's first command."""
+    chain, runs = problem.fitted_chain(q), prepared.everything
+    staged = StagedChain(chain)
+    carried = {c.carries for c in problem.effects}
+    last = runs[-1]
+    bent = max(last.bent_before, float(last.command.max())) if "bend" in carried else -np.inf
+    clock = last.clock_s + last.command.size * last.dt_s if "clock" in carried else 0.0
+
+    rested: dict[float, Vec] = {}  # every motion of a menu starts at one command
+
+    def simulate(command: Vec, dt: float) -> Vec:
+        first = float(command[0])
+        if first not in rested:
+            rested[first] = settled(chain, first, runs[0].rest_angle, bent, clock)
+        state = rested[first]
+        return np.asarray(staged.simulate(command[:, None], dt, state[:, None])[0][:, 0])
+
+    return simulate

@@ -1,0 +1,214 @@
+"""Figures of the gap closed, of the effects, and of the motion to record next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from hystmpc.models.identify.uncertainty import Interval
+from hystmpc.trials.plot_style import ACCENTS, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
+from hystmpc.trials.types import Vec
+
+from ..diagnosis import Diagnosis, Gap
+from ..next.motion_design import MotionProposal
+from .figure_style import COLOUR, COMMANDED, INTERVAL, LABEL, MARKER, QUIET, short, shown, thin
+from .report_data import CandidateRow, Evidence, Stage, TrialEvidence
+from .words import in_words
+
+_BLOCK_S, _LEAST_BLOCKS = 2.0, 4
+_DRAWS = 400
+
+MOST_EFFECTS = 10
+_CHOSEN, _AMBIGUOUS, _OTHER = MODEL, ACCENTS[2], "#c4c4c4"
+
+MOST_ROWS = 10
+_OFFSET = {"nominal": -0.22, "retuned": 0.0, "with_effects": 0.22}
+
+_DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (6, 1, 1, 1)), (0, (3, 1, 1, 1, 1, 1)))
+_COLOURS = (PALETTE[0], PALETTE[1], PALETTE[3], PALETTE[5], PALETTE[4])
+
+
+def closed_figure(evidence: Evidence) -> Figure:
+    """RMSE of every final trial and of all together, with 90 % intervals, against the floor [deg]."""
+    trials = shown(evidence.final, MOST_ROWS)
+    gap, rows = evidence.diagnosis.gap, len(trials) + 1
+    with new_figure(7.0, 1.1 + 0.42 * rows) as figure:
+        axes: Axes = figure.subplots()
+        for stage in evidence.stages:
+            values = [_pooled(gap, stage), *(trial.rmse(stage) for trial in trials)]
+            groups: list[Sequence[TrialEvidence]] = [evidence.final, *([trial] for trial in trials)]
+            _points(axes, stage, values, [rmse_interval(group, stage) for group in groups])
+        floors = [gap.floor_rmse_deg, *(trial.floor_deg for trial in trials)]
+        axes.plot(floors, np.arange(rows), "|", color=REFERENCE, markersize=17, markeredgewidth=1.6, label="floor")
+        names = [f"all {evidence.measured_on}", *(short(trial.name) for trial in trials)]
+        axes.set_yticks(range(rows), names)
+        axes.get_yticklabels()[0].set_fontweight("bold")
+        axes.axhline(0.5, color=REFERENCE, linewidth=0.6)
+        axes.set(ylim=(rows - 0.5, -0.5), xlabel="RMSE of simulated less measured angle [deg]")
+        axes.set_xlim(left=0.0)
+        axes.grid(visible=False, axis="y")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    return figure
+
+
+def _points(axes: Axes, stage: Stage, values: list[float], intervals: list[Interval | None]) -> None:
+    """One stage's values, one a row, each with its interval."""
+    rows = np.arange(len(values)) + _OFFSET[stage]
+    for row, value, interval in zip(rows, values, intervals, strict=True):
+        if interval is not None and np.isfinite(value):
+            reach = [[max(value - interval[0], 0.0)], [max(interval[1] - value, 0.0)]]
+            axes.errorbar(value, row, xerr=reach, zorder=2, **{**INTERVAL, "color": COLOUR[stage]})
+    style: Any = {"color": COLOUR[stage], "marker": MARKER[stage], "linestyle": "none", "markersize": 5.5}
+    axes.plot(values, rows, label=LABEL[stage], zorder=3, **style)
+
+
+def _pooled(gap: Gap, stage: Stage) -> float:
+    return float(getattr(gap, f"{stage}_rmse_deg"))
+
+
+def rmse_interval(trials: Sequence[TrialEvidence], stage: Stage) -> Interval | None:
+    """90 % block-bootstrap interval of the RMSE over some trials [deg]; None for less than four blocks of 2 s.
+
+    Drawn with one seed, so that a report is the same each time.
+    """
+    sums, counts = _blocks(trials, stage)
+    if sums.size < _LEAST_BLOCKS:
+        return None
+    draws = np.random.default_rng(0).integers(0, sums.size, (_DRAWS, sums.size))
+    values = np.sqrt(sums[draws].sum(axis=1) / counts[draws].sum(axis=1))
+    low, high = np.quantile(values, (0.05, 0.95))
+    return float(low), float(high)
+
+
+def _blocks(trials: Sequence[TrialEvidence], stage: Stage) -> tuple[Vec, Vec]:
+    """Sum of squares [deg^2] and number of samples of every block."""
+    sums, counts = list[float](), list[float]()
+    for trial in trials:
+        squares = trial.residual(stage) ** 2
+        length = max(1, round(_BLOCK_S / trial.trial.dt))
+        for block in np.array_split(squares, max(1, squares.size // length)):
+            sums.append(float(block.sum()))
+            counts.append(float(block.size))
+    return np.array(sums), np.array(counts)
+
+
+def effects_figure(evidence: Evidence) -> Figure:
+    """Candidates by probability; those chosen, and those that these trials cannot tell apart, stand out."""
+    diagnosis, rows = evidence.diagnosis, {row.name: row for row in evidence.candidates}
+    names = _names(diagnosis)
+    with new_figure(7.0, 1.0 + 0.29 * len(names)) as figure:
+        chance, gain, closed = figure.subplots(1, 3, sharey=True, width_ratios=(3, 3, 3))
+        _probabilities(chance, diagnosis, names)
+        _gains(gain, [rows.get(name) for name in names])
+        _shares(closed, diagnosis, names)
+        chance.set_yticks(range(len(names)), [_label(diagnosis, name) for name in names])
+        chance.set_ylim(len(names) - 0.4, -0.6)
+        for axes in (chance, gain, closed):
+            axes.grid(visible=False, axis="y")
+            axes.tick_params(axis="y", length=0)
+        looks = (_CHOSEN, "", "chosen"), (_AMBIGUOUS, "////", "not told apart"), (_OTHER, "", "others")
+        handles = [Patch(facecolor=colour, hatch=hatch, edgecolor="white", label=text) for colour, hatch, text in looks]
+        figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    return figure
+
+
+def _names(diagnosis: Diagnosis) -> list[str]:
+    """Effects to draw: the most probable, and all that the verdict names."""
+    ranked = [name for name, _ in diagnosis.ranking]
+    spoken = [effect.name for effect in diagnosis.effects] + [name for names in diagnosis.ambiguity for name in names]
+    keep = set(ranked[:MOST_EFFECTS]) | set(spoken)
+    return [name for name in ranked if name in keep] + [n for n in dict.fromkeys(spoken) if n not in ranked]
+
+
+def _label(diagnosis: Diagnosis, name: str) -> str:
+    """The effect's name and the letter of the set that it cannot be told apart from."""
+    sets = [chr(ord("A") + k) for k, names in enumerate(diagnosis.ambiguity) if name in names]
+    return f"{in_words(name)} ({', '.join(sets)})" if sets else in_words(name)
+
+
+def _probabilities(axes: Axes, diagnosis: Diagnosis, names: Sequence[str]) -> None:
+    chance = dict(diagnosis.ranking) | {effect.name: effect.probability for effect in diagnosis.effects}
+    for k, name in enumerate(names):
+        value = chance.get(name, np.nan)
+        colour, hatch = _look(diagnosis, name)
+        axes.barh(k, value, height=0.62, color=colour, hatch=hatch, edgecolor="white", linewidth=0.0)
+        if np.isfinite(value):
+            inside = value > 0.8
+            axes.annotate(
+                f"{100 * value:.0f} %",
+                (value, k),
+                xytext=(-3 if inside else 3, 0),
+                textcoords="offset points",
+                ha="right" if inside else "left",
+                va="center",
+                fontsize=7.5,
+                color="white" if inside and not hatch else "#222222",
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8} if inside and hatch else None,
+            )
+    axes.set(xlim=(0, 1), xlabel="probability", title="Probability")
+    axes.set_xticks((0, 0.5, 1))
+
+
+def _gains(axes: Axes, rows: Sequence[CandidateRow | None]) -> None:
+    for k, row in enumerate(rows):
+        if row is None:
+            continue
+        axes.errorbar(row.gain_deg, k, xerr=2 * row.standard_error_deg, **INTERVAL)
+        axes.plot(row.gain_deg, k, "o", color=MEASURED, markersize=4.5)
+    axes.axvline(0.0, **QUIET)
+    axes.margins(x=0.08)
+    axes.set(xlabel="fall of RMSE [deg]", title="Held-out gain, alone")
+
+
+def _shares(axes: Axes, diagnosis: Diagnosis, names: Sequence[str]) -> None:
+    chosen = {effect.name: effect for effect in diagnosis.effects}
+    for k, name in enumerate(names):
+        effect = chosen.get(name)
+        if effect is None:
+            continue
+        colour, hatch = _look(diagnosis, name)
+        axes.barh(k, effect.closed_share, height=0.62, color=colour, hatch=hatch, edgecolor="white", linewidth=0.0)
+        low, high = effect.closed_ci90
+        reach = [[max(effect.closed_share - low, 0.0)], [max(high - effect.closed_share, 0.0)]]
+        axes.errorbar(effect.closed_share, k, xerr=reach, **INTERVAL)
+    ends = [end for effect in chosen.values() for end in effect.closed_ci90 if np.isfinite(end)]
+    axes.set_xlim(min(0.0, *ends, 0.0) * 1.05, max(1.0, *ends, 0.0) * 1.02)
+    axes.axvline(0.0, **QUIET)
+    axes.set(xlabel="of the structural gap", title="Closed share")
+    if not chosen:
+        axes.text(0.5, 0.5, "no effect chosen", transform=axes.transAxes, ha="center", color=REFERENCE)
+
+
+def _look(diagnosis: Diagnosis, name: str) -> tuple[str, str]:
+    """Colour and hatch of an effect."""
+    if any(name in names for names in diagnosis.ambiguity):
+        return _AMBIGUOUS, "////"
+    return (_CHOSEN, "") if any(effect.name == name for effect in diagnosis.effects) else (_OTHER, "")
+
+
+def next_figure(proposal: MotionProposal, unit: str) -> Figure:
+    """Command of the proposed motion, angles expected of each candidate, and their separation after retuning."""
+    chosen = proposal.chosen
+    t, command, separation, *angles = thin(chosen.motion.t, chosen.motion.command, chosen.separation, *chosen.angles)
+    with new_figure(7.0, 4.6) as figure:
+        rows = figure.subplots(3, 1, sharex=True, height_ratios=(3, 4, 2.4))
+        rows[0].plot(t, command, **COMMANDED)
+        rows[0].set(ylabel=f"command [{unit}]", title=in_words(chosen.motion.name))
+        for k, (name, angle) in enumerate(zip(proposal.names, angles, strict=True)):
+            style = {"color": _COLOURS[k % 5], "linestyle": _DASHES[k % 5], "linewidth": 1.2}
+            rows[1].plot(t, angle, label=f"if {in_words(name)}", **style)
+        rows[1].set_ylabel("tip angle [deg]")
+        rows[1].legend(loc="upper right", ncols=min(len(angles), 3))
+        low, high = rows[1].get_ylim()
+        rows[1].set_ylim(low, high + 0.22 * (high - low))
+        rows[2].fill_between(t, separation, color=MODEL, alpha=0.75, linewidth=0.0)
+        rows[2].set_ylabel("apart after\nretuning [deg]")
+        rows[2].set_ylim(bottom=0.0)
+        rows[2].set_xlabel("time [s]")
+        rows[2].axhline(0.0, color=REFERENCE, linewidth=0.6)
+    return figure

@@ -1,0 +1,266 @@
+"""Data of the report: everything that it shows, put together from the findings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from hystmpc.models.identify.corrected_simulator import corrected_simulator, network_effects
+from hystmpc.models.identify.cross_validation import HeldOutErrors, gain
+from hystmpc.models.identify.uncertainty import ParameterRow, parameter_rows
+from hystmpc.models.simulator import Simulator
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from ..decide.findings import Findings
+from ..diagnosis import Diagnosis
+from ..logs.excitation import Excitation
+from ..logs.identifiability import Confusable, confusability
+from ..next.motion_design import MotionProposal
+from ..residual.localise import Localisation
+from ..residual.memory import explainable_share
+
+Role = Literal["fit", "select", "final"]
+Side = Literal["command", "output", "sensor", "trial"]
+Stage = Literal["nominal", "retuned", "with_effects"]
+STAGES: tuple[Stage, ...] = ("nominal", "retuned", "with_effects")
+
+
+@dataclass(frozen=True, eq=False)
+class TrialEvidence:
+    """One trial with its free runs.
+
+    Attributes:
+        trial: as diagnosed, on the simulator's sample time.
+        role: fit, select or final (evaluated once).
+        motion: its motion type, such as `sine` or `holds`.
+        nominal, retuned, with_effects: simulated angles [deg], (T,), of the simulator as given, refitted, and refitted
+            with the chosen effects; where none was chosen the last equals the second.
+        floor_deg: RMSE that stays with any simulator [deg].
+        start: first sample that counts.
+    """
+
+    trial: Trial
+    role: Role
+    motion: str
+    nominal: Vec
+    retuned: Vec
+    with_effects: Vec
+    floor_deg: float
+    start: int = 0
+
+    @property
+    def name(self) -> str:
+        """Name of the log without its folder."""
+        return Path(self.trial.source).name
+
+    def residual(self, stage: Stage) -> Vec:
+        """Simulated minus measured angle over the samples that count [deg]."""
+        return np.asarray(getattr(self, stage) - self.trial.angle)[self.start :]
+
+    def rmse(self, stage: Stage) -> float:
+        """Root mean square of that residual [deg]."""
+        return float(np.sqrt(np.mean(self.residual(stage) ** 2)))
+
+
+@dataclass(frozen=True)
+class CandidateRow:
+    """One candidate effect, added alone to the retuned simulator.
+
+    Attributes:
+        name: of the effect.
+        side: where it acts.
+        rmse_deg: on the trials to select by [deg].
+        gain_deg: retuned RMSE less this [deg]; negative where the effect did harm.
+        standard_error_deg: of the gain [deg].
+        probability: calibrated.
+        chosen: whether it is in the corrected simulator.
+    """
+
+    name: str
+    side: Side
+    rmse_deg: float
+    gain_deg: float
+    standard_error_deg: float
+    probability: float
+    chosen: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Everything that the report shows.
+
+    Attributes:
+        diagnosis: the result.
+        simulator: name of the simulator's file.
+        trials: in recording order, at least one.
+        excitation: motions, speeds, holds and repeats of the commands; None where unknown.
+        candidates: every effect, most likely first.
+        confusable: effects that some motions cannot tell apart, judged for these motions.
+        parameters: identified values of the corrected simulator.
+        localisation: of the retuned residual; None where there was none to localise.
+        noise_deg: white noise of the measured angle [deg]; not-a-number where unknown.
+        explainable_share: share of the structural gap that a flexible model can explain; None where not estimated.
+        proposal: motion to record next; None where nothing is open.
+        cannot_show: what these trials cannot show, a sentence each.
+        fixed: the corrected simulator, where it can be written as one.
+        files: further files of the diagnosis by name.
+        seed: of everything drawn at random.
+        seconds: time of each step of the procedure.
+    """
+
+    diagnosis: Diagnosis
+    simulator: str
+    trials: tuple[TrialEvidence, ...]
+    excitation: Excitation | None = None
+    candidates: tuple[CandidateRow, ...] = ()
+    confusable: tuple[Confusable, ...] = ()
+    parameters: tuple[ParameterRow, ...] = ()
+    localisation: Localisation | None = None
+    noise_deg: float = math.nan
+    explainable_share: float | None = None
+    proposal: MotionProposal | None = None
+    cannot_show: tuple[str, ...] = ()
+    fixed: Simulator | None = None
+    files: Mapping[str, str | bytes] = field(default_factory=dict)
+    seed: int = 1
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def final(self) -> tuple[TrialEvidence, ...]:
+        """Final trials; all of them where there was no such split."""
+        return tuple(trial for trial in self.trials if trial.role == "final") or self.trials
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """Simulators that differ: without a chosen effect the last is the retuned one."""
+        return STAGES if self.diagnosis.effects else STAGES[:2]
+
+    @property
+    def measured_on(self) -> str:
+        """What `final` are: final trials, or all of them."""
+        return "final trials" if any(trial.role == "final" for trial in self.trials) else "trials"
+
+    @property
+    def command_unit(self) -> str:
+        """mm or bar."""
+        return self.trials[0].trial.units.command
+
+
+def report_data(findings: Findings, diagnosis: Diagnosis, proposal: MotionProposal | None) -> Evidence:
+    """Everything that the report shows."""
+    prepared, simulator = findings.prepared, findings.simulator
+    chosen = findings.conclusion.chosen
+    rows = confusability(prepared.checked.excitation)
+    return Evidence(
+        diagnosis=diagnosis,
+        simulator="simulator",
+        trials=_trials(findings),
+        excitation=prepared.checked.excitation,
+        candidates=_candidates(findings, diagnosis),
+        confusable=rows,
+        parameters=parameter_rows(chosen, prepared.development, {e.name: e.parameters for e in diagnosis.effects}),
+        localisation=findings.localisation,
+        noise_deg=findings.conclusion.floor.noise_deg,
+        explainable_share=_explainable_share(findings),
+        proposal=proposal,
+        cannot_show=tuple(_sentence(row) for row in rows if not row.separable and not row.one_class),
+        fixed=_fixed(findings),
+        files={} if isinstance(simulator, Simulator) else _network_effects(findings),
+        seed=findings.seed,
+        seconds=findings.seconds,
+    )
+
+
+def _fixed(findings: Findings) -> Simulator | None:
+    """The corrected simulator; none of a network, and none from angles that do not follow their commands."""
+    simulator, prepared = findings.simulator, findings.prepared
+    if prepared.checked.unrelated or not isinstance(simulator, Simulator):
+        return None
+    chosen, checked = findings.conclusion.chosen, prepared.checked
+    return corrected_simulator(
+        simulator, chosen, prepared.everything, prepared.development, checked.trials, prepared.given
+    )
+
+
+def _network_effects(findings: Findings) -> Mapping[str, str]:
+    """The effects beside a network, as the file that its user reads back."""
+    prepared = findings.prepared
+    return network_effects(
+        findings.conclusion.chosen, prepared.baseline, prepared.everything[-1], prepared.checked.dt, "the network"
+    )
+
+
+def _sentence(row: Confusable) -> str:
+    names = " and ".join(name.replace("_", " ") for name in row.effects)
+    return f"{names[:1].upper()}{names[1:]} cannot be told apart ({row.found}); {row.separated_by} would do it."
+
+
+def _trials(findings: Findings) -> tuple[TrialEvidence, ...]:
+    """Every trial with its free runs; of one that is cut in parts, the final part counts."""
+    prepared, conclusion = findings.prepared, findings.conclusion
+    retuned, chosen = findings.attribution.retuned, conclusion.chosen
+    final = {run.name: int(np.flatnonzero(run.counts)[0]) for run in prepared.final}
+    nominal_q = retuned.problem.start(prepared.baseline.nominal, [])
+    made = []
+    for trial, run, motion in zip(
+        prepared.checked.trials, prepared.everything, prepared.checked.excitation.motions, strict=True
+    ):
+        role: Role = "final" if run.name in final else "fit"
+        made.append(
+            TrialEvidence(
+                trial=trial,
+                role=role,
+                motion=motion,
+                nominal=retuned.problem.angles(nominal_q, run),
+                retuned=retuned.problem.angles(retuned.q, run),
+                with_effects=run.angle + chosen.problem.held_out_error(chosen.q, run),
+                floor_deg=conclusion.closed.gap.floor_rmse_deg,
+                start=final.get(run.name, 0),
+            )
+        )
+    return tuple(made)
+
+
+def _candidates(findings: Findings, diagnosis: Diagnosis) -> tuple[CandidateRow, ...]:
+    """Each effect that was tried alone, and a faulty sensor."""
+    selection = findings.attribution.selection
+    probabilities, before = dict(diagnosis.ranking), selection.baseline
+    chosen = {effect.name for effect in diagnosis.effects}
+    rows = [
+        _row(name, before, judged, probabilities.get(name, 0.0), name in chosen)
+        for names, judged in selection.tried.items()
+        if len(names) == 1
+        for name in names
+    ]
+    for effect in diagnosis.effects:
+        if effect.name == "sensor":
+            mended = float(np.sqrt(before.mse))
+            raw = diagnosis.gap.retuned_rmse_deg
+            rows.append(CandidateRow("sensor", "sensor", mended, raw - mended, 0.0, effect.probability, True))
+    return tuple(sorted(rows, key=lambda row: (-row.probability, row.rmse_deg)))
+
+
+def _row(name: str, before: HeldOutErrors, after: HeldOutErrors, probability: float, chosen: bool) -> CandidateRow:
+    _, error = gain(before, after)
+    rmse, retuned = float(np.sqrt(after.mse)), float(np.sqrt(before.mse))
+    effects = after.hypothesis.problem.effects
+    side: Side = effects[0].side if effects else "trial"
+    return CandidateRow(name, side, rmse, retuned - rmse, error / (rmse + retuned), probability, chosen)
+
+
+def _explainable_share(findings: Findings) -> float | None:
+    """Share of the structural gap that a flexible model of the command's past explains held out; None without a gap."""
+    prepared, conclusion = findings.prepared, findings.conclusion
+    errors = prepared.residuals(findings.attribution.retuned)
+    mse = float(np.mean(np.concatenate(errors) ** 2))
+    structural = mse - conclusion.closed.gap.floor_rmse_deg**2
+    if structural <= 0 or conclusion.ruling.verdict == "none":
+        return None
+    explained = explainable_share(prepared.checked.trials, errors, findings.seed) * mse
+    return float(np.clip(explained / structural, 0.0, 1.0))

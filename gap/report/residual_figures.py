@@ -1,0 +1,272 @@
+"""Figures of the residual: along the trials, over command and time, by part of the motion, interval and frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from hystmpc.trials.plot_style import MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.types import Vec
+
+from ..diagnosis import Place
+from ..residual.spectrum import SpectralLine
+from .figure_style import COLOUR, COMMANDED, HEAT, INTERVAL, LABEL, QUIET, REAL, short, thin
+from .report_data import Stage, TrialEvidence
+from .words import in_words
+
+_BINS, _SEGMENT_S = 12, 16.0
+_ROUNDING = 1e-9
+
+_COLUMNS = 400  # more cannot be told apart across a page
+
+_PER_LINE = 3
+_LOOK: dict[Stage, Any] = {
+    "nominal": {"color": COLOUR["nominal"], "linewidth": 0.9, "label": LABEL["nominal"]},
+    "retuned": {"color": COLOUR["retuned"], "linewidth": 1.0, "label": LABEL["retuned"]},
+    "with_effects": {"color": MODEL, "linewidth": 0.9, "linestyle": (0, (4, 1.5)), "label": LABEL["with_effects"]},
+}
+
+_BAR = COLOUR["retuned"]
+
+
+def heat_figure(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Stage]) -> Figure:
+    """Command over time, and below it |simulated - measured| as colour, one strip for each simulator.
+
+    One scale of colour and one of time for all trials, so that strips can be compared.
+    """
+    longest = max(trial.trial.duration_s for trial in trials)
+    sizes = np.concatenate([np.abs(trial.residual("retuned")) for trial in trials])
+    top = float(np.quantile(sizes, 0.995)) or 1.0
+    with new_figure(7.0, 0.7 + (0.72 + 0.17 * len(stages)) * len(trials)) as figure:
+        ratios = (2.0, 0.6 * len(stages)) * len(trials)
+        rows = figure.subplots(2 * len(trials), 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0]
+        for command, strip, trial in zip(rows[::2], rows[1::2], trials, strict=True):
+            _command(command, trial, unit)
+            _strip(strip, trial, stages, top)
+        rows[-1].set(xlim=(0.0, longest), xlabel="time [s]")
+        bar = figure.colorbar(rows[-1].images[0], ax=rows.tolist(), aspect=14 * len(trials), pad=0.01, extend="max")
+        bar.set_label("|residual| [deg]", fontsize=8.0)
+    return figure
+
+
+def _command(axes: Axes, trial: TrialEvidence, unit: str) -> None:
+    t, command = thin(trial.trial.t - trial.trial.t[0], trial.trial.command)
+    axes.plot(t, command, **COMMANDED)
+    axes.set_ylabel(unit)
+    axes.set_title(f"{short(trial.name, 50)} ({trial.role})", fontsize=8.5)
+
+
+def _strip(axes: Axes, trial: TrialEvidence, stages: Sequence[Stage], top: float) -> None:
+    """One row a simulator; samples that do not count stay white."""
+    rows = np.array([_columns(trial, stage) for stage in stages])
+    extent = (0.0, trial.trial.duration_s, len(stages) - 0.5, -0.5)
+    axes.imshow(rows, aspect="auto", cmap=HEAT, vmin=0.0, vmax=top, extent=extent, interpolation="nearest")
+    axes.set_yticks(range(len(stages)), [LABEL[stage] for stage in stages], fontsize=7.5)
+    axes.grid(visible=False)
+    axes.tick_params(axis="y", length=0)
+    for k in range(1, len(stages)):
+        axes.axhline(k - 0.5, color="white", linewidth=1.2)
+
+
+def _columns(trial: TrialEvidence, stage: Stage) -> np.ndarray:
+    """Greatest |residual| in each of some equal parts of the trial [deg]."""
+    size = np.full(len(trial.trial), np.nan)
+    size[trial.start :] = np.abs(trial.residual(stage))
+    parts = np.array_split(size, min(_COLUMNS, size.size))
+    return np.array([np.nanmax(part) if np.isfinite(part).any() else np.nan for part in parts])
+
+
+def loop_figure(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Stage]) -> Figure:
+    """Loops of angle over command: real and of each simulator."""
+    across = min(_PER_LINE, len(trials))
+    lines = -(-len(trials) // across)
+    with new_figure(7.0, 0.6 + (2.3 if across == _PER_LINE else 2.9) * lines) as figure:
+        grid = figure.subplots(lines, across, sharex=True, sharey=True, squeeze=False).ravel()
+        for axes, trial in zip(grid, trials, strict=False):
+            command, real, *runs = thin(trial.trial.command, trial.trial.angle, *_runs(trial, stages))
+            axes.plot(command, real, **REAL)
+            for stage, run in zip(stages, runs, strict=True):
+                axes.plot(command, run, **_LOOK[stage])
+            axes.set_title(short(trial.name, 30 if across == _PER_LINE else 46), fontsize=8.5)
+        for axes in grid[len(trials) :]:
+            axes.remove()
+        for axes in grid[max(len(trials) - across, 0) : len(trials)]:
+            axes.tick_params(labelbottom=True)
+        figure.supxlabel(f"command [{unit}]", fontsize=9.0)
+        figure.supylabel("tip angle [deg]", fontsize=9.0)
+        figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def time_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Figure:
+    """Angle over time: real and of each simulator, and what the simulators leave of it."""
+    with new_figure(7.0, 0.7 + 2.6 * len(trials)) as figure:
+        rows = figure.subplots(2 * len(trials), 1, height_ratios=(5, 3) * len(trials))
+        for angle, left, trial in zip(rows[::2], rows[1::2], trials, strict=True):
+            t, real, *runs = thin(trial.trial.t - trial.trial.t[0], trial.trial.angle, *_runs(trial, stages))
+            angle.plot(t, real, **REAL)
+            for stage, run in zip(stages, runs, strict=True):
+                angle.plot(t, run, **_LOOK[stage])
+                left.plot(t, run - real, **{**_LOOK[stage], "linestyle": "-"})
+            angle.set_title(short(trial.name, 60), fontsize=8.5)
+            angle.set_ylabel("tip angle [deg]")
+            angle.tick_params(labelbottom=False)
+            left.axhline(0.0, **QUIET)
+            left.set_ylabel("residual [deg]")
+            left.sharex(angle)
+        rows[-1].set_xlabel("time [s]")
+        figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def _runs(trial: TrialEvidence, stages: Sequence[Stage]) -> list[NDArray[np.float64]]:
+    return [getattr(trial, stage) for stage in stages]
+
+
+def share_figure(places: Mapping[str, Place]) -> Figure:
+    """Share of the retuned residual's energy in each part of the motion, beside the share of time spent there."""
+    ordered = sorted(places.items(), key=lambda item: -item[1].share)
+    with new_figure(7.0, 0.95 + 0.3 * len(ordered)) as figure:
+        axes: Axes = figure.subplots()
+        for k, (_, place) in enumerate(ordered):
+            axes.barh(k, place.share, height=0.6, color=_BAR, label="share of the residual's energy" if not k else None)
+            low, high = place.ci90
+            reach = [[max(place.share - low, 0.0)], [max(high - place.share, 0.0)]]
+            axes.errorbar(place.share, k, xerr=reach, label="90 % interval" if not k else None, **INTERVAL)
+            if place.density > 0:
+                time = place.share / place.density
+                label = "share of time" if not k else None
+                axes.plot(time, k, "|", color="#222222", markersize=15, markeredgewidth=1.8, label=label)
+            text = f"{place.density:.1f} x average"
+            axes.annotate(text, (1.01, k), xycoords=("axes fraction", "data"), va="center", fontsize=8)
+        axes.set_yticks(range(len(ordered)), [in_words(name) for name, _ in ordered])
+        axes.set(ylim=(len(ordered) - 0.5, -0.6), xlabel="share")
+        axes.set_xlim(0.0, min(1.0, 1.08 * max(max(place.ci90[1], place.share) for place in places.values())))
+        axes.grid(visible=False, axis="y")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def bins_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Figure | None:
+    """RMSE over command, angle and speed, of each simulator; None where nothing moves."""
+    groups = binned(trials, stages)
+    if not groups:
+        return None
+    with new_figure(7.0, 2.8) as figure:
+        rows = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
+        for axes, group in zip(rows, groups, strict=True):
+            for stage, values in group.rmse_deg.items():
+                axes.stairs(values, group.edges, color=COLOUR[stage], label=LABEL[stage], linewidth=1.5, baseline=None)
+            shares = axes.twinx()
+            shares.stairs(group.time, group.edges, fill=True, color="#e2e2e2", zorder=0)
+            shares.set(ylim=(0.0, 1.0), yticks=())
+            shares.spines["right"].set_visible(False)
+            axes.set_zorder(shares.get_zorder() + 1)
+            axes.patch.set_visible(False)
+            axes.set_xlabel(f"{group.quantity} [{group.unit}]")
+        rows[0].set_ylabel("RMSE [deg]")
+        rows[0].set_ylim(bottom=0.0)
+        figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure
+
+
+@dataclass(frozen=True, eq=False)
+class Binned:
+    """RMSE over equal intervals of one quantity.
+
+    Attributes:
+        quantity, unit: of the edges.
+        edges: (B + 1,).
+        rmse_deg: in each interval for each simulator [deg], (B,), not-a-number where no sample lies.
+        time: share of the samples, (B,).
+    """
+
+    quantity: str
+    unit: str
+    edges: Vec
+    rmse_deg: dict[Stage, Vec]
+    time: Vec
+
+
+def binned(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> list[Binned]:
+    """RMSE by command, angle and speed of the command over all samples that count; constant quantities are left out."""
+    unit = trials[0].trial.units.command
+    values = {
+        ("command", unit): [t.trial.command[t.start :] for t in trials],
+        ("angle", "deg"): [t.trial.angle[t.start :] for t in trials],
+        ("command speed", f"{unit}/s"): [np.gradient(t.trial.command, t.trial.t)[t.start :] for t in trials],
+    }
+    squares: dict[Stage, Vec] = {s: np.concatenate([t.residual(s) ** 2 for t in trials]) for s in stages}
+    joined = {names: np.concatenate(parts) for names, parts in values.items()}
+    return [
+        _binned(*names, signal, squares)
+        for names, signal in joined.items()
+        if np.ptp(signal) > _ROUNDING * (1 + np.abs(signal).max())
+    ]
+
+
+def _binned(quantity: str, unit: str, values: Vec, squares: dict[Stage, Vec]) -> Binned:
+    low, high = np.quantile(values, (0.002, 0.998)) if quantity == "command speed" else (values.min(), values.max())
+    if high <= low:
+        low, high = values.min(), values.max()
+    edges = np.linspace(low, high, _BINS + 1)
+    place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, _BINS - 1)
+    counts = np.bincount(place, minlength=_BINS)
+    rmse: dict[Stage, Vec] = {}
+    for stage, parts in squares.items():
+        sums = np.bincount(place, parts, minlength=_BINS)
+        rmse[stage] = np.sqrt(np.divide(sums, counts, out=np.full(_BINS, np.nan), where=counts > 0))
+    return Binned(quantity, unit, edges, rmse, counts / values.size)
+
+
+def spectrum_figure(
+    trials: Sequence[TrialEvidence], stages: Sequence[Stage], noise_deg: float, lines: Sequence[SpectralLine] = ()
+) -> Figure:
+    """Residual over frequency against white noise of that deviation; lines that are not the command's are marked."""
+    with new_figure(7.0, 2.8) as figure:
+        axes: Axes = figure.subplots()
+        top = 0.0
+        for stage in stages:
+            frequency, density = amplitude_density(trials, stage)
+            axes.plot(frequency[1:], density[1:], color=COLOUR[stage], label=LABEL[stage])
+            top = float(frequency[-1])
+        if np.isfinite(noise_deg) and noise_deg > 0 and top > 0:
+            level = noise_deg * np.sqrt(1 / top)  # one-sided, up to the Nyquist frequency
+            axes.axhline(level, color=REFERENCE, linestyle=(0, (4, 3)), linewidth=0.9, label="noise")
+        for k, line in enumerate(lines):
+            label = "not the command's" if not k else None
+            axes.axvline(line.hz, color=MEASURED, linestyle=(0, (1, 2)), linewidth=1.2, label=label)
+        axes.set(xscale="log", yscale="log", xlabel="frequency [Hz]", ylabel="residual [deg/√Hz]")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    return figure
+
+
+def amplitude_density(trials: Sequence[TrialEvidence], stage: Stage) -> tuple[Vec, Vec]:
+    """Frequencies [Hz] and amplitude density of the residuals [deg/sqrt(Hz)], mean power over trials (Welch, 16 s)."""
+    dt = float(np.median([trial.trial.dt for trial in trials]))
+    shortest = min(trial.residual(stage).size for trial in trials)
+    size = max(8, min(shortest, round(_SEGMENT_S / dt)))
+    residuals = [trial.residual(stage) for trial in trials]
+    powers = [welch(e, 1 / dt, nperseg=size, detrend="constant")[1] for e in residuals]
+    mean: Vec = np.average(powers, axis=0, weights=[e.size for e in residuals])
+    return np.asarray(np.fft.rfftfreq(size, dt), dtype=np.float64), np.sqrt(mean)
+
+
+def memory_figure(gains: Mapping[str, float]) -> Figure:
+    """What of the residual each memory of the command predicts on trials left out."""
+    ordered = sorted(gains.items(), key=lambda item: -item[1])
+    with new_figure(7.0, 0.7 + 0.25 * len(ordered)) as figure:
+        axes: Axes = figure.subplots()
+        axes.barh(range(len(ordered)), [gain for _, gain in ordered], height=0.6, color=_BAR)
+        axes.set_yticks(range(len(ordered)), [in_words(name) for name, _ in ordered])
+        axes.axvline(0.0, **QUIET)
+        axes.set(ylim=(len(ordered) - 0.5, -0.5), xlabel="share of the residual's energy explained on trials left out")
+        axes.grid(visible=False, axis="y")
+    return figure

@@ -1,0 +1,1 @@
+"""Residual of the retuned simulator: parts of the motion, spectrum, memory."""

@@ -1,0 +1,141 @@
+"""The verdict: every row of the decision table, their order, and what a ruling implies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hystmpc.gap.decide.verdict import (
+    VERDICTS,
+    FinalFacts,
+    VerdictFacts,
+    VerdictSettings,
+    decide_verdict,
+    reason_for,
+)
+from hystmpc.gap.diagnosis import Gap
+
+SETTINGS = VerdictSettings()
+EXPLAINED = VerdictFacts(
+    effects=frozenset({"lag"}),
+    retuned_mse=1.0,
+    chosen_mse=0.02,
+    retuned_fit_mse=1.0,
+    floor_mse=0.01,
+    form_mse=0.01,
+    final=FinalFacts(closed_share=0.9, residual_ratio=1.2),
+)
+NOTHING = replace(EXPLAINED, effects=frozenset(), chosen_mse=1.0, final=FinalFacts(0.0, 10.0))
+OPEN = replace(EXPLAINED, chosen_mse=0.9)
+AMBIGUOUS = replace(EXPLAINED, ambiguity=(("lag", "delay"),))
+WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
+
+
+@pytest.mark.parametrize(
+    ("facts", "case", "verdict"),
+    [
+        (EXPLAINED, "explained", "named"),
+        (AMBIGUOUS, "ambiguous", "one_of"),
+        (replace(EXPLAINED, final=None), "explained", "named"),
+        # final trials
+        (replace(EXPLAINED, final=WEAK), "not_confirmed", "unknown"),
+        (replace(AMBIGUOUS, final=WEAK), "not_confirmed", "unknown"),
+        (replace(EXPLAINED, final=FinalFacts(0.6, 3.0)), "explained", "named"),
+        (
+            replace(EXPLAINED, effects=frozenset({"lag", "creep"}), final=FinalFacts(0.6, 3.0)),
+            "not_confirmed",
+            "unknown",
+        ),
+        (replace(EXPLAINED, final=FinalFacts(0.5, 2.4)), "explained", "named"),
+        (replace(EXPLAINED, final=WEAK, sensor=True), "explained", "named"),
+        (replace(EXPLAINED, final=WEAK, jumps=True), "explained", "named"),
+        # selection
+        (replace(EXPLAINED, structure_left=True), "structure_left", "unknown"),
+        (OPEN, "left_open", "unknown"),
+        (replace(OPEN, form_mse=0.2), "small_gap", "none"),
+        (replace(OPEN, floor_mse=0.7), "explained", "named"),
+        (NOTHING, "no_effect", "unknown"),
+        (replace(NOTHING, form_mse=0.2), "small_gap", "none"),
+        (replace(EXPLAINED, retuned_fit_mse=0.02), "no_gap", "none"),
+        (replace(EXPLAINED, form_mse=0.5), "no_gap", "none"),
+        # sensor and jumps
+        (replace(NOTHING, sensor=True), "sensor_alone", "named"),
+        (replace(NOTHING, sensor=True, form_mse=0.5), "no_gap", "none"),
+        (replace(OPEN, sensor=True, final=FinalFacts(0.4, 5.0)), "sensor_beside_unknown", "named"),
+        (replace(OPEN, sensor=True, final=FinalFacts(0.39, 5.0)), "left_open", "unknown"),
+        (replace(OPEN, sensor=True, final=None), "left_open", "unknown"),
+        (replace(OPEN, jumps=True), "jumps", "named"),
+        (replace(NOTHING, jumps=True, form_mse=0.5), "jumps", "named"),
+        # trials
+        (replace(EXPLAINED, too_little=True), "too_little", "too_little"),
+        (replace(EXPLAINED, too_little=True, unrelated=True), "too_little", "too_little"),
+        (replace(NOTHING, unrelated=True, sensor=True, jumps=True), "unrelated", "unknown"),
+    ],
+)
+def test_every_row_of_the_table(facts: VerdictFacts, case: str, verdict: str) -> None:
+    ruling = decide_verdict(facts, SETTINGS)
+    assert (ruling.case, ruling.verdict) == (case, verdict)
+
+
+def test_what_a_ruling_implies() -> None:
+    assert decide_verdict(AMBIGUOUS, SETTINGS).ambiguity == (("lag", "delay"),)
+    assert decide_verdict(replace(AMBIGUOUS, structure_left=True), SETTINGS).ambiguity == ()
+    assert decide_verdict(AMBIGUOUS, SETTINGS).explained
+    assert not decide_verdict(replace(OPEN, jumps=True), SETTINGS).explained
+    beside = decide_verdict(replace(OPEN, sensor=True), SETTINGS)
+    assert beside.case == "sensor_beside_unknown"
+    assert beside.sensor
+    assert beside.effects_unknown
+    assert not decide_verdict(replace(NOTHING, sensor=True, form_mse=0.5), SETTINGS).sensor
+
+
+mse = st.floats(1e-6, 10.0)
+facts_ = st.builds(
+    VerdictFacts,
+    effects=st.sampled_from([frozenset(), frozenset({"lag"}), frozenset({"lag", "creep"})]),
+    retuned_mse=mse,
+    chosen_mse=mse,
+    retuned_fit_mse=mse,
+    floor_mse=mse,
+    form_mse=mse,
+    structure_left=st.booleans(),
+    ambiguity=st.sampled_from([(), (("lag", "delay"),)]),
+    sensor=st.booleans(),
+    jumps=st.booleans(),
+    too_little=st.booleans(),
+    unrelated=st.booleans(),
+    final=st.one_of(st.none(), st.builds(FinalFacts, st.floats(-1, 1), st.floats(0, 20))),
+)
+
+
+@given(facts_)
+def test_rules_that_hold_for_all_facts(facts: VerdictFacts) -> None:
+    ruling = decide_verdict(facts, SETTINGS)
+    assert ruling.verdict == VERDICTS[ruling.case]
+    assert bool(ruling.ambiguity) == (ruling.verdict == "one_of")
+    if facts.too_little or facts.unrelated:
+        assert ruling.verdict == ("too_little" if facts.too_little else "unknown")
+        assert (ruling.sensor, ruling.explained) == (False, False)
+    elif facts.jumps:
+        assert ruling.verdict in ("named", "one_of")
+    if ruling.sensor:
+        assert facts.sensor
+    # The final trials alone never turn a gap into none, nor an unexplained gap into an explanation by effects.
+    before = decide_verdict(replace(facts, final=None), SETTINGS)
+    assert (before.verdict == "none") == (ruling.verdict == "none")
+    assert before.explained or not ruling.explained
+
+
+def test_the_reason_states_the_verdict_and_its_numbers() -> None:
+    gap = Gap(3.0, 1.0, 0.2, 0.1, "repeats", 0.9, 0.1, (0.8, 0.95), ("a.csv",))
+    sizes = "(retuned 1.00 deg, floor 0.10 deg)"
+    texts = {
+        "one_of": (AMBIGUOUS, "one of lag or delay: these trials cannot tell them apart; 90 % of"),
+        "unknown": (NOTHING, f"a structural gap that no effect of the library explains {sizes}"),
+        "too_little": (replace(NOTHING, too_little=True), f"too little: 3 s in all {sizes}"),
+    }
+    for facts, text in texts.values():
+        assert text in reason_for(decide_verdict(facts, SETTINGS), (), gap, "3 s in all", "")
