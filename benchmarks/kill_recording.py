@@ -28,7 +28,7 @@ from rich.table import Table
 from hystmpc.rig.recording import Apart, Recording, RecordingMeta, open_apart, open_recording
 from hystmpc.rig.sample import Sample
 from hystmpc.trials.errors import HystmpcError
-from hystmpc.trials.mcap_records_ import MAGIC
+from hystmpc.trials.mcap_ import MAGIC
 from hystmpc.trials.read import read_log
 from hystmpc.trials.run_folder import RunFolder
 

@@ -33,9 +33,8 @@ from hystmpc.models.fit.network_settings import NetworkSettings
 from hystmpc.models.fit.networks import fit_network
 from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.trials.csv_ import read_trials
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.trial import Trial, resample
 
 Fit = Callable[[Sequence[Trial]], ExportBundle]
 COLUMNS = ("rmse", "offset-free", "max", "rmse*", "offset-free*", "max*", "hold drift*", "train s")

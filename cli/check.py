@@ -6,9 +6,8 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from hystmpc.trials.check import check_trial
-from hystmpc.trials.csv_ import expand_logs
-from hystmpc.trials.findings import Severity
+from hystmpc.trials.check import Severity, check_trial
+from hystmpc.trials.read import expand_logs
 
 from .console import out
 from .options import Layout, Logs

@@ -9,14 +9,11 @@ from typing import Annotated
 
 import typer
 
-from hystmpc.trials.check import check_trial
-from hystmpc.trials.check_time import require_seconds
-from hystmpc.trials.csv_ import expand_logs, read_trials
+from hystmpc.trials.check import Severity, check_trial, require_seconds
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.findings import Severity
-from hystmpc.trials.presets import PRESETS
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.layouts import PRESETS
+from hystmpc.trials.read import expand_logs, read_trials
+from hystmpc.trials.trial import Trial, resample
 
 from .console import errors
 

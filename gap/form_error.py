@@ -10,8 +10,7 @@ import numpy as np
 from hystmpc.models.fit.trial_set import fingerprint
 from hystmpc.models.simulator import Identification
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.trial import Trial, resample
 
 
 def form_error_mse(

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.trajectories.checks import require_positive
+from hystmpc.trajectories.trajectory import require_positive
 from hystmpc.trials.types import Vec
 
 LONGEST_S = 90.0  # but where a plan needs more

@@ -10,8 +10,7 @@ import numpy as np
 
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.trials.errors import GapError
-from hystmpc.trials.resample import gap_limit_s, resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.trial import Trial, gap_limit_s, resample
 
 from .motion_type import MotionType, command_segments, motion_type
 from .recording import Before

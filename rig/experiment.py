@@ -14,7 +14,7 @@ from hystmpc.ctrl.build import command_limits, modelled_limits
 from hystmpc.ctrl.tip.assemble import Assembly, assemble
 from hystmpc.ctrl.tip.ruckig_ import Kinematics, move_to_rest
 from hystmpc.ctrl.tip_controller import TipController
-from hystmpc.trajectories.piecewise import PiecewiseCubic
+from hystmpc.trajectories.ruckig_ import PiecewiseCubic
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec

@@ -9,7 +9,7 @@ import numpy as np
 
 from hystmpc.ctrl.tip.ruckig_ import Kinematics, move_to_rest
 from hystmpc.ctrl.tip.settings import MotionSettings as AngleMotion
-from hystmpc.trajectories.piecewise import PiecewiseCubic, hold
+from hystmpc.trajectories.ruckig_ import PiecewiseCubic, hold
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hystmpc.trials.plot_style import PALETTE, REFERENCE, new_figure
+from hystmpc.trials.report import PALETTE, REFERENCE, new_figure
 
 from .results import Result
 

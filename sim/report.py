@@ -16,7 +16,7 @@ from hystmpc.models.prediction.actuated import ActuatedPredictor
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
+from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
 
 from .figures import colours, error_figure, histogram_figure, loop_figure, timing_figure, tracking_figure
 from .results import Result, StudyResult, limits_of, load_results

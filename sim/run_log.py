@@ -8,7 +8,7 @@ import numpy as np
 
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.presets import CANONICAL
+from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.types import Vec
 
 from .closed_loop import ClosedLoopRun

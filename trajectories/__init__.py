@@ -4,9 +4,9 @@ A trajectory is any object with `duration_s` and `__call__(t)`; see `trajectory.
 angles [deg]; the excitations of the papers (`excitation`) are commands [mm or bar].
 """
 
-from .limits import MotionLimits
 from .point_to_point import PointToPoint, random_point_to_point
 from .preview import PreviewTable, preview
+from .ruckig_ import MotionLimits
 from .scan import Raster, SinusoidScan, TriangleScan
 from .trajectory import Sampled, Trajectory, sample
 

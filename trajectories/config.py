@@ -12,11 +12,10 @@ from pydantic import BeforeValidator, Field
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
-from .limits import MotionLimits
 from .point_to_point import PointToPoint, random_point_to_point
-from .sampled_csv import read_sampled
+from .ruckig_ import MotionLimits
 from .scan import Raster, Shape, SinusoidScan, TriangleScan
-from .trajectory import Trajectory
+from .trajectory import Trajectory, read_sampled
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

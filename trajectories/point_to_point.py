@@ -11,10 +11,8 @@ from numpy.typing import ArrayLike
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 
-from .checks import require_finite, require_range
-from .limits import MotionLimits
-from .piecewise import PiecewiseCubic, Segments, hold
-from .ruckig_ import RestingState, move
+from .ruckig_ import MotionLimits, PiecewiseCubic, RestingState, Segments, hold, move
+from .trajectory import require_finite, require_range
 
 
 def rest_to_rest(start_deg: float, target_deg: float, limits: MotionLimits) -> PiecewiseCubic:

@@ -9,8 +9,7 @@ import numpy as np
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 
-from .checks import require_positive
-from .trajectory import Trajectory, steps
+from .trajectory import Trajectory, require_positive, steps
 
 
 def preview(trajectory: Trajectory, t: float, dt: float, horizon: int) -> Vec:

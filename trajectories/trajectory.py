@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +14,40 @@ from numpy.typing import ArrayLike
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 
-from .checks import require_positive
+
+def require_finite(**values: float) -> None:
+    """Refuse what is not a finite number.
+
+    Raises:
+        TrajectoryError: at the first such value.
+    """
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise TrajectoryError(f"{name}: got {value}, expected a finite number")
+
+
+def require_positive(**values: float) -> None:
+    """Refuse what is not finite and above zero.
+
+    Raises:
+        TrajectoryError: at the first such value.
+    """
+    for name, value in values.items():
+        if not (math.isfinite(value) and value > 0):
+            raise TrajectoryError(f"{name}: got {value}, expected a finite number > 0")
+
+
+def require_range(name: str, bounds: tuple[float, float], least: float = -math.inf) -> None:
+    """Require `least` <= bounds[0] <= bounds[1], all finite.
+
+    Raises:
+        TrajectoryError: otherwise.
+    """
+    low, high = bounds
+    if not (math.isfinite(low) and math.isfinite(high) and least <= low <= high):
+        floor = "" if least == -math.inf else f"{least:g} <= "
+        raise TrajectoryError(f"{name}: got {low} to {high}, expected finite {floor}lower <= upper")
+
 
 # A duration that is a whole number of samples but for rounding must not cost one sample more.
 _ROUNDING = 1e-9
@@ -105,3 +140,78 @@ def sample(trajectory: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
     require_positive(rate_hz=rate_hz)
     t = np.arange(steps(trajectory.duration_s, 1.0 / rate_hz) + 1) / rate_hz
     return t, trajectory(t)
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Parts played one after another; each must begin where the one before it ends.
+
+    Attributes:
+        parts: at least one trajectory.
+
+    Raises:
+        TrajectoryError: if there is no part.
+    """
+
+    parts: tuple[Trajectory, ...]
+    _starts: Vec = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise TrajectoryError("chain: got no part, expected at least one trajectory")
+        ends = np.cumsum([part.duration_s for part in self.parts])
+        object.__setattr__(self, "_starts", np.concatenate(([0.0], ends)))
+
+    @property
+    def duration_s(self) -> float:
+        """Sum of the parts' durations [s]."""
+        return float(self._starts[-1])
+
+    def __call__(self, t: ArrayLike) -> Vec:
+        """Values at `t` [s]."""
+        time = inside(t, self.duration_s)
+        part = np.minimum(np.searchsorted(self._starts, time, side="right"), len(self.parts)) - 1
+        values = np.empty(time.shape)
+        for k, trajectory in enumerate(self.parts):
+            here = part == k
+            values[here] = trajectory(time[here] - self._starts[k])
+        return values
+
+
+COLUMNS = ("time_s", "angle_deg")
+
+
+def read_sampled(path: Path | str) -> Sampled:
+    """Read a sampled reference; further columns are left aside.
+
+    Raises:
+        TrajectoryError: naming file and row, if the file cannot be read, a column is missing, a value is not a
+            number, or the samples are not a trajectory.
+    """
+    try:
+        with Path(path).open(encoding="utf-8-sig", newline="") as file:
+            header, *rows = list(csv.reader(file)) or [[]]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise TrajectoryError(f"{path}: cannot be read ({error}), expected a CSV file") from None
+    names = [name.strip() for name in header]
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise TrajectoryError(f"{path}: no column {missing[0]}, available: {', '.join(names) or 'none'}")
+    places = [names.index(name) for name in COLUMNS]
+    values = [_numbers(row, places, f"{path}: row {k}") for k, row in enumerate(rows, start=2) if row]
+    try:
+        return Sampled(*np.array(values, dtype=np.float64).reshape(-1, 2).T)
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{path}: {error}") from None
+
+
+def _numbers(row: list[str], places: list[int], where: str) -> list[float]:
+    """Numbers at the given places of one row."""
+    numbers = []
+    for place, name in zip(places, COLUMNS, strict=True):
+        text = row[place] if place < len(row) else ""
+        try:
+            numbers.append(float(text))
+        except ValueError:
+            raise TrajectoryError(f"{where}: {name} is {text!r}, expected a number") from None
+    return numbers

@@ -1,22 +1,280 @@
-"""Quality check of a recorded log before anything is identified from it."""
+"""Quality check of a recorded log before anything is identified from it: clock, values, units, sign, motion."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .check_motion import motion_findings
-from .check_time import time_findings
-from .csv_ import read_columns
-from .findings import CheckReport, Finding, Severity
-from .log_mapping import LogMapping
-from .presets import CANONICAL, Preset
+from .csv_files import read_columns
+from .errors import LogError
+from .layouts import CANONICAL, LogMapping, Preset
 from .read import is_text, read_raw, resolve
-from .trial import Trial, Units
+from .segments import Motion, Segments, segment
+from .trial import Trial, Units, gap_limit_s, resample
 from .types import Vec
+
+
+class Severity(StrEnum):
+    """How much a finding matters, least first."""
+
+    OK = "ok"
+    NOTE = "note"  # worth knowing
+    WARNING = "warning"  # the log can be used, results will suffer
+    ERROR = "error"  # readers or identifications will refuse the log
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of a quality check.
+
+    Attributes:
+        severity: how much it matters.
+        topic: what was looked at, such as `jitter` or `units`.
+        message: what was found, with numbers and units.
+    """
+
+    severity: Severity
+    topic: str
+    message: str
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """All findings on one log, in the order in which they were looked for.
+
+    Attributes:
+        source: path of the log.
+        preset: layout it was read with, empty for a trial from memory.
+        findings: at least one per topic.
+    """
+
+    source: str
+    preset: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def worst(self) -> Severity:
+        """The greatest severity among the findings."""
+        order = list(Severity)
+        return max((f.severity for f in self.findings), key=order.index, default=Severity.OK)
+
+    def of(self, topic: str) -> tuple[Finding, ...]:
+        """The findings on one topic."""
+        return tuple(f for f in self.findings if f.topic == topic)
+
+
+_SLOW_INTERVAL_S = 1.0  # no closed loop of this field samples slower: time is then likely in ms
+_JITTER_SHARE = 0.1  # of the median interval; more is worth knowing
+_STUCK_SHARE = 0.05  # of the range of the command: travel without any change of the angle
+
+
+def time_findings(t: Vec, command: Vec, angle: Vec, where: Callable[[int], str]) -> Iterator[Finding]:
+    """Findings on time stamps [s] that may repeat, run backwards or be missing.
+
+    Args:
+        t, command, angle: signals, (T,).
+        where: names a sample for the reader.
+    """
+    kept = np.flatnonzero(np.isfinite(t))
+    intervals = np.diff(t[kept])
+    forward = intervals[intervals > 0]
+    if not forward.size:
+        yield Finding(Severity.ERROR, "time base", "time never increases")
+        return
+    median = float(np.median(forward))
+    yield _base(median, float(t[kept[0]]), float(t[kept[-1]]), t.size)
+    yield _jitter(forward, median)
+    yield _gaps(t, kept, intervals, median, where)
+    yield _order(kept, intervals, where)
+    yield _stuck(t, command, angle)
+
+
+def require_seconds(trial: Trial) -> None:
+    """Refuse a trial whose time is most likely in milliseconds.
+
+    Raises:
+        LogError: if its samples are a second or more apart.
+    """
+    if trial.dt >= _SLOW_INTERVAL_S:
+        raise LogError(f"{trial.source}: {_slow(trial.dt, float(trial.t[0]), float(trial.t[-1]))}")
+
+
+def _slow(median: float, start: float, stop: float) -> str:
+    return (
+        f"time_s runs from {start:g} to {stop:g}, sampling rate {1 / median:.3g} Hz, expected more than "
+        f"{1 / _SLOW_INTERVAL_S:g} Hz: is it in milliseconds?"
+    )
+
+
+def _base(median: float, start: float, stop: float, count: int) -> Finding:
+    if median >= _SLOW_INTERVAL_S:
+        return Finding(Severity.ERROR, "time base", _slow(median, start, stop))
+    return Finding(Severity.OK, "time base", f"{1 / median:.4g} Hz (median), {stop - start:.4g} s, {count} samples")
+
+
+def _jitter(forward: Vec, median: float) -> Finding:
+    spread = float(np.std(forward))
+    severity = Severity.NOTE if spread > _JITTER_SHARE * median else Severity.OK
+    return Finding(
+        severity,
+        "jitter",
+        f"sample interval {1e3 * median:.3g} ms (median), standard deviation {1e3 * spread:.2g} ms "
+        f"({spread / median:.0%}), longest {1e3 * float(forward.max()):.3g} ms",
+    )
+
+
+def _gaps(t: Vec, kept: NDArray[np.intp], intervals: Vec, median: float, where: Callable[[int], str]) -> Finding:
+    limit = gap_limit_s(median)
+    gaps = np.flatnonzero(intervals > limit)
+    if not gaps.size:
+        return Finding(Severity.OK, "gaps", f"none longer than {limit:.3g} s")
+    k = int(gaps[np.argmax(intervals[gaps])])
+    return Finding(
+        Severity.ERROR,
+        "gaps",
+        f"{gaps.size} longer than {limit:.3g} s, the longest {intervals[k]:.3g} s from {t[kept[k]]:.6g} s "
+        f"({where(int(kept[k]))}); cut the log there",
+    )
+
+
+def _order(kept: NDArray[np.intp], intervals: Vec, where: Callable[[int], str]) -> Finding:
+    same, back = np.flatnonzero(intervals == 0), np.flatnonzero(intervals < 0)
+    parts = [
+        f"{found.size} time stamps {what}, first at {where(int(kept[found[0] + 1]))}"
+        for found, what in ((same, "repeat the one before"), (back, "run backwards"))
+        if found.size
+    ]
+    if parts:
+        return Finding(Severity.ERROR, "duplicates", "; ".join(parts))
+    return Finding(Severity.OK, "duplicates", "time increases from sample to sample")
+
+
+def _stuck(t: Vec, command: Vec, angle: Vec) -> Finding:
+    """Stretches of one and the same angle; of these, the one over which the command travels farthest."""
+    topic = "stuck samples"
+    starts = np.concatenate(([0], np.flatnonzero(angle[1:] != angle[:-1]) + 1))
+    share = 1 - (starts.size - 1) / (angle.size - 1)
+    text = f"{share:.0%} of the angles equal the one before"
+    known = np.where(np.isfinite(command), command, np.nan)
+    travel = np.nan_to_num(np.fmax.reduceat(known, starts) - np.fmin.reduceat(known, starts))
+    span = float(np.nan_to_num(np.fmax.reduce(known) - np.fmin.reduce(known)))
+    farthest = int(np.argmax(travel))
+    if travel[farthest] <= _STUCK_SHARE * span:
+        return Finding(Severity.OK, topic, text)
+    start, stop = int(starts[farthest]), int(np.append(starts, angle.size)[farthest + 1]) - 1
+    return Finding(
+        Severity.NOTE,
+        topic,
+        f"{text}; from {t[start]:.6g} to {t[stop]:.6g} s it stays the same while the command travels "
+        f"{travel[farthest]:.3g}: dead zone or stuck sensor",
+    )
+
+
+_SEGMENT_RATE_HZ = 50.0  # enough for tip motions up to a few Hz
+_RETURN_SHARE = 0.05  # of the command's range: nearer to its start counts as back at its start
+_SET_DEG = 1.0  # about three times the noise of an electromagnetic tracker
+_FOLLOWS = 0.3  # correlation of angle and command below which the sign cannot be told
+
+# Range of a signal -> what its numbers look like: (from, to, suspicion); between the rows they look right.
+_MISTAKEN: dict[str, tuple[tuple[float, float, str], ...]] = {
+    "mm": ((0.0, 0.05, "metres"), (200.0, np.inf, "micrometres")),
+    "bar": ((0.0, 0.02, "MPa or a valve signal"), (20.0, 5e3, "kPa or psi"), (5e3, np.inf, "Pa")),
+    "deg": ((0.0, 3.5, "radians"), (400.0, np.inf, "sensor counts")),
+}
+
+
+def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
+    """Findings on a trial whose values are finite and in order."""
+    span = float(np.ptp(trial.command))
+    yield _units("command", trial.command, trial.units.command, preset.command_range)
+    yield _units("angle", trial.angle, trial.units.angle, preset.angle_range)
+    if span == 0:
+        text = f"the command is {trial.command[0]:g} {trial.units.command} throughout: nothing can be identified"
+        yield Finding(Severity.ERROR, "excitation", text)
+        return
+    yield _sign(trial)
+    try:
+        even = resample(trial, min(_SEGMENT_RATE_HZ, 1 / trial.dt))
+    except LogError as error:
+        yield Finding(Severity.ERROR, "segments", f"not looked for: {str(error).removeprefix(f'{trial.source}: ')}")
+        return
+    parts = segment(even)
+    yield _excitation(even, parts)
+    yield _segments(even, parts)
+    yield _first_flexure(even, parts)
+
+
+def _units(name: str, values: Vec, unit: str, plausible: tuple[float, float]) -> Finding:
+    low, high, topic = float(values.min()), float(values.max()), f"units of {name}"
+    text = f"{low:.4g} to {high:.4g} {unit}"
+    for least, most, suspicion in _MISTAKEN.get(unit, ()):
+        if least < high - low and least <= high - low <= most:
+            return Finding(Severity.WARNING, topic, f"{text}: looks like {suspicion}, expected {unit}")
+    if low < plausible[0] or high > plausible[1]:
+        return Finding(
+            Severity.WARNING, topic, f"{text}: expected {plausible[0]:g} to {plausible[1]:g}; offset or another unit?"
+        )
+    return Finding(Severity.OK, topic, text)
+
+
+def _sign(trial: Trial) -> Finding:
+    """Does the angle rise with the command, and by how much."""
+    u, y = trial.command - trial.command.mean(), trial.angle - trial.angle.mean()
+    power = float(np.sqrt((u @ u) * (y @ y)))
+    together = float(u @ y) / power if power > 0 else 0.0
+    text = f"{float(u @ y / (u @ u)):.3g} deg per {trial.units.command} (correlation {together:.2f})"
+    if abs(together) < _FOLLOWS:
+        return Finding(Severity.WARNING, "sign", f"the angle hardly follows the command: {text}")
+    if together < 0:
+        return Finding(Severity.WARNING, "sign", f"the angle falls as the command rises: {text}; flip one of them")
+    return Finding(Severity.OK, "sign", f"the angle rises with the command: {text}")
+
+
+def _excitation(trial: Trial, parts: Segments) -> Finding:
+    count = parts.reversals.size
+    speed = np.abs(np.diff(trial.command)) / trial.dt
+    text = f"{count} reversals of the command, fastest {float(speed.max()):.3g} {trial.units.command}/s"
+    if not count:
+        return Finding(Severity.WARNING, "excitation", f"{text}: hysteresis shows only after a reversal")
+    return Finding(Severity.OK, "excitation", text)
+
+
+def _segments(trial: Trial, parts: Segments) -> Finding:
+    texts = []
+    for motion in (Motion.LOADING, Motion.UNLOADING, Motion.HOLD):
+        seconds = float(np.count_nonzero(parts.labels == motion)) * trial.dt
+        texts.append(f"{len(parts.runs(motion))} {motion.name.lower()} ({seconds:.3g} s)")
+    return Finding(Severity.OK, "segments", ", ".join(texts))
+
+
+def _first_flexure(trial: Trial, parts: Segments) -> Finding:
+    """Compare the angle before the first flexure with the one when the command is back."""
+    topic, unit, u, y = "first flexure", trial.units.command, trial.command, trial.angle
+    if not parts.reversals.size:
+        return Finding(Severity.NOTE, topic, "the command never turns back, so a set cannot be told")
+    top = int(parts.reversals[0])
+    low = int(parts.reversals[1]) if parts.reversals.size > 1 else len(trial) - 1
+    opening = f"ends at {trial.t[top]:.4g} s, {y[top]:.1f} deg at {u[top]:.3g} {unit}"
+    if abs(u[low] - u[0]) > _RETURN_SHARE * float(np.ptp(u)):
+        way_up = float(y[int(np.argmin(np.abs(u[: top + 1] - u[low])))])
+        return Finding(
+            Severity.NOTE,
+            topic,
+            f"{opening}; the command does not come back to its start ({u[0]:.3g} {unit}), so a set cannot be told "
+            f"from hysteresis: at {u[low]:.3g} {unit} the angle was {way_up:.1f} deg on the way there and "
+            f"{y[low]:.1f} deg back",
+        )
+    left = float(y[low] - y[0])
+    text = f"{opening}; the angle was {y[0]:.1f} deg before and is {y[low]:.1f} deg after it: a set of {left:+.1f} deg"
+    if abs(left) > _SET_DEG:
+        advice = "; score later motions only (--skip-first-flexure)"
+        return Finding(Severity.WARNING, topic, text + advice)
+    return Finding(Severity.OK, topic, text)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,7 @@ from typing import Annotated, Any, Self, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from .errors import ConfigError, did_you_mean
-from .yaml_ import YamlError, format_yaml, parse_yaml
-from .yaml_lines import Location, MisplacedError, place_in
+from .yaml_ import Location, MisplacedError, YamlError, format_yaml, parse_yaml, place_in
 
 LARGEST_FILE = 4_000_000  # bytes of a configuration
 _LONGEST_VALUE = 100  # characters of a value in an error

@@ -8,15 +8,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .csv_ import read_csv
-from .errors import ConfigError
-from .log_mapping import LogMapping, is_mapping_file, load_mapping
+from .csv_files import Table, first_row, read_csv, read_lines, read_table
+from .errors import ConfigError, LogError
+from .layouts import (
+    LogMapping,
+    Preset,
+    get_preset,
+    is_mapping_file,
+    load_mapping,
+)
 from .mat_ import open_mat
-from .mcap_reader_ import open_mcap
-from .presets import Preset, get_preset
+from .mcap_ import open_mcap
 from .rosbag_ import is_bag, open_bag
 from .signals import Raw, Series, Source, canonical_mapping, missing, read_mapped
-from .table import Table, first_row, read_lines, read_table
 from .trial import Trial
 
 Layout = str | Preset | LogMapping
@@ -140,3 +144,34 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def expand_logs(paths: Iterable[Path | str]) -> list[Path]:
+    """Logs to read: a folder stands for its `*.csv`, or else its logs of other formats, in the order of their names.
+
+    Raises:
+        LogError: if nothing is given, or a folder holds no log.
+    """
+    from .read import logs_in  # the readers of all formats build on this module
+
+    files: list[Path] = []
+    for path in map(Path, paths):
+        inside = logs_in(path) if path.is_dir() else [path]
+        if not inside:
+            raise LogError(f"{path}: no *.csv (nor *.mcap, *.db3, *.mat) in this folder, expected recorded logs")
+        files += inside
+    if not files:
+        raise LogError("no logs given, expected files or folders of logs")
+    return files
+
+
+def read_trials(paths: Iterable[Path | str], preset: str | Preset = "auto") -> list[Trial]:
+    """Read several trials of any format; see `expand_logs` for folders and `read_log` for formats and presets.
+
+    Raises:
+        LogError: if nothing is found, or a log cannot be read.
+        ConfigError: on an unknown preset or a wrong mapping file.
+    """
+    from .read import read_all
+
+    return read_all(expand_logs(paths), preset)

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from hystmpc.trials.plot_style import MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, new_figure
 
 from .measures import Calibration, Confusion, Rate
 from .plan import confusable

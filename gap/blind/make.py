@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from hystmpc.sim.parallel.backend import backend_for
-from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.resample import resample
+from hystmpc.trials.read import read_trials
 from hystmpc.trials.run_folder import require_vacant
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.trial import Trial, resample
 
 from .answer import Answer, Suite
 from .scene import RATE_HZ

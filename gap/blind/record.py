@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hystmpc.trials.csv_ import read_trials, write_csv
+from hystmpc.trials.csv_files import read_lines, read_table, write_csv
 from hystmpc.trials.errors import ConfigError, LogError, did_you_mean
-from hystmpc.trials.table import read_lines, read_table
+from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial
 
 from .core import TRAVEL_MM

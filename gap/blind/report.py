@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report, Table
+from hystmpc.trials.report import Heading, Paragraph, Piece, Plot, Report, Table
 
 from .bars import Bar, true_share
 from .figures import calibration_figure, closed_figure, confusion_figure, rates_figure

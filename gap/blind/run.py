@@ -12,9 +12,9 @@ from typing import Any
 
 from hystmpc.models.simulator import Simulator
 from hystmpc.sim.parallel.backend import backend_for
-from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial
 
 from ..findings import Findings

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hystmpc.trials.plot_style import new_figure
+from hystmpc.trials.report import new_figure
 
 from .evidence import Stage, TrialEvidence
 from .look import COMMANDED, HEAT, LABEL, short, thin

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from hystmpc.trials.plot_style import MODEL, PALETTE, REFERENCE, new_figure
+from hystmpc.trials.report import MODEL, PALETTE, REFERENCE, new_figure
 
 from ..next_motion import Proposal
 from .look import COMMANDED, plain, thin

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from hystmpc.trials.plot_style import MODEL, new_figure
+from hystmpc.trials.report import MODEL, new_figure
 
 from .evidence import Stage, TrialEvidence
 from .look import COLOUR, LABEL, QUIET, REAL, short, thin

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report, Table
+from hystmpc.trials.report import Heading, Paragraph, Piece, Plot, Report, Table
 
 from ..next_motion import MOTION_FILE
 from .evidence import Evidence

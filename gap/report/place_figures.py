@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hystmpc.trials.plot_style import MEASURED, REFERENCE, new_figure
+from hystmpc.trials.report import MEASURED, REFERENCE, new_figure
 
 from ..diagnosis import Place
 from ..spectrum import Line

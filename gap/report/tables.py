@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from hystmpc.trials.html import KeyValues, Paragraph, Piece, Table
+from hystmpc.trials.report import KeyValues, Paragraph, Piece, Table
 
 from .evidence import STAGES, CandidateRow, Evidence, TrialEvidence
 from .look import LABEL, plain

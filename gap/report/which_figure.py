@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from hystmpc.trials.plot_style import ACCENTS, MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import ACCENTS, MEASURED, MODEL, REFERENCE, new_figure
 
 from ..diagnosis import Diagnosis
 from .evidence import CandidateRow, Evidence

@@ -7,7 +7,7 @@ import io
 from pathlib import Path
 from typing import final
 
-from hystmpc.trials.presets import CANONICAL
+from hystmpc.trials.layouts import CANONICAL
 
 from ..sample import Sample
 from .growing_file import GrowingFile

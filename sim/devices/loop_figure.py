@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.plot_style import MEASURED, new_figure
+from hystmpc.trials.report import MEASURED, new_figure
 from hystmpc.trials.trial import Trial
 
 _COLUMNS = 4

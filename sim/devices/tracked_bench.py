@@ -9,8 +9,7 @@ import numpy as np
 
 from hystmpc.trajectories.excitation import s2_initialisation
 from hystmpc.trajectories.trajectory import Trajectory
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial, Units
+from hystmpc.trials.trial import Trial, Units, resample
 
 from .device import Device
 from .excited import generator, sampled

@@ -12,7 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
-from hystmpc.trials.plot_style import PALETTE, REFERENCE, new_figure
+from hystmpc.trials.report import PALETTE, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
 from .ray import profile, surface_distance

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Table
+from hystmpc.trials.report import Heading, Paragraph, Piece, Plot, Table
 
 from .figures import error_map_figure, section_figure, setup_figure
 from .result import Reconstruction

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece
+from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece
 
 from .outcome import Outcome, title_of
 from .printed import MARKS

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from hystmpc.trials.plot_style import COMMAND, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
+from hystmpc.trials.report import COMMAND, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
 
 from .control_outcome import ControlOutcome
 from .control_result import ControlResult, load_signals

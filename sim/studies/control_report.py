@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report
+from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report
 
 from .control_bars import verdicts
 from .control_figures import motion_figure, rmse_figure

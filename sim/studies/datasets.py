@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.trial import Trial, resample
 
 from .job import Splits
 from .settings import StudySettings

@@ -9,8 +9,19 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report
-from hystmpc.trials.plot_style import ACCENTS, COMMAND, MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import (
+    ACCENTS,
+    COMMAND,
+    MEASURED,
+    MODEL,
+    REFERENCE,
+    Heading,
+    Paragraph,
+    Piece,
+    Plot,
+    Report,
+    new_figure,
+)
 
 from .common import jobs_pieces, jobs_table, set_up
 from .datasets import LOGS

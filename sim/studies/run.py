@@ -9,7 +9,7 @@ from pathlib import Path
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.html import Report
+from hystmpc.trials.report import Report
 from hystmpc.trials.run_folder import RunFolder
 
 from .control_settings import ControlSettings

@@ -6,7 +6,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from hystmpc.trials.plot_style import ACCENTS, COMMAND, MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import ACCENTS, COMMAND, MEASURED, MODEL, REFERENCE, new_figure
 
 from .job import Splits
 from .outcome import Outcome, title_of

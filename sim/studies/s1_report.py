@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from hystmpc.trials.errors import HystmpcError
-from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report
+from hystmpc.trials.report import Heading, Paragraph, Piece, Plot, Report
 
 from ..reconstruction.report import reconstruction_pieces
 from ..reconstruction.result import Reconstruction

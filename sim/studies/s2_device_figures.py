@@ -13,7 +13,7 @@ from hystmpc.models.fit.operators import OperatorFitSettings, fit_chain
 from hystmpc.models.fit.starts import backlash_starts
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.maps import QuadraticMap
-from hystmpc.trials.plot_style import MEASURED, MODEL, PALETTE, REFERENCE, new_figure
+from hystmpc.trials.report import MEASURED, MODEL, PALETTE, REFERENCE, new_figure
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 

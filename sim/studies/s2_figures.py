@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hystmpc.trials.plot_style import ACCENTS, COMMAND, MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import ACCENTS, COMMAND, MEASURED, MODEL, REFERENCE, new_figure
 from hystmpc.trials.trial import Trial
 
 from .outcome import Outcome, title_of

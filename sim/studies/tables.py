@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.html import Table
+from hystmpc.trials.report import Table
 
 Cell = str | int | float
 NOTHING = "-"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hystmpc.trials.errors import ConfigError, did_you_mean
-from hystmpc.trials.yaml_lines import place_in
+from hystmpc.trials.yaml_ import place_in
 
 _PART = re.compile(r'"([^"]+)"|([^."]+)')
 _WHOLE = re.compile(r'(?:"[^"]+"|[^."]+)(?:\.(?:"[^"]+"|[^."]+))*')

@@ -12,8 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
-from hystmpc.trials.plot_style import REFERENCE, new_figure
+from hystmpc.trials.report import REFERENCE, Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, new_figure
 from hystmpc.trials.types import Vec
 
 from ..figures import colours

@@ -9,8 +9,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
-from hystmpc.trials.plot_style import COMMAND, MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import (
+    COMMAND,
+    MEASURED,
+    MODEL,
+    REFERENCE,
+    Heading,
+    KeyValues,
+    Paragraph,
+    Piece,
+    Plot,
+    Report,
+    Table,
+    new_figure,
+)
 
 from ..sweep.axes import plain_log
 from .held_out import HeldOut

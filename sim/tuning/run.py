@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from hystmpc.trials.config import dump_yaml, read_yaml
+from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import RunFolder
-from hystmpc.trials.table import format_table
 
 from ..parallel.backend import Backend
 from ..sweep.store import alone_in

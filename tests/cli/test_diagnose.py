@@ -16,7 +16,7 @@ from hystmpc.gap.motion_menu import menu
 from hystmpc.gap.next_motion import Noise, propose, write_motion
 from hystmpc.models.chain_model import ChainModel
 from hystmpc.models.simulator import save_simulator
-from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.trial import Trial
 
 from ..gap.contenders import DELAY, LAG

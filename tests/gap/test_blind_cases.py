@@ -20,10 +20,10 @@ from hystmpc.gap.blind.scored import load_scored
 from hystmpc.gap.blind.sealed import ANSWERS, MANIFEST, open_answers, read_case, read_manifest
 from hystmpc.gap.blind.sizing import sized
 from hystmpc.gap.blind.suites import SUITES, make_case, places
-from hystmpc.trials.csv_ import read_csv, read_trials
+from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.trial import Trial, resample
 
 WORDS = {*LABELS, *SUITES, *(g.name for g in GENERATORS), "unknown", "decoy", "capstan", "dahl", "rodcore"} - {"none"}
 

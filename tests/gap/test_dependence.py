@@ -24,10 +24,9 @@ from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.procedure import conclude, investigate
 from hystmpc.gap.report.evidence import Evidence
 from hystmpc.models.simulator import Residual
-from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import GapError
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Vec
 
 from ..models.zoo import BACKLASH

@@ -13,8 +13,7 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.fit.identify import DeviceLimits, simulator_of
 from hystmpc.models.fit.trial_set import fingerprint
 from hystmpc.models.simulator import Identification, Residual, Simulator, load_simulator, save_simulator
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.trial import Trial, resample
 
 from ..models.zoo import BACKLASH
 from .engine_examples import moves, trials_of

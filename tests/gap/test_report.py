@@ -22,7 +22,7 @@ from hystmpc.gap.report.page import MOST_HEAT, diagnosis_report, write_report
 from hystmpc.gap.report.words import headline, how_far, listed
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.html import Heading, Paragraph, Plot, Table
+from hystmpc.trials.report import Heading, Paragraph, Plot, Table
 from hystmpc.trials.run_folder import RunFolder
 
 from .report_examples import REASON, VERDICTS, report_data, trial_evidence

@@ -16,10 +16,9 @@ from hystmpc.models.fit.free_parameters import FreeParameters
 from hystmpc.models.fit.identify import DeviceLimits, identify
 from hystmpc.models.fit.operators import OperatorFitSettings, fit_chain
 from hystmpc.models.fit.starts import backlash_starts
-from hystmpc.trials.csv_ import read_csv
+from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import FitError, ModelError
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial, Units
+from hystmpc.trials.trial import Trial, Units, resample
 
 from .zoo import CHAINS, DT, simulator
 

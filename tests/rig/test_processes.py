@@ -23,7 +23,7 @@ from hystmpc.rig.campaign.processes import PROGRAM, end, start, start_device
 from hystmpc.rig.campaign.setup import Kind, Link, write_device, write_run
 from hystmpc.rig.recording import RecordingMeta, open_apart
 from hystmpc.rig.recording.apart import Views
-from hystmpc.trials.csv_ import read_csv
+from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
 

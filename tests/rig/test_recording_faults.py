@@ -24,7 +24,7 @@ from hystmpc.rig.recording.growing_file import GrowingFile
 from hystmpc.rig.recording.mcap_log_ import McapLog
 from hystmpc.trials.check import check_trial
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.mcap_reader_ import open_mcap
+from hystmpc.trials.mcap_ import open_mcap
 from hystmpc.trials.read import read_log
 from hystmpc.trials.run_folder import RunFolder
 

@@ -28,7 +28,7 @@ from hystmpc.sim.reconstruction.segment import Segment
 from hystmpc.sim.reconstruction.settings import Oct, ReconstructionSettings
 from hystmpc.sim.reconstruction.table import ERROR_COLUMNS, TEST_COLUMNS, error_rows, rank_test_rows
 from hystmpc.trials.errors import ConfigError, ModelError
-from hystmpc.trials.html import Report
+from hystmpc.trials.report import Report
 
 IDEAL = ReconstructionSettings(oct=Oct(noise_mm=0.0, axial_resolution_mm=0.0))
 NOISY = ReconstructionSettings(seed=3)

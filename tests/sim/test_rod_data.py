@@ -18,9 +18,9 @@ from hystmpc.sim.devices.rod_recorder import RodRecorder
 from hystmpc.sim.devices.rod_trials import RodBench, simulate_rod
 from hystmpc.sim.devices.s2_data import S2Settings
 from hystmpc.trajectories.excitation import s2_sinusoid
-from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.resample import resample
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.trial import resample
 
 DT = 0.04
 FEW = S2Settings(train_hz=(0.5,), val_hz=(0.5,), test_hz=(0.4,), train_moves=1, val_moves=1, test_moves=1, repeats=1)

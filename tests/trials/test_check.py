@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.trials.check import check_trial
-from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.check import Severity, check_trial
+from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.findings import Severity
 from hystmpc.trials.trial import Trial, Units
 
 OK, NOTE, WARNING, ERROR = Severity

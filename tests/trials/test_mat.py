@@ -22,10 +22,9 @@ import h5py
 
 from hystmpc.cli.main import main
 from hystmpc.trials.check import check_trial
-from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.mat_ import open_mat
-from hystmpc.trials.read import read_log
+from hystmpc.trials.read import read_log, read_trials
 
 from .message_logs import assert_prefix, columns, mapping, read_or_refused
 

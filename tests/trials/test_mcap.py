@@ -16,12 +16,11 @@ pytest.importorskip("rosbags", reason="rosbags (extra `logs`) is not installed")
 
 from mcap.writer import CompressionType
 
-from hystmpc.trials.check import check_trial
-from hystmpc.trials.csv_ import read_csv, read_trials, write_csv
+from hystmpc.trials.check import Severity, check_trial
+from hystmpc.trials.csv_files import read_csv, write_csv
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc.trials.findings import Severity
-from hystmpc.trials.mcap_reader_ import open_mcap
-from hystmpc.trials.read import read_log
+from hystmpc.trials.mcap_ import open_mcap
+from hystmpc.trials.read import read_log, read_trials
 from hystmpc.trials.run_folder import RunFolder
 
 from .message_logs import assert_prefix, columns, mapping, read_or_refused, write_json

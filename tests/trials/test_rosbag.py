@@ -19,9 +19,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 
 from hystmpc.trials.check import check_trial
-from hystmpc.trials.csv_ import expand_logs, read_trials
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.read import read_log
+from hystmpc.trials.read import expand_logs, read_log, read_trials
 from hystmpc.trials.rosbag_ import open_bag
 
 from .message_logs import JOINTS, assert_prefix, bag_types, columns, mapping, read_or_refused, write_bag

@@ -16,8 +16,7 @@ from pydantic import Field
 from hystmpc.cli.main import main
 from hystmpc.trials.config import LARGEST_FILE, Settings, dump_yaml, load_settings, read_yaml
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.yaml_ import YamlError, parse_yaml
-from hystmpc.trials.yaml_lines import line_of
+from hystmpc.trials.yaml_ import YamlError, line_of, parse_yaml
 
 
 class Inner(Settings):
