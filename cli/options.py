@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from hystmpc.trials.check import Severity, check_trial, require_seconds
+from hystmpc.trials.check import Severity, check, require_seconds
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.layouts import PRESETS
 from hystmpc.trials.read import expand_logs, read_trials
@@ -67,7 +67,7 @@ def trials_at(logs: Sequence[Path], layout: str, rate_hz: float) -> list[Trial]:
 def warn_of_units(trials: Sequence[Trial]) -> None:
     """One line a signal that looks like another unit: nothing else would tell radians from a weak device."""
     for trial in trials:
-        for finding in check_trial(trial).findings:
+        for finding in check(trial).findings:
             if finding.topic.startswith("units") and finding.severity is Severity.WARNING:
                 text = f"warning: {trial.source}: {finding.topic}: {finding.message}"
                 errors.print(text, style="yellow", soft_wrap=True, highlight=False)

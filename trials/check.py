@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .csv_files import read_columns
+from .csv_files import Frame, read_columns
 from .errors import LogError
 from .layouts import CANONICAL, LogMapping, Preset
-from .read import is_text, read_raw, resolve
+from .read import Layout, Log, is_table, read_raw, resolve
 from .segments import Motion, Segments, segment
 from .trial import Trial, Units, gap_limit_s, resample
 from .types import Vec
@@ -66,6 +66,16 @@ class CheckReport:
     def of(self, topic: str) -> tuple[Finding, ...]:
         """The findings on one topic."""
         return tuple(f for f in self.findings if f.topic == topic)
+
+    def __str__(self) -> str:
+        head = f"{self.source} ({self.preset})" if self.preset else self.source
+        return "\n".join([head, *(f"{f.severity:8} {f.topic}: {f.message}" for f in self.findings)])
+
+    def _repr_html_(self) -> str:
+        from .report import Report, Table  # matplotlib takes longer to import than a log to check
+
+        rows = [(str(f.severity), f.topic, f.message) for f in self.findings]
+        return Report(self.source, (Table(("", "topic", "finding"), rows),), self.preset).fragment()
 
 
 _SLOW_INTERVAL_S = 1.0  # no closed loop of this field samples slower: time is then likely in ms
@@ -291,17 +301,17 @@ class _Signals:
     note: str = ""  # on the file itself
 
 
-def check_trial(log: Trial | Path | str, preset: str | Preset = "auto") -> CheckReport:
+def check(log: Log, preset: Layout = "auto") -> CheckReport:
     """Look at time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
-    A file is read leniently: what `read_log` would refuse becomes a finding.
+    A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
 
     Args:
-        log: a trial, or the path of a log.
-        preset: layout of the log, for a path.
+        log: a file, a ROS 2 bag, a data frame or a trial.
+        preset: its layout, see `read_trials`.
 
     Raises:
-        LogError: if the file cannot be read, or lacks a column or signal.
+        LogError: if it cannot be read, or lacks a column or signal.
         ConfigError: on an unknown preset or a wrong mapping file.
     """
     if isinstance(log, Trial):
@@ -312,24 +322,17 @@ def check_trial(log: Trial | Path | str, preset: str | Preset = "auto") -> Check
     return CheckReport(source, name, tuple(_findings(signals, source)))
 
 
-def _read(log: Path | str, preset: str | Preset) -> tuple[str, str, _Signals]:
-    """Path, layout and signals of a file."""
+def _read(log: Path | str | Frame, preset: Layout) -> tuple[str, str, _Signals]:
+    """Path, layout and signals of a log."""
     layout = resolve(preset)
-    if not is_text(log) or isinstance(layout, LogMapping):
+    if not is_table(log) or isinstance(layout, LogMapping):
         raw = read_raw(log, layout)
         channels, where = raw.channels, "sample {}".format
         signals = _Signals(raw.t, raw.command, raw.angle, channels, raw.units, CANONICAL, where, raw.note)
         return raw.source, raw.preset, signals
     columns = read_columns(log, layout)
-    signals = _Signals(
-        columns.t,
-        columns.command,
-        columns.angle,
-        columns.channels,
-        columns.units,
-        columns.preset,
-        lambda k: f"row {columns.row(k)}",
-    )
+    channels, where = columns.channels, lambda k: f"row {columns.row(k)}"
+    signals = _Signals(columns.t, columns.command, columns.angle, channels, columns.units, columns.preset, where)
     return columns.source, columns.preset.name, signals
 
 

@@ -1,4 +1,4 @@
-"""Trials from and to delimited text; a bad cell is named by its row and column."""
+"""Trials from and to tables: delimited text and data frames; a bad cell is named by its row and column."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import io
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +26,11 @@ _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns of one file.
+    """Columns of one file or data frame.
 
     Attributes:
         source: path of the file, for messages.
-        lines: text of the file, line by line.
+        lines: text of the file, line by line; none of a data frame.
         delimiter: what separates the cells.
         start: index of the first line below the header.
         header: names of all columns in the order of the file.
@@ -45,10 +47,51 @@ class Table:
     texts: Mapping[str, tuple[str, ...]]
 
     def locate(self, sample: int, column: str) -> tuple[int, str]:
-        """Row (1-based, as an editor shows it) and text of one cell."""
+        """Row and text of one cell; rows of a file count from 1, as an editor shows them, of a data frame from 0."""
+        if not self.lines:
+            return sample, str(self.texts[column][sample] if column in self.texts else self.numbers[column][sample])
         rows = list(_rows(self.lines, self.start, self.delimiter, self.source))
         number, cells = rows[sample]
         return number, cells[self.header.index(column)].strip()
+
+
+@runtime_checkable
+class Frame(Protocol):
+    """Named columns in memory, such as a pandas or polars `DataFrame`; neither package is imported."""
+
+    @property
+    def columns(self) -> Any:
+        """Names of the columns, in order."""
+        ...
+
+    def __getitem__(self, name: Any, /) -> Any:
+        """One column, as `numpy.asarray` takes it."""
+        ...
+
+
+def frame_table(frame: Frame, source: str = "<frame>") -> Table:
+    """Columns of a data frame; an index that has a name is a column too.
+
+    Raises:
+        LogError: if a name occurs twice, or there is no row.
+    """
+    header = tuple(map(str, frame.columns))
+    columns = {name: np.asarray(frame[key]) for name, key in zip(header, frame.columns, strict=True)}
+    index = getattr(frame, "index", None)
+    name = getattr(index, "name", None)
+    if name is not None and str(name) not in columns:
+        header, columns = (str(name), *header), {str(name): np.asarray(index), **columns}
+    if twice := sorted(name for name in set(header) if header.count(name) > 1):
+        raise LogError(f"{source}: column {twice[0]!r} occurs twice, expected each once")
+    if not columns or not len(columns[header[0]]):
+        raise LogError(f"{source}: no rows, expected at least two of numbers")
+    numbers = {k: np.asarray(v, dtype=np.float64) for k, v in columns.items() if v.dtype.kind in "fiub"}
+    for k, v in columns.items():  # a column with gaps may hold objects
+        if v.dtype.kind == "O":
+            with suppress(TypeError, ValueError):
+                numbers[k] = np.array([np.nan if cell is None else cell for cell in v], dtype=np.float64)
+    texts = {k: tuple(map(str, v)) for k, v in columns.items() if k not in numbers}
+    return Table(source, (), "", 0, header, numbers, texts)
 
 
 def read_lines(path: Path | str) -> list[str]:
@@ -215,7 +258,7 @@ class Columns:
         return self.table.locate(sample, self.names["t"])[0]
 
 
-def read_columns(path: Path | str, preset: str | Preset = "auto") -> Columns:
+def read_columns(log: Path | str | Frame, preset: str | Preset = "auto") -> Columns:
     """Read a log without judging its values: empty cells are not-a-number, time may repeat.
 
     Columns of text are left out; `Columns.table.texts` holds them.
@@ -224,11 +267,9 @@ def read_columns(path: Path | str, preset: str | Preset = "auto") -> Columns:
         LogError: if the file cannot be read as a table or lacks a column; names file, row and column.
         ConfigError: on an unknown preset.
     """
-    layout = get_preset(preset) if isinstance(preset, str) and preset != "auto" else preset
-    lines = read_lines(path)
-    if isinstance(layout, str):
-        layout = _detect(lines, str(path))
-    table = read_table(lines, str(path), layout.delimiter, layout.columns)
+    layout = None if preset == "auto" else get_preset(preset) if isinstance(preset, str) else preset
+    table, layout = _table_and_layout(log, layout)
+    path = table.source
     if gone := layout.missing(table.header):
         raise LogError(
             f"{path}: missing columns for preset {layout.name}: {', '.join(gone)}; "
@@ -249,21 +290,22 @@ def read_columns(path: Path | str, preset: str | Preset = "auto") -> Columns:
     return Columns(t, u, angle, channels, Units(command=layout.command[command]), layout, table, names)
 
 
-def read_csv(path: Path | str, preset: str | Preset = "auto") -> Trial:
-    """Read one trial.
+def read_csv(log: Path | str | Frame, preset: str | Preset = "auto") -> Trial:
+    """Read one trial from a file or a data frame.
 
     Time, command and angle must be finite and time must increase; further columns may hold empty cells (read as
     not-a-number), and columns of text are left out.
 
     Args:
-        path: the log.
+        log: the file or frame.
         preset: its layout: a name, a `Preset`, or `auto` to tell it from the header.
 
     Raises:
         LogError: on anything else; one line with file, row, column, what was got and what was expected.
         ConfigError: on an unknown preset.
     """
-    columns = read_columns(path, preset)
+    columns = read_columns(log, preset)
+    path = columns.source
     for name, values in (("t", columns.t), ("command", columns.command), ("angle", columns.angle)):
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
@@ -280,7 +322,7 @@ def read_csv(path: Path | str, preset: str | Preset = "auto") -> Trial:
             f"{path}, row {columns.row(k + 1)}, column {columns.names['t']!r}: got {columns.t[k + 1]:.9g} s after "
             f"{columns.t[k]:.9g} s, expected increasing time ({late.size} such rows)"
         )
-    return Trial(columns.t, columns.command, columns.angle, columns.channels, columns.units, str(path))
+    return Trial(columns.t, columns.command, columns.angle, columns.channels, columns.units, path)
 
 
 def write_csv(trial: Trial, path: Path | str) -> Path:
@@ -305,13 +347,24 @@ def write_csv(trial: Trial, path: Path | str) -> Path:
     return write_atomically(path, format_table(columns))
 
 
-def _detect(lines: Sequence[str], source: str) -> Preset:
+def _table_and_layout(log: Path | str | Frame, layout: Preset | None) -> tuple[Table, Preset]:
+    """The columns of a log, and their layout: the one given, or what the header tells."""
+    if isinstance(log, Frame):
+        table = frame_table(log)
+        return table, layout or _detect(table.header, table.source)
+    lines, source = read_lines(log), str(log)
+    if layout is None:
+        index, header = first_row(lines, CANONICAL.delimiter)
+        layout = _detect(header, f"{source}, row {index + 1}")
+    return read_table(lines, source, layout.delimiter, layout.columns), layout
+
+
+def _detect(header: Sequence[str], where: str) -> Preset:
     """Layout told from the header row."""
-    index, header = first_row(lines, CANONICAL.delimiter)
     try:
         return detect_preset(header)
     except LogError as error:
-        raise LogError(f"{source}, row {index + 1}: {error}{_header_hint(header)}") from None
+        raise LogError(f"{where}: {error}{_header_hint(header)}") from None
 
 
 def _header_hint(header: Sequence[str]) -> str:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -71,8 +72,15 @@ _STYLE: Any = {
 }
 
 
+class StyledFigure(Figure):
+    """A figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return _png(self)
+
+
 @contextmanager
-def new_figure(width: float = 7.0, height: float = 3.2) -> Iterator[Figure]:
+def new_figure(width: float = 7.0, height: float = 3.2) -> Iterator[StyledFigure]:
     """A figure in the style of the project, to be drawn on inside the `with` block; it stays valid after it.
 
     Not made through pyplot: nothing global keeps it alive, and no display is needed.
@@ -81,7 +89,7 @@ def new_figure(width: float = 7.0, height: float = 3.2) -> Iterator[Figure]:
         width, height: size [inch].
     """
     with mpl.rc_context(_STYLE):
-        yield Figure(figsize=(width, height))
+        yield StyledFigure(figsize=(width, height))
 
 
 @contextmanager
@@ -158,6 +166,11 @@ class Report:
         css = Markup(_resource("report.css"))
         return _template().render(title=self.title, subtitle=self.subtitle, blocks=blocks, contents=contents, css=css)
 
+    def fragment(self) -> str:
+        """Title and pieces alone, for a cell of a notebook; figures are bitmaps, so that no two cells share an id."""
+        title = f"{self.title}: {self.subtitle}" if self.subtitle else self.title
+        return _template().render(title=title, blocks=[_block(piece, 0, _bitmap) for piece in self.pieces], css="")
+
     def save(self, path: Path | str) -> Path:
         """Write the page, whole or not at all."""
         return write_atomically(path, self.html())
@@ -190,7 +203,20 @@ def _print_as_it_is(figure: Figure) -> None:
             text.set_parse_math(False)
 
 
-def _block(piece: Piece, number: int) -> dict[str, Any]:
+def _png(figure: Figure) -> bytes:
+    out = io.BytesIO()
+    with style():
+        figure.savefig(out, format="png", dpi=110)
+    return out.getvalue()
+
+
+def _bitmap(figure: Figure, prefix: str) -> str:
+    """A figure as an `<img>` element that holds its own data."""
+    del prefix
+    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(_png(figure)).decode()}">'
+
+
+def _block(piece: Piece, number: int, drawn: Callable[[Figure, str], str] = figure_svg) -> dict[str, Any]:
     """What the template needs of one piece."""
     if isinstance(piece, Heading):
         return {"kind": "heading", "text": piece.text, "level": piece.level, "id": f"section-{number}"}
@@ -201,7 +227,7 @@ def _block(piece: Piece, number: int) -> dict[str, Any]:
     if isinstance(piece, Table):
         rows = [[_cell(value) for value in row] for row in piece.rows]
         return {"kind": "table", "columns": piece.columns, "rows": rows, "caption": piece.caption}
-    svg = figure_svg(piece.figure, prefix=f"figure-{number}-")
+    svg = drawn(piece.figure, f"figure-{number}-")
     return {"kind": "figure", "svg": Markup(svg), "caption": piece.caption, "id": f"figure-{number}"}
 
 

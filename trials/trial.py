@@ -1,4 +1,4 @@
-"""One recorded trial: what every reader returns and every identification takes."""
+"""One recorded trial: what every reader returns and every identification takes; resampling it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import ConfigError, LogError
 from .types import Vec
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -103,6 +107,35 @@ class Trial:
             self.units,
             self.source,
         )
+
+    def plot(self) -> Figure:
+        """Angle and command over time, and the angle over the command: the hysteresis loop."""
+        from .report import COMMAND, MEASURED, new_figure  # matplotlib takes longer to import than a trial to read
+
+        angle, command = f"angle [{self.units.angle}]", f"command [{self.units.command}]"
+        with new_figure(7.0, 3.2) as figure:
+            axes = figure.subplot_mosaic([["y", "loop"], ["u", "loop"]], width_ratios=(3, 2))
+            axes["y"].plot(self.t, self.angle, color=MEASURED)
+            axes["y"].set(ylabel=angle)
+            axes["u"].plot(self.t, self.command, color=COMMAND)
+            axes["u"].set(xlabel="time [s]", ylabel=command)
+            axes["u"].sharex(axes["y"])
+            axes["loop"].plot(self.command, self.angle, color=MEASURED, linewidth=0.8)
+            axes["loop"].set(xlabel=command, ylabel=angle)
+        return figure
+
+    def _repr_html_(self) -> str:
+        from .report import KeyValues, Plot, Report
+
+        u, y = self.command, self.angle
+        rows = {
+            "samples": f"{len(self)}, every {self.dt:.4g} s, {self.duration_s:.4g} s in all",
+            "command": f"{u.min():.4g} to {u.max():.4g} {self.units.command}",
+            "angle": f"{y.min():.4g} to {y.max():.4g} {self.units.angle}",
+        }
+        if self.channels:
+            rows["channels"] = ", ".join(self.channels)
+        return Report(f"Trial {self.source}", (KeyValues(rows), Plot(self.plot()))).fragment()
 
 
 def _vector(values: ArrayLike, name: str, source: str) -> Vec:

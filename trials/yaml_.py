@@ -171,6 +171,13 @@ class _Dumper(yaml.SafeDumper):
     """Quotes every text that is something else to `parse_yaml` or to YAML 1.1."""
 
 
+def _text(dumper: Any, text: str) -> Any:
+    """A text; one with a line break of Unicode in double quotes, which alone keep it."""
+    style = '"' if re.search("[\x85\u2028\u2029]", text) else None
+    return dumper.represent_scalar(f"{_TAG}str", text, style=style)
+
+
+_Dumper.add_representer(str, _text)
 _Dumper.add_implicit_resolver(f"{_TAG}float", _NUMBER, _FIRST_OF_NUMBER)
 
 

@@ -136,6 +136,7 @@ plain = st.recursive(
 
 
 @given(plain)
+@example({"\x85": "a\u2028"})
 @example({"a": ["1e3", "010", "yes", "true", "1:30", "~", "", "<<", "2026-01-02", "0o7", ".inf", "1e-05"]})
 def test_what_is_written_is_read_back_the_same(data: Any) -> None:
     text = dump_yaml(data)
