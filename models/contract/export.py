@@ -31,7 +31,7 @@ def export_onnx(bundle: ExportBundle, path: Path | str) -> GateReport:
             file that lay at `path` before is left as it was.
     """
     try:
-        content = _model_bytes(bundle)
+        content = model_bytes(bundle)
         report = run_gate(bundle, OnnxModel(content, str(path)))
     except ModelError as error:
         raise ExportError(f"{error}; nothing was written") from None
@@ -44,7 +44,7 @@ def export_onnx(bundle: ExportBundle, path: Path | str) -> GateReport:
     return report
 
 
-def _model_bytes(bundle: ExportBundle) -> bytes:
+def model_bytes(bundle: ExportBundle) -> bytes:
     """The model file of a bundle."""
     proto = onnx.helper.make_model(
         bundle.graph,
