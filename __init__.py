@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         export,
         fit,
         load_model,
+        load_simulator,
         simulate,
         tune,
     )
@@ -60,40 +61,37 @@ __all__ = [
     "export",
     "fit",
     "load_model",
+    "load_simulator",
     "read_trials",
     "simulate",
     "tune",
 ]
 
-# Where a name is defined; those left out are in `api`.
-_HOME = {
-    "HystmpcError": ("hystmpc.trials.errors", "HystmpcError"),
-    "Limits": ("hystmpc.ctrl.limits", "CommandLimits"),
-    "Simulator": ("hystmpc.models.simulator", "Simulator"),
-    "TipController": ("hystmpc.ctrl.tip_controller", "TipController"),
-    "Trial": ("hystmpc.trials.trial", "Trial"),
-    "check": ("hystmpc.trials.check", "check"),
-    "read_trials": ("hystmpc.trials.read", "read_trials"),
-}
+if not TYPE_CHECKING:  # a type checker knows the names above and no others
+    from hystmpc.trials import lazily
 
-if not TYPE_CHECKING:  # so that a type checker knows the names above and no others
+    _found = lazily(
+        __name__,
+        (
+            "hystmpc.api",
+            "Evaluation Fit build_controller diagnose evaluate export fit load_model load_simulator simulate tune",
+        ),
+        ("hystmpc.ctrl.limits", "Limits=CommandLimits"),
+        ("hystmpc.ctrl.tip_controller", "TipController"),
+        ("hystmpc.models.simulator", "Simulator"),
+        ("hystmpc.trials.check", "check"),
+        ("hystmpc.trials.errors", "HystmpcError"),
+        ("hystmpc.trials.read", "read_trials"),
+        ("hystmpc.trials.trial", "Trial"),
+    )
 
     def __getattr__(name: str) -> object:
-        """Import what is asked for, once."""
-        if name not in __all__:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         if name == "__version__":
             from importlib.metadata import version
 
-            found = version("hystmpc")
-        else:
-            from importlib import import_module
-
-            module, attribute = _HOME.get(name, ("hystmpc.api", name))
-            found = getattr(import_module(module), attribute)
-        globals()[name] = found
-        return found
+            return version("hystmpc")
+        return _found(name)
 
 
 def __dir__() -> list[str]:
-    return list(__all__)
+    return __all__

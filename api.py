@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from hystmpc.trials.errors import ControllerError, FitError, ModelError
+from hystmpc.trials.errors import ControllerError, FitError
 from hystmpc.trials.read import Layout, Log, read_trials
 from hystmpc.trials.trial import Trial, require_uniform, resample
 from hystmpc.trials.types import Progress
@@ -171,6 +171,21 @@ def load_model(path: Path | str, start: Start = "initial") -> AnyModel:
     return open_file(model_path(str(path)), start)
 
 
+def load_simulator(path: Path | str) -> Simulator:
+    """Open a simulator, the readable form of an operator-based model.
+
+    Args:
+        path: a file that `fit` or `diagnose` has written (`.yaml`), or `builtin:NAME` for one that ships.
+
+    Raises:
+        ModelError: if the file is missing, foreign or corrupt, or the name unknown.
+    """
+    from hystmpc.models.library import model_path
+    from hystmpc.models.simulator import load_simulator as open_file
+
+    return open_file(model_path(str(path)))
+
+
 def fit(
     kind: str,
     trials: Logs,
@@ -288,18 +303,14 @@ def export(model: Fit | Simulator | Path | str, path: Path | str) -> GateReport:
 
     Raises:
         ExportError: if they disagree or the file cannot be written; nothing is written then.
-        ModelError: if the model is not a fit or simulator.
+        ModelError: if a file is no simulator.
     """
     from hystmpc.models.contract.export import export_onnx
     from hystmpc.models.export_simulator import export_simulator
-    from hystmpc.models.simulator import Simulator
 
     if isinstance(model, Fit):
         return export_onnx(model.found.bundle, path)
-    simulator = getattr(load_model(model), "simulator", None) if isinstance(model, Path | str) else model
-    if not isinstance(simulator, Simulator):
-        raise ModelError(f"export: got {model}, expected a fit, a simulator or a simulator file (.yaml)")
-    return export_simulator(simulator, path)
+    return export_simulator(load_simulator(model) if isinstance(model, Path | str) else model, path)
 
 
 def diagnose(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hystmpc.ctrl.config import LimitsSettings
 from hystmpc.ctrl.limits import CommandLimits
@@ -16,6 +16,9 @@ from .closed_loop import ClosedLoopRun
 from .config import SimulationConfig
 from .metrics import TrackingMetrics, tracking_metrics
 from .run_log import run_from
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,22 @@ class StudyResult:
     def controllers(self) -> tuple[str, ...]:
         """Controllers that were run, in order."""
         return tuple(dict.fromkeys(result.controller for result in self.results))
+
+    def plot(self, motion: str | None = None) -> Figure:
+        """Angle and command of every controller along one motion, the first where left out."""
+        from .figures import colours, tracking_figure  # matplotlib, which a run does without
+
+        return tracking_figure(self.of_motion(motion or self.motions[0]), colours(self.controllers), self.unit)
+
+    def _repr_html_(self) -> str:
+        from hystmpc.trials.report import Plot, Report, Table
+
+        columns = ("motion", "controller", "RMSE [deg]", "max abs [deg]", "hold error [deg]", "limit violations")
+        rows = []
+        for run in self.results:
+            m = run.metrics
+            rows.append((run.motion, run.controller, m.rmse_deg, m.max_abs_deg, m.hold_error_deg, m.limit_violations))
+        return Report("Closed loop in simulation", (Table(columns, rows), Plot(self.plot()))).fragment()
 
 
 def result_of(config: SimulationConfig, motion: str, controller: str, run: ClosedLoopRun) -> Result:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from .held_out import HeldOut, held_out
 from .report import tuning_report
 from .search import Outcome, Ticket, Trial
 from .settings import TuneSettings
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Progress = Callable[[int, int, str], None]
 _WAIT_S = 3.0  # until trials that another process does are asked for again
@@ -44,6 +47,19 @@ class Tuning:
     best: Trial
     check: HeldOut
     failed: tuple[Outcome, ...]
+
+    def plot(self) -> Figure:
+        """Cost of every held-out plant, tuned against given; below the diagonal the tuned settings win."""
+        from .report import pairs_figure  # matplotlib, which a search does without
+
+        return pairs_figure(self.check)
+
+    def _repr_html_(self) -> str:
+        from hystmpc.trials.report import KeyValues, Plot, Report, Table
+
+        columns = ("settings", "objective [deg]", "mean error [deg]", "worst plant [deg]", "travel", "violations")
+        pieces = Table(columns, self.check.rows()), KeyValues(dict(self.best.values)), Plot(self.plot())
+        return Report(f"Tuning of {self.settings.controller}", pieces, "plants not seen in the search").fragment()
 
 
 def run_tuning(
