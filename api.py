@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -72,15 +72,16 @@ class Evaluation:
 
         worst = sorted(self.trials, key=lambda run: -run.errors.rmse_deg)[:_SHOWN]
         with new_figure(7.0, 0.6 + 1.9 * len(worst)) as figure:
-            for axes, run in zip(figure.subplots(len(worst), 1, squeeze=False)[:, 0], worst, strict=True):
+            below = figure.subplots(len(worst), 1, squeeze=False)[:, 0]
+            for axes, run in zip(below, worst, strict=True):
                 unit = run.trial.units.angle
                 axes.plot(run.trial.t, run.trial.angle, color=MEASURED, label="measured")
                 axes.plot(run.trial.t, run.theta, color=MODEL, label="model", linewidth=0.9)
                 axes.set(
                     ylabel=f"[{unit}]", title=f"{Path(run.trial.source).name}: RMSE {run.errors.rmse_deg:.3g} {unit}"
                 )
-            axes.set(xlabel="time [s]")
-            figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=2)
+            below[-1].set(xlabel="time [s]")
+            figure.legend(*below[-1].get_legend_handles_labels(), loc="outside upper right", ncols=2)
         return figure
 
     def _repr_html_(self) -> str:
@@ -103,8 +104,8 @@ class Fit:
     """
 
     kind: str
-    found: Identified
-    trials: tuple[Trial, ...]
+    found: Identified = field(repr=False)
+    trials: tuple[Trial, ...] = field(repr=False)
 
     @cached_property
     def model(self) -> AnyModel:
@@ -344,11 +345,12 @@ def diagnose(
     """
     from hystmpc.gap.procedure import conclude, investigate
     from hystmpc.gap.report.folder import require_free, save_diagnosis
+    from hystmpc.models.chain_model import ChainModel
 
     if out is not None:
         require_free(out)
     opened, recorded = _opened(simulator), read_trials(trials, preset)
-    nominal = getattr(opened, "simulator", opened)
+    nominal = opened.simulator if isinstance(opened, ChainModel) else opened
     findings = investigate(recorded, nominal, seed=seed, without=without, only=only, progress=progress)
     diagnosis, evidence = conclude(findings, progress)
     if out is not None:

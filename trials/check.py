@@ -327,12 +327,12 @@ def _read(log: Path | str | Frame, preset: Layout) -> tuple[str, str, _Signals]:
     layout = resolve(preset)
     if not is_table(log) or isinstance(layout, LogMapping):
         raw = read_raw(log, layout)
-        channels, where = raw.channels, "sample {}".format
-        signals = _Signals(raw.t, raw.command, raw.angle, channels, raw.units, CANONICAL, where, raw.note)
+        where = "sample {}".format
+        signals = _Signals(raw.t, raw.command, raw.angle, raw.channels, raw.units, CANONICAL, where, raw.note)
         return raw.source, raw.preset, signals
     columns = read_columns(log, layout)
-    channels, where = columns.channels, lambda k: f"row {columns.row(k)}"
-    signals = _Signals(columns.t, columns.command, columns.angle, channels, columns.units, columns.preset, where)
+    t, u, angle, named = columns.t, columns.command, columns.angle, lambda k: f"row {columns.row(k)}"
+    signals = _Signals(t, u, angle, columns.channels, columns.units, columns.preset, named)
     return columns.source, columns.preset.name, signals
 
 

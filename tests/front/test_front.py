@@ -86,7 +86,7 @@ def test_from_trials_to_a_controller(pi: hystmpc.Fit, trials: list[hystmpc.Trial
 
 def test_what_cannot_be_done_is_said(pi: hystmpc.Fit, trials: list[hystmpc.Trial], tmp_path: Path) -> None:
     for call, text in (
-        (lambda: hystmpc.fit("pj", trials), "did you mean 'pi'"),
+        (lambda: hystmpc.fit("pj", trials), "no kind of model 'pj'"),
         (lambda: hystmpc.build_controller("mpc", pi), "available: inverse"),
         (lambda: hystmpc.build_controller("pid", pi, limits=hystmpc.Limits(-9, 9, 1)), "made for"),
         (lambda: hystmpc.load_model("builtin:pj"), "no built-in model 'pj'"),

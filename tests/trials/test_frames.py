@@ -1,4 +1,4 @@
-"""Trials out of data frames: the columns of a layout, as in a file; the real pandas, of which the package knows nothing."""
+"""Trials out of data frames: the columns of a layout, as in a file, told by the real pandas."""
 
 from __future__ import annotations
 
