@@ -24,8 +24,10 @@ class ChainModel(StepFunction):
     def __init__(self, simulator: Simulator, start: Literal["initial", "conditioned"] = "initial") -> None:
         self.simulator = simulator
         self.metadata: ModelMetadata = simulator.metadata()
-        self.nx, self.nu, self.dt = simulator.chain.state_size + 1, 1, simulator.dt_s
-        self.state_size = simulator.chain.state_size
+        self.nx: int = simulator.chain.state_size + 1
+        self.nu: int = 1
+        self.dt: float = simulator.dt_s
+        self.state_size: int = simulator.chain.state_size
         self._rule = getattr(self.metadata, start)
         self._kernels = compile_step(simulator.chain.transition)
         self._p, self._dt = simulator.chain.values, np.array([simulator.dt_s])

@@ -36,7 +36,8 @@ class YamlError(ValueError):
 
     def __init__(self, problem: str, line: int | None = None, column: int | None = None) -> None:
         super().__init__(" ".join(problem.split()))
-        self.line, self.column = line, column
+        self.line: int | None = line
+        self.column: int | None = column
 
 
 def _refusal(problem: str, mark: Any) -> yaml.MarkedYAMLError:
@@ -199,7 +200,7 @@ class MisplacedError(ValueError):
 
     def __init__(self, message: str, at: Location = ()) -> None:
         super().__init__(message)
-        self.at = tuple(at)
+        self.at: tuple[str | int, ...] = tuple(at)
 
 
 def line_of(text: str, at: Location) -> int | None:

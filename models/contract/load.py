@@ -53,13 +53,13 @@ class OnnxModel:
         proto = parse_model(content, source)
         # Damaged text arrives from protobuf as bytes; turned into str it is found to be neither our key nor JSON.
         properties = {str(entry.key): str(entry.value) for entry in proto.metadata_props}
-        self.metadata = ModelMetadata.from_properties(properties, source)
+        self.metadata: ModelMetadata = ModelMetadata.from_properties(properties, source)
         self._dtype = check_graph(proto, self.metadata.state_size, source)
         self.graph: onnx.GraphProto = proto.graph
         self.initializers: Mapping[str, NDArray[np.generic]] = {
             weight.name: onnx.numpy_helper.to_array(weight) for weight in proto.graph.initializer
         }
-        self.hash = hashlib.sha256(content).hexdigest()
+        self.hash: str = hashlib.sha256(content).hexdigest()
         self.source = source
         self.start = start
         self._rule = self.metadata.initial if start == "initial" else self.metadata.conditioned
