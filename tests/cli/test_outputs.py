@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.cli.outputs import EVALUATION, MODEL, SIMULATOR, Output, check_output
+from hystmpc.cli.options import EVALUATION, MODEL, SIMULATOR, Output, check_output
 from hystmpc.models.export_simulator import export_simulator
 from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.csv_files import write_csv
