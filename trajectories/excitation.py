@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -17,7 +17,7 @@ from hystmpc.trials.errors import TrajectoryError, did_you_mean
 from hystmpc.trials.types import Vec
 
 from .ruckig_ import PiecewiseCubic, hold, ramp
-from .trajectory import inside, require_finite, require_positive, require_range
+from .trajectory import PathTrajectory, inside, require_finite, require_positive, require_range
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ _MOST_DRAWS = 10_000
 
 
 @dataclass(frozen=True)
-class RampHold:
+class RampHold(PathTrajectory):
     """Alternating ramps and holds; a ramp from x to y at rate v takes |y - x| / v.
 
     Attributes:
@@ -87,7 +87,6 @@ class RampHold:
     targets: Sequence[float]
     rates: Sequence[float]
     holds_s: Sequence[float]
-    _path: PiecewiseCubic = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("targets", "rates", "holds_s"):
@@ -108,16 +107,7 @@ class RampHold:
                 pieces.append(ramp(at, target, abs(target - at) / rate))
             pieces.append(hold(target, rest))
             at = target
-        object.__setattr__(self, "_path", PiecewiseCubic(np.vstack(pieces)))
-
-    @property
-    def duration_s(self) -> float:
-        """Time of all ramps and holds [s]."""
-        return self._path.duration_s
-
-    def __call__(self, t: ArrayLike) -> Vec:
-        """Command [mm or bar] at `t` [s]."""
-        return self._path(t)
+        self._follow(PiecewiseCubic(np.vstack(pieces)))
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import ClassVar, Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,7 @@ from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 
 from .ruckig_ import MotionLimits, PiecewiseCubic, RestingState, move, ramp
-from .trajectory import Chain, Trajectory, inside, require_finite, require_positive
+from .trajectory import Chain, PathTrajectory, Trajectory, inside, require_finite, require_positive
 
 
 @dataclass(frozen=True)
@@ -165,12 +165,8 @@ _BUILDERS = {"sinusoid": sinusoid_sweeps, "triangle": triangle_sweeps}
 
 
 @dataclass(frozen=True)
-class SinusoidScan:
-    """theta(t) = centre + s A cos(2 pi f (t - t0)) for t >= t0, led in from rest at the start angle.
-
-    The lead-in of duration t0 is a jerk-limited move to the turning point on the far side of the centre (s = +1
-    where the start is at or below the centre, else -1), where it meets the sinusoid with the same velocity and
-    acceleration. It overshoots neither the start nor the turning point.
+class _Scan(PathTrajectory):
+    """Sweeps of one amplitude about a centre, led in from rest at the start angle.
 
     Attributes:
         start_deg: angle at time 0, at rest [deg].
@@ -178,77 +174,58 @@ class SinusoidScan:
         amplitude_deg: A, half the peak-to-peak angle [deg].
         frequency_hz: f [Hz].
         cycles: periods after the lead-in, a multiple of one half.
-        limits: of the lead-in; None for the sinusoid's own peak rates A w, A w^2, A w^3 with w = 2 pi f.
+        limits: see the kind of scan.
+    """
+
+    shape: ClassVar[Shape]
+    start_deg: float
+    centre_deg: float
+    amplitude_deg: float
+    frequency_hz: float
+    cycles: float
+    limits: MotionLimits | None = None
+
+    def __post_init__(self) -> None:
+        plan = SweepPlan(self.start_deg, self.centre_deg, (self.amplitude_deg,), self.frequency_hz, self.cycles)
+        self._follow(_BUILDERS[self.shape](plan, self.limits))
+
+
+@final
+@dataclass(frozen=True)
+class SinusoidScan(_Scan):
+    """theta(t) = centre + s A cos(2 pi f (t - t0)) for t >= t0, led in from rest at the start angle.
+
+    The lead-in of duration t0 is a jerk-limited move to the turning point on the far side of the centre (s = +1
+    where the start is at or below the centre, else -1), where it meets the sinusoid with the same velocity and
+    acceleration. It overshoots neither the start nor the turning point. `limits` are those of the lead-in; None for
+    the sinusoid's own peak rates A w, A w^2, A w^3 with w = 2 pi f.
 
     Raises:
         TrajectoryError: if a number is out of bounds, or the limits are below the sinusoid's own rates.
     """
 
-    start_deg: float
-    centre_deg: float
-    amplitude_deg: float
-    frequency_hz: float
-    cycles: float
-    limits: MotionLimits | None = None
-    _path: Trajectory = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        plan = SweepPlan(self.start_deg, self.centre_deg, (self.amplitude_deg,), self.frequency_hz, self.cycles)
-        object.__setattr__(self, "_path", sinusoid_sweeps(plan, self.limits))
-
-    @property
-    def duration_s(self) -> float:
-        """Lead-in and cycles [s]."""
-        return self._path.duration_s
-
-    def __call__(self, t: ArrayLike) -> Vec:
-        """Tip angle [deg] at `t` [s]."""
-        return self._path(t)
+    shape: ClassVar[Shape] = "sinusoid"
 
 
+@final
 @dataclass(frozen=True)
-class TriangleScan:
+class TriangleScan(_Scan):
     """Legs of half a period between centre - A and centre + A, led in from the start angle.
 
-    The first corner is on the far side of the centre, seen from the start.
-
-    Attributes:
-        start_deg: angle at time 0, at rest [deg].
-        centre_deg: centre [deg].
-        amplitude_deg: A, half the peak-to-peak angle [deg].
-        frequency_hz: f [Hz].
-        cycles: periods after the lead-in, a multiple of one half.
-        limits: lead-in and legs are jerk-limited moves from rest to rest, which round the corners and leave
-            amplitude and period as they are; None for straight legs of speed 4 A f with sharp corners.
+    The first corner is on the far side of the centre, seen from the start. With `limits`, lead-in and legs are
+    jerk-limited moves from rest to rest, which round the corners and leave amplitude and period as they are; with None
+    the legs are straight, of speed 4 A f, with sharp corners.
 
     Raises:
         TrajectoryError: if a number is out of bounds, or half a period is too short for a leg within the limits.
     """
 
-    start_deg: float
-    centre_deg: float
-    amplitude_deg: float
-    frequency_hz: float
-    cycles: float
-    limits: MotionLimits | None = None
-    _path: Trajectory = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        plan = SweepPlan(self.start_deg, self.centre_deg, (self.amplitude_deg,), self.frequency_hz, self.cycles)
-        object.__setattr__(self, "_path", triangle_sweeps(plan, self.limits))
-
-    @property
-    def duration_s(self) -> float:
-        """Lead-in and cycles [s]."""
-        return self._path.duration_s
-
-    def __call__(self, t: ArrayLike) -> Vec:
-        """Tip angle [deg] at `t` [s]."""
-        return self._path(t)
+    shape: ClassVar[Shape] = "triangle"
 
 
+@final
 @dataclass(frozen=True)
-class Raster:
+class Raster(PathTrajectory):
     """Sweeps of one shape and frequency about one centre, amplitude after amplitude: nested hysteresis loops.
 
     Between sinusoids of different amplitude lies one jerk-limited move from turning point to turning point, with
@@ -274,20 +251,10 @@ class Raster:
     cycles: float
     shape: Shape = "sinusoid"
     limits: MotionLimits | None = None
-    _path: Trajectory = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "amplitudes_deg", tuple(float(x) for x in self.amplitudes_deg))
         if self.shape not in _BUILDERS:
             raise TrajectoryError(f"raster shape: got {self.shape!r}, expected one of {', '.join(_BUILDERS)}")
         plan = SweepPlan(self.start_deg, self.centre_deg, self.amplitudes_deg, self.frequency_hz, self.cycles)
-        object.__setattr__(self, "_path", _BUILDERS[self.shape](plan, self.limits))
-
-    @property
-    def duration_s(self) -> float:
-        """All lead-ins and cycles [s]."""
-        return self._path.duration_s
-
-    def __call__(self, t: ArrayLike) -> Vec:
-        """Tip angle [deg] at `t` [s]."""
-        return self._path(t)
+        self._follow(_BUILDERS[self.shape](plan, self.limits))

@@ -1,4 +1,4 @@
-"""What a trajectory is, the sampled one, and sampling any."""
+"""What a trajectory is; sampled ones, chains of them, previews; and the checks that all kinds share."""
 
 from __future__ import annotations
 
@@ -13,41 +13,6 @@ from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
-
-
-def require_finite(**values: float) -> None:
-    """Refuse what is not a finite number.
-
-    Raises:
-        TrajectoryError: at the first such value.
-    """
-    for name, value in values.items():
-        if not math.isfinite(value):
-            raise TrajectoryError(f"{name}: got {value}, expected a finite number")
-
-
-def require_positive(**values: float) -> None:
-    """Refuse what is not finite and above zero.
-
-    Raises:
-        TrajectoryError: at the first such value.
-    """
-    for name, value in values.items():
-        if not (math.isfinite(value) and value > 0):
-            raise TrajectoryError(f"{name}: got {value}, expected a finite number > 0")
-
-
-def require_range(name: str, bounds: tuple[float, float], least: float = -math.inf) -> None:
-    """Require `least` <= bounds[0] <= bounds[1], all finite.
-
-    Raises:
-        TrajectoryError: otherwise.
-    """
-    low, high = bounds
-    if not (math.isfinite(low) and math.isfinite(high) and least <= low <= high):
-        floor = "" if least == -math.inf else f"{least:g} <= "
-        raise TrajectoryError(f"{name}: got {low} to {high}, expected finite {floor}lower <= upper")
-
 
 # A duration that is a whole number of samples but for rounding must not cost one sample more.
 _ROUNDING = 1e-9
@@ -64,6 +29,25 @@ class Trajectory(Protocol):
     def __call__(self, t: ArrayLike) -> Vec:
         """Value at the times `t` [s], of the shape of `t`; before 0 the start value, after the end the end value."""
         ...
+
+
+@dataclass(frozen=True)
+class PathTrajectory:
+    """Base of trajectories that are computed once, when they are made, into a path of simpler ones."""
+
+    _path: Trajectory = field(init=False, repr=False, compare=False)
+
+    def _follow(self, path: Trajectory) -> None:
+        object.__setattr__(self, "_path", path)
+
+    @property
+    def duration_s(self) -> float:
+        """Time from start to end [s]."""
+        return self._path.duration_s
+
+    def __call__(self, t: ArrayLike) -> Vec:
+        """Tip angle [deg], or command [mm or bar], at `t` [s]."""
+        return self._path(t)
 
 
 def inside(t: ArrayLike, duration_s: float) -> Vec:
@@ -229,7 +213,7 @@ def preview(trajectory: Trajectory, t: float, dt: float, horizon: int) -> Vec:
     Raises:
         TrajectoryError: if `dt` is not positive or the horizon is less than 1.
     """
-    _check(dt, horizon)
+    _require_preview(dt, horizon)
     return trajectory(t + dt * np.arange(1, horizon + 1))
 
 
@@ -252,7 +236,7 @@ class PreviewTable:
     _values: Vec = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        _check(self.dt, self.horizon)
+        _require_preview(self.dt, self.horizon)
         values = self.trajectory(self.dt * np.arange(self.steps + self.horizon + 1))
         values.setflags(write=False)
         object.__setattr__(self, "_values", values)
@@ -281,7 +265,41 @@ class PreviewTable:
         return min(k, self.steps)
 
 
-def _check(dt: float, horizon: int) -> None:
+def _require_preview(dt: float, horizon: int) -> None:
     require_positive(dt=dt)
     if horizon < 1:
         raise TrajectoryError(f"preview horizon: got {horizon}, expected at least 1 sample")
+
+
+def require_finite(**values: float) -> None:
+    """Refuse what is not a finite number.
+
+    Raises:
+        TrajectoryError: at the first such value.
+    """
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise TrajectoryError(f"{name}: got {value}, expected a finite number")
+
+
+def require_positive(**values: float) -> None:
+    """Refuse what is not finite and above zero.
+
+    Raises:
+        TrajectoryError: at the first such value.
+    """
+    for name, value in values.items():
+        if not (math.isfinite(value) and value > 0):
+            raise TrajectoryError(f"{name}: got {value}, expected a finite number > 0")
+
+
+def require_range(name: str, bounds: tuple[float, float], least: float = -math.inf) -> None:
+    """Require `least` <= bounds[0] <= bounds[1], all finite.
+
+    Raises:
+        TrajectoryError: otherwise.
+    """
+    low, high = bounds
+    if not (math.isfinite(low) and math.isfinite(high) and least <= low <= high):
+        floor = "" if least == -math.inf else f"{least:g} <= "
+        raise TrajectoryError(f"{name}: got {low} to {high}, expected finite {floor}lower <= upper")

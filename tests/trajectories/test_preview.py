@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hystmpc.trajectories import PreviewTable, Sampled, sample, trajectory
+from hystmpc.trajectories import PreviewTable, Sampled, preview, sample
 from hystmpc.trials.errors import TrajectoryError
 
 LINE = Sampled(np.array([0.0, 1.0]), np.array([0.0, 10.0]))
 
 
 def test_preview_looks_ahead_and_holds_the_end() -> None:
-    np.testing.assert_allclose(trajectory(LINE, 0.8, 0.1, 4), [9.0, 10.0, 10.0, 10.0])
+    np.testing.assert_allclose(preview(LINE, 0.8, 0.1, 4), [9.0, 10.0, 10.0, 10.0])
 
 
 def test_table_slices_shift_exactly_and_cannot_be_written() -> None:
@@ -32,7 +32,7 @@ def test_whole_number_of_samples_is_not_rounded_up() -> None:
 @pytest.mark.parametrize(("dt", "horizon"), [(0.0, 3), (-0.1, 3), (float("nan"), 3), (0.1, 0)])
 def test_impossible_previews_are_refused(dt: float, horizon: int) -> None:
     with pytest.raises(TrajectoryError, match="expected"):
-        trajectory(LINE, 0.0, dt, horizon)
+        preview(LINE, 0.0, dt, horizon)
     with pytest.raises(TrajectoryError, match="expected"):
         PreviewTable(LINE, dt, horizon)
 
