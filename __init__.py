@@ -22,7 +22,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hystmpc.api import (
+    from hystmpc.ctrl.limits import CommandLimits as Limits
+    from hystmpc.ctrl.tip_controller import TipController
+    from hystmpc.models.simulator import Simulator
+    from hystmpc.trials.check import check
+    from hystmpc.trials.errors import HystmpcError
+    from hystmpc.trials.read import read_trials
+    from hystmpc.trials.trial import Trial
+
+    from .api import (
         Evaluation,
         Fit,
         build_controller,
@@ -35,13 +43,6 @@ if TYPE_CHECKING:
         simulate,
         tune,
     )
-    from hystmpc.ctrl.limits import CommandLimits as Limits
-    from hystmpc.ctrl.tip_controller import TipController
-    from hystmpc.models.simulator import Simulator
-    from hystmpc.trials.check import check
-    from hystmpc.trials.errors import HystmpcError
-    from hystmpc.trials.read import read_trials
-    from hystmpc.trials.trial import Trial
 
     __version__: str
 
