@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .csv_files import Frame, read_columns
+from .csv_files import Columns, read_columns
 from .errors import LogError
 from .layouts import CANONICAL, LogMapping, Preset
 from .read import Layout, Log, is_table, read_raw, resolve
 from .segments import Motion, Segments, segment
-from .trial import Trial, Units, gap_limit_s, resample
+from .signals import Raw
+from .trial import Trial, gap_limit_s, resample
 from .types import Vec
 
 
@@ -76,6 +76,62 @@ class CheckReport:
 
         rows = [(str(f.severity), f.topic, f.message) for f in self.findings]
         return Report(self.source, (Table(("", "topic", "finding"), rows),), self.preset).fragment()
+
+
+def check(log: Log, preset: Layout = "auto") -> CheckReport:
+    """Look at time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
+
+    A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
+
+    Args:
+        log: a file, a ROS 2 bag, a data frame or a trial.
+        preset: its layout, see `read_trials`.
+
+    Raises:
+        LogError: if it cannot be read, or lacks a column or signal.
+        ConfigError: on an unknown preset or a wrong mapping file.
+    """
+    if isinstance(log, Trial):
+        return _report(log, "", CANONICAL, "sample {}".format)
+    layout = resolve(preset)
+    if not is_table(log) or isinstance(layout, LogMapping):
+        raw = read_raw(log, layout)
+        return _report(raw, raw.preset, CANONICAL, "sample {}".format, raw.note)
+    columns = read_columns(log, layout)
+    return _report(columns, columns.preset.name, columns.preset, lambda k: f"row {columns.row(k)}")
+
+
+def _report(
+    log: Trial | Raw | Columns, name: str, layout: Preset, where: Callable[[int], str], note: str = ""
+) -> CheckReport:
+    """All findings; those on the motion are made on the samples that are finite and in order of time."""
+    found = [Finding(Severity.NOTE, "file", note)] if note else []
+    found += _value_findings(log, where)
+    found += time_findings(log.t, log.command, log.angle, where)
+    rows = np.column_stack((log.t, log.command, log.angle))
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    rows = rows[np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0]
+    if len(rows) < 2:
+        found.append(Finding(Severity.ERROR, "values", f"{len(rows)} usable samples, expected at least 2"))
+    else:
+        t, command, angle = rows.T
+        found += motion_findings(Trial(t, command, angle, units=log.units, source=log.source), layout)
+    return CheckReport(log.source, name, tuple(found))
+
+
+def _value_findings(log: Trial | Raw | Columns, where: Callable[[int], str]) -> Iterator[Finding]:
+    """Cells without a finite number, per signal."""
+    clean = True
+    main = {"time": log.t, "command": log.command, "angle": log.angle}
+    for name, values in {**main, **log.channels}.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            clean = False
+            severity = Severity.ERROR if name in main else Severity.NOTE
+            message = f"{name}: {bad.size} of {values.size} not finite, first at {where(int(bad[0]))}"
+            yield Finding(severity, "values", message)
+    if clean:
+        yield Finding(Severity.OK, "values", f"{log.t.size} samples, all finite")
 
 
 _SLOW_INTERVAL_S = 1.0  # no closed loop of this field samples slower: time is then likely in ms
@@ -285,83 +341,3 @@ def _first_flexure(trial: Trial, parts: Segments) -> Finding:
         advice = "; score later motions only (--skip-first-flexure)"
         return Finding(Severity.WARNING, topic, text + advice)
     return Finding(Severity.OK, topic, text)
-
-
-@dataclass(frozen=True, eq=False)
-class _Signals:
-    """A log to be checked, from a file or from memory; values may be anything."""
-
-    t: Vec
-    command: Vec
-    angle: Vec
-    channels: Mapping[str, Vec]
-    units: Units
-    preset: Preset
-    where: Callable[[int], str]  # how messages name a sample
-    note: str = ""  # on the file itself
-
-
-def check(log: Log, preset: Layout = "auto") -> CheckReport:
-    """Look at time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
-
-    A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
-
-    Args:
-        log: a file, a ROS 2 bag, a data frame or a trial.
-        preset: its layout, see `read_trials`.
-
-    Raises:
-        LogError: if it cannot be read, or lacks a column or signal.
-        ConfigError: on an unknown preset or a wrong mapping file.
-    """
-    if isinstance(log, Trial):
-        source, name = log.source, ""
-        signals = _Signals(log.t, log.command, log.angle, log.channels, log.units, CANONICAL, lambda k: f"sample {k}")
-    else:
-        source, name, signals = _read(log, preset)
-    return CheckReport(source, name, tuple(_findings(signals, source)))
-
-
-def _read(log: Path | str | Frame, preset: Layout) -> tuple[str, str, _Signals]:
-    """Path, layout and signals of a log."""
-    layout = resolve(preset)
-    if not is_table(log) or isinstance(layout, LogMapping):
-        raw = read_raw(log, layout)
-        where = "sample {}".format
-        signals = _Signals(raw.t, raw.command, raw.angle, raw.channels, raw.units, CANONICAL, where, raw.note)
-        return raw.source, raw.preset, signals
-    columns = read_columns(log, layout)
-    t, u, angle, named = columns.t, columns.command, columns.angle, lambda k: f"row {columns.row(k)}"
-    signals = _Signals(t, u, angle, columns.channels, columns.units, columns.preset, named)
-    return columns.source, columns.preset.name, signals
-
-
-def _findings(signals: _Signals, source: str) -> Iterator[Finding]:
-    """All findings; those on the motion are made on the samples that are finite and in order of time."""
-    if signals.note:
-        yield Finding(Severity.NOTE, "file", signals.note)
-    yield from _value_findings(signals)
-    yield from time_findings(signals.t, signals.command, signals.angle, signals.where)
-    rows = np.column_stack((signals.t, signals.command, signals.angle))
-    rows = rows[np.isfinite(rows).all(axis=1)]
-    rows = rows[np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0]
-    if len(rows) < 2:
-        yield Finding(Severity.ERROR, "values", f"{len(rows)} usable samples, expected at least 2")
-        return
-    t, command, angle = rows.T
-    yield from motion_findings(Trial(t, command, angle, units=signals.units, source=source), signals.preset)
-
-
-def _value_findings(signals: _Signals) -> Iterator[Finding]:
-    """Cells without a finite number, per signal."""
-    clean = True
-    main = {"time": signals.t, "command": signals.command, "angle": signals.angle}
-    for name, values in {**main, **signals.channels}.items():
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            clean = False
-            severity = Severity.ERROR if name in main else Severity.NOTE
-            message = f"{name}: {bad.size} of {values.size} not finite, first at {signals.where(int(bad[0]))}"
-            yield Finding(severity, "values", message)
-    if clean:
-        yield Finding(Severity.OK, "values", f"{signals.t.size} samples, all finite")

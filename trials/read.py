@@ -11,13 +11,7 @@ from numpy.typing import NDArray
 
 from .csv_files import Frame, Table, first_row, frame_table, read_csv, read_lines, read_table
 from .errors import ConfigError, LogError
-from .layouts import (
-    LogMapping,
-    Preset,
-    get_preset,
-    is_mapping_file,
-    load_mapping,
-)
+from .layouts import LogMapping, Preset, get_preset, is_mapping_file, load_mapping
 from .mat_ import open_mat
 from .mcap_ import open_mcap
 from .rosbag_ import is_bag, open_bag
