@@ -40,7 +40,7 @@ format: $(VENV)/.installed ## sort the imports and lay out the code as `make lin
 
 types: $(VENV)/.installed ## mypy (strict) and pyright
 	@mkdir -p .typecheck/hystmpc
-	@for room in $(ROOMS); do ln -sfn ../../$$room .typecheck/hystmpc/$$room; done
+	@for part in $(ROOMS) __init__.py api.py py.typed; do ln -sfn ../../$$part .typecheck/hystmpc/$$part; done
 	cd .typecheck && "$(abspath $(VENV))/bin/mypy" --config-file ../pyproject.toml -p hystmpc
 	$(VENV)/bin/pyright --pythonpath $(VENV)/bin/python
 

@@ -29,7 +29,7 @@ from hystmpc.rig.recording.recorder_process import RecorderProcess, open_recorde
 from hystmpc.rig.recording.recording import Recording, RecordingMeta, open_recording
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.trials.errors import HystmpcError
-from hystmpc.trials.mcap_records_ import MAGIC
+from hystmpc.trials.mcap_ import MAGIC
 from hystmpc.trials.read import read_log
 from hystmpc.trials.run_folder import RunFolder
 

@@ -31,9 +31,8 @@ from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.networks import NETWORK_PRESETS
 from hystmpc.models.train.networks import fit_network, network_bundle
 from hystmpc.models.train.settings import NetworkSettings
-from hystmpc.trials.csv_ import read_trials
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.trial import Trial, resample
 
 Fit = Callable[[Sequence[Trial]], ExportBundle]
 COLUMNS = ("rmse", "offset-free", "max", "rmse*", "offset-free*", "max*", "hold drift*", "train s")

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from hystmpc.sim.results import load_results
-from hystmpc.trials.plot_style import COMMAND, MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import COMMAND, MEASURED, MODEL, REFERENCE, new_figure
 
 SHOWN = {
     "pid": (COMMAND, "PID, tuned on this plant"),

@@ -23,10 +23,9 @@ from rich.table import Table
 from scipy.optimize import least_squares, minimize_scalar
 
 from hystmpc.sim.devices.rod import RodCatheter, RodParameters
-from hystmpc.trials.csv_ import read_trials
-from hystmpc.trials.plot_style import MEASURED, MODEL, new_figure, style
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.report import MEASURED, MODEL, new_figure, style
+from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Vec
 
 FREE: dict[str, tuple[float, float]] = {  # searched between; in logarithms where the lower bound is positive

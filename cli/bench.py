@@ -13,7 +13,7 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import require_vacant
 
 from .console import bar, errors, out, plain_console, table
-from .outputs import BENCHMARK, Force, check_output
+from .options import BENCHMARK, Force, check_output
 
 if TYPE_CHECKING:
     from rich.console import Console

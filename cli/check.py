@@ -6,9 +6,9 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from hystmpc.trials.check import check_trial
-from hystmpc.trials.csv_ import expand_logs
-from hystmpc.trials.findings import Severity
+from hystmpc.trials.check import Severity
+from hystmpc.trials.check import check as check_log
+from hystmpc.trials.read import expand_logs
 
 from .console import out
 from .options import Layout, Logs
@@ -23,7 +23,7 @@ def check(logs: Logs, preset: Layout = "auto") -> None:
     """
     unusable = False
     for log in expand_logs(logs):
-        report = check_trial(log, preset)
+        report = check_log(log, preset)
         grid = Table(title=f"{report.source} ({report.preset})", title_justify="left", show_header=False)
         for finding in report.findings:
             severity = Text(str(finding.severity), style=_COLOURS[finding.severity])

@@ -12,9 +12,9 @@ import typer
 
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.simulator import Simulator, load_simulator
-from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError, LogError, ModelError
 from hystmpc.trials.files import require_writable
+from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 

@@ -17,8 +17,7 @@ from hystmpc.models.load import load_model
 from hystmpc.trials.files import write_atomically
 
 from .console import bar, errors, out, table
-from .options import Layout, Logs, SkipFirstFlexure, files_read, trials_at
-from .outputs import EVALUATION, Force, check_output
+from .options import EVALUATION, Force, Layout, Logs, SkipFirstFlexure, check_output, files_read, trials_at
 
 _COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
 

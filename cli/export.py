@@ -12,7 +12,7 @@ from hystmpc.models.load import export_simulator
 from hystmpc.models.simulator import load_simulator
 
 from .console import out
-from .outputs import MODEL, Force, check_output
+from .options import MODEL, Force, check_output
 
 
 def export(

@@ -19,8 +19,7 @@ from hystmpc.trials.trial import Trial
 
 from .console import bar, errors, out
 from .evaluate import errors_table
-from .options import Layout, Logs, SkipFirstFlexure, files_read, trials_at
-from .outputs import MODEL, SIMULATOR, Force, check_output
+from .options import MODEL, SIMULATOR, Force, Layout, Logs, SkipFirstFlexure, check_output, files_read, trials_at
 
 
 class Direction(StrEnum):

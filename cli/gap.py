@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hystmpc.models.simulator import load_simulator
-from hystmpc.trials.csv_ import read_trials
+from hystmpc.trials.read import read_trials
 from hystmpc.trials.run_folder import require_vacant
 
 from .console import bar, errors, out, table

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from hystmpc.trials.check import check_trial
-from hystmpc.trials.check_time import require_seconds
-from hystmpc.trials.csv_ import expand_logs, read_trials
-from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.findings import Severity
-from hystmpc.trials.presets import PRESETS
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.models.contract.checks import parse_model
+from hystmpc.models.contract.metadata import PREFIX
+from hystmpc.trials.check import Severity, check, require_seconds
+from hystmpc.trials.config import read_yaml
+from hystmpc.trials.errors import ConfigError, HystmpcError
+from hystmpc.trials.files import require_writable
+from hystmpc.trials.layouts import PRESETS
+from hystmpc.trials.read import expand_logs, read_trials
+from hystmpc.trials.trial import Trial, resample
 
 from .console import errors
 
@@ -70,7 +73,102 @@ def trials_at(logs: Sequence[Path], layout: str, rate_hz: float) -> list[Trial]:
 def warn_of_units(trials: Sequence[Trial]) -> None:
     """One line a signal that looks like another unit: nothing else would tell radians from a weak device."""
     for trial in trials:
-        for finding in check_trial(trial).findings:
+        for finding in check(trial).findings:
             if finding.topic.startswith("units") and finding.severity is Severity.WARNING:
                 text = f"warning: {trial.source}: {finding.topic}: {finding.message}"
                 errors.print(text, style="yellow", soft_wrap=True, highlight=False)
+
+
+Force = Annotated[bool, typer.Option("--force", help="Replace an older file of the same kind; never one of another.")]
+
+
+@dataclass(frozen=True)
+class Output:
+    """A kind of file that a verb writes.
+
+    Attributes:
+        what: its name, with an article, for messages.
+        endings: of its file names, in lower case.
+        format_of: says the format of such a file; empty, or an error of reading, for any other file.
+        formats: with which that has to begin.
+    """
+
+    what: str
+    endings: tuple[str, ...]
+    format_of: Callable[[Path], str]
+    formats: tuple[str, ...]
+
+    def is_one(self, path: Path) -> bool:
+        """Whether a file is of this kind, of whatever version."""
+        try:
+            return self.format_of(path).startswith(self.formats)
+        except (OSError, ValueError, RecursionError, HystmpcError):
+            return False
+
+
+def _of_model(path: Path) -> str:
+    entries = parse_model(path.read_bytes(), str(path)).metadata_props
+    return next((str(entry.value) for entry in entries if entry.key == f"{PREFIX}format"), "").strip('"')
+
+
+def _of_yaml(path: Path) -> str:
+    return _format(read_yaml(path))
+
+
+def _of_json(path: Path) -> str:
+    return _format(json.loads(path.read_text(encoding="utf-8")))
+
+
+def _format(data: Any) -> str:
+    return str(data.get("format", "")) if isinstance(data, dict) else ""
+
+
+MODEL = Output("an ONNX model of hystmpc", (".onnx",), _of_model, ("hystmpc-model/",))
+SIMULATOR = Output("a simulator file", (".yaml", ".yml"), _of_yaml, ("hystmpc-simulator/",))
+EVALUATION = Output("an evaluation", (".json",), _of_json, ("hystmpc-evaluation/", "hystmpc-inverse-evaluation/"))
+BENCHMARK = Output("a benchmark's result", (".json",), _of_json, ("hystmpc-bench/",))
+
+
+def check_output(
+    option: str, path: Path, kinds: Sequence[Output], inputs: Iterable[Path] = (), force: bool = False, of: str = ""
+) -> None:
+    """Refuse a file that a verb may not write: nothing is overwritten but, with `--force`, a file of the same kind.
+
+    Args:
+        option: that names the file, for messages.
+        path: the file.
+        kinds: that the verb can write there; its ending chooses.
+        inputs: files that the same call reads, which it may not replace.
+        force: whether an older file may be replaced.
+        of: what is written, for the message on a wrong ending.
+
+    Raises:
+        ConfigError: if the ending is none of the kinds, the path is a folder or an input or cannot be written, or
+            something lies there that may not be replaced.
+    """
+    where = f"{option} {path}"
+    kind = next((kind for kind in kinds if path.suffix.lower() in kind.endings), None)
+    if kind is None:
+        endings = " or ".join(ending for kind in kinds for ending in kind.endings)
+        raise ConfigError(f"{where}: expected a file ending in {endings}{f' for {of}' if of else ''}")
+    try:
+        require_writable(path)
+    except ConfigError as error:
+        raise ConfigError(f"{option} {error}") from None
+    if path.is_dir():
+        raise ConfigError(f"{where}: is a folder, expected a file")
+    for other in inputs:
+        if _same(path, other):
+            raise ConfigError(f"{where}: is read by the same command ({other}), expected another file")
+    if os.path.lexists(path):
+        if not force:
+            raise ConfigError(f"{where}: exists, expected a new file; --force replaces it if it is {kind.what}")
+        if not kind.is_one(path):
+            raise ConfigError(f"{where}: exists and is not {kind.what}, which is all that --force replaces")
+
+
+def _same(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)
+    except (OSError, ValueError):  # one of them is not there
+        return False

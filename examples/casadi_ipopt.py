@@ -24,12 +24,8 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from hystmpc.ctrl import CommandLimits, TipController
-from hystmpc.models.library import library_file, model_path
-from hystmpc.models.load import load_model
-from hystmpc.models.model import LoadedModel
-from hystmpc.models.simulator import load_simulator
-from hystmpc.sim.plants.simulated import SimulatedPlant
+import hystmpc
+from hystmpc.sim import SimulatedPlant
 
 Vec = NDArray[np.float64]
 
@@ -46,7 +42,7 @@ class Comparison:
     ipopt_s: float
 
 
-def optimal_control_problem(step: ca.Function, horizon: int, limits: CommandLimits, dt: float) -> Any:
+def optimal_control_problem(step: ca.Function, horizon: int, limits: hystmpc.Limits, dt: float) -> Any:
     """A function (state, last command, disturbance, reference (H,), first guess (H,)) -> commands (H,)."""
     opti = ca.Opti()
     u = opti.variable(horizon)
@@ -68,19 +64,19 @@ def optimal_control_problem(step: ca.Function, horizon: int, limits: CommandLimi
 
 def run(model_text: str, horizon: int, steps: int) -> list[Comparison]:
     """Follow a scan with the linearised MPC and ask IPOPT at every sample for its own answer."""
-    model = load_model(model_path(model_text), start="conditioned")
+    model = hystmpc.load_model(model_text, start="conditioned")
     settings = {
         "kind": "linearised_mpc",
         "horizon": horizon,
         "iterations": 4,  # linearised anew four times a sample, so that it converges too
         "weights": {"terminal": TERMINAL, "rate": RATE, "effort": 0.0},
     }
-    tip = TipController.from_config({"model": model_text, "controller": settings})
+    tip = hystmpc.TipController.from_config({"model": model_text, "controller": settings})
     box = model.metadata.command_limits
-    limits = CommandLimits(box.lower, box.upper, model.metadata.command_rate)
+    limits = hystmpc.Limits(box.lower, box.upper, model.metadata.command_rate)
     step = model.casadi_function()
     problem = optimal_control_problem(step, horizon, limits, tip.dt)
-    device = SimulatedPlant(load_simulator(library_file("tendon-catheter")), seed=1)
+    device = SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"), seed=1)
     y, last = device.reset(), device.rest_command
     state, guess, compared = at_rest(model, step, y, last), np.full(horizon, last), []
     rest = y
@@ -99,7 +95,7 @@ def run(model_text: str, horizon: int, steps: int) -> list[Comparison]:
     return compared
 
 
-def at_rest(model: LoadedModel, step: ca.Function, y: float, u: float) -> Vec:
+def at_rest(model: Any, step: ca.Function, y: float, u: float) -> Vec:
     """The model's state after resting at angle `y` [deg] and command `u`, as the controller's estimator starts."""
     state = model.initial(np.array([[y]]))[0, :-1]  # the last entry of a model's x is the angle
     for _ in range(model.metadata.warmup_samples + 1):

@@ -17,8 +17,7 @@ import numpy as np
 import torch
 from pytorch_mppi import MPPI
 
-from hystmpc.sim.config import SimulationConfig
-from hystmpc.sim.environment.gym_ import EnvironmentState, HysteresisEnv
+from hystmpc.sim import EnvironmentState, HysteresisEnv, SimulationConfig
 
 STUDY: dict[str, Any] = {
     "plant": {"simulator": "builtin:tendon-catheter", "lag_s": 0.08, "noise_deg": 0.15},

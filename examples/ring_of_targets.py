@@ -24,10 +24,8 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from hystmpc.ctrl import TipController
-from hystmpc.models.library import library_file
-from hystmpc.models.simulator import load_simulator
-from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
+import hystmpc
+from hystmpc.sim import Effects, SimulatedPlant
 
 AXIS_DEG, RADIUS_DEG = 58.0, 15.0
 GIVE_UP_S = 5.0
@@ -57,7 +55,7 @@ def ring(targets: int) -> list[tuple[float, float]]:
 
 
 def visit(
-    tip: TipController, device: SimulatedPlant, y: float, roll_deg: float, bend_deg: float, pause_s: float
+    tip: hystmpc.TipController, device: SimulatedPlant, y: float, roll_deg: float, bend_deg: float, pause_s: float
 ) -> tuple[Visit, float]:
     """Go to one target, wait until the tip has settled, pause there; the visit and the last measurement."""
     if not tip.set_target(bend_deg):
@@ -78,11 +76,11 @@ def visit(
 def run(targets: int, pause_s: float) -> list[Visit]:
     """Visit the whole ring on the simulated device."""
     device = SimulatedPlant(
-        load_simulator(library_file("tendon-catheter")),
+        hystmpc.load_simulator("builtin:tendon-catheter"),
         Effects(lag_s=0.08, noise_deg=0.15, mismatch={"prandtl_ishlinskii.alpha": 1.2}),
         seed=1,
     )
-    tip = TipController.from_config(Path(__file__).with_name("tip.yaml"))
+    tip = hystmpc.TipController.from_config(Path(__file__).with_name("tip.yaml"))
     y, visits = device.reset(), []
     with threadpool_limits(limits=1):  # a second BLAS thread only adds latency
         for roll_deg, bend_deg in ring(targets):

@@ -11,20 +11,17 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hystmpc.ctrl import TipController
-from hystmpc.models.library import library_file
-from hystmpc.models.simulator import load_simulator
-from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
+import hystmpc
+from hystmpc.sim import Effects, SimulatedPlant
 
 CENTRE_DEG, AMPLITUDE_DEG = 58.0, 15.0
 
 
 def run(cycles: float, frequency_hz: float) -> tuple[float, float]:
     """Scan once; RMSE and greatest error [deg] of the tip angle without sensor noise."""
-    device = SimulatedPlant(
-        load_simulator(library_file("tendon-catheter")), Effects(lag_s=0.08, noise_deg=0.15), seed=1
-    )
-    tip = TipController.from_config(Path(__file__).with_name("tip.yaml"))
+    simulator = hystmpc.load_simulator("builtin:tendon-catheter")
+    device = SimulatedPlant(simulator, Effects(lag_s=0.08, noise_deg=0.15), seed=1)
+    tip = hystmpc.TipController.from_config(Path(__file__).with_name("tip.yaml"))
     y, errors = device.reset(), []
     with threadpool_limits(limits=1):
         tip.set_target(CENTRE_DEG)

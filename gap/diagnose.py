@@ -11,6 +11,7 @@ import numpy as np
 
 from hystmpc.models.effects.catalogue import DIAGNOSABLE, confounders
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
 from hystmpc.trials.trial import Trial
@@ -27,8 +28,6 @@ from .next.open_hypotheses import next_step
 from .residual.localise import Localisation, localise
 
 if TYPE_CHECKING:
-    from hystmpc.models.contract.load import OnnxModel
-
     from .report.report_data import Evidence
 
 LIBRARY = DIAGNOSABLE
@@ -38,7 +37,7 @@ _STEPS = 100  # of the progress
 
 def diagnose(
     trials: Sequence[Trial],
-    simulator: Simulator | OnnxModel,
+    simulator: Simulator | LoadedModel,
     *,
     seed: int = 0,
     without: Sequence[str] = (),
@@ -65,7 +64,7 @@ def diagnose(
 
 def investigate(
     trials: Sequence[Trial],
-    simulator: Simulator | OnnxModel,
+    simulator: Simulator | LoadedModel,
     *,
     seed: int = 0,
     without: Sequence[str] = (),

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 from hystmpc.models.identify.uncertainty import Interval
 
@@ -126,6 +129,35 @@ class Diagnosis:
     def as_json(self) -> dict[str, Any]:
         """The fixed form `hystmpc-diagnosis/1`: plain dicts, lists, numbers and strings."""
         return {"format": FORMAT, **_plain(asdict(self))}
+
+    def plot(self) -> Figure:
+        """Probability of each effect, and the share of the structural gap that the chosen ones close."""
+        from hystmpc.trials.report import MODEL, REFERENCE, new_figure  # matplotlib, which a verdict does without
+
+        names, closed = [name for name, _ in self.ranking], {e.name: e.closed_share for e in self.effects}
+        with new_figure(7.0, 1.0 + 0.25 * len(names)) as figure:
+            chance, share = figure.subplots(1, 2, sharey=True)
+            chance.barh(names, [p for _, p in self.ranking], color=[MODEL if n in closed else REFERENCE for n in names])
+            chance.set(xlim=(0, 1), xlabel="probability")
+            chance.invert_yaxis()
+            share.barh(names, [closed.get(name, 0.0) for name in names], color=MODEL)
+            share.set(xlim=(min(0.0, *closed.values(), 0.0), 1), xlabel="closed share of the gap")
+        return figure
+
+    def _repr_html_(self) -> str:
+        from hystmpc.trials.report import Paragraph, Plot, Report, Table
+
+        rows = [(e.name, e.probability, e.closed_share, str(dict(e.parameters))) for e in self.effects]
+        columns, gap = ("effect", "probability", "closed share", "parameters"), self.gap
+        sizes = {
+            "simulator as given": gap.nominal_rmse_deg,
+            "retuned": gap.retuned_rmse_deg,
+            "with effects": gap.with_effects_rmse_deg,
+            "floor": gap.floor_rmse_deg,
+        }
+        pieces = Paragraph(self.reason), Table(columns, rows), Table(("final trials", "RMSE [deg]"), [*sizes.items()])
+        shown = (*pieces, Plot(self.plot())) if self.ranking else pieces
+        return Report(f"Diagnosis: {self.verdict}", shown).fragment()
 
 
 def _plain(value: Any) -> Any:

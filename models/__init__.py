@@ -1,1 +1,22 @@
 """Models of actuators with hysteresis: operators, networks, their identification, inverses and the ONNX contract."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hystmpc.trials import lazily
+
+if TYPE_CHECKING:
+    from .effects.catalogue import EFFECTS
+    from .effects.effect import Scale
+    from .effects.place import effect_operator, neutral_operator, with_effect
+
+__all__ = ["EFFECTS", "Scale", "effect_operator", "neutral_operator", "with_effect"]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazily(
+        __name__,
+        ("hystmpc.models.effects.catalogue", "EFFECTS"),
+        ("hystmpc.models.effects.effect", "Scale"),
+        ("hystmpc.models.effects.place", "effect_operator neutral_operator with_effect"),
+    )

@@ -73,8 +73,9 @@ class LoadedModel(ABC):
     """
 
     def __init__(self, metadata: ModelMetadata, start: Start) -> None:
-        self.metadata, self._rule = metadata, metadata.rule(start)
-        self.state_size = metadata.state_size
+        self.metadata: ModelMetadata = metadata
+        self.state_size: int = metadata.state_size
+        self._rule = metadata.rule(start)
 
     @property
     def nx(self) -> int:

@@ -1,1 +1,15 @@
 """What the loop talks to in a lab: transports, the loop itself, preparation, safe stop, recordings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hystmpc.trials import lazily
+
+if TYPE_CHECKING:
+    from .transports.transport import Reading
+
+__all__ = ["Reading"]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazily(__name__, ("hystmpc.rig.transports.transport", "Reading"))

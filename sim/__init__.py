@@ -4,3 +4,42 @@ A study is a `config.SimulationConfig`; `study.prepare` makes it ready, `compare
 every motion and leaves a run folder, `report.report_from_folder` writes its page anew. `compare.demo` runs the study
 that ships with the package.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hystmpc.trials import lazily
+
+if TYPE_CHECKING:
+    from .config import SimulationConfig
+    from .devices.dataset import read_dataset, write_dataset
+    from .devices.paper_data import make_dataset
+    from .devices.rod import RodParameters, simulate_rod
+    from .environment.gym_ import Disturbance, EnvironmentState, HysteresisEnv
+    from .plants.simulated import Effects, SimulatedPlant
+
+__all__ = [
+    "Disturbance",
+    "Effects",
+    "EnvironmentState",
+    "HysteresisEnv",
+    "RodParameters",
+    "SimulatedPlant",
+    "SimulationConfig",
+    "make_dataset",
+    "read_dataset",
+    "simulate_rod",
+    "write_dataset",
+]
+
+if not TYPE_CHECKING:  # the environment needs gymnasium, an extra
+    __getattr__ = lazily(
+        __name__,
+        ("hystmpc.sim.config", "SimulationConfig"),
+        ("hystmpc.sim.devices.dataset", "read_dataset write_dataset"),
+        ("hystmpc.sim.devices.paper_data", "make_dataset"),
+        ("hystmpc.sim.devices.rod", "RodParameters simulate_rod"),
+        ("hystmpc.sim.environment.gym_", "Disturbance EnvironmentState HysteresisEnv"),
+        ("hystmpc.sim.plants.simulated", "Effects SimulatedPlant"),
+    )

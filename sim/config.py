@@ -15,7 +15,7 @@ from hystmpc.models.library import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
 from hystmpc.trials.config import Settings, load_settings
 from hystmpc.trials.errors import ModelError, did_you_mean
-from hystmpc.trials.yaml_lines import MisplacedError, place_in
+from hystmpc.trials.yaml_ import MisplacedError, place_in
 
 from .devices.names import DeviceError, device_parameters
 

@@ -21,8 +21,18 @@ from hystmpc.models.prediction.actuated import ActuatedPredictor
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
-from hystmpc.trials.plot_style import PALETTE, REFERENCE, new_figure
+from hystmpc.trials.report import (
+    PALETTE,
+    REFERENCE,
+    Heading,
+    KeyValues,
+    Paragraph,
+    Piece,
+    Plot,
+    Report,
+    Table,
+    new_figure,
+)
 
 from .results import Result, StudyResult, limits_of, load_results
 

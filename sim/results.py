@@ -7,14 +7,14 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits, LimitsSettings
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc.trials.presets import CANONICAL
+from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Vec
 
@@ -137,6 +137,10 @@ def _numbers(column: Column) -> Vec:
     return np.asarray(column, dtype=np.float64)
 
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """One controller along one motion: names, the limits that it had, the run and its metrics."""
@@ -180,6 +184,22 @@ class StudyResult:
     def controllers(self) -> tuple[str, ...]:
         """Controllers that were run, in order."""
         return tuple(dict.fromkeys(result.controller for result in self.results))
+
+    def plot(self, motion: str | None = None) -> Figure:
+        """Angle and command of every controller along one motion, the first where left out."""
+        from .report import colours, tracking_figure  # matplotlib, which a run does without
+
+        return tracking_figure(self.of_motion(motion or self.motions[0]), colours(self.controllers), self.unit)
+
+    def _repr_html_(self) -> str:
+        from hystmpc.trials.report import Plot, Report, Table
+
+        columns = ("motion", "controller", "RMSE [deg]", "max abs [deg]", "hold error [deg]", "limit violations")
+        rows = []
+        for run in self.results:
+            m = run.metrics
+            rows.append((run.motion, run.controller, m.rmse_deg, m.max_abs_deg, m.hold_error_deg, m.limit_violations))
+        return Report("Closed loop in simulation", (Table(columns, rows), Plot(self.plot()))).fragment()
 
 
 def result_of(config: SimulationConfig, motion: str, controller: str, run: ClosedLoopRun) -> Result:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.html import Table
+from hystmpc.trials.report import Table
 
 Cell = str | int | float
 NOTHING = "-"

@@ -4,11 +4,17 @@ A trajectory is any object with `duration_s` and `__call__(t)`; see `trajectory.
 angles [deg]; the excitations of the papers (`excitation`) are commands [mm or bar].
 """
 
-from .limits import MotionLimits
-from .point_to_point import PointToPoint, random_point_to_point
-from .preview import PreviewTable, preview
-from .scan import Raster, SinusoidScan, TriangleScan
-from .trajectory import Sampled, Trajectory, sample
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hystmpc.trials import lazily
+
+if TYPE_CHECKING:
+    from .point_to_point import PointToPoint, random_point_to_point
+    from .ruckig_ import MotionLimits
+    from .scan import Raster, SinusoidScan, TriangleScan
+    from .trajectory import PreviewTable, Sampled, Trajectory, preview, sample
 
 __all__ = [
     "MotionLimits",
@@ -23,3 +29,12 @@ __all__ = [
     "random_point_to_point",
     "sample",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazily(
+        __name__,
+        ("hystmpc.trajectories.point_to_point", "PointToPoint random_point_to_point"),
+        ("hystmpc.trajectories.ruckig_", "MotionLimits"),
+        ("hystmpc.trajectories.scan", "Raster SinusoidScan TriangleScan"),
+        ("hystmpc.trajectories.trajectory", "PreviewTable Sampled Trajectory preview sample"),
+    )

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
-from .limits import MotionLimits
 from .point_to_point import PointToPoint, random_point_to_point
-from .sampled_csv import read_sampled
+from .ruckig_ import MotionLimits
 from .scan import Raster, Shape, SinusoidScan, TriangleScan
-from .trajectory import Trajectory
+from .trajectory import Trajectory, read_sampled
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -35,35 +33,41 @@ class LimitsSettings(Settings):
 
 
 class MotionSettings(Settings):
-    """Base of the motion blocks."""
+    """Base of the motion blocks, whose keys are the arguments of what they make.
 
-    @abstractmethod
+    Attributes:
+        make: the trajectory's class, or a function that returns one.
+    """
+
+    make: ClassVar[Callable[..., Trajectory]]
+
     def build(self, folder: Path | str = ".") -> Trajectory:
         """Make the trajectory; relative file names start at `folder`.
 
         Raises:
             TrajectoryError: if the settings are each valid but no motion fits them together.
         """
+        del folder
+        given = {name: getattr(self, name) for name in type(self).model_fields if name != "kind"}
+        limits = given.get("limits")
+        return self.make(**given | ({"limits": limits.build()} if isinstance(limits, LimitsSettings) else {}))
 
 
 class PointToPointSettings(MotionSettings):
     """`kind: point_to_point`; see PointToPoint."""
 
+    make = PointToPoint
     kind: Literal["point_to_point"]
     start_deg: float
     targets_deg: tuple[float, ...] = Field(min_length=1)
     holds_s: tuple[NotNegative, ...] = Field(min_length=1)
     limits: LimitsSettings = LimitsSettings()
 
-    def build(self, folder: Path | str = ".") -> PointToPoint:
-        """Make the motion."""
-        del folder
-        return PointToPoint(self.start_deg, self.targets_deg, self.holds_s, self.limits.build())
-
 
 class RandomPointToPointSettings(MotionSettings):
     """`kind: random_point_to_point`; see random_point_to_point."""
 
+    make = staticmethod(random_point_to_point)
     kind: Literal["random_point_to_point"]
     seed: int = Field(ge=0)
     start_deg: float
@@ -71,18 +75,6 @@ class RandomPointToPointSettings(MotionSettings):
     moves: int = Field(default=10, ge=1)
     hold_range_s: tuple[NotNegative, NotNegative] = (1.0, 5.0)
     limits: LimitsSettings = LimitsSettings()
-
-    def build(self, folder: Path | str = ".") -> PointToPoint:
-        """Draw the motion from the seed."""
-        del folder
-        return random_point_to_point(
-            self.seed,
-            start_deg=self.start_deg,
-            range_deg=self.range_deg,
-            moves=self.moves,
-            hold_range_s=self.hold_range_s,
-            limits=self.limits.build(),
-        )
 
 
 class _ScanSettings(MotionSettings):
@@ -94,57 +86,30 @@ class _ScanSettings(MotionSettings):
     cycles: float = Field(gt=0, multiple_of=0.5)
     limits: LimitsSettings | None = None
 
-    def _limits(self) -> MotionLimits | None:
-        return self.limits.build() if self.limits else None
-
 
 class SinusoidScanSettings(_ScanSettings):
     """`kind: scan_sinusoid`; see SinusoidScan."""
 
+    make = SinusoidScan
     kind: Literal["scan_sinusoid"]
     amplitude_deg: Positive
-
-    def build(self, folder: Path | str = ".") -> SinusoidScan:
-        """Make the motion."""
-        del folder
-        return SinusoidScan(
-            self.start_deg, self.centre_deg, self.amplitude_deg, self.frequency_hz, self.cycles, self._limits()
-        )
 
 
 class TriangleScanSettings(_ScanSettings):
     """`kind: scan_triangle`; see TriangleScan."""
 
+    make = TriangleScan
     kind: Literal["scan_triangle"]
     amplitude_deg: Positive
-
-    def build(self, folder: Path | str = ".") -> TriangleScan:
-        """Make the motion."""
-        del folder
-        return TriangleScan(
-            self.start_deg, self.centre_deg, self.amplitude_deg, self.frequency_hz, self.cycles, self._limits()
-        )
 
 
 class RasterSettings(_ScanSettings):
     """`kind: raster`; see Raster."""
 
+    make = Raster
     kind: Literal["raster"]
     amplitudes_deg: tuple[Positive, ...] = Field(min_length=1)
     shape: Shape = "sinusoid"
-
-    def build(self, folder: Path | str = ".") -> Raster:
-        """Make the motion."""
-        del folder
-        return Raster(
-            self.start_deg,
-            self.centre_deg,
-            self.amplitudes_deg,
-            self.frequency_hz,
-            self.cycles,
-            self.shape,
-            self._limits(),
-        )
 
 
 class SampledSettings(MotionSettings):

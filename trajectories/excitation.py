@@ -1,21 +1,169 @@
 """The papers' identification and test commands, as printed; where they are silent the value is an argument.
 
 S1 is Wu et al., RA-L 2021 (DOI 10.1109/LRA.2021.3061069): pressure [bar], 0 to 3.
-S2 is RA-L 2024, PMC11633443: tendon displacement [mm], 0 to 6.
-"""
+S2 is RA-L 2024, PMC11633443: tendon displacement [mm], 0 to 6."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import TrajectoryError, did_you_mean
+from hystmpc.trials.types import Vec
 
-from .checks import require_positive
-from .decaying_sine import DecayingSine
-from .ramp_hold import RampHold, RampHoldDraw
+from .ruckig_ import PiecewiseCubic, hold, ramp
+from .trajectory import PathTrajectory, inside, require_finite, require_positive, require_range
+
+
+@dataclass(frozen=True)
+class DecayingSine:
+    """u(t) = A e^(-tau t) ( sin(2 pi (f + c t) t - pi/2) + a ) + B, for 0 <= t <= T.
+
+    The instantaneous frequency is f + 2 c t, not f + c t: a falling chirp (c < 0) stands still at t = -f / (2 c).
+    Sources: Wu et al., RA-L 2021 (S1) eq. (5), (6), (10), (11); RA-L 2024, PMC11633443 (S2) eq. (9), (10).
+
+    Attributes:
+        amplitude: A [mm or bar].
+        frequency_hz: f [Hz].
+        decay_per_s: tau [1/s]; below zero the sinusoid grows.
+        duration_s: T [s].
+        lift: a, the part of the offset that decays with the sinusoid, in units of A.
+        baseline: B, the part of the offset that stays [mm or bar].
+        chirp_hz_per_s: c [Hz/s].
+
+    Raises:
+        TrajectoryError: if a number is not finite, or amplitude, frequency or duration is not positive.
+    """
+
+    amplitude: float
+    frequency_hz: float
+    decay_per_s: float
+    duration_s: float
+    lift: float = 1.0
+    baseline: float = 0.0
+    chirp_hz_per_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive(amplitude=self.amplitude, frequency_hz=self.frequency_hz, duration_s=self.duration_s)
+        require_finite(
+            decay_per_s=self.decay_per_s,
+            lift=self.lift,
+            baseline=self.baseline,
+            chirp_hz_per_s=self.chirp_hz_per_s,
+        )
+
+    def __call__(self, t: ArrayLike) -> Vec:
+        """Command [mm or bar] at `t` [s]."""
+        time = inside(t, self.duration_s)
+        wave = np.sin(2 * np.pi * (self.frequency_hz + self.chirp_hz_per_s * time) * time - np.pi / 2)
+        envelope = self.amplitude * np.exp(-self.decay_per_s * time)
+        return np.asarray(envelope * (wave + self.lift) + self.baseline)
+
+
+# Draws of one target before a step window counts as impossible; a window of 1 % of the range still passes.
+_MOST_DRAWS = 10_000
+
+
+@dataclass(frozen=True)
+class RampHold(PathTrajectory):
+    """Alternating ramps and holds; a ramp from x to y at rate v takes |y - x| / v.
+
+    Attributes:
+        start: command at time 0 [mm or bar].
+        targets: commands to reach, in order [mm or bar].
+        rates: speed of each ramp [mm/s or bar/s].
+        holds_s: time at each target [s].
+
+    Raises:
+        TrajectoryError: if the counts differ, a number is out of bounds, or nothing moves or holds at all.
+    """
+
+    start: float
+    targets: Sequence[float]
+    rates: Sequence[float]
+    holds_s: Sequence[float]
+
+    def __post_init__(self) -> None:
+        for name in ("targets", "rates", "holds_s"):
+            object.__setattr__(self, name, tuple(float(x) for x in getattr(self, name)))
+        counts = (len(self.targets), len(self.rates), len(self.holds_s))
+        if len(set(counts)) != 1 or not counts[0]:
+            raise TrajectoryError(
+                f"ramp and hold: got {counts[0]} targets, {counts[1]} rates and {counts[2]} holds, "
+                "expected the same number of each, at least 1"
+            )
+        require_finite(start=self.start)
+        pieces, at = [], self.start
+        for k, (target, rate, rest) in enumerate(zip(self.targets, self.rates, self.holds_s, strict=True)):
+            require_finite(**{f"targets[{k}]": target})
+            require_positive(**{f"rates[{k}]": rate})
+            require_range(f"holds_s[{k}]", (rest, rest), least=0.0)
+            if target != at:
+                pieces.append(ramp(at, target, abs(target - at) / rate))
+            pieces.append(hold(target, rest))
+            at = target
+        self._follow(PiecewiseCubic(np.vstack(pieces)))
+
+
+@dataclass(frozen=True)
+class RampHoldDraw:
+    """How a random ramp-and-hold command is drawn; every draw is uniform.
+
+    Attributes:
+        moves: number of ramps, each followed by a hold.
+        targets: least and greatest target [mm or bar].
+        rates: least and greatest ramp speed [mm/s or bar/s].
+        holds_s: shortest and longest hold [s].
+        steps: least and greatest |target - previous target| [mm or bar]; targets outside are drawn again.
+
+    Raises:
+        TrajectoryError: if a range is empty or out of bounds.
+    """
+
+    moves: int
+    targets: tuple[float, float]
+    rates: tuple[float, float]
+    holds_s: tuple[float, float]
+    steps: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.moves < 1:
+            raise TrajectoryError(f"moves: got {self.moves}, expected at least 1")
+        require_range("targets", self.targets)
+        require_range("rates", self.rates, least=0.0)
+        require_range("holds_s", self.holds_s, least=0.0)
+        if self.steps is not None:
+            require_range("steps", self.steps, least=0.0)
+
+    def __call__(self, seed: int | np.random.Generator, start: float = 0.0) -> RampHold:
+        """Draw one command; equal seeds give equal commands.
+
+        Raises:
+            TrajectoryError: if no target lies within the step window of the one before.
+        """
+        rng = np.random.default_rng(seed)
+        targets, rates, holds = list[float](), list[float](), list[float]()
+        for _ in range(self.moves):
+            targets.append(self._target(rng, targets[-1] if targets else start))
+            rates.append(float(rng.uniform(*self.rates)))
+            holds.append(float(rng.uniform(*self.holds_s)))
+        return RampHold(start, targets, rates, holds)
+
+    def _target(self, rng: np.random.Generator, last: float) -> float:
+        for _ in range(_MOST_DRAWS):
+            target = float(rng.uniform(*self.targets))
+            if self.steps is None or self.steps[0] < abs(target - last) < self.steps[1]:
+                return target
+        raise TrajectoryError(
+            f"no target in {self.targets[0]:g} to {self.targets[1]:g} is {self.steps} away from {last:.6g}, "
+            "expected a wider step window"
+        )
+
 
 S1_AMPLITUDE_BAR = 1.5
 S1_TRAIN_HZ = (0.2, 0.4, 0.6, 0.8)

@@ -11,10 +11,8 @@ from numpy.typing import ArrayLike
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
 
-from .checks import require_finite, require_range
-from .limits import MotionLimits
-from .piecewise import PiecewiseCubic, Segments, hold
-from .ruckig_ import RestingState, move
+from .ruckig_ import MotionLimits, PiecewiseCubic, RestingState, Segments, hold, move
+from .trajectory import PathTrajectory, require_finite, require_range
 
 
 def rest_to_rest(start_deg: float, target_deg: float, limits: MotionLimits) -> PiecewiseCubic:
@@ -29,7 +27,7 @@ def rest_to_rest(start_deg: float, target_deg: float, limits: MotionLimits) -> P
 
 
 @dataclass(frozen=True)
-class PointToPoint:
+class PointToPoint(PathTrajectory):
     """Moves from target to target, each as fast as the limits allow and each followed by a hold.
 
     A target equal to the one before (to 1e-12 of the angle) is snapped to it and adds its hold only.
@@ -63,7 +61,7 @@ class PointToPoint:
         for k, (target, rest) in enumerate(zip(self.targets_deg, self.holds_s, strict=True)):
             require_finite(**{f"targets_deg[{k}]": target})
             require_range(f"holds_s[{k}]", (rest, rest), least=0.0)
-        object.__setattr__(self, "_path", PiecewiseCubic(self._segments()))
+        self._follow(PiecewiseCubic(self._segments()))
 
     def _segments(self) -> Segments:
         pieces, at = [], self.start_deg
@@ -72,15 +70,6 @@ class PointToPoint:
             at = target if leg.size else at
             pieces += [leg, hold(at, rest)]
         return np.vstack(pieces)
-
-    @property
-    def duration_s(self) -> float:
-        """Time of all moves and holds [s]."""
-        return self._path.duration_s
-
-    def __call__(self, t: ArrayLike) -> Vec:
-        """Tip angle [deg] at `t` [s]."""
-        return self._path(t)
 
     def derivative(self, t: ArrayLike, order: int) -> Vec:
         """Velocity (1), acceleration (2) or jerk (3) at `t` [s]."""

@@ -1,9 +1,11 @@
-"""What a trajectory is, the sampled one, and sampling any."""
+"""What a trajectory is; sampled ones, chains of them, previews; and the checks that all kinds share."""
 
 from __future__ import annotations
 
+import csv
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -11,8 +13,6 @@ from numpy.typing import ArrayLike
 
 from hystmpc.trials.errors import TrajectoryError
 from hystmpc.trials.types import Vec
-
-from .checks import require_positive
 
 # A duration that is a whole number of samples but for rounding must not cost one sample more.
 _ROUNDING = 1e-9
@@ -29,6 +29,25 @@ class Trajectory(Protocol):
     def __call__(self, t: ArrayLike) -> Vec:
         """Value at the times `t` [s], of the shape of `t`; before 0 the start value, after the end the end value."""
         ...
+
+
+@dataclass(frozen=True)
+class PathTrajectory:
+    """Base of trajectories that are computed once, when they are made, into a path of simpler ones."""
+
+    _path: Trajectory = field(init=False, repr=False, compare=False)
+
+    def _follow(self, path: Trajectory) -> None:
+        object.__setattr__(self, "_path", path)
+
+    @property
+    def duration_s(self) -> float:
+        """Time from start to end [s]."""
+        return self._path.duration_s
+
+    def __call__(self, t: ArrayLike) -> Vec:
+        """Tip angle [deg], or command [mm or bar], at `t` [s]."""
+        return self._path(t)
 
 
 def inside(t: ArrayLike, duration_s: float) -> Vec:
@@ -105,3 +124,182 @@ def sample(trajectory: Trajectory, rate_hz: float) -> tuple[Vec, Vec]:
     require_positive(rate_hz=rate_hz)
     t = np.arange(steps(trajectory.duration_s, 1.0 / rate_hz) + 1) / rate_hz
     return t, trajectory(t)
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Parts played one after another; each must begin where the one before it ends.
+
+    Attributes:
+        parts: at least one trajectory.
+
+    Raises:
+        TrajectoryError: if there is no part.
+    """
+
+    parts: tuple[Trajectory, ...]
+    _starts: Vec = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise TrajectoryError("chain: got no part, expected at least one trajectory")
+        ends = np.cumsum([part.duration_s for part in self.parts])
+        object.__setattr__(self, "_starts", np.concatenate(([0.0], ends)))
+
+    @property
+    def duration_s(self) -> float:
+        """Sum of the parts' durations [s]."""
+        return float(self._starts[-1])
+
+    def __call__(self, t: ArrayLike) -> Vec:
+        """Values at `t` [s]."""
+        time = inside(t, self.duration_s)
+        part = np.minimum(np.searchsorted(self._starts, time, side="right"), len(self.parts)) - 1
+        values = np.empty(time.shape)
+        for k, trajectory in enumerate(self.parts):
+            here = part == k
+            values[here] = trajectory(time[here] - self._starts[k])
+        return values
+
+
+COLUMNS = ("time_s", "angle_deg")
+
+
+def read_sampled(path: Path | str) -> Sampled:
+    """Read a sampled reference; further columns are left aside.
+
+    Raises:
+        TrajectoryError: naming file and row, if the file cannot be read, a column is missing, a value is not a
+            number, or the samples are not a trajectory.
+    """
+    try:
+        with Path(path).open(encoding="utf-8-sig", newline="") as file:
+            header, *rows = list(csv.reader(file)) or [[]]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise TrajectoryError(f"{path}: cannot be read ({error}), expected a CSV file") from None
+    names = [name.strip() for name in header]
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise TrajectoryError(f"{path}: no column {missing[0]}, available: {', '.join(names) or 'none'}")
+    places = [names.index(name) for name in COLUMNS]
+    values = [_numbers(row, places, f"{path}: row {k}") for k, row in enumerate(rows, start=2) if row]
+    try:
+        return Sampled(*np.array(values, dtype=np.float64).reshape(-1, 2).T)
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{path}: {error}") from None
+
+
+def _numbers(row: list[str], places: list[int], where: str) -> list[float]:
+    """Numbers at the given places of one row."""
+    numbers = []
+    for place, name in zip(places, COLUMNS, strict=True):
+        text = row[place] if place < len(row) else ""
+        try:
+            numbers.append(float(text))
+        except ValueError:
+            raise TrajectoryError(f"{where}: {name} is {text!r}, expected a number") from None
+    return numbers
+
+
+def preview(trajectory: Trajectory, t: float, dt: float, horizon: int) -> Vec:
+    """Values at t + dt, t + 2 dt, ..., t + H dt, shape (H,); held at the end value past the end.
+
+    Args:
+        trajectory: the reference.
+        t: the present time [s].
+        dt: sample time [s].
+        horizon: number of samples H, at least 1.
+
+    Raises:
+        TrajectoryError: if `dt` is not positive or the horizon is less than 1.
+    """
+    _require_preview(dt, horizon)
+    return trajectory(t + dt * np.arange(1, horizon + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class PreviewTable:
+    """Previews at every sample of a run, computed beforehand: a look-up is a slice.
+
+    Attributes:
+        trajectory: the reference.
+        dt: sample time [s].
+        horizon: samples per preview H, at least 1.
+
+    Raises:
+        TrajectoryError: if `dt` is not positive or the horizon is less than 1.
+    """
+
+    trajectory: Trajectory
+    dt: float
+    horizon: int
+    _values: Vec = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        _require_preview(self.dt, self.horizon)
+        values = self.trajectory(self.dt * np.arange(self.steps + self.horizon + 1))
+        values.setflags(write=False)
+        object.__setattr__(self, "_values", values)
+
+    @property
+    def steps(self) -> int:
+        """Number of samples that cover the trajectory."""
+        return steps(self.trajectory.duration_s, self.dt)
+
+    def value(self, k: int) -> float:
+        """Reference at time k dt."""
+        return float(self._values[self._row(k)])
+
+    def at(self, k: int) -> Vec:
+        """Preview at time k dt: the values at (k + 1) dt, ..., (k + H) dt, shape (H,), read-only.
+
+        Raises:
+            TrajectoryError: if `k` is negative.
+        """
+        row = self._row(k)
+        return self._values[row + 1 : row + 1 + self.horizon]
+
+    def _row(self, k: int) -> int:
+        if k < 0:
+            raise TrajectoryError(f"preview: got sample {k}, expected 0 or later")
+        return min(k, self.steps)
+
+
+def _require_preview(dt: float, horizon: int) -> None:
+    require_positive(dt=dt)
+    if horizon < 1:
+        raise TrajectoryError(f"preview horizon: got {horizon}, expected at least 1 sample")
+
+
+def require_finite(**values: float) -> None:
+    """Refuse what is not a finite number.
+
+    Raises:
+        TrajectoryError: at the first such value.
+    """
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise TrajectoryError(f"{name}: got {value}, expected a finite number")
+
+
+def require_positive(**values: float) -> None:
+    """Refuse what is not finite and above zero.
+
+    Raises:
+        TrajectoryError: at the first such value.
+    """
+    for name, value in values.items():
+        if not (math.isfinite(value) and value > 0):
+            raise TrajectoryError(f"{name}: got {value}, expected a finite number > 0")
+
+
+def require_range(name: str, bounds: tuple[float, float], least: float = -math.inf) -> None:
+    """Require `least` <= bounds[0] <= bounds[1], all finite.
+
+    Raises:
+        TrajectoryError: otherwise.
+    """
+    low, high = bounds
+    if not (math.isfinite(low) and math.isfinite(high) and least <= low <= high):
+        floor = "" if least == -math.inf else f"{least:g} <= "
+        raise TrajectoryError(f"{name}: got {low} to {high}, expected finite {floor}lower <= upper")

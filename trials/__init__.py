@@ -1,6 +1,57 @@
 """Recorded trials: the Trial type, readers and writers, resampling, segments, quality checks, run folders, reports."""
 
-from .errors import HystmpcError
-from .trial import Trial, Units
+from __future__ import annotations
 
-__all__ = ["HystmpcError", "Trial", "Units"]
+from collections.abc import Callable
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .check import CheckReport, Finding, Severity
+    from .csv_files import write_csv
+    from .errors import HystmpcError
+    from .read import read_trials
+    from .trial import Trial, Units, resample
+
+__all__ = [
+    "CheckReport",
+    "Finding",
+    "HystmpcError",
+    "Severity",
+    "Trial",
+    "Units",
+    "read_trials",
+    "resample",
+    "write_csv",
+]
+
+
+def lazily(package: str, *names: tuple[str, str]) -> Callable[[str], Any]:
+    """The `__getattr__` of a package (PEP 562) that imports a module when one of its names is first asked for.
+
+    Args:
+        package: `__name__` of the package, which lists the same names in `__all__`.
+        names: module and names in it, separated by blanks; `NAME=OTHER` makes the module's OTHER the package's NAME.
+    """
+    home = {entry.partition("=")[0]: (module, entry) for module, text in names for entry in text.split()}
+
+    def getattribute(name: str) -> Any:
+        if name not in home:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module, entry = home[name]
+        found = getattr(import_module(module), entry.rpartition("=")[2])
+        setattr(import_module(package), name, found)  # asked for once
+        return found
+
+    return getattribute
+
+
+if not TYPE_CHECKING:  # a type checker knows the names above and no others
+    __getattr__ = lazily(
+        __name__,
+        ("hystmpc.trials.check", "CheckReport Finding Severity"),
+        ("hystmpc.trials.csv_files", "write_csv"),
+        ("hystmpc.trials.errors", "HystmpcError"),
+        ("hystmpc.trials.read", "read_trials"),
+        ("hystmpc.trials.trial", "Trial Units resample"),
+    )

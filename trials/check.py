@@ -1,106 +1,343 @@
-"""Quality check of a recorded log before anything is identified from it."""
+"""Quality check of a recorded log before anything is identified from it: clock, values, units, sign, motion."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .check_motion import motion_findings
-from .check_time import time_findings
-from .csv_ import read_columns
-from .findings import CheckReport, Finding, Severity
-from .log_mapping import LogMapping
-from .presets import CANONICAL, Preset
-from .read import is_text, read_raw, resolve
-from .trial import Trial, Units
+from .csv_files import Columns, read_columns
+from .errors import LogError
+from .layouts import CANONICAL, LogMapping, Preset
+from .read import Layout, Log, is_table, read_raw, resolve
+from .segments import Motion, Segments, segment
+from .signals import Raw
+from .trial import Trial, gap_limit_s, resample
 from .types import Vec
 
 
-@dataclass(frozen=True, eq=False)
-class _Signals:
-    """A log to be checked, from a file or from memory; values may be anything."""
+class Severity(StrEnum):
+    """How much a finding matters, least first."""
 
-    t: Vec
-    command: Vec
-    angle: Vec
-    channels: Mapping[str, Vec]
-    units: Units
-    preset: Preset
-    where: Callable[[int], str]  # how messages name a sample
-    note: str = ""  # on the file itself
+    OK = "ok"
+    NOTE = "note"  # worth knowing
+    WARNING = "warning"  # the log can be used, results will suffer
+    ERROR = "error"  # readers or identifications will refuse the log
 
 
-def check_trial(log: Trial | Path | str, preset: str | Preset = "auto") -> CheckReport:
+@dataclass(frozen=True)
+class Finding:
+    """One line of a quality check.
+
+    Attributes:
+        severity: how much it matters.
+        topic: what was looked at, such as `jitter` or `units`.
+        message: what was found, with numbers and units.
+    """
+
+    severity: Severity
+    topic: str
+    message: str
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """All findings on one log, in the order in which they were looked for.
+
+    Attributes:
+        source: path of the log.
+        preset: layout it was read with, empty for a trial from memory.
+        findings: at least one per topic.
+    """
+
+    source: str
+    preset: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def worst(self) -> Severity:
+        """The greatest severity among the findings."""
+        order = list(Severity)
+        return max((f.severity for f in self.findings), key=order.index, default=Severity.OK)
+
+    def of(self, topic: str) -> tuple[Finding, ...]:
+        """The findings on one topic."""
+        return tuple(f for f in self.findings if f.topic == topic)
+
+    def __str__(self) -> str:
+        head = f"{self.source} ({self.preset})" if self.preset else self.source
+        return "\n".join([head, *(f"{f.severity:8} {f.topic}: {f.message}" for f in self.findings)])
+
+    def _repr_html_(self) -> str:
+        from .report import Report, Table  # matplotlib takes longer to import than a log to check
+
+        rows = [(str(f.severity), f.topic, f.message) for f in self.findings]
+        return Report(self.source, (Table(("", "topic", "finding"), rows),), self.preset).fragment()
+
+
+def check(log: Log, preset: Layout = "auto") -> CheckReport:
     """Look at time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
-    A file is read leniently: what `read_log` would refuse becomes a finding.
+    A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
 
     Args:
-        log: a trial, or the path of a log.
-        preset: layout of the log, for a path.
+        log: a file, a ROS 2 bag, a data frame or a trial.
+        preset: its layout, see `read_trials`.
 
     Raises:
-        LogError: if the file cannot be read, or lacks a column or signal.
+        LogError: if it cannot be read, or lacks a column or signal.
         ConfigError: on an unknown preset or a wrong mapping file.
     """
     if isinstance(log, Trial):
-        source, name = log.source, ""
-        signals = _Signals(log.t, log.command, log.angle, log.channels, log.units, CANONICAL, lambda k: f"sample {k}")
-    else:
-        source, name, signals = _read(log, preset)
-    return CheckReport(source, name, tuple(_findings(signals, source)))
-
-
-def _read(log: Path | str, preset: str | Preset) -> tuple[str, str, _Signals]:
-    """Path, layout and signals of a file."""
+        return _report(log, "", CANONICAL, "sample {}".format)
     layout = resolve(preset)
-    if not is_text(log) or isinstance(layout, LogMapping):
+    if not is_table(log) or isinstance(layout, LogMapping):
         raw = read_raw(log, layout)
-        channels, where = raw.channels, "sample {}".format
-        signals = _Signals(raw.t, raw.command, raw.angle, channels, raw.units, CANONICAL, where, raw.note)
-        return raw.source, raw.preset, signals
+        return _report(raw, raw.preset, CANONICAL, "sample {}".format, raw.note)
     columns = read_columns(log, layout)
-    signals = _Signals(
-        columns.t,
-        columns.command,
-        columns.angle,
-        columns.channels,
-        columns.units,
-        columns.preset,
-        lambda k: f"row {columns.row(k)}",
-    )
-    return columns.source, columns.preset.name, signals
+    return _report(columns, columns.preset.name, columns.preset, lambda k: f"row {columns.row(k)}")
 
 
-def _findings(signals: _Signals, source: str) -> Iterator[Finding]:
+def _report(
+    log: Trial | Raw | Columns, name: str, layout: Preset, where: Callable[[int], str], note: str = ""
+) -> CheckReport:
     """All findings; those on the motion are made on the samples that are finite and in order of time."""
-    if signals.note:
-        yield Finding(Severity.NOTE, "file", signals.note)
-    yield from _value_findings(signals)
-    yield from time_findings(signals.t, signals.command, signals.angle, signals.where)
-    rows = np.column_stack((signals.t, signals.command, signals.angle))
+    found = [Finding(Severity.NOTE, "file", note)] if note else []
+    found += _value_findings(log, where)
+    found += time_findings(log.t, log.command, log.angle, where)
+    rows = np.column_stack((log.t, log.command, log.angle))
     rows = rows[np.isfinite(rows).all(axis=1)]
     rows = rows[np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0]
     if len(rows) < 2:
-        yield Finding(Severity.ERROR, "values", f"{len(rows)} usable samples, expected at least 2")
-        return
-    t, command, angle = rows.T
-    yield from motion_findings(Trial(t, command, angle, units=signals.units, source=source), signals.preset)
+        found.append(Finding(Severity.ERROR, "values", f"{len(rows)} usable samples, expected at least 2"))
+    else:
+        t, command, angle = rows.T
+        found += motion_findings(Trial(t, command, angle, units=log.units, source=log.source), layout)
+    return CheckReport(log.source, name, tuple(found))
 
 
-def _value_findings(signals: _Signals) -> Iterator[Finding]:
+def _value_findings(log: Trial | Raw | Columns, where: Callable[[int], str]) -> Iterator[Finding]:
     """Cells without a finite number, per signal."""
     clean = True
-    main = {"time": signals.t, "command": signals.command, "angle": signals.angle}
-    for name, values in {**main, **signals.channels}.items():
+    main = {"time": log.t, "command": log.command, "angle": log.angle}
+    for name, values in {**main, **log.channels}.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             clean = False
             severity = Severity.ERROR if name in main else Severity.NOTE
-            message = f"{name}: {bad.size} of {values.size} not finite, first at {signals.where(int(bad[0]))}"
+            message = f"{name}: {bad.size} of {values.size} not finite, first at {where(int(bad[0]))}"
             yield Finding(severity, "values", message)
     if clean:
-        yield Finding(Severity.OK, "values", f"{signals.t.size} samples, all finite")
+        yield Finding(Severity.OK, "values", f"{log.t.size} samples, all finite")
+
+
+_SLOW_INTERVAL_S = 1.0  # no closed loop of this field samples slower: time is then likely in ms
+_JITTER_SHARE = 0.1  # of the median interval; more is worth knowing
+_STUCK_SHARE = 0.05  # of the range of the command: travel without any change of the angle
+
+
+def time_findings(t: Vec, command: Vec, angle: Vec, where: Callable[[int], str]) -> Iterator[Finding]:
+    """Findings on time stamps [s] that may repeat, run backwards or be missing.
+
+    Args:
+        t, command, angle: signals, (T,).
+        where: names a sample for the reader.
+    """
+    kept = np.flatnonzero(np.isfinite(t))
+    intervals = np.diff(t[kept])
+    forward = intervals[intervals > 0]
+    if not forward.size:
+        yield Finding(Severity.ERROR, "time base", "time never increases")
+        return
+    median = float(np.median(forward))
+    yield _base(median, float(t[kept[0]]), float(t[kept[-1]]), t.size)
+    yield _jitter(forward, median)
+    yield _gaps(t, kept, intervals, median, where)
+    yield _order(kept, intervals, where)
+    yield _stuck(t, command, angle)
+
+
+def require_seconds(trial: Trial) -> None:
+    """Refuse a trial whose time is most likely in milliseconds.
+
+    Raises:
+        LogError: if its samples are a second or more apart.
+    """
+    if trial.dt >= _SLOW_INTERVAL_S:
+        raise LogError(f"{trial.source}: {_slow(trial.dt, float(trial.t[0]), float(trial.t[-1]))}")
+
+
+def _slow(median: float, start: float, stop: float) -> str:
+    return (
+        f"time_s runs from {start:g} to {stop:g}, sampling rate {1 / median:.3g} Hz, expected more than "
+        f"{1 / _SLOW_INTERVAL_S:g} Hz: is it in milliseconds?"
+    )
+
+
+def _base(median: float, start: float, stop: float, count: int) -> Finding:
+    if median >= _SLOW_INTERVAL_S:
+        return Finding(Severity.ERROR, "time base", _slow(median, start, stop))
+    return Finding(Severity.OK, "time base", f"{1 / median:.4g} Hz (median), {stop - start:.4g} s, {count} samples")
+
+
+def _jitter(forward: Vec, median: float) -> Finding:
+    spread = float(np.std(forward))
+    severity = Severity.NOTE if spread > _JITTER_SHARE * median else Severity.OK
+    return Finding(
+        severity,
+        "jitter",
+        f"sample interval {1e3 * median:.3g} ms (median), standard deviation {1e3 * spread:.2g} ms "
+        f"({spread / median:.0%}), longest {1e3 * float(forward.max()):.3g} ms",
+    )
+
+
+def _gaps(t: Vec, kept: NDArray[np.intp], intervals: Vec, median: float, where: Callable[[int], str]) -> Finding:
+    limit = gap_limit_s(median)
+    gaps = np.flatnonzero(intervals > limit)
+    if not gaps.size:
+        return Finding(Severity.OK, "gaps", f"none longer than {limit:.3g} s")
+    k = int(gaps[np.argmax(intervals[gaps])])
+    return Finding(
+        Severity.ERROR,
+        "gaps",
+        f"{gaps.size} longer than {limit:.3g} s, the longest {intervals[k]:.3g} s from {t[kept[k]]:.6g} s "
+        f"({where(int(kept[k]))}); cut the log there",
+    )
+
+
+def _order(kept: NDArray[np.intp], intervals: Vec, where: Callable[[int], str]) -> Finding:
+    same, back = np.flatnonzero(intervals == 0), np.flatnonzero(intervals < 0)
+    parts = [
+        f"{found.size} time stamps {what}, first at {where(int(kept[found[0] + 1]))}"
+        for found, what in ((same, "repeat the one before"), (back, "run backwards"))
+        if found.size
+    ]
+    if parts:
+        return Finding(Severity.ERROR, "duplicates", "; ".join(parts))
+    return Finding(Severity.OK, "duplicates", "time increases from sample to sample")
+
+
+def _stuck(t: Vec, command: Vec, angle: Vec) -> Finding:
+    """Stretches of one and the same angle; of these, the one over which the command travels farthest."""
+    topic = "stuck samples"
+    starts = np.concatenate(([0], np.flatnonzero(angle[1:] != angle[:-1]) + 1))
+    share = 1 - (starts.size - 1) / (angle.size - 1)
+    text = f"{share:.0%} of the angles equal the one before"
+    known = np.where(np.isfinite(command), command, np.nan)
+    travel = np.nan_to_num(np.fmax.reduceat(known, starts) - np.fmin.reduceat(known, starts))
+    span = float(np.nan_to_num(np.fmax.reduce(known) - np.fmin.reduce(known)))
+    farthest = int(np.argmax(travel))
+    if travel[farthest] <= _STUCK_SHARE * span:
+        return Finding(Severity.OK, topic, text)
+    start, stop = int(starts[farthest]), int(np.append(starts, angle.size)[farthest + 1]) - 1
+    return Finding(
+        Severity.NOTE,
+        topic,
+        f"{text}; from {t[start]:.6g} to {t[stop]:.6g} s it stays the same while the command travels "
+        f"{travel[farthest]:.3g}: dead zone or stuck sensor",
+    )
+
+
+_SEGMENT_RATE_HZ = 50.0  # enough for tip motions up to a few Hz
+_RETURN_SHARE = 0.05  # of the command's range: nearer to its start counts as back at its start
+_SET_DEG = 1.0  # about three times the noise of an electromagnetic tracker
+_FOLLOWS = 0.3  # correlation of angle and command below which the sign cannot be told
+
+# Range of a signal -> what its numbers look like: (from, to, suspicion); between the rows they look right.
+_MISTAKEN: dict[str, tuple[tuple[float, float, str], ...]] = {
+    "mm": ((0.0, 0.05, "metres"), (200.0, np.inf, "micrometres")),
+    "bar": ((0.0, 0.02, "MPa or a valve signal"), (20.0, 5e3, "kPa or psi"), (5e3, np.inf, "Pa")),
+    "deg": ((0.0, 3.5, "radians"), (400.0, np.inf, "sensor counts")),
+}
+
+
+def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
+    """Findings on a trial whose values are finite and in order."""
+    span = float(np.ptp(trial.command))
+    yield _units("command", trial.command, trial.units.command, preset.command_range)
+    yield _units("angle", trial.angle, trial.units.angle, preset.angle_range)
+    if span == 0:
+        text = f"the command is {trial.command[0]:g} {trial.units.command} throughout: nothing can be identified"
+        yield Finding(Severity.ERROR, "excitation", text)
+        return
+    yield _sign(trial)
+    try:
+        even = resample(trial, min(_SEGMENT_RATE_HZ, 1 / trial.dt))
+    except LogError as error:
+        yield Finding(Severity.ERROR, "segments", f"not looked for: {str(error).removeprefix(f'{trial.source}: ')}")
+        return
+    parts = segment(even)
+    yield _excitation(even, parts)
+    yield _segments(even, parts)
+    yield _first_flexure(even, parts)
+
+
+def _units(name: str, values: Vec, unit: str, plausible: tuple[float, float]) -> Finding:
+    low, high, topic = float(values.min()), float(values.max()), f"units of {name}"
+    text = f"{low:.4g} to {high:.4g} {unit}"
+    for least, most, suspicion in _MISTAKEN.get(unit, ()):
+        if least < high - low and least <= high - low <= most:
+            return Finding(Severity.WARNING, topic, f"{text}: looks like {suspicion}, expected {unit}")
+    if low < plausible[0] or high > plausible[1]:
+        return Finding(
+            Severity.WARNING, topic, f"{text}: expected {plausible[0]:g} to {plausible[1]:g}; offset or another unit?"
+        )
+    return Finding(Severity.OK, topic, text)
+
+
+def _sign(trial: Trial) -> Finding:
+    """Does the angle rise with the command, and by how much."""
+    u, y = trial.command - trial.command.mean(), trial.angle - trial.angle.mean()
+    power = float(np.sqrt((u @ u) * (y @ y)))
+    together = float(u @ y) / power if power > 0 else 0.0
+    text = f"{float(u @ y / (u @ u)):.3g} deg per {trial.units.command} (correlation {together:.2f})"
+    if abs(together) < _FOLLOWS:
+        return Finding(Severity.WARNING, "sign", f"the angle hardly follows the command: {text}")
+    if together < 0:
+        return Finding(Severity.WARNING, "sign", f"the angle falls as the command rises: {text}; flip one of them")
+    return Finding(Severity.OK, "sign", f"the angle rises with the command: {text}")
+
+
+def _excitation(trial: Trial, parts: Segments) -> Finding:
+    count = parts.reversals.size
+    speed = np.abs(np.diff(trial.command)) / trial.dt
+    text = f"{count} reversals of the command, fastest {float(speed.max()):.3g} {trial.units.command}/s"
+    if not count:
+        return Finding(Severity.WARNING, "excitation", f"{text}: hysteresis shows only after a reversal")
+    return Finding(Severity.OK, "excitation", text)
+
+
+def _segments(trial: Trial, parts: Segments) -> Finding:
+    texts = []
+    for motion in (Motion.LOADING, Motion.UNLOADING, Motion.HOLD):
+        seconds = float(np.count_nonzero(parts.labels == motion)) * trial.dt
+        texts.append(f"{len(parts.runs(motion))} {motion.name.lower()} ({seconds:.3g} s)")
+    return Finding(Severity.OK, "segments", ", ".join(texts))
+
+
+def _first_flexure(trial: Trial, parts: Segments) -> Finding:
+    """Compare the angle before the first flexure with the one when the command is back."""
+    topic, unit, u, y = "first flexure", trial.units.command, trial.command, trial.angle
+    if not parts.reversals.size:
+        return Finding(Severity.NOTE, topic, "the command never turns back, so a set cannot be told")
+    top = int(parts.reversals[0])
+    low = int(parts.reversals[1]) if parts.reversals.size > 1 else len(trial) - 1
+    opening = f"ends at {trial.t[top]:.4g} s, {y[top]:.1f} deg at {u[top]:.3g} {unit}"
+    if abs(u[low] - u[0]) > _RETURN_SHARE * float(np.ptp(u)):
+        way_up = float(y[int(np.argmin(np.abs(u[: top + 1] - u[low])))])
+        return Finding(
+            Severity.NOTE,
+            topic,
+            f"{opening}; the command does not come back to its start ({u[0]:.3g} {unit}), so a set cannot be told "
+            f"from hysteresis: at {u[low]:.3g} {unit} the angle was {way_up:.1f} deg on the way there and "
+            f"{y[low]:.1f} deg back",
+        )
+    left = float(y[low] - y[0])
+    text = f"{opening}; the angle was {y[0]:.1f} deg before and is {y[low]:.1f} deg after it: a set of {left:+.1f} deg"
+    if abs(left) > _SET_DEG:
+        advice = "; score later motions only (--skip-first-flexure)"
+        return Finding(Severity.WARNING, topic, text + advice)
+    return Finding(Severity.OK, topic, text)

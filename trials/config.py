@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Self, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Self, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from .errors import ConfigError, did_you_mean
-from .yaml_ import YamlError, format_yaml, parse_yaml
-from .yaml_lines import Location, MisplacedError, place_in
+from .yaml_ import Location, MisplacedError, YamlError, format_yaml, parse_yaml, place_in
 
 LARGEST_FILE = 4_000_000  # bytes of a configuration
 _LONGEST_VALUE = 100  # characters of a value in an error
@@ -30,7 +29,9 @@ class Settings(BaseModel):
         ConfigError: through `parse`; pydantic's ValidationError if built directly.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+    model_config: ClassVar[ConfigDict] = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True
+    )
 
     @model_validator(mode="before")
     @classmethod

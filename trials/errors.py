@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib.util
 from collections.abc import Iterable
 
 
@@ -48,3 +49,18 @@ def did_you_mean(got: str, available: Iterable[str]) -> str:
     close = difflib.get_close_matches(got, names, n=1)
     hint = f"; did you mean {close[0]!r}?" if close else ""
     return f"available: {', '.join(names)}{hint}"
+
+
+def require(package: str, extra: str, purpose: str) -> None:
+    """Say in one line what to install where an optional package is missing.
+
+    Args:
+        package: import name.
+        extra: extra of hystmpc that brings it.
+        purpose: what it is needed for, such as `reading ROS 2 bags`.
+
+    Raises:
+        LogError: if the package is not installed.
+    """
+    if importlib.util.find_spec(package) is None:
+        raise LogError(f"{purpose} needs the package {package}: pip install 'hystmpc[{extra}]'")

@@ -10,9 +10,8 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import LogError
-from .extras import require
-from .log_mapping import HEADER_TIME, LOG_TIME
+from .errors import LogError, require
+from .layouts import HEADER_TIME, LOG_TIME
 from .signals import Series, missing, split_path, walk
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"

@@ -1,4 +1,4 @@
-"""Logs as MCAP: one channel of JSON messages with a JSON schema, readable by common robotics viewers."""
+"""MCAP logs: a run's log is written as one channel of JSON messages; signals are read from JSON and ROS 2 messages."""
 
 from __future__ import annotations
 
@@ -6,11 +6,19 @@ import importlib.util
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+import struct
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .errors import LogError, require
+from .messages import Decoder, MessageLog, Topic, UnreadableError, cdr_decoder
 
 TOPIC = "/hystmpc/log"
 
@@ -40,16 +48,191 @@ def format_mcap(
     channel = writer.register_channel(TOPIC, "json", schema)
     stamps = (start_ns + np.rint(1e9 * t).astype(np.int64)).tolist()
     for k, stamp in enumerate(stamps):
-        message = {name: _json(column[k]) for name, column in values.items()}
+        message = {name: _null_for_nan(column[k]) for name, column in values.items()}
         writer.add_message(channel, stamp, json.dumps(message, allow_nan=False).encode(), stamp, k)
     writer.finish()
     return out.getvalue()
 
 
-def _json(value: Any) -> Any:
+def _null_for_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _schema(columns: Mapping[str, Any]) -> dict[str, Any]:
     kinds = {name: ["number", "null"] if isinstance(c, np.ndarray) else ["string"] for name, c in columns.items()}
     return {"type": "object", "properties": {name: {"type": kind} for name, kind in kinds.items()}}
+
+
+MAGIC = b"\x89MCAP0\r\n"
+_PREFIX = struct.Struct("<BQ")
+_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 1, 2, 3, 4, 5, 6, 15
+_MOST_BYTES = 1 << 30  # of one chunk, unpacked: a damaged length must not fill the memory
+_ID = struct.Struct("<H")
+
+
+class _DamagedError(Exception):
+    """The rest of the file cannot be trusted."""
+
+
+@dataclass
+class McapRecords:
+    """Messages of one file in the order in which they were written.
+
+    Attributes:
+        path: the file.
+        schemas, channels: by their ids, as far as they have been met.
+        note: why reading ended before the end of the file; empty if it did not.
+    """
+
+    path: str
+    schemas: dict[int, Any] = field(default_factory=dict)
+    channels: dict[int, Any] = field(default_factory=dict)
+    note: str = ""
+
+    def messages(self) -> Iterator[Any]:
+        """Every whole message; `mcap.records.Message`, its channel in `channels`.
+
+        Raises:
+            LogError: if the file cannot be read or is no MCAP file.
+        """
+        data = self._bytes()
+        try:
+            yield from self._walk(data, len(MAGIC), top=True)
+        except _DamagedError as error:
+            self.note = f"cut off or damaged: {error}; what stands before is read"
+
+    def _bytes(self) -> bytes:
+        try:
+            data = Path(self.path).read_bytes()
+        except FileNotFoundError:
+            raise LogError(f"{self.path}: no such file") from None
+        except OSError as error:
+            raise LogError(f"{self.path}: cannot be read ({error.strerror})") from None
+        if not data.startswith(MAGIC):
+            raise LogError(f"{self.path}: not an MCAP file (starts with {data[:8]!r}, expected {MAGIC!r})")
+        return data
+
+    def _walk(self, data: bytes, at: int, top: bool) -> Iterator[Any]:
+        """Records of the file, or of one chunk; what follows the data section is not looked at."""
+        ended = not top
+        while at < len(data):
+            if at + _PREFIX.size > len(data):
+                raise _DamagedError(f"byte {at} of {len(data)}")
+            opcode, length = _PREFIX.unpack_from(data, at)
+            start = at + _PREFIX.size
+            body = data[start : start + length]
+            if opcode == _CHUNK and top:
+                yield from self._chunk(body, whole=len(body) == length)
+            if len(body) < length or opcode == 0:
+                raise _DamagedError(f"byte {at} of {len(data)}")
+            if opcode in (_SCHEMA, _CHANNEL, _MESSAGE):
+                yield from self._record(opcode, body)
+            if top and opcode in (_DATA_END, _FOOTER):
+                ended = True
+                break
+            at = start + length
+        if not ended:
+            raise _DamagedError(f"it ends without a summary at byte {len(data)}")
+
+    def _record(self, opcode: int, body: bytes) -> Iterator[Any]:
+        from mcap.data_stream import ReadDataStream
+        from mcap.exceptions import McapError
+        from mcap.records import Channel, Message, Schema
+
+        stream = ReadDataStream(BytesIO(body))
+        try:
+            if opcode == _SCHEMA:
+                schema = Schema.read(stream)
+                self.schemas[schema.id] = schema
+            elif opcode == _CHANNEL:
+                channel = Channel.read(stream)
+                self.channels[channel.id] = channel
+            else:
+                message = Message.read(stream, len(body))
+                if message.channel_id not in self.channels:
+                    raise _DamagedError(f"message of channel {message.channel_id}, which was not announced")
+                yield message
+        except (McapError, struct.error, ValueError) as error:
+            raise _DamagedError(f"record that cannot be read ({error or type(error).__name__})") from None
+
+    def _chunk(self, body: bytes, whole: bool) -> Iterator[Any]:
+        """Messages of a chunk; of one that is cut off, what lies in it uncompressed."""
+        from mcap.data_stream import ReadDataStream
+        from mcap.exceptions import McapError
+        from mcap.records import Chunk
+
+        try:
+            chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+            records = _unpacked(chunk) if whole or chunk.compression == "" else b""
+        except (McapError, struct.error, ValueError, OverflowError) as error:
+            raise _DamagedError(f"chunk that cannot be read ({error or type(error).__name__})") from None
+        if whole and chunk.uncompressed_crc and zlib.crc32(records) != chunk.uncompressed_crc:
+            raise _DamagedError("chunk whose checksum is wrong")
+        yield from self._walk(records, 0, top=False)
+
+
+def _unpacked(chunk: Any) -> bytes:
+    if chunk.compression == "":
+        return chunk.data
+    if chunk.uncompressed_size > _MOST_BYTES:
+        raise ValueError(f"{chunk.uncompressed_size} bytes unpacked")
+    if chunk.compression == "zstd":
+        import zstandard
+
+        try:
+            return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+        except zstandard.ZstdError as error:
+            raise ValueError(str(error)) from None
+    if chunk.compression == "lz4":
+        import lz4.frame
+
+        try:
+            return lz4.frame.decompress(chunk.data)
+        except RuntimeError as error:
+            raise ValueError(str(error)) from None
+    raise ValueError(f"compression {chunk.compression!r}")
+
+
+def open_mcap(path: Path | str) -> MessageLog:
+    """Read the messages of an MCAP file; one that was cut off gives what stands before the cut.
+
+    Raises:
+        LogError: if `mcap` is not installed, the file cannot be read, is no MCAP file, or holds no whole message.
+    """
+    require("mcap", "logs", f"{path}: reading MCAP files")
+    records = McapRecords(str(path))
+    kept = [(m.channel_id, m.log_time, m.data) for m in records.messages()]
+    if not kept:
+        raise LogError(f"{path}: no message in it{f' ({records.note})' if records.note else ''}")
+    topics = {}
+    for channel in records.channels.values():
+        schema = records.schemas.get(channel.schema_id)
+        kind = schema.name if schema is not None else channel.message_encoding
+        topics[channel.topic] = Topic(channel.topic, kind, _decoder(channel.message_encoding, schema))
+    names = {number: channel.topic for number, channel in records.channels.items()}
+    messages = [(names[number], stamp, data) for number, stamp, data in kept]
+    return MessageLog(str(path), topics, messages, records.note)
+
+
+def _decoder(encoding: str, schema: Any) -> Decoder:
+    """How to read the messages of a channel; decided when the first one is read."""
+    if encoding == "json":
+        return _parse_json
+    found: list[Decoder] = []
+
+    def decode(raw: bytes) -> Any:
+        if encoding != "cdr" or schema is None:
+            raise UnreadableError(f"encoding {encoding!r}, expected json or cdr (ROS 2)")
+        if not found:
+            text = schema.data.decode("utf-8", errors="replace")
+            found.append(cdr_decoder(schema.name, schema.encoding, text))
+        return found[0](raw)
+
+    return decode
+
+
+def _parse_json(raw: bytes) -> Any:
+    try:
+        return json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        raise UnreadableError(f"not JSON ({' '.join(str(error).split())})") from None

@@ -1,62 +1,112 @@
-"""Reading a log of any format: the ending of its name, or the folder, tells which."""
+"""Reading recorded trials of any format: files and folders, told by their names; data frames; trials in memory."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .csv_ import read_csv
-from .errors import ConfigError
-from .log_mapping import LogMapping, is_mapping_file, load_mapping
+from .csv_files import Frame, Table, first_row, frame_table, read_csv, read_lines, read_table
+from .errors import ConfigError, LogError
+from .layouts import LogMapping, Preset, get_preset, is_mapping_file, load_mapping
 from .mat_ import open_mat
-from .mcap_reader_ import open_mcap
-from .presets import Preset, get_preset
+from .mcap_ import open_mcap
 from .rosbag_ import is_bag, open_bag
 from .signals import Raw, Series, Source, canonical_mapping, missing, read_mapped
-from .table import Table, first_row, read_lines, read_table
-from .trial import Trial
+from .trial import Trial, resample
 
 Layout = str | Preset | LogMapping
+"""A layout's name, a mapping file (`*.yaml`), a `Preset` (tables), a `LogMapping`, or `auto`."""
+
+Log = Path | str | Frame | Trial
+"""One recorded trial: a file, the folder of a ROS 2 bag, a data frame, or the trial itself."""
 
 OPENERS: dict[str, Callable[[Path], Source]] = {".mcap": open_mcap, ".db3": open_bag, ".mat": open_mat}
 """Formats of named signals by the ending of the file; every other ending is delimited text."""
 
 
-def read_log(path: Path | str, preset: Layout = "auto") -> Trial:
-    """Read one trial from delimited text, MCAP, a ROS 2 bag or a MATLAB file.
+def read_trials(logs: Log | Iterable[Log], preset: Layout = "auto", *, rate_hz: float | None = None) -> list[Trial]:
+    """Read recorded trials of any format, in the order given.
 
     Args:
-        path: a file, or the folder of a ROS 2 bag.
-        preset: layout: a name, a mapping file (`*.yaml`), a `Preset` (delimited text), a `LogMapping`, or `auto`.
+        logs: one or several of: delimited text, `.mat`, MCAP, ROS 2 bag, a folder of these, a data frame with the
+            columns of the layout (such as `time_s`, `command`, `angle_deg`), a `Trial`.
+        preset: layout of all of them: `auto`, `canonical`, `tendon-catheter`, or a mapping file `*.yaml`.
+        rate_hz: resample to this rate [Hz]; None leaves the samples as they are.
+
+    Raises:
+        LogError: if nothing is found, or a log cannot be read or resampled; names file, row and what was expected.
+        ConfigError: on an unknown preset or a wrong mapping file.
+    """
+    layout = resolve(preset)
+    several = [logs] if isinstance(logs, Path | str | Frame | Trial) else list(logs)
+    trials = []
+    for log in several or expand_logs([]):  # which refuses to do without any
+        files = expand_logs([log]) if isinstance(log, Path | str) else [log]
+        trials += [read_log(file, layout) for file in files]
+    return trials if rate_hz is None else [resample(trial, rate_hz) for trial in trials]
+
+
+def read_log(log: Log, preset: Layout = "auto") -> Trial:
+    """Read one trial; see `read_trials`, which takes folders too.
 
     Raises:
         LogError: if the log cannot be used; one line with the file, what was got and what is available.
         ConfigError: on an unknown preset or a wrong mapping file, or a preset of another format.
     """
+    if isinstance(log, Trial):
+        return log
     layout = resolve(preset)
-    if is_text(path) and not isinstance(layout, LogMapping):
-        return read_csv(path, layout)
-    return read_raw(path, layout).trial()
+    if is_table(log) and not isinstance(layout, LogMapping):
+        return read_csv(log, layout)
+    return read_raw(log, layout).trial()
 
 
-def read_raw(path: Path | str, preset: Layout = "auto") -> Raw:
+def expand_logs(paths: Iterable[Path | str]) -> list[Path]:
+    """Logs to read: a folder stands for its `*.csv`, or else its logs of other formats, in the order of their names.
+
+    Raises:
+        LogError: if nothing is given, or a folder holds no log.
+    """
+    files: list[Path] = []
+    for path in map(Path, paths):
+        inside = _logs_in(path) if path.is_dir() else [path]
+        if not inside:
+            raise LogError(f"{path}: no *.csv (nor *.mcap, *.db3, *.mat) in this folder, expected recorded logs")
+        files += inside
+    if not files:
+        raise LogError("no logs given, expected files or folders of logs")
+    return files
+
+
+def _logs_in(folder: Path) -> list[Path]:
+    """The `*.csv` of a folder; without any, its bags, `*.mcap`, `*.db3` and `*.mat`, by name."""
+    if is_bag(folder):
+        return [folder]
+    tables = sorted(folder.glob("*.csv"))
+    others = [entry for entry in folder.iterdir() if is_bag(entry) or entry.suffix.lower() in OPENERS]
+    return tables or sorted(others)
+
+
+def read_raw(log: Path | str | Frame, preset: Layout = "auto") -> Raw:
     """Read a log by its named signals without judging its values.
 
     Raises:
         LogError: if the log cannot be read, or lacks a signal.
         ConfigError: on an unknown preset or a wrong mapping file, or a preset of another format.
     """
-    place, layout = Path(path), resolve(preset)
-    source = _open(place)
+    layout, source = resolve(preset), _open(log)
     if isinstance(layout, LogMapping):
         return read_mapped(source, layout)
     if layout != "auto":
         name = layout.name if isinstance(layout, Preset) else layout
         if name != "canonical":
-            raise ConfigError(f"{path}: preset {name} is for delimited text, expected auto or a mapping file (*.yaml)")
+            raise ConfigError(
+                f"{source.path}: preset {name} is for delimited text, expected auto or a mapping file (*.yaml)"
+            )
     return read_mapped(source, canonical_mapping(source.names(), source.path))
 
 
@@ -71,54 +121,40 @@ def resolve(preset: Layout) -> Layout:
     return load_mapping(preset) if is_mapping_file(preset) else get_preset(preset)
 
 
-def is_text(path: Path | str) -> bool:
-    """Whether a log is delimited text."""
-    place = Path(path)
-    return place.suffix.lower() not in OPENERS and not is_bag(place)
+def is_table(log: Path | str | Frame) -> TypeGuard[Path | str | Frame]:
+    """Whether a log is delimited text or a data frame."""
+    return isinstance(log, Frame) or (Path(log).suffix.lower() not in OPENERS and not is_bag(Path(log)))
 
 
-def logs_in(folder: Path) -> list[Path]:
-    """What a folder stands for: its `*.csv`; without any, its bags, `*.mcap`, `*.db3` and `*.mat`, by name."""
-    if is_bag(folder):
-        return [folder]
-    tables = sorted(folder.glob("*.csv"))
-    others = [entry for entry in folder.iterdir() if is_bag(entry) or entry.suffix.lower() in OPENERS]
-    return tables or sorted(others)
-
-
-def read_all(paths: Iterable[Path], preset: Layout = "auto") -> list[Trial]:
-    """Read several trials of one layout.
-
-    Raises:
-        LogError: if a log cannot be read.
-        ConfigError: on an unknown preset or a wrong mapping file.
-    """
-    layout = resolve(preset)
-    return [read_log(path, layout) for path in paths]
-
-
-def _open(path: Path) -> Source:
+def _open(log: Path | str | Frame) -> Source:
+    if isinstance(log, Frame):
+        return _TableLog(frame_table(log))
+    path = Path(log)
     if is_bag(path):
         return open_bag(path)
     opener = OPENERS.get(path.suffix.lower())
-    return opener(path) if opener is not None else _TableLog(path)
+    return opener(path) if opener is not None else _TableLog(_guessed_table(path))
+
+
+def _guessed_table(path: Path) -> Table:
+    """Delimited text whose delimiter is not known; columns without a header row are `[0]`, `[1]`, ..."""
+    lines = read_lines(path)
+    _, cells = first_row(lines, ",")
+    delimiter = next((sign for sign in ";\t" if len(cells) == 1 and sign in cells[0]), ",")
+    if delimiter == "," and len(cells) == 1 and " " in cells[0]:
+        lines = [",".join(line.split()) for line in lines]
+    _, cells = first_row(lines, delimiter)
+    unnamed = [f"[{k}]" for k in range(len(cells))] if all(map(_is_number, cells)) else []
+    return read_table(lines, str(path), delimiter, unnamed)
 
 
 class _TableLog:
-    """A `Source` over delimited text, for mapping files; columns without a header row are `[0]`, `[1]`, ..."""
+    """A `Source` over the columns of a table, for mapping files."""
 
     note = ""
 
-    def __init__(self, path: Path) -> None:
-        self.path = str(path)
-        lines = read_lines(path)
-        _, cells = first_row(lines, ",")
-        delimiter = next((sign for sign in ";\t" if len(cells) == 1 and sign in cells[0]), ",")
-        if delimiter == "," and len(cells) == 1 and " " in cells[0]:
-            lines = [",".join(line.split()) for line in lines]
-        _, cells = first_row(lines, delimiter)
-        unnamed = [f"[{k}]" for k in range(len(cells))] if all(map(_is_number, cells)) else []
-        self._table: Table = read_table(lines, self.path, delimiter, unnamed)
+    def __init__(self, table: Table) -> None:
+        self.path, self._table = table.source, table
 
     def names(self) -> tuple[str, ...]:
         return tuple(name for name in self._table.numbers if name)

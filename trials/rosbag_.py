@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from .errors import LogError
-from .extras import require
-from .mcap_reader_ import open_mcap
-from .messages import MessageLog, Topic
-from .ros_messages_ import Decoder, cdr_decoder
+from .errors import LogError, require
+from .mcap_ import open_mcap
+from .messages import Decoder, MessageLog, Topic, cdr_decoder, one_line
 
 METADATA = "metadata.yaml"
 _DEFINITIONS = {"MSG": "ros2msg", "IDL": "ros2idl"}
@@ -42,7 +40,7 @@ def open_bag(path: Path | str) -> MessageLog:
     try:
         _read(place, topics, messages)
     except Exception as error:  # noqa: BLE001 - on damaged files its parsers raise whatever they meet
-        note = f"cut off or damaged: {_line(error)}; what stands before is read"
+        note = f"cut off or damaged: {one_line(error)}; what stands before is read"
     storage = sorted(place.glob("*.mcap")) if place.is_dir() else []
     if note and storage:
         return _recovered(str(path), storage)
@@ -91,7 +89,3 @@ def _late(kind: str, encoding: str, definition: str) -> Decoder:
         return found[0](raw)
 
     return decode
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

@@ -19,11 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import mcap_
 from .config import Settings, dump_yaml, read_yaml
-from .csv_ import read_csv
+from .csv_files import format_table, read_csv, read_lines, read_table
 from .errors import ConfigError, LogError
 from .files import require_writable, write_atomically
-from .presets import CANONICAL
-from .table import format_table, read_lines, read_table
+from .layouts import CANONICAL
 from .trial import Trial
 
 FORMAT = "hystmpc-run/1"

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import ConfigError, LogError
-from .resample import require_uniform
-from .trial import Trial
+from .trial import Trial, require_uniform
 from .types import Index, Vec
 
 

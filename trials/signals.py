@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from .errors import LogError, did_you_mean
-from .log_mapping import COMMAND_UNIT_OF, DEGREES, HEADER_TIME, LOG_TIME, SECONDS, LogMapping, SignalSettings
+from .layouts import COMMAND_UNIT_OF, DEGREES, HEADER_TIME, LOG_TIME, SECONDS, LogMapping, SignalSettings
 from .trial import Trial, Units
 from .types import Vec
 

@@ -3,12 +3,13 @@
 PyYAML follows YAML 1.1, in which `010` is 8, `1:30` is 90 and `on` is true. Here a plain scalar is a number only where
 it is written as JSON writes one (`12`, `-0.5`, `1e-3`; also `+1`, `.5`, `2.`, `.inf`, `.nan`), and a truth value only
 where it is `true` or `false`. Everything else is text, dates and octal, hexadecimal and sexagesimal numbers among it,
-and `Settings` refuses text where it expects a number.
-"""
+and `Settings` refuses text where it expects a number."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -35,7 +36,8 @@ class YamlError(ValueError):
 
     def __init__(self, problem: str, line: int | None = None, column: int | None = None) -> None:
         super().__init__(" ".join(problem.split()))
-        self.line, self.column = line, column
+        self.line: int | None = line
+        self.column: int | None = column
 
 
 def _refusal(problem: str, mark: Any) -> yaml.MarkedYAMLError:
@@ -170,9 +172,85 @@ class _Dumper(yaml.SafeDumper):
     """Quotes every text that is something else to `parse_yaml` or to YAML 1.1."""
 
 
+def _text(dumper: Any, text: str) -> Any:
+    """A text; one with a line break of Unicode in double quotes, which alone keep it."""
+    style = '"' if re.search("[\x85\u2028\u2029]", text) else None
+    return dumper.represent_scalar(f"{_TAG}str", text, style=style)
+
+
+_Dumper.add_representer(str, _text)
 _Dumper.add_implicit_resolver(f"{_TAG}float", _NUMBER, _FIRST_OF_NUMBER)
 
 
 def format_yaml(data: Any) -> str:
     """Plain data as YAML in the order given; read back as the same by `parse_yaml` and by YAML 1.1."""
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+
+
+Location = Sequence[str | int]
+
+
+class MisplacedError(ValueError):
+    """What a validator raises where it knows the offending entry within its own block.
+
+    Args:
+        message: one line.
+        at: keys and indices from the validated block to the entry.
+    """
+
+    def __init__(self, message: str, at: Location = ()) -> None:
+        super().__init__(message)
+        self.at: tuple[str | int, ...] = tuple(at)
+
+
+def line_of(text: str, at: Location) -> int | None:
+    """Line, from 1, of the entry at keys and indices `at`, or of the innermost block around it that is there.
+
+    Entries of `at` that are no key of the file (a validator's own marks) are passed over. None if the text is no YAML
+    or nothing of `at` is there.
+    """
+    try:
+        node = compose_yaml(text)
+    except YamlError:
+        return None
+    line = None
+    for part in at:
+        found = _entry(node, part)
+        if found is not None:
+            line, node = found
+    return line
+
+
+def place_in(path: Path | str, overrides: Sequence[str] = ()) -> Callable[[Location], str]:
+    """A function that says where an entry stands: `file.yaml, line 3`, or the override that set it.
+
+    Args:
+        path: a YAML file; read again only when a place is asked for.
+        overrides: `a.b=3` changes that were applied to it.
+    """
+
+    def place(at: Location) -> str:
+        parts = [str(part) for part in at]
+        for text in reversed(overrides):
+            changed = text.partition("=")[0].split(".")
+            if parts[: len(changed)] == changed:
+                return f"{path}, --set {text}"
+        try:
+            line = line_of(Path(path).read_text(encoding="utf-8"), at)
+        except (OSError, UnicodeDecodeError):
+            line = None
+        return str(path) if line is None else f"{path}, line {line}"
+
+    return place
+
+
+def _entry(node: yaml.Node | None, part: str | int) -> tuple[int, yaml.Node] | None:
+    """Line and value of one entry of a block."""
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value == str(part):
+                return key.start_mark.line + 1, value
+    if isinstance(node, yaml.SequenceNode) and isinstance(part, int) and 0 <= part < len(node.value):
+        item = node.value[part]
+        return item.start_mark.line + 1, item
+    return None

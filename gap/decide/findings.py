@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 
@@ -15,7 +16,7 @@ from .attribution import Attribution, Conclusion
 from .gap_closed import FinalErrors
 
 if TYPE_CHECKING:
-    from hystmpc.models.contract.load import OnnxModel
+    pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class Findings:
         seconds: duration of each step [s].
     """
 
-    simulator: Simulator | OnnxModel
+    simulator: Simulator | LoadedModel
     prepared: PreparedTrials
     attribution: Attribution
     conclusion: Conclusion

@@ -11,7 +11,7 @@ import numpy as np
 
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.simulator import Simulator
-from hystmpc.trials.check_time import require_seconds
+from hystmpc.trials.check import require_seconds
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 

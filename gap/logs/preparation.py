@@ -17,11 +17,11 @@ from hystmpc.models.identify.least_squares import fit_problem
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.runs import Run, runs_of
 from hystmpc.models.identify.trial_set import fingerprint
+from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Identification, Simulator
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.resample import resample
 from hystmpc.trials.segments import segment
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Vec
 
 from .check import Checked, check_trials
@@ -29,7 +29,7 @@ from .sensor import SensorSigns, repaired, sensor_signs
 from .trial_choice import split_runs
 
 if TYPE_CHECKING:
-    from hystmpc.models.contract.load import OnnxModel
+    pass
 
 _LEAST_S, _LEAST_TURNS = 15.0, 3
 _PLAYS, _EVALUATIONS, _TOLERANCE = 8, 40, 1e-5
@@ -69,7 +69,7 @@ class PreparedTrials:
         return [run.angle - hypothesis.problem.angles(hypothesis.q, run) for run in self.everything]
 
 
-def prepare(trials: Sequence[Trial], simulator: Simulator | OnnxModel, seed: int = 0) -> PreparedTrials:
+def prepare(trials: Sequence[Trial], simulator: Simulator | LoadedModel, seed: int = 0) -> PreparedTrials:
     """Check, resample, repair and split trials, and derive the baseline of the simulator.
 
     Args:
@@ -124,11 +124,11 @@ def shortage(trials: Sequence[Trial]) -> str:
     return ""
 
 
-def _sample_time(simulator: Simulator | OnnxModel) -> float:
+def _sample_time(simulator: Simulator | LoadedModel) -> float:
     return simulator.dt_s if isinstance(simulator, Simulator) else simulator.metadata.dt_s
 
 
-def _network_baseline(model: OnnxModel, trials: Sequence[Trial], command: Range) -> tuple[Baseline, list[Vec]]:
+def _network_baseline(model: LoadedModel, trials: Sequence[Trial], command: Range) -> tuple[Baseline, list[Vec]]:
     """Plays in place of a network on these commands, and the difference of the network's angles from theirs (T,) each.
 
     Effects are applied to the plays: exact without effects, first order with them.

@@ -12,8 +12,7 @@ from scipy.spatial import KDTree
 from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.identify.runs import Before, Run
 from hystmpc.trials.errors import GapError
-from hystmpc.trials.resample import gap_limit_s, resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.trial import Trial, gap_limit_s, resample
 from hystmpc.trials.types import Index, Vec
 
 from .motion_type import MotionType, command_segments, motion_type

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
+from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.table import format_table
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import NextMotion

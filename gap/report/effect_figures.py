@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from hystmpc.models.identify.uncertainty import Interval
-from hystmpc.trials.plot_style import ACCENTS, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
+from hystmpc.trials.report import ACCENTS, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Diagnosis, Gap

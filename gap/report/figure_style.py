@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from hystmpc.trials.plot_style import ACCENTS, COMMAND, MEASURED, MODEL, REFERENCE
+from hystmpc.trials.report import ACCENTS, COMMAND, MEASURED, MODEL, REFERENCE
 from hystmpc.trials.types import Vec
 
 from .report_data import Stage, TrialEvidence

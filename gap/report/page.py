@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report, Table
+from hystmpc.trials.report import Heading, Paragraph, Piece, Plot, Report, Table
 
 from ..next.motion_design import MOTION_FILE
 from .effect_figures import MOST_ROWS, closed_figure, effects_figure, next_figure

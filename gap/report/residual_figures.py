@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from hystmpc.trials.plot_style import MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Place

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from hystmpc.trials.html import KeyValues, Paragraph, Piece, Table
+from hystmpc.trials.report import KeyValues, Paragraph, Piece, Table
 
 from .figure_style import LABEL
 from .report_data import STAGES, CandidateRow, Evidence, TrialEvidence

@@ -81,7 +81,7 @@ def export_onnx(bundle: ExportBundle, path: Path | str) -> EquivalenceReport:
     from .load import OnnxModel
 
     try:
-        content = _model_bytes(bundle)
+        content = model_bytes(bundle)
         report = check_equivalence(bundle.reference, OnnxModel(content, str(path)), bundle.probe)
     except ModelError as error:
         raise ExportError(f"{error}; nothing was written") from None
@@ -94,7 +94,7 @@ def export_onnx(bundle: ExportBundle, path: Path | str) -> EquivalenceReport:
     return report
 
 
-def _model_bytes(bundle: ExportBundle) -> bytes:
+def model_bytes(bundle: ExportBundle) -> bytes:
     """The model file of a bundle."""
     import onnx.helper
 

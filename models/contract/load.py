@@ -55,7 +55,7 @@ class OnnxModel(LoadedModel):
         self.initializers: Mapping[str, NDArray[np.generic]] = {
             weight.name: onnx.numpy_helper.to_array(weight) for weight in proto.graph.initializer
         }
-        self.hash = hashlib.sha256(content).hexdigest()
+        self.hash: str = hashlib.sha256(content).hexdigest()
         self.source, self.start = source, start
         self._run = open_session(content, self.state_size, self.dtype, source).run
 

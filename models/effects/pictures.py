@@ -12,8 +12,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
-from hystmpc.trials.plot_style import MEASURED, MODEL, REFERENCE, new_figure, style
+from hystmpc.trials.report import (
+    MEASURED,
+    MODEL,
+    REFERENCE,
+    Heading,
+    KeyValues,
+    Paragraph,
+    Piece,
+    Plot,
+    Report,
+    Table,
+    new_figure,
+    style,
+)
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain

@@ -23,9 +23,9 @@ from hystmpc.trajectories.excitation import (
 )
 from hystmpc.trajectories.trajectory import Trajectory, sample
 from hystmpc.trials.config import Settings
+from hystmpc.trials.csv_files import Table, read_lines, read_table
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.presets import CANONICAL
-from hystmpc.trials.table import Table, read_lines, read_table
+from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.types import Vec
 
 from ..safety.ramp import RampSettings, way_commands

@@ -19,7 +19,7 @@ from hystmpc.ctrl.law import Law, Proposal
 from hystmpc.ctrl.planner.assembly import Assembly, assemble
 from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
 from hystmpc.ctrl.planner.tip_controller import TipController
-from hystmpc.trajectories.piecewise import PiecewiseCubic
+from hystmpc.trajectories.ruckig_ import PiecewiseCubic
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec

@@ -11,7 +11,7 @@ from typing import final
 
 import numpy as np
 
-from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from hystmpc.models.evaluate import free_run
 from hystmpc.models.library import model_path
 from hystmpc.models.load import load_model
-from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import LogError, TrajectoryError
-from hystmpc.trials.presets import CANONICAL
+from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import final
 
-from hystmpc.trials.presets import CANONICAL
+from hystmpc.trials.layouts import CANONICAL
 
 from .sample import Sample
 

@@ -13,7 +13,7 @@ from typing import Any, Protocol, final
 from hystmpc.trials import mcap_
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.presets import COMMAND_UNITS
+from hystmpc.trials.layouts import COMMAND_UNITS
 from hystmpc.trials.run_folder import RunFolder
 
 from .csv_log import CsvLog

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
-from hystmpc.trials.plot_style import style
-from hystmpc.trials.presets import CANONICAL
+from hystmpc.trials.layouts import CANONICAL
+from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.types import Vec
 

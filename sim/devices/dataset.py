@@ -11,10 +11,10 @@ from types import MappingProxyType
 from typing import Any
 
 from hystmpc.trials.config import dump_yaml, read_yaml
-from hystmpc.trials.csv_ import read_csv, write_csv
+from hystmpc.trials.csv_files import read_csv, write_csv
 from hystmpc.trials.errors import ConfigError, LogError, did_you_mean
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.presets import CANONICAL
+from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.run_folder import require_vacant
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress

@@ -11,8 +11,7 @@ import numpy as np
 from hystmpc.models.maps import S2_TIP_MAP, LaserConversion, TipMap
 from hystmpc.trajectories.excitation import s2_initialisation
 from hystmpc.trajectories.trajectory import Trajectory
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial, Units
+from hystmpc.trials.trial import Trial, Units, resample
 from hystmpc.trials.types import Vec
 
 from .device import Device, Quantities, quantity

@@ -15,7 +15,7 @@ from pydantic import Field, field_validator, model_validator
 
 from hystmpc.trials.config import Settings, load_settings, read_yaml
 from hystmpc.trials.errors import ConfigError, did_you_mean
-from hystmpc.trials.yaml_lines import place_in
+from hystmpc.trials.yaml_ import place_in
 
 from ..config import SimulationConfig, load_simulation, located
 

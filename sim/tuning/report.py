@@ -9,8 +9,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table
-from hystmpc.trials.plot_style import COMMAND, MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import (
+    COMMAND,
+    MEASURED,
+    MODEL,
+    REFERENCE,
+    Heading,
+    KeyValues,
+    Paragraph,
+    Piece,
+    Plot,
+    Report,
+    Table,
+    new_figure,
+)
 
 from ..sweep.report import plain_log
 from ..sweep.settings import value_at
@@ -35,7 +47,7 @@ def tuning_report(found: Tuning, meta: Mapping[str, Any]) -> Report:
         Heading("Plants not seen"),
         Paragraph(verdict),
         Table(_COLUMNS, check.rows(), "Error: RMSE of the true tip angle over all motions. Travel: over the need."),
-        Plot(_pairs(check), "Cost of every held-out plant; below the line the tuned settings win."),
+        Plot(pairs_figure(check), "Cost of every held-out plant; below the line the tuned settings win."),
         Heading("Settings found"),
         _values(found),
         Heading("Search"),
@@ -144,7 +156,8 @@ def _slices(found: Tuning) -> Figure:
     return figure
 
 
-def _pairs(check: HeldOut) -> Figure:
+def pairs_figure(check: HeldOut) -> Figure:
+    """Cost of every held-out plant under the given settings and the tuned ones."""
     given, tuned = check.costs("given"), check.costs("tuned")
     reach = 1.05 * float(max(given.max(), tuned.max()))
     with new_figure(4.2, 3.8) as figure:

@@ -6,15 +6,15 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hystmpc.trials.config import dump_yaml
+from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import RunFolder
-from hystmpc.trials.table import format_table
 from hystmpc.trials.types import Progress
 
 from ..jobs.backend import Backend
@@ -22,6 +22,9 @@ from ..jobs.runner import alone_in, resumed_folder
 from .objective import HeldOut, SearchTrial, Ticket, TicketOutcome, held_out
 from .report import tuning_report
 from .settings import TuneSettings
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _WAIT_S = 3.0  # until trials that another process does are asked for again
 
@@ -40,6 +43,19 @@ class Tuning:
     best: SearchTrial
     check: HeldOut
     failed: tuple[TicketOutcome, ...]
+
+    def plot(self) -> Figure:
+        """Cost of every held-out plant, tuned against given; below the diagonal the tuned settings win."""
+        from .report import pairs_figure  # matplotlib, which a search does without
+
+        return pairs_figure(self.check)
+
+    def _repr_html_(self) -> str:
+        from hystmpc.trials.report import KeyValues, Plot, Report, Table
+
+        columns = ("settings", "objective [deg]", "mean error [deg]", "worst plant [deg]", "travel", "violations")
+        pieces = Table(columns, self.check.rows()), KeyValues(dict(self.best.values)), Plot(self.plot())
+        return Report(f"Tuning of {self.settings.controller}", pieces, "plants not seen in the search").fragment()
 
 
 def run_tuning(

@@ -10,11 +10,10 @@ import numpy as np
 
 from hystmpc.sim.jobs.backend import backend_for
 from hystmpc.sim.jobs.runner import run_jobs
-from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError, did_you_mean
-from hystmpc.trials.resample import resample
+from hystmpc.trials.read import read_trials
 from hystmpc.trials.run_folder import require_vacant
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Progress
 
 from .cases import CONTROLS, Wish, affected_case, control_case, set_up

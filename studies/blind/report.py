@@ -12,8 +12,7 @@ from matplotlib.patches import Rectangle
 
 from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report, Table
-from hystmpc.trials.plot_style import MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, Heading, Paragraph, Piece, Plot, Report, Table, new_figure
 
 from .bars import Bar, Calibration, Confusion, Rate, true_share
 from .score import Score, miss_json

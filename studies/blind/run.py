@@ -15,10 +15,10 @@ from hystmpc.gap.decide.findings import Findings
 from hystmpc.models.simulator import Simulator
 from hystmpc.sim.jobs.backend import backend_for
 from hystmpc.sim.jobs.runner import attempt, run_jobs
-from hystmpc.trials.csv_ import read_trials, write_csv
+from hystmpc.trials.csv_files import read_lines, read_table, write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, did_you_mean
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.table import read_lines, read_table
+from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 

@@ -15,9 +15,10 @@ from pydantic import Field
 
 from hystmpc.models.simulator import Simulator, load_simulator, save_simulator
 from hystmpc.trials.config import Settings
-from hystmpc.trials.csv_ import read_trials, write_csv
+from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.read import read_trials
 from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec

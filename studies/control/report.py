@@ -9,8 +9,20 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece, Plot, Report
-from hystmpc.trials.plot_style import COMMAND, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
+from hystmpc.trials.report import (
+    COMMAND,
+    MEASURED,
+    MODEL,
+    PALETTE,
+    REFERENCE,
+    Heading,
+    KeyValues,
+    Paragraph,
+    Piece,
+    Plot,
+    Report,
+    new_figure,
+)
 
 from ..tables import NOTHING, Cell, StudyTable
 from .bars import BARS, BarVerdict, ControlOutcome, verdicts

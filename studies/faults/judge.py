@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from hystmpc.trials.errors import HystmpcError
-from hystmpc.trials.presets import CANONICAL
+from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.run_folder import RunFolder
 
 from .cases import IN_FLIGHT_S, LOWER, OVERSHOOT, RATE_HZ, RATE_PER_S, SAFE, UPPER, Ending, FaultCase

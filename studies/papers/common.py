@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Piece
+from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece
 
 from ..tables import NOTHING, Cell, StudyTable
 from .printed import MARKS

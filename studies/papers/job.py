@@ -11,10 +11,9 @@ from dataclasses import asdict, dataclass
 from hystmpc.models.identify.trial_set import fingerprint
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
-from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.trial import Trial, resample
 
 from .settings import NETWORKS, PAPER_PRESETS, QUICK_SCALE, DirectionName, StudySettings
 

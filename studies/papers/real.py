@@ -11,8 +11,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hystmpc.models.evaluate import Errors
-from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report
-from hystmpc.trials.plot_style import ACCENTS, COMMAND, MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import (
+    ACCENTS,
+    COMMAND,
+    MEASURED,
+    MODEL,
+    REFERENCE,
+    Heading,
+    Paragraph,
+    Piece,
+    Plot,
+    Report,
+    new_figure,
+)
 from hystmpc.trials.types import Vec
 
 from ..statistics import compared, least_p

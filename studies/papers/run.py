@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hystmpc.sim.jobs.backend import backend_for
 from hystmpc.sim.jobs.runner import resumed_folder, wall_minutes
-from hystmpc.trials.html import Report
+from hystmpc.trials.report import Report
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 

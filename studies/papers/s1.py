@@ -11,8 +11,19 @@ from matplotlib.figure import Figure
 
 from hystmpc.models.evaluate import free_run
 from hystmpc.trials.errors import HystmpcError
-from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report
-from hystmpc.trials.plot_style import ACCENTS, COMMAND, MEASURED, MODEL, REFERENCE, new_figure
+from hystmpc.trials.report import (
+    ACCENTS,
+    COMMAND,
+    MEASURED,
+    MODEL,
+    REFERENCE,
+    Heading,
+    Paragraph,
+    Piece,
+    Plot,
+    Report,
+    new_figure,
+)
 from hystmpc.trials.types import Vec
 
 from ..reconstruction.protocol import Device, Estimator, Protocol, record_scans

@@ -15,7 +15,7 @@ from hystmpc.models.identify.chain_kinds import backlash_starts
 from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
 from hystmpc.models.kernels.chain_kernels import compile_step
 from hystmpc.models.maps import QuadraticMap
-from hystmpc.trials.plot_style import ACCENTS, COMMAND, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
+from hystmpc.trials.report import ACCENTS, COMMAND, MEASURED, MODEL, PALETTE, REFERENCE, new_figure
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hystmpc.trials.errors import HystmpcError
-from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Report
+from hystmpc.trials.report import Heading, Paragraph, Piece, Plot, Report
 
 from ..tables import StudyTable
 from .common import jobs_pieces, jobs_table, set_up

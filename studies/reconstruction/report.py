@@ -14,8 +14,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
-from hystmpc.trials.html import Heading, Paragraph, Piece, Plot, Table
-from hystmpc.trials.plot_style import PALETTE, REFERENCE, new_figure
+from hystmpc.trials.report import PALETTE, REFERENCE, Heading, Paragraph, Piece, Plot, Table, new_figure
 from hystmpc.trials.types import Vec
 
 from .geometry import Segment, profile, surface_distance

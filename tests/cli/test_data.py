@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hystmpc.sim.devices.dataset import read_dataset
-from hystmpc.trials.csv_ import read_csv
+from hystmpc.trials.csv_files import read_csv
 
 from .test_verbs import run
 

@@ -15,7 +15,7 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.gap.next.motion_design import Noise, propose, write_motion
 from hystmpc.gap.next.motion_menu import menu
 from hystmpc.models.simulator import ChainModel, save_simulator
-from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.trial import Trial
 
 from ..gap.contenders import DELAY, LAG

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hystmpc.models.simulator import save_simulator
-from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.trial import Trial
 
 from ..models.zoo import CHAINS, simulator

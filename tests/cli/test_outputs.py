@@ -14,10 +14,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hystmpc.cli.outputs import EVALUATION, MODEL, SIMULATOR, Output, check_output
+from hystmpc.cli.options import EVALUATION, MODEL, SIMULATOR, Output, check_output
 from hystmpc.models.load import export_simulator
 from hystmpc.models.simulator import save_simulator
-from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import require_writable
 from hystmpc.trials.run_folder import require_resumable, require_vacant

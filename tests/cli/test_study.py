@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.csv_files import write_csv
 
 from ..studies.study_examples import small_trial
 from .test_verbs import run, shown_until

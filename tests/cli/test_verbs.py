@@ -16,7 +16,7 @@ import pytest
 
 from hystmpc.cli.main import main
 from hystmpc.models.simulator import ChainModel
-from hystmpc.trials.csv_ import read_csv, write_csv
+from hystmpc.trials.csv_files import read_csv, write_csv
 from hystmpc.trials.trial import Trial
 
 from ..models.zoo import CHAINS, simulator

@@ -18,7 +18,7 @@ from hystmpc.models.load import export_simulator
 from hystmpc.models.simulator import ChainModel, save_simulator
 from hystmpc.sim.compare import compare
 from hystmpc.sim.config import SimulationConfig
-from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.trial import Trial
 
 from ..models.zoo import CHAINS, simulator

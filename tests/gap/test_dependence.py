@@ -22,10 +22,9 @@ from hystmpc.studies.blind.cores import RATE_HZ, CapstanCore, DahlCore
 from hystmpc.studies.blind.device import BlindDevice
 from hystmpc.studies.blind.generators import GENERATORS, Generator, Withheld
 from hystmpc.studies.blind.plan import RICH
-from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import GapError
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Vec
 
 from ..models.zoo import BACKLASH

@@ -14,8 +14,7 @@ from hystmpc.models.contract.metadata import DeviceLimits
 from hystmpc.models.identify.methods import simulator_of
 from hystmpc.models.identify.trial_set import fingerprint
 from hystmpc.models.simulator import Identification, Residual, Simulator, load_simulator, save_simulator
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.trial import Trial, resample
 
 from ..models.zoo import BACKLASH
 from .engine_examples import moves, trials_of

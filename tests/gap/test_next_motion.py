@@ -22,8 +22,8 @@ from hystmpc.gap.next.motion_design import (
     write_motion,
 )
 from hystmpc.gap.next.motion_menu import TEMPLATES, MenuMotion, menu
-from hystmpc.trajectories.sampled_csv import read_sampled
-from hystmpc.trials.csv_ import read_csv
+from hystmpc.trajectories.trajectory import read_sampled
+from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import FitError
 
 from .contenders import CREEP, DELAY, LAG, baseline, creep, lag

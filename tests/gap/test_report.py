@@ -21,7 +21,7 @@ from hystmpc.gap.report.residual_figures import amplitude_density, binned
 from hystmpc.gap.report.words import closed_sentence, headline, listed
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.html import Heading, Paragraph, Plot, Table
+from hystmpc.trials.report import Heading, Paragraph, Plot, Table
 from hystmpc.trials.run_folder import RunFolder
 
 from .report_examples import REASON, VERDICTS, report_data, trial_evidence

@@ -10,9 +10,22 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-# A room imports itself and the tiers before its own; rooms of one tier do not know each other.
-TIERS = (("trials",), ("models",), ("trajectories", "ctrl"), ("sim", "rig"), ("gap",), ("studies",), ("cli",))
-ROOMS = tuple(room for tier in TIERS for room in tier)
+# A room imports itself and the tiers before its own; rooms of one tier do not know each other. The front door, the
+# files at the root, counts as one.
+TIERS = (
+    *(("trials",), ("models",), ("trajectories", "ctrl"), ("sim", "rig")),
+    *(("gap",), ("studies",), ("front",), ("cli",)),
+)
+    ("trials",),
+    ("models",),
+    ("trajectories", "ctrl"),
+    ("sim", "rig"),
+    ("gap",),
+    ("studies",),
+    ("front",),
+    ("cli",),
+)
+ROOMS = tuple(room for tier in TIERS for room in tier if room != "front")
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -37,8 +50,9 @@ class Module:
 
     @property
     def room(self) -> str:
-        """Folder at the root that holds the file."""
-        return self.path.relative_to(self.root).parts[0]
+        """Folder at the root that holds the file, `front` for a file at the root itself."""
+        parts = self.path.relative_to(self.root).parts
+        return parts[0] if len(parts) > 1 else "front"
 
     @cached_property
     def tree(self) -> ast.Module:
@@ -62,13 +76,14 @@ class Module:
 
 
 def modules(root: Path = ROOT) -> tuple[Module, ...]:
-    """Every module of every room."""
+    """Every module of the front door and of every room."""
     return _parsed_once(root)
 
 
 @lru_cache
 def _parsed_once(root: Path) -> tuple[Module, ...]:
-    return tuple(Module(root, path) for room in ROOMS for path in sorted((root / room).rglob("*.py")))
+    front = sorted(root.glob("*.py"))
+    return tuple(Module(root, path) for path in (*front, *(f for r in ROOMS for f in sorted((root / r).rglob("*.py")))))
 
 
 def functions(nodes: Iterable[ast.AST]) -> Iterator[Function]:

@@ -20,7 +20,7 @@ KNOWN: frozenset[tuple[str, ...]] = frozenset(
         ("hystmpc.rig.commission.review", "hystmpc.rig.commission.review_page"),
         ("hystmpc.sim.jobs.backend", "hystmpc.sim.jobs.dask_", "hystmpc.sim.jobs.backend"),
         ("hystmpc.sim.tuning.report", "hystmpc.sim.tuning.run"),
-        ("hystmpc.trials.csv_", "hystmpc.trials.read"),
+        ("hystmpc.trials.csv_files", "hystmpc.trials.read"),
     }
 )
 """Circles that are still to be opened."""

@@ -15,10 +15,9 @@ from hystmpc.models.identify.chain_kinds import backlash_starts
 from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
 from hystmpc.models.identify.methods import identify
 from hystmpc.models.simulator import ChainModel
-from hystmpc.trials.csv_ import read_csv
+from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import FitError, ModelError
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial, Units
+from hystmpc.trials.trial import Trial, Units, resample
 
 from .zoo import CHAINS, DT, simulator
 

@@ -18,10 +18,9 @@ from hystmpc.models.identify.iterated import IteratedSettings
 from hystmpc.models.identify.least_squares import OperatorFitSettings
 from hystmpc.models.identify.methods import METHODS, MethodSettings, identify_chain
 from hystmpc.models.operators.hysteresis import BoucWen
-from hystmpc.trials.csv_ import read_csv
+from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import FitError
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial, Units
+from hystmpc.trials.trial import Trial, Units, resample
 
 from .test_identification import trials
 from .zoo import BACKLASH, BOUC_WEN, CHAINS, DRDPI, DT, STATIC_PI

@@ -21,7 +21,7 @@ from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.studies.faults.cases import CASES, Kind, Link, write_device, write_run
 from hystmpc.studies.faults.judge import judge
 from hystmpc.studies.faults.play import PROGRAM, device_log, end, play, start, start_device
-from hystmpc.trials.csv_ import read_csv
+from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
 

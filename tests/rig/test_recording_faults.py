@@ -22,9 +22,9 @@ from hystmpc.rig.recording.csv_log import CsvLog, GrowingFile
 from hystmpc.rig.recording.mcap_log_ import McapLog
 from hystmpc.rig.recording.recorder_process import open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta, open_recording
-from hystmpc.trials.check import check_trial
+from hystmpc.trials.check import check
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.mcap_reader_ import open_mcap
+from hystmpc.trials.mcap_ import open_mcap
 from hystmpc.trials.read import read_log
 from hystmpc.trials.run_folder import RunFolder
 
@@ -221,7 +221,7 @@ def test_a_log_that_is_cut_off_says_so(whole: Whole) -> None:
     content = (whole.folder / "log.mcap").read_bytes()
     log = open_mcap(whole.damaged("log.mcap", content[: whole.lengths["log.mcap"][1] + 7]))
     assert "cut off or damaged" in log.note
-    findings = check_trial(log.path).of("file")
+    findings = check(log.path).of("file")
     assert [finding.message for finding in findings] == [log.note]
     assert open_mcap(whole.folder / "log.mcap").note == ""
 

@@ -13,9 +13,9 @@ from hystmpc.sim.devices.paper_data import RodSettings, S2Settings, make_dataset
 from hystmpc.sim.devices.rod import RodBench, RodCatheter, RodParameters, RodRecorder, RodVariation, simulate_rod
 from hystmpc.sim.plants.device import DevicePlant
 from hystmpc.trajectories.excitation import s2_sinusoid
-from hystmpc.trials.csv_ import read_trials
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.resample import resample
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.trial import resample
 
 DT = 0.04
 FEW = S2Settings(train_hz=(0.5,), val_hz=(0.5,), test_hz=(0.4,), train_moves=1, val_moves=1, test_moves=1, repeats=1)

@@ -26,10 +26,10 @@ from hystmpc.studies.blind.sealed import (
     read_manifest,
     region_of,
 )
-from hystmpc.trials.csv_ import read_csv, read_trials
+from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc.trials.resample import resample
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.trial import Trial, resample
 
 WORDS = {*LABELS, *SUITES, *(g.name for g in GENERATORS), "unknown", "decoy", "capstan", "dahl", "rodcore"} - {"none"}
 

@@ -30,7 +30,7 @@ from hystmpc.studies.reconstruction.report import (
 )
 from hystmpc.studies.reconstruction.settings import Oct, ReconstructionSettings
 from hystmpc.trials.errors import ConfigError, ModelError
-from hystmpc.trials.html import Report
+from hystmpc.trials.report import Report
 
 IDEAL = ReconstructionSettings(oct=Oct(noise_mm=0.0, axial_resolution_mm=0.0))
 NOISY = ReconstructionSettings(seed=3)

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from hystmpc.trajectories import excitation
-from hystmpc.trajectories.chain import Chain
 from hystmpc.trajectories.config import MOTIONS, parse_motion
-from hystmpc.trajectories.limits import MotionLimits
 from hystmpc.trajectories.point_to_point import rest_to_rest
-from hystmpc.trajectories.preview import PreviewTable, preview
-from hystmpc.trajectories.trajectory import Sampled, Trajectory, sample
+from hystmpc.trajectories.ruckig_ import MotionLimits
+from hystmpc.trajectories.trajectory import Chain, PreviewTable, Sampled, Trajectory, preview, sample
 
 SCAN = {"start_deg": 30, "centre_deg": 60, "frequency_hz": 0.5, "cycles": 1.5}
 EXAMPLES: list[tuple[dict[str, Any], float]] = [  # motion, start value

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from hystmpc.trajectories import excitation as ex
 from hystmpc.trajectories import sample
-from hystmpc.trajectories.decaying_sine import DecayingSine
-from hystmpc.trajectories.ramp_hold import RampHold, RampHoldDraw
+from hystmpc.trajectories.excitation import DecayingSine, RampHold, RampHoldDraw
 from hystmpc.trials.errors import TrajectoryError
 
 S2_HZ = [f for group in ex.S2_FREQUENCIES_HZ.values() for f in group]

@@ -9,9 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.trajectories import MotionLimits, PointToPoint, random_point_to_point, sample
-from hystmpc.trajectories.piecewise import PiecewiseCubic, end_state
 from hystmpc.trajectories.point_to_point import rest_to_rest
-from hystmpc.trajectories.ruckig_ import RestingState, move
+from hystmpc.trajectories.ruckig_ import PiecewiseCubic, RestingState, end_state, move
 from hystmpc.trials.errors import TrajectoryError
 
 LIMITS = MotionLimits(60.0, 300.0, 3000.0)

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hystmpc.trials.errors import HystmpcError
-from hystmpc.trials.log_mapping import LogMapping
+from hystmpc.trials.layouts import LogMapping
 from hystmpc.trials.read import read_log
 from hystmpc.trials.trial import Trial
 

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystmpc.trials.check import check_trial
-from hystmpc.trials.csv_ import write_csv
+from hystmpc.trials.check import Severity, check
+from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.findings import Severity
 from hystmpc.trials.trial import Trial, Units
 
 OK, NOTE, WARNING, ERROR = Severity
@@ -40,7 +39,7 @@ def broken(change: Callable[[list[str]], None], tmp_path: Path) -> Path:
 
 
 def test_a_clean_trial_has_nothing_but_good_news() -> None:
-    report = check_trial(clean())
+    report = check(clean())
     assert {f.topic for f in report.findings} == TOPICS
     assert report.worst is OK, report.findings
     assert report.of("time base")[0].message == "50 Hz (median), 11.98 s, 600 samples"
@@ -52,8 +51,8 @@ def test_a_clean_trial_has_nothing_but_good_news() -> None:
 
 def test_file_and_memory_get_the_same_findings(tmp_path: Path) -> None:
     path = write_csv(clean(), tmp_path / "log.csv")
-    assert check_trial(path).findings == check_trial(clean()).findings
-    assert (check_trial(path).preset, check_trial(path).source) == ("canonical", str(path))
+    assert check(path).findings == check(clean()).findings
+    assert (check(path).preset, check(path).source) == ("canonical", str(path))
 
 
 def _set(index: int, column: int, text: str) -> Callable[[list[str]], None]:
@@ -79,7 +78,7 @@ FILE_FAULTS = {
 def test_what_a_reader_refuses_becomes_a_finding(
     change: Callable[[list[str]], None], topic: str, text: str, tmp_path: Path
 ) -> None:
-    report = check_trial(broken(change, tmp_path))
+    report = check(broken(change, tmp_path))
     (finding,) = report.of(topic)
     assert finding.severity is ERROR
     assert text in finding.message
@@ -116,7 +115,7 @@ SIGNALS = signals()
 
 @pytest.mark.parametrize(("trial", "topic", "severity", "text"), SIGNALS.values(), ids=SIGNALS)
 def test_a_fault_of_the_signals_is_found(trial: Trial, topic: str, severity: Severity, text: str) -> None:
-    (finding,) = check_trial(trial).of(topic)
+    (finding,) = check(trial).of(topic)
     assert finding.severity is severity
     assert text in finding.message
 
@@ -125,26 +124,26 @@ def test_a_channel_with_holes_is_only_a_note() -> None:
     current = np.ones(600)
     current[7] = np.nan
     trial = Trial(clean().t, clean().command, clean().angle, {"current": current})
-    (finding,) = check_trial(trial).of("values")
+    (finding,) = check(trial).of("values")
     assert (finding.severity, finding.message) == (NOTE, "current: 1 of 600 not finite, first at sample 7")
 
 
 def test_a_log_without_any_usable_sample_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("time_s,command,angle_deg\n" + "nan,nan,nan\n" * 5)
-    report = check_trial(path)
+    report = check(path)
     assert report.worst is ERROR
     assert report.findings[-1].message == "0 usable samples, expected at least 2"
 
 
 def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no such file"):
-        check_trial(tmp_path / "absent.csv")
+        check(tmp_path / "absent.csv")
 
 
 def test_the_real_logs_show_the_set_of_the_first_flexure(real_logs: list[Path]) -> None:
     for path in real_logs:
-        report = check_trial(path)
+        report = check(path)
         (flexure,) = report.of("first flexure")
         assert {f.topic for f in report.findings if f.severity is not OK} == {"jitter", "first flexure"}
         if path.name.startswith("zero"):

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from hystmpc.trials.config import Settings, dump_yaml, load_settings
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.yaml_lines import line_of
+from hystmpc.trials.yaml_ import line_of
 
 
 class Loop(Settings):

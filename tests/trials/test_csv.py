@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hystmpc.trials.csv_ import read_columns, read_csv, read_trials, write_csv
+from hystmpc.trials.csv_files import read_columns, read_csv, write_csv
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc.trials.presets import COMMAND_UNITS, PRESETS, Preset, detect_preset, get_preset
+from hystmpc.trials.layouts import COMMAND_UNITS, PRESETS, Preset, detect_preset, get_preset
+from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial, Units
 
 NINE = "Time,Tendon Disp.,Motor Curr.,Pos x,Pos y,Pos z,Angle x,Angle y,Angle z"

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from hystmpc.trials.html import Heading, KeyValues, Paragraph, Plot, Report, Table, figure_svg
-from hystmpc.trials.plot_style import PALETTE, new_figure
+from hystmpc.trials.report import PALETTE, Heading, KeyValues, Paragraph, Plot, Report, Table, figure_svg, new_figure
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
 

@@ -21,11 +21,10 @@ pytest.importorskip("rosbags", reason="rosbags (extra `logs`) is not installed")
 import h5py
 
 from hystmpc.cli.main import main
-from hystmpc.trials.check import check_trial
-from hystmpc.trials.csv_ import read_trials
+from hystmpc.trials.check import check
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.mat_ import open_mat
-from hystmpc.trials.read import read_log
+from hystmpc.trials.read import read_log, read_trials
 
 from .message_logs import assert_prefix, columns, mapping, read_or_refused
 
@@ -109,7 +108,7 @@ def test_variables_of_canonical_names_need_no_mapping(name: str, tmp_path: Path)
     assert trial.units.command == "bar"
     np.testing.assert_array_equal(trial.command, U)
     np.testing.assert_array_equal(trial.channels["current"], 2 * U)
-    assert check_trial(tmp_path / name).of("values")[0].severity == "ok"
+    assert check(tmp_path / name).of("values")[0].severity == "ok"
 
 
 @pytest.mark.parametrize(
@@ -137,7 +136,7 @@ def test_values_that_are_no_numbers_are_named(tmp_path: Path) -> None:
     write_v5(tmp_path / "a.mat", {"time_s": T, "command": np.where(T > 0.3, np.nan, U), "angle_deg": Y})
     with pytest.raises(LogError, match=r"command is nan at sample 16, expected finite values \(14 such\)"):
         read_log(tmp_path / "a.mat")
-    assert "not finite, first at sample 16" in check_trial(tmp_path / "a.mat").of("values")[0].message
+    assert "not finite, first at sample 16" in check(tmp_path / "a.mat").of("values")[0].message
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,11 @@ pytest.importorskip("rosbags", reason="rosbags (extra `logs`) is not installed")
 
 from mcap.writer import CompressionType
 
-from hystmpc.trials.check import check_trial
-from hystmpc.trials.csv_ import read_csv, read_trials, write_csv
+from hystmpc.trials.check import Severity, check
+from hystmpc.trials.csv_files import read_csv, write_csv
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc.trials.findings import Severity
-from hystmpc.trials.mcap_reader_ import open_mcap
-from hystmpc.trials.read import read_log
+from hystmpc.trials.mcap_ import open_mcap
+from hystmpc.trials.read import read_log, read_trials
 from hystmpc.trials.run_folder import RunFolder
 
 from .message_logs import assert_prefix, columns, mapping, read_or_refused, write_json
@@ -154,7 +153,7 @@ def test_a_mapping_file_is_what_a_preset_may_be(tmp_path: Path) -> None:
     layout = tmp_path / "bench.yaml"
     layout.write_text(MAPPING_FILE)
     assert columns(read_trials([tmp_path], str(layout))[0]) == columns(read_log(path, BENCH))
-    report = check_trial(path, str(layout))
+    report = check(path, str(layout))
     assert report.preset == "mapping"
     assert report.of("values")[0].severity is Severity.OK
     layout.write_text(MAPPING_FILE.replace("unit: rad", "unit: grad"))
@@ -187,7 +186,7 @@ def test_columns_without_a_header_row_are_counted(sign: str, tmp_path: Path) -> 
     assert trial.t.tolist() == [0, 0.02, 0.04]
     assert trial.command.tolist() == [1.5, 2.5, 3.5]
     assert trial.angle.tolist() == [-5, -3, 21]
-    assert check_trial(path, layout).preset == "mapping"
+    assert check(path, layout).preset == "mapping"
     with pytest.raises(LogError, match=r"a\.dat: no signal '\[5\]'; available: \[0\], \[1\], \[2\]"):
         read_log(path, layout.model_copy(update={"command": layout.command.model_copy(update={"signal": "[5]"})}))
     path.write_text(path.read_text() + "4.5" + sign + "x" + sign + "1\n")
@@ -220,7 +219,7 @@ def test_a_command_may_be_the_difference_of_two_signals(tmp_path: Path) -> None:
 def test_a_folder_stands_for_its_tables_and_else_for_its_other_logs(tmp_path: Path) -> None:
     write_json(tmp_path / "b.mcap", ONE_TOPIC)
     write_json(tmp_path / "a.mcap", ONE_TOPIC)
-    assert [Path(t.source).name for t in read_trials([tmp_path], BENCH)] == ["a.mcap", "b.mcap"]  # type: ignore[arg-type]
+    assert [Path(t.source).name for t in read_trials([tmp_path], BENCH)] == ["a.mcap", "b.mcap"]
     write_csv(read_log(tmp_path / "a.mcap", BENCH), tmp_path / "c.csv")
     assert [Path(t.source).name for t in read_trials([tmp_path])] == ["c.csv"]
     assert columns(read_csv(tmp_path / "c.csv")) == columns(read_log(tmp_path / "a.mcap", BENCH))

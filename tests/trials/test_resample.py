@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc.trials.resample import MAX_GAP_S, require_uniform, resample
-from hystmpc.trials.trial import Trial, Units
+from hystmpc.trials.trial import MAX_GAP_S, Trial, Units, require_uniform, resample
 
 
 def jittered(count: int, seed: int, start: float = 3.0) -> Trial:

@@ -18,10 +18,9 @@ pytest.importorskip("rosbags", reason="rosbags (extra `logs`) is not installed")
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 
-from hystmpc.trials.check import check_trial
-from hystmpc.trials.csv_ import expand_logs, read_trials
+from hystmpc.trials.check import check
 from hystmpc.trials.errors import LogError
-from hystmpc.trials.read import read_log
+from hystmpc.trials.read import expand_logs, read_log, read_trials
 from hystmpc.trials.rosbag_ import open_bag
 
 from .message_logs import JOINTS, assert_prefix, bag_types, columns, mapping, read_or_refused, write_bag
@@ -67,13 +66,13 @@ def test_the_storage_file_alone_will_do(bag: Path, tmp_path: Path) -> None:
     assert columns(read_log(storage(bag), STAMPED)) == columns(read_log(bag, STAMPED))
     shutil.copy(storage(bag), tmp_path)
     assert expand_logs([tmp_path]) == [tmp_path / storage(bag).name]
-    assert len(read_trials([tmp_path], STAMPED)) == 1  # type: ignore[arg-type]
+    assert len(read_trials([tmp_path], STAMPED)) == 1
 
 
 def test_a_bag_is_one_log_and_a_folder_of_bags_many(bag: Path) -> None:
     assert expand_logs([bag]) == [bag]
     assert expand_logs([bag.parent]) == [bag]
-    assert check_trial(bag, STAMPED).of("values")[0].severity == "ok"  # type: ignore[arg-type]
+    assert check(bag, STAMPED).of("values")[0].severity == "ok"
 
 
 def test_a_bag_without_a_mapping_lists_what_it_holds(bag: Path) -> None:

@@ -7,11 +7,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from hystmpc.trials.csv_ import read_csv
+from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc.trials.resample import resample
 from hystmpc.trials.segments import Motion, SegmentRule, Segments, first_flexure_end, segment
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.trial import Trial, resample
 
 RATE_HZ = 20.0
 # Whole numbers below 50 keep every threshold away from every difference, so that equality is exact.

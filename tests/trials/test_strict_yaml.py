@@ -16,8 +16,7 @@ from pydantic import Field
 from hystmpc.cli.main import main
 from hystmpc.trials.config import LARGEST_FILE, Settings, dump_yaml, load_settings, read_yaml
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.yaml_ import YamlError, parse_yaml
-from hystmpc.trials.yaml_lines import line_of
+from hystmpc.trials.yaml_ import YamlError, line_of, parse_yaml
 
 
 class Inner(Settings):
@@ -137,6 +136,7 @@ plain = st.recursive(
 
 
 @given(plain)
+@example({"\x85": "a\u2028"})
 @example({"a": ["1e3", "010", "yes", "true", "1:30", "~", "", "<<", "2026-01-02", "0o7", ".inf", "1e-05"]})
 def test_what_is_written_is_read_back_the_same(data: Any) -> None:
     text = dump_yaml(data)

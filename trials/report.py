@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -12,13 +14,90 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import matplotlib as mpl
+from cycler import cycler
 from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import LogFormatter
 
 from .files import write_atomically
-from .plot_style import style
+
+# Okabe and Ito, "Color Universal Design", 2008.
+REFERENCE = "#4d4d4d"
+MEASURED = "#0072b2"
+COMMAND = "#009e73"
+MODEL = "#d55e00"
+ACCENTS = ("#cc79a7", "#56b4e9", "#e69f00")
+PALETTE = (MEASURED, MODEL, COMMAND, *ACCENTS, REFERENCE)
+
+_INK = "#222222"
+_STYLE: Any = {
+    "font.family": "sans-serif",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": _INK,
+    "axes.labelcolor": _INK,
+    "text.color": _INK,
+    "xtick.color": _INK,
+    "ytick.color": _INK,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 3.0,
+    "ytick.major.size": 3.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.2,
+    "lines.solid_capstyle": "round",
+    "patch.linewidth": 0.6,
+    "axes.prop_cycle": cycler(color=PALETTE),
+    "figure.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "savefig.facecolor": "white",
+    "savefig.dpi": 200,
+    "svg.fonttype": "path",  # a report must look the same where the font is missing
+    "svg.hashsalt": "hystmpc",  # the same figure gives the same bytes
+}
+
+
+class StyledFigure(Figure):
+    """A figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return _png(self)
+
+
+@contextmanager
+def new_figure(width: float = 7.0, height: float = 3.2) -> Iterator[StyledFigure]:
+    """A figure in the style of the project, to be drawn on inside the `with` block; it stays valid after it.
+
+    Not made through pyplot: nothing global keeps it alive, and no display is needed.
+
+    Args:
+        width, height: size [inch].
+    """
+    with mpl.rc_context(_STYLE):
+        yield StyledFigure(figsize=(width, height))
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """The style alone, for saving a figure that was made by `new_figure`."""
+    with mpl.rc_context(_STYLE):
+        yield
+
 
 _ID = re.compile(r'(\bid="|url\(#|href="#)')
 _NAMESPACE = re.compile(r'\s+xmlns(?::\w+)?="[^"]*"')  # an SVG inside HTML needs none
@@ -87,6 +166,11 @@ class Report:
         css = Markup(_resource("report.css"))
         return _template().render(title=self.title, subtitle=self.subtitle, blocks=blocks, contents=contents, css=css)
 
+    def fragment(self) -> str:
+        """Title and pieces alone, for a cell of a notebook; figures are bitmaps, so that no two cells share an id."""
+        title = f"{self.title}: {self.subtitle}" if self.subtitle else self.title
+        return _template().render(title=title, blocks=[_block(piece, 0, _bitmap) for piece in self.pieces], css="")
+
     def save(self, path: Path | str) -> Path:
         """Write the page, whole or not at all."""
         return write_atomically(path, self.html())
@@ -119,7 +203,20 @@ def _print_as_it_is(figure: Figure) -> None:
             text.set_parse_math(False)
 
 
-def _block(piece: Piece, number: int) -> dict[str, Any]:
+def _png(figure: Figure) -> bytes:
+    out = io.BytesIO()
+    with style():
+        figure.savefig(out, format="png", dpi=110)
+    return out.getvalue()
+
+
+def _bitmap(figure: Figure, prefix: str) -> str:
+    """A figure as an `<img>` element that holds its own data."""
+    del prefix
+    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(_png(figure)).decode()}">'
+
+
+def _block(piece: Piece, number: int, drawn: Callable[[Figure, str], str] = figure_svg) -> dict[str, Any]:
     """What the template needs of one piece."""
     if isinstance(piece, Heading):
         return {"kind": "heading", "text": piece.text, "level": piece.level, "id": f"section-{number}"}
@@ -130,7 +227,7 @@ def _block(piece: Piece, number: int) -> dict[str, Any]:
     if isinstance(piece, Table):
         rows = [[_cell(value) for value in row] for row in piece.rows]
         return {"kind": "table", "columns": piece.columns, "rows": rows, "caption": piece.caption}
-    svg = figure_svg(piece.figure, prefix=f"figure-{number}-")
+    svg = drawn(piece.figure, f"figure-{number}-")
     return {"kind": "figure", "svg": Markup(svg), "caption": piece.caption, "id": f"figure-{number}"}
 
 

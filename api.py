@@ -1,0 +1,492 @@
+"""The tasks of `import hystmpc` that need more than one room: files, data frames or objects in, results out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+
+from hystmpc.trials.errors import ControllerError, FitError
+from hystmpc.trials.read import Layout, Log, read_trials
+from hystmpc.trials.trial import Trial, require_uniform, resample
+from hystmpc.trials.types import Progress
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hystmpc.ctrl.config import AnyControllerSettings
+    from hystmpc.ctrl.guarded import GuardedController
+    from hystmpc.ctrl.limits import CommandLimits
+    from hystmpc.gap.diagnosis import Diagnosis
+    from hystmpc.models.contract.equivalence import EquivalenceReport
+    from hystmpc.models.evaluate import Errors, TrialEvaluation
+    from hystmpc.models.kinds.kind import Identified
+    from hystmpc.models.model import LoadedModel
+    from hystmpc.models.simulator import Simulator
+    from hystmpc.sim.config import SimulationConfig
+    from hystmpc.sim.results import StudyResult
+    from hystmpc.sim.tuning.run import Tuning
+
+Logs = Log | Iterable[Log]
+Start = Literal["initial", "conditioned"]
+Settings = Path | str | Mapping[str, Any]
+"""A YAML file, or the same as a mapping."""
+
+_SHOWN = 3  # trials in a figure
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Free runs of a model over trials: from the command alone, against the measured angle.
+
+    Attributes:
+        trials: the runs, each with `trial`, the model's angle `theta` (T,) and `errors`.
+    """
+
+    trials: tuple[TrialEvaluation, ...]
+
+    @property
+    def mean(self) -> Errors:
+        """Mean of each error over the trials."""
+        from hystmpc.models.evaluate import mean_errors
+
+        return mean_errors(self.trials)
+
+    def __len__(self) -> int:
+        return len(self.trials)
+
+    def __iter__(self) -> Iterator[TrialEvaluation]:
+        return iter(self.trials)
+
+    def __getitem__(self, k: int) -> TrialEvaluation:
+        return self.trials[k]
+
+    def plot(self) -> Figure:
+        """Measurement and model over time, of the three trials with the greatest error."""
+        from hystmpc.trials.report import MEASURED, MODEL, new_figure
+
+        worst = sorted(self.trials, key=lambda run: -run.errors.rmse_deg)[:_SHOWN]
+        with new_figure(7.0, 0.6 + 1.9 * len(worst)) as figure:
+            below = figure.subplots(len(worst), 1, squeeze=False)[:, 0]
+            for axes, run in zip(below, worst, strict=True):
+                unit = run.trial.units.angle
+                axes.plot(run.trial.t, run.trial.angle, color=MEASURED, label="measured")
+                axes.plot(run.trial.t, run.theta, color=MODEL, label="model", linewidth=0.9)
+                axes.set(
+                    ylabel=f"[{unit}]", title=f"{Path(run.trial.source).name}: RMSE {run.errors.rmse_deg:.3g} {unit}"
+                )
+            below[-1].set(xlabel="time [s]")
+            figure.legend(*below[-1].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+        return figure
+
+    def _repr_html_(self) -> str:
+        from hystmpc.trials.report import Plot, Report, Table
+
+        rows = [(Path(run.trial.source).name, *vars(run.errors).values()) for run in self.trials]
+        unit, names = self.trials[0].trial.units.angle, [name.removesuffix("_deg") for name in vars(self.mean)]
+        table = Table(("trial", *names), [*rows, ("mean", *vars(self.mean).values())])
+        return Report("Free run", (table, Plot(self.plot())), f"{len(self)} trials, errors in {unit}").fragment()
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model identified from trials.
+
+    Attributes:
+        kind: of model, such as `pi` or `lstm`.
+        found: what the identification returned: bundle for the export, history of the error, report.
+        trials: that it was identified from, as recorded or swapped, uniformly sampled.
+    """
+
+    kind: str
+    found: Identified = field(repr=False)
+    trials: tuple[Trial, ...] = field(repr=False)
+
+    @cached_property
+    def model(self) -> LoadedModel:
+        """The model, as `load_model` opens it from a file."""
+        if self.found.simulator is not None:
+            from hystmpc.models.simulator import ChainModel
+
+            return ChainModel(self.found.simulator)
+        from hystmpc.models.contract.export import model_bytes
+        from hystmpc.models.contract.load import OnnxModel
+
+        return OnnxModel(model_bytes(self.found.bundle), self.kind)
+
+    @property
+    def simulator(self) -> Simulator:
+        """The readable form of an operator.
+
+        Raises:
+            FitError: if the model is a network, which has none.
+        """
+        if self.found.simulator is None:
+            raise FitError(f"{self.kind} has no readable form, expected an operator such as backlash or pi")
+        return self.found.simulator
+
+    def save(self, path: Path | str) -> Path:
+        """Write the model: `.yaml` for the readable form of an operator, `.onnx` for any.
+
+        Raises:
+            FitError: if a network is to be written as YAML.
+            ExportError: if the exported model differs from its reference; nothing is written then.
+        """
+        if Path(path).suffix.lower() in (".yaml", ".yml"):
+            from hystmpc.models.simulator import save_simulator
+
+            return save_simulator(self.simulator, path)
+        export(self, path)
+        return Path(path)
+
+    def plot(self) -> Figure:
+        """Free run of the model on the trials that it was identified from."""
+        return evaluate(self, self.trials).plot()
+
+    def _repr_html_(self) -> str:
+        return f"<p>{self.kind}: {self.found.report}</p>{evaluate(self, self.trials)._repr_html_()}"
+
+
+Model: TypeAlias = "Fit | Simulator | LoadedModel | Path | str"
+"""A model: a fit, a simulator, an opened model, a model file, or `builtin:NAME`."""
+
+
+def load_model(path: Path | str, start: Start = "initial") -> LoadedModel:
+    """Open a model file.
+
+    Args:
+        path: a simulator (`.yaml`), an exported model (`.onnx`), or `builtin:NAME` for one that ships.
+        start: state at the start of a free run: `initial` of a fresh device, `conditioned` after its first flexure.
+
+    Raises:
+        ModelError: if the file is missing, foreign or corrupt, or the name unknown.
+    """
+    from hystmpc.models.library import model_path
+    from hystmpc.models.load import load_model as open_file
+
+    return open_file(model_path(str(path)), start)
+
+
+def load_simulator(path: Path | str) -> Simulator:
+    """Open a simulator, the readable form of an operator-based model.
+
+    Args:
+        path: a file that `fit` or `diagnose` has written (`.yaml`), or `builtin:NAME` for one that ships.
+
+    Raises:
+        ModelError: if the file is missing, foreign or corrupt, or the name unknown.
+    """
+    from hystmpc.models.library import model_path
+    from hystmpc.models.simulator import load_simulator as open_file
+
+    return open_file(model_path(str(path)))
+
+
+def fit(
+    kind: str,
+    trials: Logs,
+    *,
+    preset: Layout = "auto",
+    rate_hz: float = 25.0,
+    inverse: bool = False,
+    training: str | None = None,
+    steps: int | None = None,
+    hold_out: int | None = None,
+    validation: Logs = (),
+    constancy_weight: float | None = None,
+    plays: int | None = None,
+    skip_first_flexure: bool = False,
+    limits: CommandLimits | None = None,
+    seed: int = 1,
+    progress: Progress | None = None,
+) -> Fit:
+    """Identify a model from recorded trials; Ctrl-C keeps the best so far.
+
+    Args:
+        kind: `backlash`, `pi`, `drdpi`, `bouc_wen`, `play_kernel`, `svr`, `fnn`, `fnn_hib`, `lstm`, `gru`, `hb1` or
+            `hb2`.
+        trials: logs, data frames or trials, see `read_trials`.
+        preset: layout of the logs.
+        rate_hz: rate at which the model runs, and to which the trials are resampled [Hz].
+        inverse: identify the map from angle to command.
+        training: preset of the training, `best` or `paper`; the kind's first where left out.
+        steps: greatest number of epochs, updates or iterations.
+        hold_out: whole trials by which a network is stopped early.
+        validation: trials that only judge, in place of held-out ones.
+        constancy_weight: of a network's constant-in, constant-out term.
+        plays: number of plays of a Prandtl-Ishlinskii model.
+        skip_first_flexure: count each trial only from the command's first reversal on.
+        limits: what the device may be sent; what the trials show where left out.
+        seed: of everything drawn at random.
+        progress: called with steps done, their number, and the error so far.
+
+    Raises:
+        LogError: if a log cannot be used.
+        FitError: on an unknown kind or preset, unusable trials, a diverging fit, or a missing extra.
+    """
+    from hystmpc.models.contract.metadata import DeviceLimits, Range
+    from hystmpc.models.kinds.catalogue import kind_named
+    from hystmpc.models.kinds.kind import FitRequest
+
+    chosen = kind_named(kind)
+    device = DeviceLimits(Range(lower=limits.lower, upper=limits.upper), limits.rate) if limits else DeviceLimits()
+    judges = tuple(_directed(validation, preset, rate_hz, inverse)) if validation != () else ()
+    request = FitRequest(
+        preset=training or chosen.presets[0],
+        seed=seed,
+        steps=steps,
+        hold_out=hold_out,
+        validation=judges,
+        constancy_weight=constancy_weight,
+        plays=plays,
+        skip_first_flexure=skip_first_flexure,
+        limits=device,
+    )
+    chosen.check([], request)
+    used = _directed(trials, preset, rate_hz, inverse)
+    chosen.check(used, request)
+    total, unit = chosen.steps(request), used[0].units.angle
+
+    def told(done: int, rmse: float) -> None:
+        if progress is not None:
+            progress(done, total or done, f"best {rmse:.4f} {unit}")
+
+    return Fit(kind, chosen.fit(used, request, told), tuple(used))
+
+
+def evaluate(
+    model: Model,
+    trials: Logs,
+    *,
+    preset: Layout = "auto",
+    skip_first_flexure: bool = False,
+    progress: Progress | None = None,
+) -> Evaluation:
+    """Run a model freely over the commands of trials and compare its angle with the measured one.
+
+    Args:
+        model: a fit, simulator, opened model or file.
+        trials: logs, data frames or trials, resampled to the model's rate; an inverse map runs over them swapped.
+        preset: layout of the logs.
+        skip_first_flexure: count each trial only from the command's first reversal on.
+        progress: called with trials done and their number.
+
+    Raises:
+        LogError: if a log cannot be used.
+        ModelError: if the model cannot be opened, its units differ, or its angle is not finite.
+    """
+    from hystmpc.models.evaluate import evaluate as free_run
+
+    opened = _opened(model)
+    recorded, runs = _at_rate(trials, preset, 1 / opened.metadata.dt_s), []
+    for trial in recorded:
+        runs.append(free_run(opened, trial, skip_first_flexure))
+        if progress is not None:
+            progress(len(runs), len(recorded))
+    return Evaluation(tuple(runs))
+
+
+def export(model: Fit | Simulator | Path | str, path: Path | str) -> EquivalenceReport:
+    """Write a model as an ONNX file of one stateful step, after a numeric comparison with its reference.
+
+    Args:
+        model: a fit, a simulator or a simulator file.
+        path: the file to write.
+
+    Returns:
+        The largest differences seen between onnxruntime, CasADi and the reference.
+
+    Raises:
+        ExportError: if they disagree or the file cannot be written; nothing is written then.
+        ModelError: if a file is no simulator.
+    """
+    from hystmpc.models.contract.export import export_onnx
+    from hystmpc.models.load import export_simulator
+
+    if isinstance(model, Fit):
+        return export_onnx(model.found.bundle, path)
+    return export_simulator(load_simulator(model) if isinstance(model, Path | str) else model, path)
+
+
+def diagnose(
+    trials: Logs,
+    simulator: Model,
+    *,
+    out: Path | str | None = None,
+    preset: Layout = "auto",
+    without: Sequence[str] = (),
+    only: Sequence[str] | None = None,
+    seed: int = 1,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Say where a simulator departs from its device, which effects cause it, and how far they close the gap.
+
+    Args:
+        trials: logs, data frames or trials of one device, in recording order.
+        simulator: a fit, simulator, opened model or file.
+        out: folder for report, corrected simulator and next motion; nothing is written where left out.
+        preset: layout of the logs.
+        without: effects left out of the library.
+        only: the library itself, where it is not to be all effects.
+        seed: of every resampling.
+        progress: called with steps done, steps in all and what is done.
+
+    Raises:
+        LogError: if a log cannot be used.
+        GapError: if the trials cannot be compared with the simulator, or an effect is unknown.
+        ModelError: if the simulator cannot be opened or is an inverse map.
+        ConfigError: if `out` holds anything but an older diagnosis.
+    """
+    from hystmpc.gap.diagnose import conclude, investigate
+    from hystmpc.gap.report.folder import require_free, save_diagnosis
+    from hystmpc.models.simulator import ChainModel
+
+    if out is not None:
+        require_free(out)
+    opened, recorded = _opened(simulator), read_trials(trials, preset)
+    nominal = opened.simulator if isinstance(opened, ChainModel) else opened
+    findings = investigate(recorded, nominal, seed=seed, without=without, only=only, progress=progress)
+    diagnosis, evidence = conclude(findings, progress)
+    if out is not None:
+        logs = [trial.source for trial in recorded]
+        settings = {"logs": logs, "sim": str(simulator), "preset": str(preset), "seed": seed, "without": list(without)}
+        files = (simulator,) if isinstance(simulator, Path | str) else ()
+        save_diagnosis(evidence, out, settings, models=files)
+    return diagnosis
+
+
+def simulate(
+    config: Settings | SimulationConfig,
+    out: Path | str | None = None,
+    *,
+    overrides: Iterable[str] = (),
+    progress: Progress | None = None,
+) -> StudyResult:
+    """Run every controller of a study along every motion on a simulated device.
+
+    Args:
+        config: plant, model, motions and controllers: a YAML file, a mapping or the settings.
+        out: a new or empty run folder for logs and report; nothing is written where left out.
+        overrides: changes of a file's settings, such as `plant.lag_s=0.1`.
+        progress: called with the steps done and their number.
+
+    Raises:
+        HystmpcError: if a setting is wrong, a model cannot be used, or `out` is not empty.
+    """
+    from hystmpc.sim.compare import compare
+    from hystmpc.sim.config import SimulationConfig, load_simulation
+
+    if isinstance(config, Path | str):
+        config = load_simulation(config, overrides)
+    elif isinstance(config, Mapping):
+        config = SimulationConfig.parse(dict(config))
+    return compare(config, out, progress)
+
+
+def tune(
+    config: Settings,
+    out: Path | str,
+    *,
+    overrides: Iterable[str] = (),
+    jobs: int = 1,
+    storage: str | None = None,
+    progress: Progress | None = None,
+) -> Tuning:
+    """Search the settings of a controller over simulated plants with drawn effects.
+
+    Args:
+        config: study, ranges and plants: a YAML file or a mapping.
+        out: a new run folder, or that of an unfinished tuning, which goes on.
+        overrides: changes of a file's settings, such as `trials=200`.
+        jobs: processes; with more than one a script needs `if __name__ == "__main__":`.
+        storage: of the search, as Optuna names it; a file in `out` where left out.
+        progress: called with trials done, their number and a note.
+
+    Raises:
+        HystmpcError: if a setting is wrong, the folder holds something else, or no trial came to an end.
+    """
+    from hystmpc.sim.jobs.backend import backend_for
+    from hystmpc.sim.tuning.run import run_tuning
+    from hystmpc.sim.tuning.settings import TuneSettings, complete, load_tuning
+
+    if isinstance(config, Path | str):
+        settings = load_tuning(config, overrides)
+    else:
+        settings = complete(TuneSettings.parse(dict(config)), Path("mapping"))
+    return run_tuning(settings, out, backend_for(jobs), storage, progress)
+
+
+def build_controller(
+    controller: str | Mapping[str, Any] | AnyControllerSettings,
+    model: Model,
+    *,
+    inverse: Path | str | None = None,
+    limits: CommandLimits | None = None,
+    actuator_lag_s: float = 0.0,
+) -> GuardedController[Any]:
+    """A controller of the tip angle: `init` and `step` with explicit state.
+
+    Args:
+        controller: `inverse`, `pid`, `inverse_pid`, `linearised_mpc` or `sampling_mpc`; or its settings.
+        model: that it predicts with: a fit, simulator, opened model or file.
+        inverse: file of what is inverted in the model's place, for a network.
+        limits: hard limits of command and rate; those of the model where left out.
+        actuator_lag_s: first-order lag of the command that the model does not contain [s].
+
+    Raises:
+        ConfigError: on an unknown controller or setting.
+        ControllerError: if the settings contradict each other, or the limits go beyond the model's.
+        ModelError: if a model cannot be used.
+        FitError: if a network has no `inverse` and none can be fitted.
+    """
+    from hystmpc.ctrl.build import build_controller as build
+    from hystmpc.ctrl.build import known_model, limits_of_model
+    from hystmpc.ctrl.config import parse_controller
+    from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
+
+    if isinstance(controller, str):
+        controller = {"kind": controller}
+    settings = parse_controller(dict(controller), "controller") if isinstance(controller, Mapping) else controller
+    opened = _opened(model, "conditioned")
+    made_for = limits_of_model(opened.metadata)
+    if limits is not None and not made_for.contains(limits):
+        raise ControllerError(f"limits: got {limits}, expected them within what the model was made for, {made_for}")
+    known = known_model(opened, None if inverse is None else Path(inverse), actuator_lag_s)
+    predictive = isinstance(settings, LinearisedMpcSettings | SamplingMpcSettings)
+    return build(settings, *(known.predictive if predictive else known.feedforward), limits or made_for)
+
+
+def _opened(model: Model, start: Start = "initial") -> LoadedModel:
+    """What runs, of whatever stands for a model."""
+    if isinstance(model, Path | str):
+        return load_model(model, start)
+    from hystmpc.models.simulator import ChainModel, Simulator
+
+    if isinstance(model, Fit):
+        model = model.found.simulator or model.model
+    return ChainModel(model, start) if isinstance(model, Simulator) else model
+
+
+def _directed(trials: Logs, preset: Layout, rate_hz: float, inverse: bool) -> list[Trial]:
+    """Trials at one rate, swapped for an inverse map."""
+    return [trial.swapped() if inverse else trial for trial in _at_rate(trials, preset, rate_hz)]
+
+
+def _at_rate(trials: Logs, preset: Layout, rate_hz: float) -> list[Trial]:
+    """Trials on a uniform grid of that rate; one that lies on it is left as it is."""
+    from hystmpc.trials.check import require_seconds
+    from hystmpc.trials.errors import LogError
+
+    recorded = read_trials(trials, preset)
+    for k, trial in enumerate(recorded):
+        require_seconds(trial)
+        with suppress(LogError):
+            if np.isclose(require_uniform(trial) * rate_hz, 1.0, rtol=1e-9):
+                continue
+        recorded[k] = resample(trial, rate_hz)
+    return recorded

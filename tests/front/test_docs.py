@@ -1,0 +1,92 @@
+"""Every Python block of README and docs runs, and it and the examples import nothing deeper than a room."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hystmpc
+from hystmpc.sim import SimulatedPlant
+from hystmpc.trials import write_csv
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+LONG = ("devices.md-0", "reconstruction.md-0")  # minutes; their imports are checked all the same
+
+
+def blocks() -> list[tuple[str, str]]:
+    """Page and number, and text, of every block."""
+    return [(f"{p.name}-{k}", m[1]) for p in PAGES for k, m in enumerate(BLOCK.finditer(p.read_text(encoding="utf-8")))]
+
+
+def imports(text: str) -> Iterator[str]:
+    """Modules of the package that a text imports."""
+    for node in ast.walk(ast.parse(text)):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+        yield from (name for name in names if name.partition(".")[0] == "hystmpc")
+
+
+@pytest.mark.parametrize(("where", "text"), blocks(), ids=[where for where, _ in blocks()])
+def test_blocks_import_no_deeper_than_a_room(where: str, text: str) -> None:
+    assert [name for name in imports(text) if name.count(".") > 1] == []
+
+
+@pytest.mark.parametrize(("where", "text"), [b for b in blocks() if b[0] in LONG])
+def test_imports_of_long_blocks_are_there(where: str, text: str) -> None:
+    for name in imports(text):
+        pytest.importorskip(name)
+    lines = [ast.unparse(n) for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Import | ast.ImportFrom)]
+    exec(compile("\n".join(lines), where, "exec"), {})
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.name)
+def test_examples_import_no_deeper_than_a_room(path: Path) -> None:
+    assert [name for name in imports(path.read_text(encoding="utf-8")) if name.count(".") > 1] == []
+
+
+class Device:
+    """What a page calls `device`: a simulated one behind two calls."""
+
+    def __init__(self) -> None:
+        self._plant = SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"), seed=1)
+        self._angle = self._plant.reset()
+
+    def measure(self) -> float:
+        return self._angle
+
+    def send(self, command: float) -> None:
+        self._angle = self._plant.apply(command)
+
+
+@pytest.fixture
+def names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """A folder with logs, models and the examples, and what pages take as given."""
+    simulator = hystmpc.load_simulator("builtin:tendon-catheter")
+    plant = SimulatedPlant(simulator, seed=1)
+    for k, hz in enumerate((0.2, 0.3, 0.25)):
+        t = np.arange(0, 20, 0.04)
+        u = 3 - 2.5 * np.cos(2 * np.pi * hz * t) * np.exp(-0.02 * t)
+        plant.reset()
+        angle = np.array([plant.apply(command) for command in u])
+        write_csv(hystmpc.Trial(t, u, angle), tmp_path / "logs" / f"{k}.csv")
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    shutil.copy(next((ROOT / "models" / "library").glob("lstm*.onnx")), tmp_path / "lstm.onnx")
+    monkeypatch.chdir(tmp_path)
+    trials = hystmpc.read_trials("logs")
+    given = {"trials": trials, "simulator": simulator, "chain": simulator.chain, "commands": trials[0].command[:50]}
+    return given | {"device": Device(), "__name__": "page"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("where", "text"), [b for b in blocks() if b[0] not in LONG])
+def test_blocks_run(where: str, text: str, names: dict[str, Any]) -> None:
+    exec(compile(text, where, "exec"), names)
