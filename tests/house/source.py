@@ -13,9 +13,6 @@ ROOT = Path(__file__).resolve().parents[2]
 # A room imports itself and the tiers before its own; rooms of one tier do not know each other. The front door, the
 # files at the root, counts as one.
 TIERS = (
-    *(("trials",), ("models",), ("trajectories", "ctrl"), ("sim", "rig")),
-    *(("gap",), ("studies",), ("front",), ("cli",)),
-)
     ("trials",),
     ("models",),
     ("trajectories", "ctrl"),
