@@ -245,6 +245,6 @@ def test_a_damaged_generated_module_is_written_anew(
 
 
 def test_every_kernel_goes_through_the_checked_cache() -> None:
-    rooms = ("trials", "models", "trajectories", "ctrl", "sim", "rig", "gap", "cli")
+    rooms = ("trials", "models", "trajectories", "ctrl", "sim", "rig", "gap", "studies", "cli")
     texts = {path: path.read_text(encoding="utf-8") for room in rooms for path in (ROOT / room).rglob("*.py")}
     assert [str(path) for path, text in texts.items() if "from numba import njit" in text] == []
