@@ -306,7 +306,7 @@ def export(model: Fit | Simulator | Path | str, path: Path | str) -> Equivalence
         ModelError: if a file is no simulator.
     """
     from hystmpc.models.contract.export import export_onnx
-    from hystmpc.models.load import export_simulator
+    from hystmpc.models.simulator import export_simulator
 
     if isinstance(model, Fit):
         return export_onnx(model.found.bundle, path)

@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from hystmpc.models.contract.load import load_onnx
-from hystmpc.models.load import export_simulator
-from hystmpc.models.simulator import load_simulator
+from hystmpc.models.simulator import export_simulator, load_simulator
 
 from .console import out
 from .options import MODEL, Force, check_output

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, final
+from typing import TYPE_CHECKING, Any, Literal, final
 
 import casadi as ca
 import numpy as np
@@ -17,11 +17,19 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Vec
 
 from .chain import Chain
+from .contract.export import ExportBundle, export_onnx
 from .contract.metadata import ModelMetadata, Range, Rate, SampleTime, Start
 from .kernels.chain_kernels import compile_step
 from .kernels.program import dense
 from .model import LoadedModel, StepFunction
+from .motions import probe_commands
 from .operators.catalogue import operator_from, operator_spec
+
+if TYPE_CHECKING:
+    import onnx
+
+    from .contract.equivalence import EquivalenceReport
+
 
 FORMAT = "hystmpc-simulator/1"
 
@@ -223,3 +231,24 @@ class ChainModel(LoadedModel, StepFunction):
         x, u = ca.SX.sym("x", self.state_size), ca.SX.sym("u")
         theta, following = self._step(x, u)
         return dense("jacobian", [x, u], [ca.jacobian(ca.vertcat(theta, following), ca.vertcat(x, u))])
+
+
+def simulator_bundle(simulator: Simulator) -> ExportBundle:
+    """Graph, facts, reference and probe of a simulator, in double; the graph is made when it is exported."""
+    model = ChainModel(simulator)
+
+    def graph() -> onnx.GraphProto:
+        from .contract.onnx_nodes import step_graph
+
+        return step_graph(simulator.chain.bound(simulator.dt_s), model.metadata.kind)
+
+    return ExportBundle(graph, model.metadata, model, probe_commands(model.metadata))
+
+
+def export_simulator(simulator: Simulator, path: Path | str) -> EquivalenceReport:
+    """Write a simulator as an ONNX model.
+
+    Raises:
+        ExportError: if the graph does not equal the simulator; nothing is written then.
+    """
+    return export_onnx(simulator_bundle(simulator), path)

@@ -10,8 +10,8 @@ from hystmpc.trials.trial import Trial
 from ..contract.metadata import DeviceLimits
 from ..identify.chain_kinds import Structure
 from ..identify.methods import METHODS, identify_chain, simulator_of
-from ..load import simulator_bundle
 from ..model import FitProgress
+from ..simulator import simulator_bundle
 from .kind import FitRequest, Identified, ModelKind
 
 

@@ -15,8 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.cli.options import EVALUATION, MODEL, SIMULATOR, Output, check_output
-from hystmpc.models.load import export_simulator
-from hystmpc.models.simulator import save_simulator
+from hystmpc.models.simulator import export_simulator, save_simulator
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import require_writable

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
-from hystmpc.models.load import export_simulator
-from hystmpc.models.simulator import ChainModel, save_simulator
+from hystmpc.models.simulator import ChainModel, export_simulator, save_simulator
 from hystmpc.sim.compare import compare
 from hystmpc.sim.config import SimulationConfig
 from hystmpc.trials.csv_files import write_csv

@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from hystmpc.models.chain import Chain
 from hystmpc.models.evaluate import free_run
 from hystmpc.models.inverse.one_step import CompiledInverse
-from hystmpc.models.load import export_simulator, load_model
+from hystmpc.models.load import load_model
 from hystmpc.models.operators.catalogue import operator_from, operator_spec
 from hystmpc.models.operators.hysteresis import BoucWen
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.prandtl_ishlinskii import Drdpi
 from hystmpc.models.operators.static_curves import Deadband
 from hystmpc.models.prediction.compiled import CompiledPredictor
-from hystmpc.models.simulator import ChainModel, load_simulator, save_simulator
+from hystmpc.models.simulator import ChainModel, export_simulator, load_simulator, save_simulator
 from hystmpc.trials.errors import ModelError
 
 from .running import operator_rest, run_operator

@@ -10,13 +10,13 @@ import pytest
 
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
-from hystmpc.models.load import simulator_bundle
 from hystmpc.models.motions import probe_commands
 from hystmpc.models.networks.lstm import LstmStep, lstm_step_graph
 from hystmpc.models.networks.svr import SvrStep, svr_step_graph
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.prediction.onnx_ import OnnxPredictor
+from hystmpc.models.simulator import simulator_bundle
 
 from .casadi_predictor import CasadiPredictor
 from .lstm_examples import facts, random_weights

@@ -16,10 +16,9 @@ from hystmpc.models.evaluate import Errors, TrialEvaluation, evaluation_json
 from hystmpc.models.inverse.one_step import MappedPredictor, TrainedInverse
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.regressions import PlayKernelKind
-from hystmpc.models.load import simulator_bundle
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.prediction.build import predictor_and_inverse
-from hystmpc.models.simulator import ChainModel, Identification, Simulator, save_simulator
+from hystmpc.models.simulator import ChainModel, Identification, Simulator, save_simulator, simulator_bundle
 from hystmpc.sim.closed_loop import run_closed_loop
 from hystmpc.sim.config import SimulationConfig
 from hystmpc.sim.study import prepare
