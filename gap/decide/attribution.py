@@ -15,7 +15,7 @@ from hystmpc.models.identify.selection import OWN_TO_TRIALS, Selection, Selectio
 
 from ..logs.noise_floor import Floor, find_floor
 from ..logs.preparation import PreparedTrials
-from ..logs.white_noise import white_noise
+from ..logs.sensor import white_noise
 from .ambiguity import ambiguity_of, inclusion_shares
 from .gap_closed import GapClosed, measure
 from .jumps import Jumps, find_jumps

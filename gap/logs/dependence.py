@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mat, Vec
 
-from .command_features import past_features
+from .motion_type import past_features
 
 _DRAWS = 199  # of the null: the lowest level of significance is 1 in 200
 _LEVEL = 0.01

@@ -14,8 +14,7 @@ from hystmpc.trials.types import Index, Mask, Vec
 
 from ..diagnosis import FloorKind
 from .motion_type import command_segments
-from .sensor import stretches
-from .white_noise import white_noise
+from .sensor import stretches, white_noise
 
 TOLERANCE = 0.01
 """Commands are equal where they differ by less than this share of their range."""

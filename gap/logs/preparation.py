@@ -15,8 +15,7 @@ from hystmpc.models.identify.baseline import Baseline, FreeCoreBaseline, ScaledB
 from hystmpc.models.identify.cross_validation import Hypothesis
 from hystmpc.models.identify.least_squares import fit_problem
 from hystmpc.models.identify.problem import Problem
-from hystmpc.models.identify.runs import Run, runs_of
-from hystmpc.models.identify.trial_set import fingerprint
+from hystmpc.models.identify.runs import Run, fingerprint, runs_of
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Identification, Simulator
 from hystmpc.trials.errors import LogError

@@ -9,7 +9,7 @@ import numpy as np
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mat, Vec
 
-from ..logs.command_features import MEMORIES, memory_features, past_features
+from ..logs.motion_type import MEMORIES, memory_features, past_features
 from ..logs.noise_floor import require_residuals
 
 _RIDGES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)  # of the mean eigenvalue of the features' Gram matrix

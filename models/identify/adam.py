@@ -16,7 +16,7 @@ from ..chain import Chain
 from ..model import FitProgress
 from .chain_fit import ChainFit, ChainTask, Tracker
 from .free_run import FreeRuns, StagedChain
-from .trial_set import check_trial_set
+from .runs import check_trial_set
 
 
 @dataclass(frozen=True)

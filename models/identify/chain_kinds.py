@@ -18,7 +18,7 @@ from ..operators.hysteresis import Backlash, BoucWen
 from ..operators.operator import Operator
 from ..operators.prandtl_ishlinskii import Drdpi, PrandtlIshlinskii
 from .chain_fit import ChainTask
-from .trial_set import check_trial_set, fastest_command
+from .runs import check_trial_set, fastest_command
 
 
 def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:

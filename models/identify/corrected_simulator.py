@@ -26,8 +26,7 @@ from .baseline import Baseline
 from .cross_validation import Hypothesis
 from .free_run import StagedChain
 from .methods import residual
-from .runs import Run
-from .trial_set import fingerprint
+from .runs import Run, fingerprint
 
 EFFECTS_FILE = "effects.yaml"
 _FORMAT = "hystmpc-effects/1"

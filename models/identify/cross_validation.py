@@ -14,9 +14,8 @@ from hystmpc.trials.types import Vec
 from ..effects.effect import Candidate
 from .baseline import Baseline
 from .least_squares import fit_problem
-from .problem import Problem
+from .problem import Problem, TrialTerms
 from .runs import Blocks, Run, blocks_of
-from .trial_terms import TrialTerms
 
 LARGEST_FOLDS = 3
 

@@ -15,7 +15,7 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..kernels.chain_kernels import StageKernels, stage_kernels
-from .trial_set import check_trial_set
+from .runs import check_trial_set
 
 _ROUNDS, _CLOSE, _FLAT, _WITHIN = 8, 1e-9, 1e-3, 1e-6
 

@@ -16,7 +16,7 @@ from ..model import FitProgress
 from ..operators.hysteresis import Backlash
 from .chain_fit import ChainFit, ChainTask, Tracker
 from .free_run import FreeRuns, ScoredRun
-from .trial_set import check_trial_set
+from .runs import check_trial_set
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from .chain_kinds import Structure, backlash_starts, chain_task, prandtl_ishlins
 from .global_search import GlobalSettings, adapt, evolve, fit_globally
 from .iterated import IteratedSettings, fit_by_iteration
 from .least_squares import OperatorFitSettings, fit_by_least_squares, fit_chain
-from .trial_set import angle_range, check_trial_set, command_range, fastest_command, fingerprint
+from .runs import angle_range, check_trial_set, command_range, fastest_command, fingerprint
 
 HOLDS_SHARE = 0.2
 OPERATOR_KINDS = ("backlash", "pi")

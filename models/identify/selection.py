@@ -10,7 +10,7 @@ import numpy as np
 
 from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
-from .trial_terms import TrialTerms, strongest_line
+from .problem import TrialTerms, strongest_line
 
 RoundProgress = Callable[[float, str], None]
 """Told the share of the present round, and the candidate that is tried."""

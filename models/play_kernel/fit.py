@@ -23,7 +23,7 @@ from hystmpc.trials.types import Vec
 
 from ..contract.export import ExportBundle
 from ..contract.metadata import DeviceLimits, Range
-from ..identify.trial_set import angle_range, check_trial_set, command_range, facts_of, fixed_rule
+from ..identify.runs import angle_range, check_trial_set, command_range, facts_of, fixed_rule
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from .predictor import follow_plays

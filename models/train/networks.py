@@ -18,7 +18,7 @@ from hystmpc.trials.trial import Trial
 from ..contract.equivalence import TOLERANCE_DEG
 from ..contract.export import ExportBundle
 from ..contract.metadata import DeviceLimits, InitialRule, Range
-from ..identify.trial_set import check_trial_set, command_range, facts_of
+from ..identify.runs import check_trial_set, command_range, facts_of
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from ..networks.nodes import network_step_graph

@@ -17,7 +17,7 @@ from ..chain import Chain
 from ..identify.chain_fit import ChainFit
 from ..identify.chain_kinds import backlash_starts
 from ..identify.least_squares import OperatorFitSettings, fit_chain
-from ..identify.trial_set import angle_range, command_range
+from ..identify.runs import angle_range, command_range
 from ..networks.settings import Scaling
 from ..operators.hysteresis import Backlash, InverseBacklash
 from ..operators.operator import Operator

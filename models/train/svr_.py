@@ -19,7 +19,7 @@ from hystmpc.trials.types import Index, Vec
 
 from ..contract.export import ExportBundle
 from ..contract.metadata import DeviceLimits, Range
-from ..identify.trial_set import angle_range, check_trial_set, command_range, facts_of, fixed_rule
+from ..identify.runs import angle_range, check_trial_set, command_range, facts_of, fixed_rule
 from ..model import FitProgress
 from ..motions import probe_commands
 from ..networks.svr import SvrStep, SvrWeights, svr_step_graph

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
-from hystmpc.models.identify.trial_set import fingerprint
+from hystmpc.models.identify.runs import fingerprint
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.trials.errors import ConfigError

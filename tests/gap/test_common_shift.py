@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from hystmpc.models.identify.least_squares import fit_problem
-from hystmpc.models.identify.problem import Problem
+from hystmpc.models.identify.problem import Problem, TrialTerms
 from hystmpc.models.identify.runs import Run
-from hystmpc.models.identify.trial_terms import TrialTerms
 
 from .engine_examples import BASELINES, device_runs
 

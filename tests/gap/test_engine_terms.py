@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hystmpc.models.identify.problem import Problem
+from hystmpc.models.identify.problem import NO_TERMS, Problem, TrialTerms, strongest_line
 from hystmpc.models.identify.runs import Run
-from hystmpc.models.identify.trial_terms import NO_TERMS, TrialTerms, strongest_line
 from hystmpc.trials.types import Vec
 
 from .engine_examples import BASELINES, DT, device_runs

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.gap.logs.noise_floor import find_floor
-from hystmpc.gap.logs.sensor import repaired, sensor_signs
-from hystmpc.gap.logs.white_noise import white_noise
+from hystmpc.gap.logs.sensor import repaired, sensor_signs, white_noise
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 

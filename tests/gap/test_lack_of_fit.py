@@ -10,7 +10,7 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.effects.catalogue import candidates
 from hystmpc.models.effects.effect import Scale
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
-from hystmpc.models.identify.trial_terms import NO_TERMS
+from hystmpc.models.identify.problem import NO_TERMS
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.static_curves import Contact, NonlinearGain
 

@@ -18,8 +18,8 @@ from hystmpc.gap.logs.motion_type import command_segments, motion_type
 from hystmpc.gap.logs.noise_floor import find_repeats
 from hystmpc.gap.logs.trial_choice import MOST_SAMPLES, Workload, affordable
 from hystmpc.gap.residual.memory import explainable_share
+from hystmpc.models.identify.problem import strongest_line
 from hystmpc.models.identify.runs import Before, Run, runs_of
-from hystmpc.models.identify.trial_terms import strongest_line
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
