@@ -43,7 +43,7 @@ os.umask(0)
 numba.njit(lambda x: 2.0 * x)(1.0)
 
 def start():
-    from hystmpc.ctrl.plan_kernels import run_ahead
+    from hystmpc.ctrl.planning import run_ahead
     from hystmpc.models.kernels.numba_ import generated_module
     generated_module("VALUE = 1\\n")
     if os.geteuid() == 0:
