@@ -23,7 +23,7 @@ def report(
     """
     keys = _settings_of(run)
     if {"transport", "sensor", "reference"} <= keys:
-        from hystmpc.rig.commission.review import review_run
+        from hystmpc.rig.commission.review_page import review_run
 
         out.print(f"review: {review_run(run).advice}", soft_wrap=True)
         out.print(f"report: {run / 'report.html'}", soft_wrap=True)

@@ -24,7 +24,6 @@ def run(
 ) -> None:
     """Prepare the device, track the reference, return to the safe command; exit code 3 after a safe stop."""
     from hystmpc.rig.commission.experiment import run_experiment
-    from hystmpc.rig.commission.review import review_run
     from hystmpc.rig.recording.recorder_process import Views
     from hystmpc.rig.recording.recording import RecordingMeta
 
@@ -45,6 +44,8 @@ def run(
         note=tell,
     )
     finish(settings, result)
+    from hystmpc.rig.commission.review_page import review_run  # matplotlib takes a second to import: after the run
+
     report = folder / "report.html"
     try:
         review = review_run(folder)

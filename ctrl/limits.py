@@ -70,7 +70,8 @@ class CommandLimits:
 
         Not-a-number stays what it is, and what follows it too; callers pass finite plans.
         """
-        from .planning import clip_plans  # numba takes longer to import than a planner's first call may
+        # numba takes longer to import than a planner's first call may
+        from hystmpc.models.inverse.follow import clip_plans
 
         admissible: Vec = np.array(plans, dtype=np.float64, order="C")
         rows = admissible.reshape(-1, admissible.shape[-1])

@@ -16,7 +16,6 @@ from .command import ControlInput, Source, Stopwatch
 from .fallback import attempt
 from .law import Law, Proposal
 from .limits import CommandLimits
-from .mpc_settings import HoldSettings, PredictiveSettings
 from .planning import (
     FOLLOWING,
     HOLD,
@@ -28,6 +27,7 @@ from .planning import (
     PlanningError,
     PlanningProblem,
 )
+from .planning_settings import HoldSettings, PredictiveSettings
 
 _LEAVE_SIGMAS = 5.0  # two independent estimates of one disturbance differ by more than this once in 10^4 samples
 

@@ -1,22 +1,16 @@
-"""Settings of the predictive controllers: cost, hold, learning, horizon, and the planner that they build."""
+"""The predictive controllers: their settings, and how the law, the observer and the planner are built from them."""
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-import numpy as np
-from pydantic import Field, model_validator
+from typing import TYPE_CHECKING, Any
 
 from hystmpc.models.model import Inverse, Predictor
-from hystmpc.trials.config import Settings
-from hystmpc.trials.errors import ControllerError
-from hystmpc.trials.types import Mat, Vec
 
-from .estimation.observer import EstimatorSettings, Observer, OutputEstimator
-from .law import Law, LawSettings
-from .limits import CommandLimits, Count, NotNegative, Positive
+from .estimation.observer import Observer, OutputEstimator
+from .law import Law
+from .limits import CommandLimits
+from .planning_settings import AdaptationSettings, LinearisationSettings, PredictiveSettings, SamplingSettings
 
 if TYPE_CHECKING:
     from .planning import Planner
@@ -24,100 +18,8 @@ if TYPE_CHECKING:
 # numba, SciPy and the solvers take over a second to import: a controller is built by functions that import them.
 
 
-class WeightsSettings(Settings):
-    """Weights of the planning cost.
-
-    Attributes:
-        tracking: squared angle error [1/deg^2].
-        terminal: factor on `tracking` at the last sample.
-        rate: squared command change per sample [1/mm^2 or 1/bar^2].
-        effort: squared distance from the inverse plan [1/mm^2 or 1/bar^2].
-        soft_limit: squared excess over the soft angle limits [1/deg^2].
-        angle_lower_deg, angle_upper_deg: soft limits of the angle [deg]; null for none.
-    """
-
-    tracking: Positive = 1.0
-    terminal: NotNegative = 2.0
-    rate: Positive = 3.0
-    effort: NotNegative = 0.01
-    soft_limit: NotNegative = 100.0
-    angle_lower_deg: float | None = None
-    angle_upper_deg: float | None = None
-
-    @property
-    def angle_limits_deg(self) -> tuple[float, float]:
-        """Soft limits of the angle [deg], infinite for none.
-
-        Raises:
-            ControllerError: if they cross.
-        """
-        low = -math.inf if self.angle_lower_deg is None else self.angle_lower_deg
-        high = math.inf if self.angle_upper_deg is None else self.angle_upper_deg
-        if not low < high:
-            raise ControllerError(f"weights: got angle_limits_deg {low} to {high}, expected lower < upper")
-        return low, high
-
-    @property
-    def limits_angle(self) -> bool:
-        """Whether there is a soft angle limit at all."""
-        return self.soft_limit > 0 and any(math.isfinite(v) for v in self.angle_limits_deg)
-
-    def over(self, horizon: int) -> Vec:
-        """Tracking weights along the horizon, shape (H,)."""
-        along = np.full(horizon, self.tracking)
-        along[-1] *= self.terminal
-        return along
-
-
-class HoldSettings(Settings):
-    """When a command is held, and how gently an error left over is corrected; see `HoldRule`, which counts samples.
-
-    Attributes:
-        tolerance_deg: closeness that is always good enough [deg].
-        patience_s: time of constant reference for which one more standard deviation is allowed for [s].
-        lead_s: preview that is looked at [s].
-        settle_after_s: time of constant reference after which corrections are gentle [s].
-        settle_s: time over which a gentle correction works off an error at the model's static gain [s]; 0 for none.
-    """
-
-    tolerance_deg: NotNegative = 0.03
-    patience_s: NotNegative = 0.4
-    lead_s: NotNegative = 0.0
-    settle_after_s: NotNegative = 0.4
-    settle_s: NotNegative = 0.12
-
-
-class AdaptationSettings(Settings):
-    """Block `adaptation`: the shape of the learned part, see `LearnedPredictor`, and how fast its weights may change.
-
-    Attributes:
-        plays: number of plays K beside the straight line.
-        widest_share: half-width of the widest, as a share of the command's range; the others divide it evenly.
-        lag_s: first-order lag between command and travel [s], 0 for none.
-        share_sigma: standard deviation of every weight of line and plays, their sum being given, as a share of the
-            model's static gain: how the answer is shared out between small and large plays.
-        slope_sigma: standard deviation of their sum, as the same share: error of the slope outside dead bands.
-        rate_sigma_s: standard deviation of the weight of the model's rate [s]: error of lag and delay.
-        walk_share: change over one unit of command travel, as a share of these.
-    """
-
-    plays: Annotated[int, Field(ge=0, le=20)] = 6
-    widest_share: Annotated[float, Field(gt=0, le=1)] = 0.2
-    lag_s: NotNegative = 0.0
-    share_sigma: NotNegative = 0.25
-    slope_sigma: NotNegative = 0.2
-    rate_sigma_s: NotNegative = 0.05
-    walk_share: NotNegative = 0.05
-
-
-class PredictiveSettings(LawSettings):
-    """What both predictive controllers have."""
-
-    estimator: EstimatorSettings = EstimatorSettings()
-    adaptation: AdaptationSettings | None = None
-    horizon: Count = 20
-    weights: WeightsSettings = WeightsSettings()
-    hold: HoldSettings = HoldSettings()
+class PredictiveController(PredictiveSettings):
+    """Builds the law and the observer; the planner is that of the subclass."""
 
     def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
         if self.adaptation is None:
@@ -146,7 +48,7 @@ class PredictiveSettings(LawSettings):
         """What improves the best candidate plan."""
 
 
-class LinearisedMpcSettings(PredictiveSettings):
+class LinearisedMpcSettings(PredictiveController, LinearisationSettings):
     """Real-time iteration; see `LinearisedPlanner`.
 
     Attributes:
@@ -156,69 +58,13 @@ class LinearisedMpcSettings(PredictiveSettings):
         move_blocking: samples of each block of moves, see `MoveBlocking`; null lets every sample move.
     """
 
-    kind: Literal["linearised_mpc"] = "linearised_mpc"
-    iterations: Count = 1
-    solver: Literal["daqp", "osqp"] = "daqp"
-    solver_eps: Annotated[float, Field(gt=0, le=1e-4)] = 1e-5
-    move_blocking: Annotated[tuple[Count, ...], Field(min_length=1)] | None = None
-
-    @model_validator(mode="after")
-    def _blocks_fit(self) -> LinearisedMpcSettings:
-        together = sum(self.move_blocking or ())
-        if together > self.horizon:
-            raise ValueError(
-                f"got move_blocking of {together} samples together, expected at most the horizon of {self.horizon}"
-            )
-        return self
-
     def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
         from .linearised.planner import LinearisedPlanner
 
         return LinearisedPlanner(predictor, self, limits)
 
 
-# A noise is a matrix F (H, K): samples are F w with w standard normal (K,). Rows have unit norm, so that every sample
-# of a plan is perturbed with the same variance.
-class SplineNoiseSettings(Settings):
-    """Cubic spline through `knots` independent normals, evenly spaced over the horizon."""
-
-    kind: Literal["spline"] = "spline"
-    knots: Annotated[int, Field(ge=2)] = 6
-
-    def matrix(self, horizon: int) -> Mat:
-        """F (H, knots).
-
-        Raises:
-            ControllerError: if there are more knots than samples.
-        """
-        if self.knots > horizon:
-            raise ControllerError(f"spline noise: got {self.knots} knots, expected 2 to the horizon of {horizon}")
-        from scipy.interpolate import make_interp_spline  # takes half a second, which the linearised controller spares
-
-        at = np.linspace(0.0, 1.0, self.knots)
-        spline = make_interp_spline(at, np.eye(self.knots), k=min(3, self.knots - 1))
-        return _unit_rows(spline(np.linspace(0.0, 1.0, horizon)))
-
-
-class ColouredNoiseSettings(Settings):
-    """Noise with power spectrum 1 / f^exponent: 0 white, 1 pink, 2 red.
-
-    Amplitudes f^(-exponent / 2) on the frequencies of a window of 2H samples, so that ends are not tied together
-    (Pinneri et al., "Sample-efficient cross-entropy method for real-time planning", CoRL 2020).
-    """
-
-    kind: Literal["coloured"] = "coloured"
-    exponent: NotNegative = 2.0
-
-    def matrix(self, horizon: int) -> Mat:
-        """F (H, 2H)."""
-        cycles = np.arange(1, horizon + 1, dtype=np.float64)
-        phase = 2.0 * np.pi * np.outer(np.arange(horizon), cycles) / (2 * horizon)
-        amplitude = cycles ** (-self.exponent / 2.0)
-        return _unit_rows(np.hstack([amplitude * np.cos(phase), amplitude * np.sin(phase)]))
-
-
-class SamplingMpcSettings(PredictiveSettings):
+class SamplingMpcSettings(PredictiveController, SamplingSettings):
     """Model-predictive path integral control (MPPI) or the cross-entropy method (CEM).
 
     Attributes:
@@ -233,23 +79,8 @@ class SamplingMpcSettings(PredictiveSettings):
         noise: shape of the perturbations.
     """
 
-    kind: Literal["sampling_mpc"] = "sampling_mpc"
-    method: Literal["mppi", "cem"] = "mppi"
-    samples: Count = 256
-    iterations: Count = 2
-    sigma: Positive = 0.3
-    finest: Annotated[float, Field(gt=0, le=1)] = 0.01
-    temperature: Positive = 0.02
-    elites: Annotated[float, Field(gt=0, le=0.5)] = 0.1
-    seed: Annotated[int, Field(ge=0)] = 0
-    noise: Annotated[SplineNoiseSettings | ColouredNoiseSettings, Field(discriminator="kind")] = SplineNoiseSettings()
-
     def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:
         from .sampling.planner import CrossEntropyPlanner, PathIntegralPlanner
 
         kind = CrossEntropyPlanner if self.method == "cem" else PathIntegralPlanner
         return kind(predictor, self, limits)
-
-
-def _unit_rows(factor: Mat) -> Mat:
-    return factor / np.linalg.norm(factor, axis=1, keepdims=True)

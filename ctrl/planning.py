@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar, final
 
 import numpy as np
 
-from hystmpc.models.inverse.follow import Bounds, Follower, follower_for
+from hystmpc.models.inverse.follow import Bounds, Follower, clip_plans, follower_for
 from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
@@ -16,7 +16,7 @@ from hystmpc.trials.types import Vec
 from .command import Stopwatch
 from .estimation.learning import LearnedFollower, LearnedInverse
 from .limits import CommandLimits
-from .mpc_settings import WeightsSettings
+from .planning_settings import WeightsSettings
 
 P = TypeVar("P")
 
@@ -143,20 +143,6 @@ def _reversals(reach: float, horizon: int) -> Vec:
     lengths = [2**i for i in range(1, horizon.bit_length()) if 2**i <= max(horizon // 2, 2)]
     ramps = reach * np.minimum(np.arange(1, horizon + 1), np.array(lengths)[:, None])
     return np.concatenate([ramps, -ramps])
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float) -> None:
-    """Nearest admissible plans (N, H) sample by sample, in place; not-a-number stays what it is."""
-    last = min(max(last, lower), upper)
-    for n in range(plans.shape[0]):
-        before = last
-        for k in range(plans.shape[1]):
-            u = plans[n, k]
-            if u == u:
-                u = min(max(min(max(u, lower), upper), before - reach), before + reach)
-            plans[n, k] = u
-            before = u
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

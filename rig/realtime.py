@@ -58,12 +58,15 @@ class MonotonicClock(Clock):
         self._spin_ns = round(1e9 * spin_s)
 
     def now_ns(self) -> int:
+        """Monotonic time [ns]."""
         return time.monotonic_ns()
 
     def boot_ns(self) -> int:
+        """Monotonic time that also counts while the machine is suspended, where the system has it [ns]."""
         return time.monotonic_ns() if _BOOT is None else time.clock_gettime_ns(_BOOT)
 
     def wall_ns(self) -> int:
+        """Wall clock [ns since 1970]."""
         return time.time_ns()
 
     def wait_until(self, deadline_ns: int) -> None:

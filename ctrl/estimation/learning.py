@@ -14,7 +14,7 @@ from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
 from ..analysis import static_gain
-from ..mpc_settings import AdaptationSettings
+from ..planning_settings import AdaptationSettings
 from .observer import Estimate, EstimatorSettings, Observer, OutputEstimator, usable_angle
 
 _EDGE = 1e-12

@@ -12,8 +12,8 @@ from hystmpc.trials.types import Vec
 
 from ..command import Stopwatch
 from ..limits import CommandLimits
-from ..mpc_settings import LinearisedMpcSettings
 from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
+from ..planning_settings import LinearisationSettings
 from .daqp_ import DaqpOptions, DaqpSolver
 from .osqp_ import OsqpOptions, OsqpSolver
 from .program import BlockedQp, MoveBlocking, PlanProgram, QpSolver, TrackingQp
@@ -39,7 +39,7 @@ class LinearisedPlanner(Planner[None]):
     def __init__(
         self,
         predictor: Predictor,
-        settings: LinearisedMpcSettings,
+        settings: LinearisationSettings,
         limits: CommandLimits,
         options: OsqpOptions | DaqpOptions | None = None,
     ) -> None:

@@ -15,8 +15,8 @@ from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Mat, Vec
 
 from ..limits import CommandLimits
-from ..mpc_settings import WeightsSettings
 from ..planning import CommandPlan, PlanningProblem
+from ..planning_settings import WeightsSettings
 
 
 @dataclass(frozen=True, eq=False)

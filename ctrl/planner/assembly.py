@@ -17,7 +17,7 @@ from hystmpc.trials.errors import ControllerError
 from ..build import build_controller, known_model, limits_of_model, modelled_limits
 from ..guarded import GuardedController
 from ..limits import CommandLimits
-from ..mpc_settings import PredictiveSettings, WeightsSettings
+from ..planning_settings import PredictiveSettings, WeightsSettings
 from .reach import Workspace, angles_at_rest
 from .settings import TipSettings
 

@@ -14,8 +14,8 @@ from hystmpc.trials.types import Mat, Vec
 
 from ..command import Stopwatch
 from ..limits import CommandLimits
-from ..mpc_settings import SamplingMpcSettings
 from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
+from ..planning_settings import SamplingSettings
 
 _KEPT = 0.3  # share of the elites that take part in the next iteration again (Pinneri et al. 2020)
 
@@ -30,7 +30,7 @@ class SampleCounter:
 class SamplingPlanner(Planner[SampleCounter]):
     """Smooth random plans, clipped into the limits before they are rolled out."""
 
-    def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
+    def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
         self._predictor, self._limits, self._settings = predictor, limits, settings
         self._shape = np.ascontiguousarray(settings.noise.matrix(settings.horizon).T)
         self._cost = PlanCost(settings.weights, settings.horizon)
@@ -71,7 +71,7 @@ class PathIntegralPlanner(SamplingPlanner):
     The mean is moved to the weighted mean or to the best sample, whichever costs less, never to a worse plan.
     """
 
-    def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
+    def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
         self._sigmas = settings.sigma * np.geomspace(1.0, settings.finest, settings.samples)[:, None]
 
@@ -125,7 +125,7 @@ class CrossEntropyPlanner(SamplingPlanner):
     cross-entropy method for real-time planning", CoRL 2020, algorithm 1).
     """
 
-    def __init__(self, predictor: Predictor, settings: SamplingMpcSettings, limits: CommandLimits) -> None:
+    def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
         self._elites = min(max(2, math.ceil(settings.elites * settings.samples)), settings.samples)
         self._kept = math.ceil(_KEPT * self._elites)

@@ -12,7 +12,7 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from ..kernels.numba_ import generated_module
+from ..kernels.numba_ import generated_module, njit
 from ..model import Inverse, Predictor
 from ..prediction.actuated import ActuatedInverse
 from ..prediction.compiled import CompiledPredictor
@@ -26,6 +26,20 @@ class Bounds(NamedTuple):
     low: float
     high: float
     reach: float
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float) -> None:
+    """Nearest admissible plans (N, H) sample by sample, in place; not-a-number stays what it is."""
+    last = min(max(last, lower), upper)
+    for n in range(plans.shape[0]):
+        before = last
+        for k in range(plans.shape[1]):
+            u = plans[n, k]
+            if u == u:
+                u = min(max(min(max(u, lower), upper), before - reach), before + reach)
+            plans[n, k] = u
+            before = u
 
 
 class Follower(ABC):

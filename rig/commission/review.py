@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +12,9 @@ from numpy.typing import NDArray
 from hystmpc.models.evaluate import free_run
 from hystmpc.models.library import model_path
 from hystmpc.models.load import load_model
-from hystmpc.trials.csv_files import write_csv
-from hystmpc.trials.errors import LogError, TrajectoryError
+from hystmpc.trials.errors import LogError
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.run_folder import Column, RunFolder
-from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
 from ..config import RunSettings
@@ -126,34 +123,6 @@ def review(found: ReviewedRun, due_above_deg: float) -> Review:
         gain=gain,
         corrected_deg=corrected,
     )
-
-
-def review_run(folder: Path) -> Review:
-    """Judge a run folder, write `trial.csv` (for `fit` and `diagnose`) and `report.html`.
-
-    A run that is too short to be judged gets a report all the same.
-
-    Raises:
-        LogError: if the folder holds no readable run.
-        ConfigError: if its settings are not those of a run.
-    """
-    from .review_page import write_page  # matplotlib takes a second to import
-
-    run = RunFolder.open(folder)
-    settings = RunSettings.parse(run.config(), str(folder / "config.yaml"))
-    found = None
-    try:
-        found = compare_with_model(run, settings)
-        verdict = review(found, settings.review.due_above_deg)
-        usable = np.isfinite(found.measured_deg)
-        trial = Trial(
-            found.t[usable], found.command[usable], found.measured_deg[usable], units=Units(settings.command_unit)
-        )
-        write_csv(trial, folder / TRIAL_FILE)
-    except (LogError, TrajectoryError) as error:
-        verdict = Review(f"not judged: {error}", *(math.nan,) * 6)
-    write_page(run, settings, found, verdict)
-    return verdict
 
 
 def _free_run(settings: RunSettings, command: Vec, sequence: NDArray[np.int64], angle: Vec) -> Vec:

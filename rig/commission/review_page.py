@@ -1,8 +1,9 @@
-"""report.html of an experiment: what a recording's page has, and the advice with predicted against measured angle."""
+"""The review of a run folder and its report.html: a recording's page, the advice, predicted against measured angle."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,41 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from hystmpc.trials.csv_files import write_csv
+from hystmpc.trials.errors import LogError, TrajectoryError
 from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
 from hystmpc.trials.run_folder import RunFolder
+from hystmpc.trials.trial import Trial, Units
 
 from ..config import RunSettings
 from ..recording.report import Log, causes, numbers, thinned, timing_table, tracking_figure
-from .review import Review, ReviewedRun
+from .review import TRIAL_FILE, Review, ReviewedRun, compare_with_model, review
+
+
+def review_run(folder: Path) -> Review:
+    """Judge a run folder, write `trial.csv` (for `fit` and `diagnose`) and `report.html`.
+
+    A run that is too short to be judged gets a report all the same.
+
+    Raises:
+        LogError: if the folder holds no readable run.
+        ConfigError: if its settings are not those of a run.
+    """
+    run = RunFolder.open(folder)
+    settings = RunSettings.parse(run.config(), str(folder / "config.yaml"))
+    found = None
+    try:
+        found = compare_with_model(run, settings)
+        verdict = review(found, settings.review.due_above_deg)
+        usable = np.isfinite(found.measured_deg)
+        trial = Trial(
+            found.t[usable], found.command[usable], found.measured_deg[usable], units=Units(settings.command_unit)
+        )
+        write_csv(trial, folder / TRIAL_FILE)
+    except (LogError, TrajectoryError) as error:
+        verdict = Review(f"not judged: {error}", *(math.nan,) * 6)
+    write_page(run, settings, found, verdict)
+    return verdict
 
 
 def write_page(run: RunFolder, settings: RunSettings, found: ReviewedRun | None, verdict: Review) -> Path:

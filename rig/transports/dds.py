@@ -1,28 +1,16 @@
-"""Settings of the DDS transport; `dds_` holds what needs Cyclone DDS (extra `rig`)."""
+"""The DDS transport by its settings; `dds_` holds what needs Cyclone DDS (extra `rig`)."""
 
 from __future__ import annotations
 
 import importlib.util
-from typing import Literal
 
-from pydantic import Field
-
-from hystmpc.ctrl.limits import Count
-from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError
 
-from .transport import DeviceLink, RunContext, Through, Transport, TransportBase
+from .dds_topics import DdsTopics
+from .transport import DeviceLink, RunContext, Through, Transport
 
 
-class QosSettings(Settings):
-    """Quality of service of both topics, in the words of ROS 2."""
-
-    reliability: Literal["reliable", "best_effort"] = "reliable"
-    durability: Literal["volatile", "transient_local"] = "volatile"
-    depth: Count = 10
-
-
-class DdsSettings(TransportBase):
+class DdsSettings(DdsTopics):
     """`kind: dds`: two topics of a DDS domain, as ROS 2 nodes see them.
 
     Attributes:
@@ -32,18 +20,6 @@ class DdsSettings(TransportBase):
         qos: of both topics.
         interface: network interface; everything stays on the loopback where left out.
     """
-
-    kind: Literal["dds"]
-    angle_topic: str = "tip/angle_deg"
-    command_topic: str = "tip/command"
-    message: Literal["float64", "float64_stamped"] = "float64_stamped"
-    domain: int = Field(default=0, ge=0, le=232)
-    qos: QosSettings = QosSettings()
-    interface: str | None = None
-
-    @property
-    def place(self) -> str:
-        return f"dds topic {self.angle_topic} in domain {self.domain}"
 
     def open(self, run: RunContext) -> Transport:
         require_dds()

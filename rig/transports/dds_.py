@@ -19,7 +19,7 @@ from cyclonedds.topic import Topic
 
 from hystmpc.trials.errors import ConfigError
 
-from .dds import DdsSettings
+from .dds_topics import DdsTopics
 from .sessions import Admission
 from .transport import Conversion, DeviceLink, Incoming, Outgoing, Reading, Transport
 
@@ -72,7 +72,7 @@ class Float64Stamped(IdlStruct, typename="hystmpc_msgs::msg::dds_::Float64Stampe
 class _Wire:
     """One topic to write and one to read."""
 
-    def __init__(self, settings: DdsSettings, out: str, into: str) -> None:
+    def __init__(self, settings: DdsTopics, out: str, into: str) -> None:
         local = settings.interface is None
         xml = _XML.format(
             name=settings.interface or "lo",
@@ -117,7 +117,7 @@ class _Wire:
         self._writer = self._reader = self._participant = self._domain = None
 
 
-def _qos(settings: DdsSettings) -> Qos:
+def _qos(settings: DdsTopics) -> Qos:
     wanted = settings.qos
     reliable = Policy.Reliability.Reliable(max_blocking_time=0)  # a full queue drops; it must not block the loop
     return Qos(
@@ -138,7 +138,7 @@ class DdsTransport(Transport):
         ConfigError: if the domain cannot be joined.
     """
 
-    def __init__(self, settings: DdsSettings, conversion: Conversion) -> None:
+    def __init__(self, settings: DdsTopics, conversion: Conversion) -> None:
         self._wire: _Wire | None = _Wire(settings, settings.command_topic, settings.angle_topic)
         self._conversion, self._count, self._session = conversion, 0, self._wire.session
         self._device_has_sessions = False
@@ -196,7 +196,7 @@ class DdsLink(DeviceLink):
         ConfigError: if the domain cannot be joined.
     """
 
-    def __init__(self, settings: DdsSettings, silence_s: float) -> None:
+    def __init__(self, settings: DdsTopics, silence_s: float) -> None:
         self._wire = _Wire(settings, settings.angle_topic, settings.command_topic)
         self._admission = Admission(silence_s)
         self._counters: Counter[str] = Counter()

@@ -15,8 +15,9 @@ from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.linearised.daqp_ import DaqpOptions, DaqpSolver
 from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
 from hystmpc.ctrl.linearised.program import QpData, TrackingQp
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings, WeightsSettings
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.ctrl.planning import CommandPlan
+from hystmpc.ctrl.planning_settings import WeightsSettings
 
 from . import pytorch_mppi_
 from .casadi_peer_ import METHODS, SQP_ONCE, Answer, Method, SingleShooting

@@ -14,7 +14,7 @@ from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.estimation.learning import LearnedInverse, LearnedPredictor, LearningEstimator
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.ctrl.mpc_settings import AdaptationSettings
+from hystmpc.ctrl.planning_settings import AdaptationSettings
 from hystmpc.trials.errors import ConfigError
 
 from .plays import DT, SOUND, Backlash

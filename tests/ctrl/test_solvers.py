@@ -19,8 +19,9 @@ from hystmpc.ctrl.linearised.osqp_ import OsqpOptions, OsqpSolver
 from hystmpc.ctrl.linearised.planner import LinearisedPlanner
 from hystmpc.ctrl.linearised.program import QpData, QpPattern, QpSolver, TrackingQp
 from hystmpc.ctrl.mpc import PredictiveLaw
-from hystmpc.ctrl.mpc_settings import HoldSettings, LinearisedMpcSettings, WeightsSettings
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planning import PlanningError
+from hystmpc.ctrl.planning_settings import HoldSettings, WeightsSettings
 from hystmpc.models.inverse.one_step import AccompaniedPredictor
 from hystmpc.models.library import library_file
 from hystmpc.models.load import load_model
