@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from hystmpc.models.simulator import Simulator
     from hystmpc.sim.config import SimulationConfig
     from hystmpc.sim.results import StudyResult
-    from hystmpc.sim.tuning.run import Tuning
+    from hystmpc.sim.tuning.objective import Tuning
 
 Logs = Log | Iterable[Log]
 Start = Literal["initial", "conditioned"]
@@ -410,7 +410,7 @@ def tune(
     Raises:
         HystmpcError: if a setting is wrong, the folder holds something else, or no trial came to an end.
     """
-    from hystmpc.sim.jobs.backend import backend_for
+    from hystmpc.sim.jobs.runner import backend_for
     from hystmpc.sim.tuning.run import run_tuning
     from hystmpc.sim.tuning.settings import TuneSettings, complete, load_tuning
 

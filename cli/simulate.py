@@ -113,7 +113,7 @@ def show_study(title: str, folder: Path, run: Callable[[Progress], StudyResult])
 
 def _sweep(file: Path, overrides: Sequence[str], folder: Path, jobs: int, cluster: str | None) -> None:
     """Do what of a sweep is not done yet."""
-    from hystmpc.sim.jobs.backend import backend_for  # kept out of the way of the other verbs' start
+    from hystmpc.sim.jobs.runner import backend_for  # kept out of the way of the other verbs' start
     from hystmpc.sim.sweep.run import run_sweep
     from hystmpc.sim.sweep.settings import load_sweep
 

@@ -32,7 +32,7 @@ def tune(
 
     They are checked on plants not seen; writes controller.yaml and a report.
     """
-    from hystmpc.sim.jobs.backend import backend_for  # kept out of the way of the other verbs' start
+    from hystmpc.sim.jobs.runner import backend_for  # kept out of the way of the other verbs' start
     from hystmpc.sim.tuning.run import run_tuning
     from hystmpc.sim.tuning.settings import load_tuning
 

@@ -22,7 +22,6 @@ from hystmpc.models.prediction.build import predictor_for
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.report import (
-    PALETTE,
     REFERENCE,
     Heading,
     KeyValues,
@@ -34,10 +33,8 @@ from hystmpc.trials.report import (
     new_figure,
 )
 
-from .results import Result, StudyResult, limits_of, load_results
+from .results import LIMIT_LINE, Result, StudyResult, colours, limits_of, load_results, tracking_figure
 
-_LIMIT: Any = {"color": REFERENCE, "linestyle": (0, (4, 3)), "linewidth": 0.7}
-_WANTED: Any = {"color": REFERENCE, "linewidth": 2.4, "alpha": 0.45}
 _BINS = 61
 _ROWS = 3  # a loop plot smaller than a third of the width cannot be read
 _COLUMNS = (
@@ -52,29 +49,6 @@ _COLUMNS = (
     "step p99 [ms]",
 )
 _WITH_GAINS = (PidControllerSettings, InversePidControllerSettings)
-
-
-def colours(controllers: Sequence[str]) -> dict[str, str]:
-    """One colour for each controller, the same in every figure of a study."""
-    return {name: PALETTE[k % (len(PALETTE) - 1)] for k, name in enumerate(controllers)}
-
-
-def tracking_figure(results: Sequence[Result], colour: Mapping[str, str], unit: str) -> Figure:
-    """Angle and command over time, with reference and command limits."""
-    with new_figure(7.0, 5.0) as figure:
-        angle, command = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        first = results[0]
-        angle.plot(first.run.log.time_s, first.run.log.reference_deg, label="reference", **_WANTED)
-        for result in results:
-            t, style = result.run.log.time_s, {"color": colour[result.controller], "linewidth": 0.9}
-            angle.plot(t, result.run.true_deg, label=result.controller, **style)
-            command.step(t, result.run.log.command, where="pre", **style)
-        for edge in {edge for result in results for edge in (result.limits.lower, result.limits.upper)}:
-            command.axhline(edge, **_LIMIT)
-        angle.set_ylabel("tip angle [deg]")
-        command.set(xlabel="time [s]", ylabel=f"command [{unit}]")
-        figure.legend(*angle.get_legend_handles_labels(), loc="outside upper center", ncols=6)
-    return figure
 
 
 def error_figure(results: Sequence[Result], colour: Mapping[str, str]) -> Figure:
@@ -133,7 +107,7 @@ def timing_figure(results: Sequence[Result], colour: Mapping[str, str], dt_s: fl
             axes.barh(k, median, height=0.7, color=colour[controller])
             axes.plot((median, slow), (k, k), color=REFERENCE, linewidth=0.9)
             axes.plot(slow, k, color=REFERENCE, marker="|", markersize=6)
-        axes.axvline(1e3 * dt_s, **_LIMIT)
+        axes.axvline(1e3 * dt_s, color=REFERENCE, **LIMIT_LINE)
         axes.set(xscale="log", xlabel="execution time [ms]", ylim=(len(rows) - 0.4, -0.6))
         axes.set_yticks(range(len(rows)), [f"{controller}: {stage}" for controller, stage, _ in rows])
         axes.grid(visible=False, axis="y")

@@ -21,7 +21,11 @@ from hystmpc.trials.types import Vec
 from .closed_loop import ClosedLoopRun
 from .config import SimulationConfig
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 HOLD_S = 0.5
+LIMIT_LINE: Any = {"linestyle": (0, (4, 3)), "linewidth": 0.7}
 _STILL_DEG = 1e-9
 _ROUNDING = 1e-9  # of the command's range: a limit that is met exactly is not violated
 Column = Vec | tuple[str, ...]
@@ -137,10 +141,6 @@ def _numbers(column: Column) -> Vec:
     return np.asarray(column, dtype=np.float64)
 
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
 @dataclass(frozen=True, eq=False)
 class Result:
     """One controller along one motion: names, the limits that it had, the run and its metrics."""
@@ -187,8 +187,6 @@ class StudyResult:
 
     def plot(self, motion: str | None = None) -> Figure:
         """Angle and command of every controller along one motion, the first where left out."""
-        from .report import colours, tracking_figure  # matplotlib, which a run does without
-
         return tracking_figure(self.of_motion(motion or self.motions[0]), colours(self.controllers), self.unit)
 
     def _repr_html_(self) -> str:
@@ -200,6 +198,34 @@ class StudyResult:
             m = run.metrics
             rows.append((run.motion, run.controller, m.rmse_deg, m.max_abs_deg, m.hold_error_deg, m.limit_violations))
         return Report("Closed loop in simulation", (Table(columns, rows), Plot(self.plot()))).fragment()
+
+
+def colours(controllers: Sequence[str]) -> dict[str, str]:
+    """One colour for each controller, the same in every figure of a study."""
+    from hystmpc.trials.report import PALETTE  # matplotlib, which a run does without
+
+    return {name: PALETTE[k % (len(PALETTE) - 1)] for k, name in enumerate(controllers)}
+
+
+def tracking_figure(results: Sequence[Result], colour: Mapping[str, str], unit: str) -> Figure:
+    """Angle and command over time, with reference and command limits."""
+    from hystmpc.trials.report import REFERENCE, new_figure
+
+    wanted: Any = {"color": REFERENCE, "linewidth": 2.4, "alpha": 0.45}
+    with new_figure(7.0, 5.0) as figure:
+        angle, command = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        first = results[0]
+        angle.plot(first.run.log.time_s, first.run.log.reference_deg, label="reference", **wanted)
+        for result in results:
+            t, style = result.run.log.time_s, {"color": colour[result.controller], "linewidth": 0.9}
+            angle.plot(t, result.run.true_deg, label=result.controller, **style)
+            command.step(t, result.run.log.command, where="pre", **style)
+        for edge in {edge for result in results for edge in (result.limits.lower, result.limits.upper)}:
+            command.axhline(edge, color=REFERENCE, **LIMIT_LINE)
+        angle.set_ylabel("tip angle [deg]")
+        command.set(xlabel="time [s]", ylabel=f"command [{unit}]")
+        figure.legend(*angle.get_legend_handles_labels(), loc="outside upper center", ncols=6)
+    return figure
 
 
 def result_of(config: SimulationConfig, motion: str, controller: str, run: ClosedLoopRun) -> Result:

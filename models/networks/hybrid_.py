@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import casadi as ca
 import numpy as np
@@ -22,7 +22,6 @@ from ..operators.operator import Operator
 from .network_ import Network, numbers
 from .nodes import GraphWriter
 from .recurrent_ import LstmNet
-from .settings import HybridSettings
 
 
 @dataclass(frozen=True)
@@ -151,19 +150,25 @@ class Hybrid(Network):
     """An LSTM and an operator; the state is [LSTM state, operator state].
 
     Args:
-        settings: of the LSTM, and the gain on the initial weights of its head.
+        lstm: with `outputs` outputs.
         operator: `Backlash` or `InverseBacklash` in scaled units, fitted to the training trials.
-        outputs: of the LSTM.
+        head_gain: factor on the initial weights of the LSTM's head.
+
+    Attributes:
+        outputs: numbers that the LSTM has to give a sample.
         steered: leading parameters of the operator that the LSTM gives; the others stay fixed.
     """
 
-    def __init__(self, settings: HybridSettings, operator: Operator, outputs: int, steered: int) -> None:
+    outputs: ClassVar[int]
+    steered: ClassVar[int]
+
+    def __init__(self, lstm: LstmNet, operator: Operator, head_gain: float) -> None:
         super().__init__()
-        self.lstm, self.layer = LstmNet(settings, outputs), OperatorLayer(operator_step(operator))
+        self.lstm, self.layer = lstm, OperatorLayer(operator_step(operator))
         self.fixed: torch.Tensor
-        self.register_buffer("fixed", torch.tensor(operator.values, dtype=torch.float32)[steered:])
+        self.register_buffer("fixed", torch.tensor(operator.values, dtype=torch.float32)[self.steered :])
         with torch.no_grad():
-            self.lstm.head.weight.mul_(settings.head_gain)
+            self.lstm.head.weight.mul_(head_gain)
         self.measured = self.layer.step.size
         self.state_size = self.lstm.state_size + self.measured
 
@@ -207,8 +212,10 @@ class SerialNet(Hybrid):
     the LSTM's head starts at the operator's parameters.
     """
 
-    def __init__(self, settings: HybridSettings, operator: Operator) -> None:
-        super().__init__(settings, operator, STEERED, STEERED)
+    outputs = steered = STEERED
+
+    def __init__(self, lstm: LstmNet, operator: Operator, head_gain: float) -> None:
+        super().__init__(lstm, operator, head_gain)
         with torch.no_grad():
             self.lstm.head.bias.copy_(torch.tensor(operator.values, dtype=torch.float32)[:STEERED])
 
@@ -238,10 +245,12 @@ class ParallelNet(Hybrid):
     The inverse map adds an inverse backlash and an LSTM.
     """
 
-    def __init__(self, settings: HybridSettings, operator: Operator) -> None:
-        super().__init__(settings, operator, 1, 0)
+    outputs, steered = 1, 0
+
+    def __init__(self, lstm: LstmNet, operator: Operator, head_gain: float) -> None:
+        super().__init__(lstm, operator, head_gain)
         with torch.no_grad():
-            self.lstm.head.bias.mul_(settings.head_gain)
+            self.lstm.head.bias.mul_(head_gain)
 
     def forward(self, v: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         memory, held = self.parts(state)

@@ -16,8 +16,7 @@ from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
 from ..model import StepFunction
-from .nodes import GraphWriter, network_step_graph, tensor
-from .settings import Scaling
+from .nodes import GraphWriter, Scaling, network_step_graph, tensor
 
 
 @dataclass(frozen=True)

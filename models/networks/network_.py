@@ -15,8 +15,7 @@ from hystmpc.trials.types import Vec
 
 from ..contract.metadata import InitialRule
 from ..model import StepFunction
-from .nodes import GraphWriter
-from .settings import FeedForwardSettings, Scaling
+from .nodes import GraphWriter, Scaling
 
 
 class Network(torch.nn.Module, ABC):
@@ -129,17 +128,18 @@ class FeedForwardNet(Network):
     the contract has at least one entry.
 
     Args:
-        settings: widths, and n as `history`.
+        hidden: widths of the layers.
+        history: n.
         rest: scaled input with which the buffer is filled at the start (S2 pads with u = 0 or theta = 30 deg).
     """
 
-    def __init__(self, settings: FeedForwardSettings, rest: float) -> None:
+    def __init__(self, hidden: Sequence[int], history: int, rest: float) -> None:
         super().__init__()
-        widths = [settings.history, *settings.hidden]
+        widths = [history, *hidden]
         self.hidden = torch.nn.ModuleList(torch.nn.Linear(a, b) for a, b in pairwise(widths))
         self.head = torch.nn.Linear(widths[-1], 1)
-        self.history, self.rest = settings.history, rest
-        self.context, self.state_size = settings.context, max(1, settings.context)
+        self.history, self.rest = history, rest
+        self.context, self.state_size = history - 1, max(1, history - 1)
 
     def start(self, y: torch.Tensor) -> torch.Tensor:
         return torch.full((len(y), self.state_size), self.rest, dtype=y.dtype)

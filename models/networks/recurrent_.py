@@ -11,8 +11,7 @@ import torch
 
 from .lstm import LstmLayer, LstmWeights, write_layers
 from .network_ import Network, numbers
-from .nodes import GraphWriter
-from .settings import CellSettings, RecurrentSettings, Scaling
+from .nodes import GraphWriter, Scaling
 
 
 @final
@@ -22,17 +21,19 @@ class LstmNet(Network):
     The state is [h_1, c_1, h_2, c_2, ...], zero at the start.
 
     Args:
-        settings: size and initial weights.
+        hidden, layers: size.
+        memory_samples, command_gain: of the initial weights, see `CellSettings`; as they stand here, PyTorch's own.
         outputs: numbers that the head gives a sample; more than one for a network inside another.
     """
 
-    def __init__(self, settings: CellSettings, outputs: int = 1) -> None:
+    def __init__(
+        self, hidden: int, layers: int, memory_samples: int = 0, command_gain: float = 1.0, outputs: int = 1
+    ) -> None:
         super().__init__()
-        hidden, layers = settings.hidden, settings.layers
         self.lstm = torch.nn.LSTM(1, hidden, layers, batch_first=True)
         self.head = torch.nn.Linear(hidden, outputs)
         self.state_size = 2 * layers * hidden
-        _initialise(self.lstm, settings, (-1.0, 1.0))  # forget bias log(tau), input bias -log(tau)
+        _initialise(self.lstm, memory_samples, command_gain, (-1.0, 1.0))  # forget bias log(tau), input bias -log(tau)
 
     def start(self, y: torch.Tensor) -> torch.Tensor:
         return y.new_zeros(len(y), self.state_size)
@@ -71,13 +72,12 @@ class GruNet(Network):
     The state is [h_1, h_2, ...], S = layers * hidden entries, zero at the start.
     """
 
-    def __init__(self, settings: CellSettings) -> None:
+    def __init__(self, hidden: int, layers: int, memory_samples: int = 0, command_gain: float = 1.0) -> None:
         super().__init__()
-        hidden, layers = settings.hidden, settings.layers
         self.gru = torch.nn.GRU(1, hidden, layers, batch_first=True)
         self.head = torch.nn.Linear(hidden, 1)
         self.state_size = layers * hidden
-        _initialise(self.gru, settings, (None, 1.0))  # its gate z keeps what was: bias log(tau - 1)
+        _initialise(self.gru, memory_samples, command_gain, (None, 1.0))  # its gate z keeps what was: bias log(tau - 1)
 
     def start(self, y: torch.Tensor) -> torch.Tensor:
         return y.new_zeros(len(y), self.state_size)
@@ -122,24 +122,28 @@ class GruNet(Network):
         return writer.node("Add", [f"new_{k}", f"kept_{k}"], f"h_{k}_next")
 
 
-def _initialise(cells: torch.nn.RNNBase, settings: CellSettings, signs: Sequence[float | None]) -> None:
+def _initialise(
+    cells: torch.nn.RNNBase, memory_samples: int, command_gain: float, signs: Sequence[float | None]
+) -> None:
     """PyTorch's initial weights with a gain on the input and, with `memory_samples`, gates that remember.
 
     Memories tau from 1 to that many samples, log(tau) uniform, after Tallec and Ollivier, ICLR 2018.
 
     Args:
         cells: all layers.
-        settings: gain and longest memory.
+        memory_samples: longest memory.
+        command_gain: factor on the weights of the input.
         signs: of log(tau) in the bias of each of the first gates; None leaves a gate as it is.
     """
-    cells.get_parameter("weight_ih_l0").data.mul_(settings.command_gain)
-    if settings.memory_samples:
-        for k in range(settings.layers):
+    cells.get_parameter("weight_ih_l0").data.mul_(command_gain)
+    if memory_samples:
+        hidden = cells.hidden_size
+        for k in range(cells.num_layers):
             bias = cells.get_parameter(f"bias_ih_l{k}").data
-            memory = torch.rand(settings.hidden) * math.log(settings.memory_samples)
+            memory = torch.rand(hidden) * math.log(memory_samples)
             for gate, sign in enumerate(signs):
                 if sign is not None:
-                    bias[gate * settings.hidden : (gate + 1) * settings.hidden] = sign * memory
+                    bias[gate * hidden : (gate + 1) * hidden] = sign * memory
 
 
 def lstm_layers(net: LstmNet) -> tuple[LstmLayer, ...]:
@@ -160,9 +164,7 @@ def weights_of(net: LstmNet, scaling: Scaling) -> LstmWeights:
 
 def net_of(weights: LstmWeights) -> LstmNet:
     """A network with these weights, for further training."""
-    net = LstmNet(
-        RecurrentSettings(hidden=weights.hidden, layers=len(weights.layers), memory_samples=0, command_gain=1.0)
-    )
+    net = LstmNet(weights.hidden, len(weights.layers))
     values = {"head.weight": weights.head_weight[None], "head.bias": [weights.head_bias]}
     for k, layer in enumerate(weights.layers):
         values |= {f"lstm.weight_ih_l{k}": layer.w_ih, f"lstm.weight_hh_l{k}": layer.w_hh}

@@ -1,21 +1,21 @@
-"""What a network is made of, one class of settings for each form, and the units around it."""
+"""What a network is made of: one class of settings for each form, which builds its network.
+
+The modules with the PyTorch classes take numbers and never import this one.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
-import numpy as np
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from hystmpc.trials.config import Settings
-from hystmpc.trials.errors import ModelError
-from hystmpc.trials.types import Vec
 
 if TYPE_CHECKING:
     from ..operators.operator import Operator
     from .network_ import Network
+    from .recurrent_ import LstmNet
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
@@ -80,10 +80,10 @@ class FeedForwardSettings(FormSettings):
         return self.history - 1
 
     def network(self, rest: float, operator: Operator | None) -> Network:
-        from .network_ import FeedForwardNet  # torch: here and below
+        from .network_ import FeedForwardNet  # torch is loaded by these methods only
 
         del operator
-        return FeedForwardNet(self, rest)
+        return FeedForwardNet(self.hidden, self.history, rest)
 
 
 class CellSettings(FormSettings):
@@ -101,6 +101,12 @@ class CellSettings(FormSettings):
     memory_samples: Annotated[int, Field(ge=0)] = 300
     command_gain: Positive = 4.0
 
+    def lstm(self, outputs: int = 1) -> LstmNet:
+        """An LSTM of this size with initial weights drawn from torch's generator."""
+        from .recurrent_ import LstmNet
+
+        return LstmNet(self.hidden, self.layers, self.memory_samples, self.command_gain, outputs)
+
 
 class RecurrentSettings(CellSettings):
     """An LSTM or a GRU, see `LstmNet` and `GruNet`."""
@@ -109,10 +115,12 @@ class RecurrentSettings(CellSettings):
     cell: Literal["lstm", "gru"] = "lstm"
 
     def network(self, rest: float, operator: Operator | None) -> Network:
-        from .recurrent_ import GruNet, LstmNet
+        from .recurrent_ import GruNet
 
         del rest, operator
-        return LstmNet(self) if self.cell == "lstm" else GruNet(self)
+        if self.cell == "lstm":
+            return self.lstm()
+        return GruNet(self.hidden, self.layers, self.memory_samples, self.command_gain)
 
 
 class HybridSettings(CellSettings):
@@ -135,41 +143,5 @@ class HybridSettings(CellSettings):
         del rest
         if operator is None:
             raise TypeError("a hybrid needs its operator, got None")
-        return SerialNet(self, operator) if self.form == "serial" else ParallelNet(self, operator)
-
-
-@dataclass(frozen=True)
-class Scaling:
-    """Units in, units out: v = (u - u_offset) / u_scale, theta = theta_offset + theta_scale * y.
-
-    For an inverse map `u` is the angle and `theta` the command.
-
-    Attributes:
-        u_offset, u_scale: in the unit of what goes in [mm or bar].
-        theta_offset, theta_scale: in the unit of what comes out [deg].
-
-    Raises:
-        ModelError: if a number is not finite or a scale not positive.
-    """
-
-    u_offset: float = 0.0
-    u_scale: float = 6.0
-    theta_offset: float = 0.0
-    theta_scale: float = 90.0
-
-    def __post_init__(self) -> None:
-        values = [getattr(self, f.name) for f in fields(self)]
-        if not np.isfinite(values).all() or self.u_scale <= 0 or self.theta_scale <= 0:
-            raise ModelError(f"network scaling: got {values}, expected finite numbers and scales > 0")
-
-    def scale_in(self, u: Vec) -> Vec:
-        """Scaled input v."""
-        return (u - self.u_offset) / self.u_scale
-
-    def scale_out(self, theta: Vec) -> Vec:
-        """Scaled output y that stands for `theta`."""
-        return (theta - self.theta_offset) / self.theta_scale
-
-    def to_units(self, y: Vec) -> Vec:
-        """Output `theta` of a scaled output y."""
-        return self.theta_offset + self.theta_scale * y
+        net = SerialNet if self.form == "serial" else ParallelNet
+        return net(self.lstm(net.outputs), operator, self.head_gain)

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
+import os
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata, Start
-from ..kernels.network_route import NetworkRoute, chosen_route
+from ..kernels.network_route import NetworkRoute
+from ..kernels.vector_emitter import SHAPES, host_shape
 from ..model import ModelPredictor
 from ..networks.lstm import LstmWeights
 
 if TYPE_CHECKING:
     from ..contract.load import OnnxModel
+
+VARIABLE = "HYSTMPC_LSTM_KERNEL"
 
 
 class RoutedPredictor(ModelPredictor):
@@ -75,6 +80,27 @@ class GruPredictor(RoutedPredictor):
         from ..kernels.gru import GruRoute  # an LSTM does not need it
 
         super().__init__(model.metadata, "conditioned", GruRoute(model.initializers))
+
+
+def chosen_route(weights: LstmWeights) -> NetworkRoute:
+    """The vector kernel in the processor's own shape, the plain route where it has none; or what the user says.
+
+    Environment variable HYSTMPC_LSTM_KERNEL: `auto`, `plain`, or the name of a shape, `avx512` or `avx2`.
+
+    Raises:
+        ConfigError: if the variable is anything else.
+    """
+    wanted = os.environ.get(VARIABLE) or "auto"
+    if wanted not in ("auto", "plain", *SHAPES):
+        raise ConfigError(f"{VARIABLE}: got {wanted}, available: auto, plain, {', '.join(SHAPES)}")
+    shape = host_shape() if wanted == "auto" else SHAPES.get(wanted)
+    if shape is None:
+        from ..kernels.lstm_plain import PlainRoute
+
+        return PlainRoute(weights)
+    from ..kernels.lstm_vector import VectorRoute  # the other route's kernels and session are not loaded
+
+    return VectorRoute(weights, shape)
 
 
 @final

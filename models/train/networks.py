@@ -21,8 +21,7 @@ from ..contract.metadata import DeviceLimits, InitialRule, Range
 from ..identify.runs import check_trial_set, command_range, facts_of
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
-from ..networks.nodes import network_step_graph
-from ..networks.settings import Scaling
+from ..networks.nodes import Scaling, network_step_graph
 from ..operators.hysteresis import Backlash
 from .hold_out import hold_out
 from .runs import Prepared, Rng, Run, prepared, rest_of, scaled_run, scaling_of

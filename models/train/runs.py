@@ -18,7 +18,7 @@ from ..identify.chain_fit import ChainFit
 from ..identify.chain_kinds import backlash_starts
 from ..identify.least_squares import OperatorFitSettings, fit_chain
 from ..identify.runs import angle_range, command_range
-from ..networks.settings import Scaling
+from ..networks.nodes import Scaling
 from ..operators.hysteresis import Backlash, InverseBacklash
 from ..operators.operator import Operator
 from .settings import NetworkSettings, RestSettings, ScalingSettings, WindowTraining

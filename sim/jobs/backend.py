@@ -59,28 +59,6 @@ class InTurn(Backend):
                 yield function(item)
 
 
-def backend_for(workers: int, cluster: str | None = None, where: str = "") -> Backend:
-    """The back end that a command line asks for.
-
-    Args:
-        workers: processes, each on one thread; with 1 and no cluster the calls are made in this process.
-        cluster: address of a Dask scheduler such as `tcp://host:8786`; None or `local` for processes of this machine,
-            which talk through pipes: a scheduler of our own would listen, and run what anybody on the machine sends it.
-
-    Raises:
-        ConfigError: if the address is none, or Dask is not installed.
-    """
-    if cluster is None or cluster == "local":
-        return InTurn() if workers == 1 else Processes(workers, where)
-    if "://" not in cluster:
-        raise ConfigError(f"--cluster {cluster}: expected `local` or an address such as tcp://host:8786")
-    try:
-        from .dask_ import DaskCluster
-    except ModuleNotFoundError as error:
-        raise ConfigError(f"--cluster {cluster}: {error.name} is not installed: pip install 'hystmpc[tune]'") from None
-    return DaskCluster(cluster, where)
-
-
 @final
 class Processes(Backend):
     """A process pool, one thread a process."""

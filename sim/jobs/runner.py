@@ -20,7 +20,7 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 
-from .backend import Backend, R, T
+from .backend import Backend, InTurn, Processes, R, T
 
 Status = Literal["done", "failed"]
 
@@ -271,3 +271,25 @@ def wall_minutes(costs: Mapping[str, float], workers: int) -> int:
     """Wall time of jobs of these costs [s] on so many workers, rounded up; never less than the longest job [min]."""
     longest = max(costs.values(), default=0.0)
     return math.ceil(max(sum(costs.values()) / workers, longest) / 60)
+
+
+def backend_for(workers: int, cluster: str | None = None, where: str = "") -> Backend:
+    """The back end that a command line asks for.
+
+    Args:
+        workers: processes, each on one thread; with 1 and no cluster the calls are made in this process.
+        cluster: address of a Dask scheduler such as `tcp://host:8786`; None or `local` for processes of this machine,
+            which talk through pipes: a scheduler of our own would listen, and run what anybody on the machine sends it.
+
+    Raises:
+        ConfigError: if the address is none, or Dask is not installed.
+    """
+    if cluster is None or cluster == "local":
+        return InTurn() if workers == 1 else Processes(workers, where)
+    if "://" not in cluster:
+        raise ConfigError(f"--cluster {cluster}: expected `local` or an address such as tcp://host:8786")
+    try:
+        from .dask_ import DaskCluster
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"--cluster {cluster}: {error.name} is not installed: pip install 'hystmpc[tune]'") from None
+    return DaskCluster(cluster, where)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hystmpc.trials.report import REFERENCE, Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, new_figure
 from hystmpc.trials.types import Vec
 
-from ..report import colours
+from ..results import colours
 from .csv_rows import Column, chosen, numbers, texts
 from .store import table_of
 

@@ -1,11 +1,11 @@
-"""Cost of a controller over a set of plants, in the search and on held-out plants."""
+"""Cost of a controller over a set of plants, in the search and on held-out plants; the outcome of a tuning."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from ..study import Study, prepare
 from ..sweep.settings import changed, drawn
 from ..sweep.worker import shared_knowledge
 from .settings import ObjectiveSettings, PlantsSettings, TuneSettings
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _RESAMPLES = 4000
 _NAMES = ("given", "tuned")
@@ -264,3 +267,39 @@ def pareto_front(trials: Sequence[SearchTrial]) -> tuple[SearchTrial, ...]:
         if not front or trial.travel < front[-1].travel:
             front.append(trial)
     return tuple(front)
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Outcome of a tuning.
+
+    Attributes:
+        trials: of the search, by slot, pruned ones among them.
+        check: given and tuned settings on plants that the search has not seen.
+    """
+
+    settings: TuneSettings
+    trials: tuple[SearchTrial, ...]
+    best: SearchTrial
+    check: HeldOut
+    failed: tuple[TicketOutcome, ...]
+
+    def plot(self) -> Figure:
+        """Cost of every held-out plant, tuned against given; below the diagonal the tuned settings win."""
+        from hystmpc.trials.report import MEASURED, REFERENCE, new_figure  # matplotlib, which a search does without
+
+        given, tuned = self.check.costs("given"), self.check.costs("tuned")
+        reach = 1.05 * float(max(given.max(), tuned.max()))
+        with new_figure(4.2, 3.8) as figure:
+            axes = figure.subplots()
+            axes.plot((0, reach), (0, reach), color=REFERENCE, lw=0.8)
+            axes.plot(given, tuned, "o", color=MEASURED, ms=4)
+            axes.set(xlabel="given [deg]", ylabel="tuned [deg]", xlim=(0, reach), ylim=(0, reach), aspect="equal")
+        return figure
+
+    def _repr_html_(self) -> str:
+        from hystmpc.trials.report import KeyValues, Plot, Report, Table
+
+        columns = ("settings", "objective [deg]", "mean error [deg]", "worst plant [deg]", "travel", "violations")
+        pieces = Table(columns, self.check.rows()), KeyValues(dict(self.best.values)), Plot(self.plot())
+        return Report(f"Tuning of {self.settings.controller}", pieces, "plants not seen in the search").fragment()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,10 +26,7 @@ from hystmpc.trials.report import (
 
 from ..sweep.report import plain_log
 from ..sweep.settings import value_at
-from .objective import HeldOut, SearchTrial, pareto_front
-
-if TYPE_CHECKING:
-    from .run import Tuning
+from .objective import SearchTrial, Tuning, pareto_front
 
 _COLUMNS = ("settings", "objective [deg]", "mean error [deg]", "worst plant [deg]", "travel", "plants with violations")
 _PER_ROW = 3
@@ -47,7 +44,7 @@ def tuning_report(found: Tuning, meta: Mapping[str, Any]) -> Report:
         Heading("Plants not seen"),
         Paragraph(verdict),
         Table(_COLUMNS, check.rows(), "Error: RMSE of the true tip angle over all motions. Travel: over the need."),
-        Plot(pairs_figure(check), "Cost of every held-out plant; below the line the tuned settings win."),
+        Plot(found.plot(), "Cost of every held-out plant; below the line the tuned settings win."),
         Heading("Settings found"),
         _values(found),
         Heading("Search"),
@@ -153,16 +150,4 @@ def _slices(found: Tuning) -> Figure:
             axes.remove()
         for row in grid:
             row[0].set_ylabel("objective [deg]")
-    return figure
-
-
-def pairs_figure(check: HeldOut) -> Figure:
-    """Cost of every held-out plant under the given settings and the tuned ones."""
-    given, tuned = check.costs("given"), check.costs("tuned")
-    reach = 1.05 * float(max(given.max(), tuned.max()))
-    with new_figure(4.2, 3.8) as figure:
-        axes: Axes = figure.subplots()
-        axes.plot((0, reach), (0, reach), color=REFERENCE, lw=0.8)
-        axes.plot(given, tuned, "o", color=MEASURED, ms=4)
-        axes.set(xlabel="given [deg]", ylabel="tuned [deg]", xlim=(0, reach), ylim=(0, reach), aspect="equal")
     return figure

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,43 +18,11 @@ from hystmpc.trials.types import Progress
 
 from ..jobs.backend import Backend
 from ..jobs.runner import alone_in, resumed_folder
-from .objective import HeldOut, SearchTrial, Ticket, TicketOutcome, held_out
+from .objective import SearchTrial, Ticket, TicketOutcome, Tuning, held_out
 from .report import tuning_report
 from .settings import TuneSettings
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 _WAIT_S = 3.0  # until trials that another process does are asked for again
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Outcome of a tuning.
-
-    Attributes:
-        trials: of the search, by slot, pruned ones among them.
-        check: given and tuned settings on plants that the search has not seen.
-    """
-
-    settings: TuneSettings
-    trials: tuple[SearchTrial, ...]
-    best: SearchTrial
-    check: HeldOut
-    failed: tuple[TicketOutcome, ...]
-
-    def plot(self) -> Figure:
-        """Cost of every held-out plant, tuned against given; below the diagonal the tuned settings win."""
-        from .report import pairs_figure  # matplotlib, which a search does without
-
-        return pairs_figure(self.check)
-
-    def _repr_html_(self) -> str:
-        from hystmpc.trials.report import KeyValues, Plot, Report, Table
-
-        columns = ("settings", "objective [deg]", "mean error [deg]", "worst plant [deg]", "travel", "violations")
-        pieces = Table(columns, self.check.rows()), KeyValues(dict(self.best.values)), Plot(self.plot())
-        return Report(f"Tuning of {self.settings.controller}", pieces, "plants not seen in the search").fragment()
 
 
 def run_tuning(

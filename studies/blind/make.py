@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hystmpc.sim.jobs.backend import backend_for
-from hystmpc.sim.jobs.runner import run_jobs
+from hystmpc.sim.jobs.runner import backend_for, run_jobs
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.run_folder import require_vacant

@@ -13,8 +13,7 @@ import numpy as np
 
 from hystmpc.gap.decide.findings import Findings
 from hystmpc.models.simulator import Simulator
-from hystmpc.sim.jobs.backend import backend_for
-from hystmpc.sim.jobs.runner import attempt, run_jobs
+from hystmpc.sim.jobs.runner import attempt, backend_for, run_jobs
 from hystmpc.trials.csv_files import read_lines, read_table, write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, did_you_mean
 from hystmpc.trials.files import write_atomically

@@ -8,8 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from hystmpc.sim.jobs.backend import backend_for
-from hystmpc.sim.jobs.runner import attempt, resumed_folder, wall_minutes
+from hystmpc.sim.jobs.runner import attempt, backend_for, resumed_folder, wall_minutes
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from hystmpc.sim.jobs.backend import backend_for
-from hystmpc.sim.jobs.runner import resumed_folder, wall_minutes
+from hystmpc.sim.jobs.runner import backend_for, resumed_folder, wall_minutes
 from hystmpc.trials.report import Report
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress

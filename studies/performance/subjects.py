@@ -23,7 +23,7 @@ from hystmpc.models.library import library_file, library_names
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.motions import conditioned_rule, probe_commands, zero_state_rule
 from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights, lstm_step_graph
-from hystmpc.models.networks.settings import Scaling
+from hystmpc.models.networks.nodes import Scaling
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii

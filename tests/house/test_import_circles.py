@@ -15,15 +15,6 @@ from scipy.sparse.csgraph import connected_components
 from .source import ROOT, modules
 
 GAP_STEPS = ("logs", "residual", "decide", "next", "report", "diagnose", "self_test")
-KNOWN: frozenset[tuple[str, ...]] = frozenset(
-    {
-        ("hystmpc.rig.commission.review", "hystmpc.rig.commission.review_page"),
-        ("hystmpc.sim.jobs.backend", "hystmpc.sim.jobs.dask_", "hystmpc.sim.jobs.backend"),
-        ("hystmpc.sim.tuning.report", "hystmpc.sim.tuning.run"),
-        ("hystmpc.trials.csv_files", "hystmpc.trials.read"),
-    }
-)
-"""Circles that are still to be opened."""
 
 
 def circles(root: Path) -> list[tuple[str, ...]]:
@@ -54,7 +45,7 @@ def backward_steps(root: Path) -> Iterator[str]:
 
 
 def test_no_module_imports_itself_through_others() -> None:
-    assert [circle for circle in circles(ROOT) if circle not in KNOWN] == []
+    assert circles(ROOT) == []
 
 
 def test_the_steps_of_the_diagnosis_import_one_way() -> None:

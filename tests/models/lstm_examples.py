@@ -14,7 +14,7 @@ from hystmpc.models.kernels.network_route import NetworkRoute
 from hystmpc.models.kernels.vector_emitter import SHAPES, host_shape
 from hystmpc.models.motions import conditioned_rule, zero_state_rule
 from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights
-from hystmpc.models.networks.settings import Scaling
+from hystmpc.models.networks.nodes import Scaling
 from hystmpc.trials.trial import Trial
 
 DT = 0.04

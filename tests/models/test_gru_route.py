@@ -7,8 +7,8 @@ import pytest
 from onnx import numpy_helper
 
 from hystmpc.models.kernels.gru import GruRoute, pack_gru
-from hystmpc.models.networks.nodes import network_step_graph
-from hystmpc.models.networks.settings import RecurrentSettings, Scaling
+from hystmpc.models.networks.nodes import Scaling, network_step_graph
+from hystmpc.models.networks.settings import RecurrentSettings
 from hystmpc.trials.errors import ModelError
 
 torch = pytest.importorskip("torch", reason="torch is an extra")

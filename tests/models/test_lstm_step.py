@@ -15,7 +15,7 @@ from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.motions import probe_commands
 from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights, lstm_rollout_graph, lstm_step_graph
-from hystmpc.models.networks.settings import Scaling
+from hystmpc.models.networks.nodes import Scaling
 from hystmpc.models.prediction.recurrent import LstmPredictor
 from hystmpc.trials.errors import ModelError
 

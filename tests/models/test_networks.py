@@ -10,7 +10,8 @@ from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.networks import NETWORK_PRESETS, network_settings
 from hystmpc.models.networks.hybrid_ import operator_step
-from hystmpc.models.networks.settings import FeedForwardSettings, HybridSettings, RecurrentSettings, Scaling
+from hystmpc.models.networks.nodes import Scaling
+from hystmpc.models.networks.settings import FeedForwardSettings, HybridSettings, RecurrentSettings
 from hystmpc.models.operators.hysteresis import Backlash, InverseBacklash
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.simulator import ChainModel

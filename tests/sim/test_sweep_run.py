@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from hystmpc.sim.jobs.backend import Backend, InTurn, Processes, backend_for
+from hystmpc.sim.jobs.backend import Backend, InTurn, Processes
+from hystmpc.sim.jobs.runner import backend_for
 from hystmpc.sim.results import load_results
 from hystmpc.sim.sweep.csv_rows import texts
 from hystmpc.sim.sweep.run import SweepOutcome, reproduce, run_sweep

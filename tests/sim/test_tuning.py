@@ -21,13 +21,14 @@ from hystmpc.sim.study import prepare
 from hystmpc.sim.tuning.objective import (
     PlantScore,
     SearchTrial,
+    Tuning,
     needed_travel,
     pareto_front,
     plant_config,
     plant_cost,
     robust,
 )
-from hystmpc.sim.tuning.run import Tuning, run_tuning, search
+from hystmpc.sim.tuning.run import run_tuning, search
 from hystmpc.sim.tuning.settings import ObjectiveSettings, TuneSettings, complete, load_tuning
 from hystmpc.trials.config import dump_yaml, read_yaml
 from hystmpc.trials.errors import ConfigError

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from hystmpc.sim.jobs.backend import backend_for
+from hystmpc.sim.jobs.runner import backend_for
 from hystmpc.studies.papers.job import TrainingJob, TrainingTask
 from hystmpc.studies.papers.result import JobResult, StudyOutcome, model_file, result_files
 from hystmpc.studies.papers.run import prepare, run_study
