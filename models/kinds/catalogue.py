@@ -6,18 +6,10 @@ from hystmpc.trials.errors import FitError, did_you_mean
 
 from .kind import ModelKind
 from .networks import NETWORK_KINDS
-from .operator_kinds import BacklashKind, BoucWenKind, DrdpiKind, PrandtlIshlinskiiKind
+from .operator_kinds import OPERATOR_KINDS
 from .regressions import PlayKernelKind, SvrKind
 
-KINDS: tuple[ModelKind, ...] = (
-    BacklashKind(),
-    PrandtlIshlinskiiKind(),
-    DrdpiKind(),
-    BoucWenKind(),
-    *NETWORK_KINDS,
-    SvrKind(),
-    PlayKernelKind(),
-)
+KINDS: tuple[ModelKind, ...] = (*OPERATOR_KINDS, *NETWORK_KINDS, SvrKind(), PlayKernelKind())
 
 
 def kind_named(name: str) -> ModelKind:

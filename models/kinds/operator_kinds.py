@@ -108,3 +108,6 @@ class DrdpiKind(OperatorKind):
     methods: ClassVar[Mapping[str, str]] = {"best": "least_squares", "paper": "global", "cmaes": "cmaes"}
     presets: ClassVar[tuple[str, ...]] = tuple(methods)
     plays: ClassVar[int] = 10  # as S1 has them
+
+
+OPERATOR_KINDS: tuple[OperatorKind, ...] = (BacklashKind(), PrandtlIshlinskiiKind(), DrdpiKind(), BoucWenKind())
