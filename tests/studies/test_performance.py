@@ -151,7 +151,7 @@ def test_programs_mean_the_same_to_both_solvers(lstm: Subject) -> None:
 def test_programs_with_soft_limits_mean_the_same_to_both_solvers(lstm: Subject) -> None:
     """The rows of the angles move from program to program; the limits cut through the scan."""
     angle = lstm.metadata.trained_angle
-    soft = WeightsSettings(effort=0.0, angle_limits_deg=(angle.lower, 0.5 * (angle.lower + angle.upper)))
+    soft = WeightsSettings(effort=0.0, angle_lower_deg=angle.lower, angle_upper_deg=0.5 * (angle.lower + angle.upper))
     qp, programs = recorded_programs(lstm, SMALL, soft)
     exact = DaqpSolver(qp.pattern, DaqpOptions())
     iterated = OsqpSolver(qp.pattern, OsqpOptions(eps=1e-7, iterations=20_000))
