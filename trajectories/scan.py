@@ -40,7 +40,7 @@ class Cosine:
 
 
 @dataclass(frozen=True)
-class SweepPlan:
+class ScanParts:
     """What every scan is made of, checked.
 
     Attributes:
@@ -89,7 +89,7 @@ class SweepPlan:
         return MotionLimits(*(float(widest * omega**order) for order in (1, 2, 3)))
 
 
-def sinusoid_sweeps(plan: SweepPlan, limits: MotionLimits | None) -> Trajectory:
+def sinusoid_sweeps(plan: ScanParts, limits: MotionLimits | None) -> Trajectory:
     """Sinusoids, each reached by a jerk-limited move that ends with the sinusoid's own acceleration.
 
     Velocity and acceleration are continuous from start to end; the final turning point is then held.
@@ -128,7 +128,7 @@ def _covering(limits: MotionLimits | None, needed: MotionLimits) -> MotionLimits
     return limits
 
 
-def triangle_sweeps(plan: SweepPlan, limits: MotionLimits | None) -> PiecewiseCubic:
+def triangle_sweeps(plan: ScanParts, limits: MotionLimits | None) -> PiecewiseCubic:
     """Legs of half a period from turning point to turning point.
 
     Args:
@@ -151,7 +151,7 @@ def triangle_sweeps(plan: SweepPlan, limits: MotionLimits | None) -> PiecewiseCu
     return PiecewiseCubic(np.vstack(legs))
 
 
-def _turning_points(plan: SweepPlan) -> list[float]:
+def _turning_points(plan: ScanParts) -> list[float]:
     """Angles of all corners, in order [deg]."""
     return [
         plan.centre_deg + amplitude * begin * (-1) ** leg
@@ -186,7 +186,7 @@ class _Scan(PathTrajectory):
     limits: MotionLimits | None = None
 
     def __post_init__(self) -> None:
-        plan = SweepPlan(self.start_deg, self.centre_deg, (self.amplitude_deg,), self.frequency_hz, self.cycles)
+        plan = ScanParts(self.start_deg, self.centre_deg, (self.amplitude_deg,), self.frequency_hz, self.cycles)
         self._follow(_BUILDERS[self.shape](plan, self.limits))
 
 
@@ -256,5 +256,5 @@ class Raster(PathTrajectory):
         object.__setattr__(self, "amplitudes_deg", tuple(float(x) for x in self.amplitudes_deg))
         if self.shape not in _BUILDERS:
             raise TrajectoryError(f"raster shape: got {self.shape!r}, expected one of {', '.join(_BUILDERS)}")
-        plan = SweepPlan(self.start_deg, self.centre_deg, self.amplitudes_deg, self.frequency_hz, self.cycles)
+        plan = ScanParts(self.start_deg, self.centre_deg, self.amplitudes_deg, self.frequency_hz, self.cycles)
         self._follow(_BUILDERS[self.shape](plan, self.limits))

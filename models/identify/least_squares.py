@@ -135,7 +135,7 @@ class _ChainSearch:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class LeastSquaresFit:
     """Where a fit of a hypothesis ended.
 
     Attributes:
@@ -149,7 +149,7 @@ class Fit:
 
 def fit_problem(
     problem: Problem, runs: Sequence[Run], start: Vec, evaluations: int = 25, tolerance: float = 1e-4
-) -> Fit:
+) -> LeastSquaresFit:
     """Fit a hypothesis to runs from one start.
 
     Args:
@@ -172,7 +172,7 @@ def fit_problem(
         gtol=1e-12,
         max_nfev=evaluations,
     )
-    return Fit(q, search.mse(q))
+    return LeastSquaresFit(q, search.mse(q))
 
 
 class _CondensedSearch:

@@ -24,7 +24,7 @@ from ..motions import initialisation_flexure, probe_commands
 from ..networks.nodes import Scaling, network_step_graph
 from ..operators.hysteresis import Backlash
 from .hold_out import hold_out
-from .runs import Prepared, Rng, Run, prepared, rest_of, scaled_run, scaling_of
+from .runs import Prepared, Rng, TrainingRun, prepared, rest_of, scaled_run, scaling_of
 from .settings import NetworkSettings, StreamTraining, WindowTraining
 from .teacher import Teacher
 
@@ -176,7 +176,7 @@ def _teacher(training: Sequence[Trial], scaling: Scaling, way: StreamTraining) -
     teacher, count = Teacher(training, way.teacher.plays, way.teacher.model), way.teacher.runs
     first, last = way.teacher.weight
 
-    def runs(done: float, rng: Rng) -> list[Run]:
+    def runs(done: float, rng: Rng) -> list[TrainingRun]:
         return [scaled_run(run, scaling) for run in teacher.runs(count, first + (last - first) * done, rng)]
 
     return runs

@@ -28,7 +28,7 @@ Rng = np.random.Generator
 
 
 @dataclass(frozen=True)
-class Run:
+class TrainingRun:
     """One motion to learn from, from the start of a trial.
 
     Attributes:
@@ -61,8 +61,8 @@ class Run:
 class Prepared:
     """Scaled runs and, for a hybrid, the fitted operator in scaled units."""
 
-    training: list[Run]
-    judges: list[Run]
+    training: list[TrainingRun]
+    judges: list[TrainingRun]
     operator: Operator | None
 
 
@@ -103,22 +103,22 @@ def rest_of(trials: Sequence[Trial], scaling: Scaling, given: RestSettings | Non
     return float(scaling.scale_in(np.array(rest)))
 
 
-def scaled_run(run: Run, scaling: Scaling) -> Run:
+def scaled_run(run: TrainingRun, scaling: Scaling) -> TrainingRun:
     """The same motion in scaled units."""
-    return Run(scaling.scale_in(run.command), scaling.scale_out(run.angle), run.weight)
+    return TrainingRun(scaling.scale_in(run.command), scaling.scale_out(run.angle), run.weight)
 
 
-def _run(trial: Trial, scaling: Scaling, settings: NetworkSettings) -> Run:
+def _run(trial: Trial, scaling: Scaling, settings: NetworkSettings) -> TrainingRun:
     weight = np.ones(len(trial))
     if settings.first_flexure_weight != 1.0:
         weight[: first_flexure_end(trial)] = settings.first_flexure_weight
-    run = Run(trial.command, trial.angle, weight)
+    run = TrainingRun(trial.command, trial.angle, weight)
     if isinstance(settings.training, WindowTraining):
         run = _padded(run, trial, settings, settings.training)
     return scaled_run(run, scaling)
 
 
-def _padded(run: Run, trial: Trial, settings: NetworkSettings, way: WindowTraining) -> Run:
+def _padded(run: TrainingRun, trial: Trial, settings: NetworkSettings, way: WindowTraining) -> TrainingRun:
     """Rest before the trial; a network that looks back needs at least as much as it looks back on."""
     command, angle = float(trial.command[0]), float(trial.angle[0])
     if settings.rest is not None and _command_unit(trial) == settings.rest.unit:
@@ -149,7 +149,7 @@ class Streams:
     fresh: NDArray[np.bool_]
 
 
-def arrange(runs: Sequence[Run], streams: int, length: int, warmup: int, rng: Rng) -> Streams:
+def arrange(runs: Sequence[TrainingRun], streams: int, length: int, warmup: int, rng: Rng) -> Streams:
     """Distribute runs over streams of about equal length, each run from the start of a piece.
 
     A run's first command is held for `warmup` samples before it, its last one to the end of its last piece.
@@ -181,13 +181,13 @@ def arrange(runs: Sequence[Run], streams: int, length: int, warmup: int, rng: Rn
     return Streams(cut[0], cut[1], cut[2], fresh.T)
 
 
-def stretch(runs: Sequence[Run], share: float, rng: Rng) -> list[Run]:
+def stretch(runs: Sequence[TrainingRun], share: float, rng: Rng) -> list[TrainingRun]:
     """Each run at a speed of its own, up to `1 + share` times faster or slower."""
     reach = np.log1p(share)
     return [run.stretched(float(np.exp(rng.uniform(-reach, reach)))) for run in runs]
 
 
-def pause(runs: Sequence[Run], longest: int, rng: Rng) -> list[Run]:
+def pause(runs: Sequence[TrainingRun], longest: int, rng: Rng) -> list[TrainingRun]:
     """Each run with a pause of up to `longest` samples after a random one of its samples."""
     return [run.paused(int(rng.integers(run.command.size)), int(rng.integers(longest + 1))) for run in runs]
 

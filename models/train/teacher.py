@@ -17,7 +17,7 @@ from ..identify.runs import check_trial_set, command_range, fastest_command
 from ..play_kernel.fit import PlayKernelSettings, fit_play_kernel, play_kernel_bundle
 from ..play_kernel.predictor import PlayKernelPredictor
 from ..simulator import ChainModel
-from .runs import Rng, Run
+from .runs import Rng, TrainingRun
 
 Answer = Callable[[Vec, float], Vec]
 """Free run (T,) [deg] over commands (T,) from a first angle [deg]."""
@@ -54,17 +54,17 @@ class Teacher:
         self._starts = [(float(t.command[0]), float(t.angle[0])) for t in trials]
         self._range, self._rate, self._dt = command_range(trials), fastest_command(trials), check_trial_set(trials)
 
-    def runs(self, count: int, weight: float, rng: Rng) -> list[Run]:
+    def runs(self, count: int, weight: float, rng: Rng) -> list[TrainingRun]:
         """Random motions in equal parts of each kind, in the units of the trials."""
         return [self._run(_KINDS[k % len(_KINDS)], weight, rng) for k in range(count)]
 
-    def _run(self, kind: Callable[[Range, float, float, Rng], Vec], weight: float, rng: Rng) -> Run:
+    def _run(self, kind: Callable[[Range, float, float, Rng], Vec], weight: float, rng: Rng) -> TrainingRun:
         rest, angle = self._starts[rng.integers(len(self._starts))]
         motion = kind(self._range, self._rate, self._dt, rng)
         approach = abs(motion[0] - rest) / (self._rate * self._dt)
         command = np.concatenate([np.linspace(rest, motion[0], 1 + math.ceil(approach), endpoint=False), motion])
         answer, weights = self.answer(command, angle), np.full(command.size, weight)
-        return Run(answer, command, weights) if self._inverted else Run(command, answer, weights)
+        return TrainingRun(answer, command, weights) if self._inverted else TrainingRun(command, answer, weights)
 
 
 def _operator(trials: Sequence[Trial], plays: int) -> tuple[float, Answer]:

@@ -16,7 +16,7 @@ from hystmpc.trials.errors import FitError
 from hystmpc.trials.types import Vec
 
 from ..networks.network_ import Network, numbers
-from .runs import Rng, Run, Streams, arrange, pause, stretch
+from .runs import Rng, Streams, TrainingRun, arrange, pause, stretch
 from .settings import NetworkSettings, StreamTraining, WindowTraining
 from .windows import draw_windows
 
@@ -84,7 +84,7 @@ def constancy(output: torch.Tensor, command: torch.Tensor) -> torch.Tensor:
 
 
 @dataclass(frozen=True)
-class Judged:
+class ValidationRuns:
     """What is held out, as one batch.
 
     Attributes:
@@ -99,9 +99,9 @@ class Judged:
     angle: torch.Tensor
     weight: torch.Tensor
 
-    def head(self, rows: int) -> Judged:
+    def head(self, rows: int) -> ValidationRuns:
         """The first `rows` of it."""
-        return Judged(*(part[:rows] for part in (self.start, self.past, self.command, self.angle, self.weight)))
+        return ValidationRuns(*(part[:rows] for part in (self.start, self.past, self.command, self.angle, self.weight)))
 
     def output(self, net: Network) -> torch.Tensor:
         """Outputs (N, T), in the precision of the network."""
@@ -112,15 +112,15 @@ class Judged:
             return net(command, state)[0]
 
 
-def whole_runs(runs: Sequence[Run], warmup: int) -> Judged:
+def whole_runs(runs: Sequence[TrainingRun], warmup: int) -> ValidationRuns:
     """Whole runs as one piece, filled up to the longest, for free runs from their start."""
     longest = warmup + max(run.command.size for run in runs)
     streams = arrange(runs, len(runs), longest, warmup, np.random.default_rng(0))
     command, angle, weight = (torch.from_numpy(part[0]) for part in (streams.command, streams.angle, streams.weight))
-    return Judged(angle[:, 0], command[:, :0], command, angle, weight)
+    return ValidationRuns(angle[:, 0], command[:, :0], command, angle, weight)
 
 
-def rounding_error(net: Network, judged: Judged, output: torch.Tensor) -> float:
+def rounding_error(net: Network, judged: ValidationRuns, output: torch.Tensor) -> float:
     """What single precision does to a free run. A network that amplifies it is chaotic and cannot be exported."""
     exact = judged.output(copy.deepcopy(net).double())
     return float((exact - output).abs().max())
@@ -138,7 +138,7 @@ class WindowUpdate:
     optimiser: torch.optim.Optimizer
     way: WindowTraining
 
-    def __call__(self, batch: Judged, step: int) -> tuple[float, int]:
+    def __call__(self, batch: ValidationRuns, step: int) -> tuple[float, int]:
         """Mean square error before the update, and the samples behind it."""
         output, _ = self.net(batch.command, self.net.begin(batch.past, batch.start))
         error, used = weighted_error(output, batch.angle, batch.weight)
@@ -155,7 +155,11 @@ def window_update(net: Network, settings: NetworkSettings, way: WindowTraining) 
 
 
 def window_checks(
-    net: Network, training: Sequence[Run], held_out: Sequence[Run], settings: NetworkSettings, way: WindowTraining
+    net: Network,
+    training: Sequence[TrainingRun],
+    held_out: Sequence[TrainingRun],
+    settings: NetworkSettings,
+    way: WindowTraining,
 ) -> Iterator[Check]:
     """One look after every epoch, at windows of the held-out trials, a fifth as many as in an epoch."""
     rng = np.random.default_rng(settings.seed)
@@ -176,14 +180,14 @@ def window_checks(
         yield Check(epoch, math.sqrt(squares / max(samples, 1)), math.sqrt(error_now.item()), rounding, net)
 
 
-def cut(net: Network, parts: Sequence[np.ndarray]) -> Judged:
+def cut(net: Network, parts: Sequence[np.ndarray]) -> ValidationRuns:
     """A batch of windows (N, context + length) of command, angle, weight and what the state starts from."""
     command, angle, weight, shown = (torch.from_numpy(part) for part in parts)
     at = net.context
-    return Judged(shown[:, at], command[:, :at], command[:, at:], angle[:, at:], weight[:, at:])
+    return ValidationRuns(shown[:, at], command[:, :at], command[:, at:], angle[:, at:], weight[:, at:])
 
 
-def _signals(net: Network, run: Run) -> tuple[Vec, ...]:
+def _signals(net: Network, run: TrainingRun) -> tuple[Vec, ...]:
     with torch.no_grad():
         shown = net.shown(*(torch.tensor(part, dtype=torch.float32)[None] for part in (run.command, run.angle)))
     return run.command, run.angle, run.weight, numbers(shown)[0]
@@ -195,7 +199,7 @@ def _trained(net: Network) -> list[torch.nn.Parameter]:
 
 _RAMP_UPDATES = 50  # in which the learning rate rises from zero: Adam's first steps know no curvature
 
-TeacherRuns = Callable[[float, Rng], list[Run]]
+TeacherRuns = Callable[[float, Rng], list[TrainingRun]]
 """Scaled runs of a teacher, drawn anew at every call; the first argument is the share of training that is done."""
 
 
@@ -249,8 +253,8 @@ def stream_update(net: Network, settings: NetworkSettings, way: StreamTraining) 
 
 def stream_checks(
     net: Network,
-    training: Sequence[Run],
-    held_out: Sequence[Run],
+    training: Sequence[TrainingRun],
+    held_out: Sequence[TrainingRun],
     teacher: TeacherRuns,
     settings: NetworkSettings,
     way: StreamTraining,
@@ -284,7 +288,7 @@ def pieces(streams: Streams) -> Iterator[Piece]:
         yield Piece(*(torch.from_numpy(np.ascontiguousarray(part)) for part in parts))
 
 
-def _look(step: int, training: float, mean: Network, judged: Judged) -> Check:
+def _look(step: int, training: float, mean: Network, judged: ValidationRuns) -> Check:
     output = judged.output(mean)
     return Check(step, training, _mean_run_error(output, judged), rounding_error(mean, judged, output), mean)
 
@@ -308,7 +312,7 @@ def _rate(step: int, updates: int) -> float:
     return min(1.0, (step + 1) / _RAMP_UPDATES) * 0.5 * (1.0 + math.cos(math.pi * min(1.0, step / updates)))
 
 
-def _mean_run_error(output: torch.Tensor, batch: Judged) -> float:
+def _mean_run_error(output: torch.Tensor, batch: ValidationRuns) -> float:
     """Root of the mean over runs of their mean square errors, so that a long trial counts as much as a short one."""
     each = (batch.weight * (output - batch.angle) ** 2).sum(dim=1) / torch.count_nonzero(batch.weight, dim=1)
     return math.sqrt(each.mean().item())

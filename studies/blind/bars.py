@@ -217,7 +217,7 @@ class Bar:
 
 
 def bars(cases: Sequence[ScoredCase]) -> list[Bar]:
-    """All bars of the design's section 5, at three floors or more on motions that can tell the effects apart."""
+    """All bars of the blind check, at three floors or more on motions that can tell the effects apart."""
     clear = [case for case in large(cases) if case.answer.separable]
     single, foreign = of_suites(clear, "single"), _foreign(clear)
     pairs = of_suites(clear, "pairs")

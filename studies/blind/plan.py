@@ -41,7 +41,7 @@ class Plan:
     features: frozenset[str]
 
     def separates(self, label: str) -> bool:
-        """Whether these motions can tell the effect from its twins."""
+        """Whether these motions can tell the effect from its confounders."""
         return label not in EFFECTS or self.features >= set(EFFECTS[label].separated_by)
 
 

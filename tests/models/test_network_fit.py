@@ -15,7 +15,7 @@ from hystmpc.models.kinds.networks import NETWORK_PRESETS
 from hystmpc.models.networks.settings import RecurrentSettings
 from hystmpc.models.train.hold_out import hold_out
 from hystmpc.models.train.networks import NetworkCheck, NetworkFit, fit_network, network_bundle
-from hystmpc.models.train.runs import Run, arrange, pause, stretch
+from hystmpc.models.train.runs import TrainingRun, arrange, pause, stretch
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining, TeacherSettings, WindowTraining
 from hystmpc.models.train.teacher import Teacher
 from hystmpc.models.train.windows import draw_windows
@@ -166,7 +166,10 @@ def test_many_trials_are_drawn_by_seed() -> None:
 
 def test_streams_hold_every_run_once_from_the_start_of_a_piece() -> None:
     rng = np.random.default_rng(0)
-    runs = [Run(np.arange(n) + 1000.0 * n, -np.arange(n) - 1000.0 * n, np.full(n, 0.5)) for n in (7, 95, 120, 33, 60)]
+    runs = [
+        TrainingRun(np.arange(n) + 1000.0 * n, -np.arange(n) - 1000.0 * n, np.full(n, 0.5))
+        for n in (7, 95, 120, 33, 60)
+    ]
     streams = arrange(runs, 3, 20, 5, rng)
     assert streams.fresh.sum() == len(runs)
     lines = [part.swapaxes(0, 1).reshape(3, -1) for part in (streams.command, streams.angle, streams.weight)]
@@ -187,7 +190,7 @@ def test_streams_hold_every_run_once_from_the_start_of_a_piece() -> None:
 
 def test_stretched_runs_are_the_same_motion_at_another_speed() -> None:
     t = np.arange(500) * DT
-    run = Run(np.sin(t), np.cos(t), np.ones(500))
+    run = TrainingRun(np.sin(t), np.cos(t), np.ones(500))
     rng = np.random.default_rng(1)
     for copy in stretch([run] * 20, 0.2, rng):
         speed = 500 / copy.command.size
@@ -196,7 +199,7 @@ def test_stretched_runs_are_the_same_motion_at_another_speed() -> None:
 
 
 def test_paused_runs_hold_and_go_on() -> None:
-    run = Run(np.arange(40.0), np.arange(40.0) + 7, np.ones(40))
+    run = TrainingRun(np.arange(40.0), np.arange(40.0) + 7, np.ones(40))
     copies = pause([run] * 50, 30, np.random.default_rng(2))
     assert {copy.command.size for copy in copies} <= set(range(40, 71))
     assert len({copy.command.size for copy in copies}) > 10
@@ -210,7 +213,7 @@ def test_paused_runs_hold_and_go_on() -> None:
 
 def test_windows_are_pieces_of_runs() -> None:
     ramps = np.arange(30.0), np.arange(50.0, 90.0)
-    runs = [Run(ramp, ramp + 100, np.ones(ramp.size)) for ramp in ramps]
+    runs = [TrainingRun(ramp, ramp + 100, np.ones(ramp.size)) for ramp in ramps]
     signals = [(run.command, run.angle, run.weight) for run in runs]
     command, angle, weight = draw_windows(signals, 200, 10, np.random.default_rng(0))
     assert (np.diff(command, axis=1) == 1).all()
@@ -248,7 +251,7 @@ def test_a_network_that_amplifies_rounding_is_noticed() -> None:
     from hystmpc.models.train.updates_ import rounding_error, whole_runs
 
     ramp = np.linspace(-1, 1, 400)
-    judged = whole_runs([Run(ramp, ramp, np.ones(400))] * 2, 0)
+    judged = whole_runs([TrainingRun(ramp, ramp, np.ones(400))] * 2, 0)
     torch.manual_seed(0)
     calm, chaotic = (
         RecurrentSettings(hidden=32, layers=1, memory_samples=0, command_gain=1.0).network(0.0, None) for _ in range(2)
