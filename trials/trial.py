@@ -72,6 +72,10 @@ class Trial:
     def __len__(self) -> int:
         return int(self.t.size)
 
+    def __repr__(self) -> str:
+        units = f"{self.units.command} to {self.units.angle}"
+        return f"Trial({self.source}: {len(self)} samples in {self.duration_s:.4g} s, {units})"
+
     def __reduce__(self) -> tuple[type[Trial], tuple[object, ...]]:
         # A mapping proxy cannot be pickled, and trials travel to worker processes.
         return Trial, (self.t, self.command, self.angle, dict(self.channels), self.units, self.source)

@@ -58,3 +58,8 @@ def test_a_trial_cannot_be_changed() -> None:
 def test_a_part_keeps_its_time_and_channels() -> None:
     part = make(channels={"current": [1, 2, 3]}).select(1)
     assert (part.t.tolist(), part.channels["current"].tolist(), part.duration_s, len(part)) == ([1, 2], [2, 3], 1, 2)
+
+
+def test_a_trial_prints_as_one_line() -> None:
+    trial = Trial(np.arange(3.0), np.zeros(3), np.ones(3), units=Units("mm", "deg"), source="log.csv")
+    assert repr(trial) == "Trial(log.csv: 3 samples in 2 s, mm to deg)"
