@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 
 _INTERRUPTED = 130
@@ -13,4 +14,8 @@ def main() -> None:
         from .main import main as program
     except KeyboardInterrupt:
         sys.exit(_INTERRUPTED)
-    program()
+    try:
+        program()
+    finally:
+        # The work is done or refused, and the exit code stands: Ctrl-C while the interpreter ends would replace it.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
