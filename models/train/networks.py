@@ -23,8 +23,7 @@ from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from ..networks.nodes import Scaling, network_step_graph
 from ..operators.hysteresis import Backlash
-from .hold_out import hold_out
-from .runs import Prepared, Rng, TrainingRun, prepared, rest_of, scaled_run, scaling_of
+from .runs import Prepared, Rng, TrainingRun, hold_out, prepared, rest_of, scaled_run, scaling_of
 from .settings import NetworkSettings, StreamTraining, WindowTraining
 from .teacher import Teacher
 

@@ -1,4 +1,4 @@
-"""What a network is trained on: scaled runs, rest before them, streams side by side, and the backlash of a hybrid."""
+"""What a network is trained on: held-out trials, scaled runs and windows of them, rest before them, a hybrid's backlash."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from hystmpc.trials.errors import FitError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
@@ -250,3 +251,53 @@ def scaled_operator(operator: Operator, scaling: Scaling) -> Operator:
     ]
     (m_lo, c_lo), (m_up, c_up) = lines
     return Backlash(m_lo, m_up, c_lo, c_up)
+
+
+FEW_TRIALS = 8
+
+
+def hold_out(trials: Sequence[Trial], count: int, seed: int) -> tuple[list[Trial], list[Trial]]:
+    """Training and held-out trials, both in the order given.
+
+    From fewer than eight trials the most ordinary ones are held out, so that the motions at the edges (slowest,
+    fastest, lowest, highest) remain in training: a network that has not seen them would be stopped for the wrong
+    reason. From eight on the draw is random by `seed`.
+
+    Raises:
+        FitError: if no trial would be left for training.
+    """
+    if count >= len(trials):
+        raise FitError(f"got {len(trials)} trials, expected at least {count + 1}: {count} held out and one to train on")
+    if len(trials) < FEW_TRIALS:
+        chosen = set(np.argsort(_distance_from_median(trials), kind="stable")[:count].tolist())
+    else:
+        chosen = set(np.random.default_rng(seed).permutation(len(trials))[:count].tolist())
+    return [t for k, t in enumerate(trials) if k not in chosen], [t for k, t in enumerate(trials) if k in chosen]
+
+
+def _distance_from_median(trials: Sequence[Trial]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Distance of each trial from the median one in mean command, spread of the command and logarithm of its speed."""
+    features = np.array(
+        [[t.command.mean(), t.command.std(), np.log(np.mean(np.abs(np.diff(t.command))) / t.dt)] for t in trials]
+    )
+    spread = features.std(axis=0)
+    return np.linalg.norm((features - np.median(features, axis=0)) / np.where(spread > 0, spread, 1.0), axis=1)
+
+
+def draw_windows(runs: Sequence[tuple[Vec, ...]], count: int, length: int, rng: Rng) -> tuple[Float32, ...]:
+    """Random windows (count, length) of random runs, one array for each signal (T,) that the runs have.
+
+    Every run is as likely as every other, every start within a run as well, as in the code of S2.
+
+    Raises:
+        FitError: if a run is shorter than a window.
+    """
+    shortest = min(run[0].size for run in runs)
+    if shortest < length:
+        raise FitError(f"shortest trial has {shortest} samples, expected at least the {length} of a window")
+    chosen = [runs[k] for k in rng.integers(len(runs), size=count)]
+    starts = [int(rng.integers(run[0].size - length + 1)) for run in chosen]
+    return tuple(
+        np.stack([run[j][a : a + length] for run, a in zip(chosen, starts, strict=True)]).astype(np.float32)
+        for j in range(len(runs[0]))
+    )

@@ -41,7 +41,7 @@ class Module:
 
     @property
     def name(self) -> str:
-        """Dotted name, `hystmpc.models.fit` for models/fit/__init__.py."""
+        """Dotted name, `hystmpc.models.train` for models/train/__init__.py."""
         parts = self.path.relative_to(self.root).with_suffix("").parts
         return ".".join(("hystmpc", *(p for p in parts if p != "__init__")))
 

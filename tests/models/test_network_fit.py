@@ -13,12 +13,10 @@ from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.kinds.networks import NETWORK_PRESETS
 from hystmpc.models.networks.settings import RecurrentSettings
-from hystmpc.models.train.hold_out import hold_out
 from hystmpc.models.train.networks import NetworkCheck, NetworkFit, fit_network, network_bundle
-from hystmpc.models.train.runs import TrainingRun, arrange, pause, stretch
+from hystmpc.models.train.runs import TrainingRun, arrange, draw_windows, hold_out, pause, stretch
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining, TeacherSettings, WindowTraining
 from hystmpc.models.train.teacher import Teacher
-from hystmpc.models.train.windows import draw_windows
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 

@@ -1,1 +1,0 @@
-"""Identification of models from recorded trials."""
