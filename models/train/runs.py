@@ -1,4 +1,4 @@
-"""Data that a network is trained on: held-out trials, scaled runs, windows, the rest before them, a hybrid's backlash."""
+"""Data that a network is trained on: held-out trials, scaled runs, windows, rest before them; a hybrid's backlash."""
 
 from __future__ import annotations
 
