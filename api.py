@@ -166,8 +166,8 @@ def load_model(path: Path | str, start: Start = "initial") -> LoadedModel:
     Raises:
         ModelError: if the file is missing, foreign or corrupt, or the name unknown.
     """
-    from hystmpc.models.library import model_path
     from hystmpc.models.load import load_model as open_file
+    from hystmpc.models.load import model_path
 
     return open_file(model_path(str(path)), start)
 
@@ -181,7 +181,7 @@ def load_simulator(path: Path | str) -> Simulator:
     Raises:
         ModelError: if the file is missing, foreign or corrupt, or the name unknown.
     """
-    from hystmpc.models.library import model_path
+    from hystmpc.models.load import model_path
     from hystmpc.models.simulator import load_simulator as open_file
 
     return open_file(model_path(str(path)))
@@ -342,7 +342,7 @@ def diagnose(
         ModelError: if the simulator cannot be opened or is an inverse map.
         ConfigError: if `out` holds anything but an older diagnosis.
     """
-    from hystmpc.gap.diagnose import conclude, investigate
+    from hystmpc.gap import diagnose as gap
     from hystmpc.gap.report.folder import require_free, save_diagnosis
     from hystmpc.models.simulator import ChainModel
 
@@ -350,13 +350,14 @@ def diagnose(
         require_free(out)
     opened, recorded = _opened(simulator), read_trials(trials, preset)
     nominal = opened.simulator if isinstance(opened, ChainModel) else opened
-    findings = investigate(recorded, nominal, seed=seed, without=without, only=only, progress=progress)
-    diagnosis, evidence = conclude(findings, progress)
-    if out is not None:
-        logs = [trial.source for trial in recorded]
-        settings = {"logs": logs, "sim": str(simulator), "preset": str(preset), "seed": seed, "without": list(without)}
-        files = (simulator,) if isinstance(simulator, Path | str) else ()
-        save_diagnosis(evidence, out, settings, models=files)
+    if out is None:
+        return gap.diagnose(recorded, nominal, seed=seed, without=without, only=only, progress=progress)
+    findings = gap.investigate(recorded, nominal, seed=seed, without=without, only=only, progress=progress)
+    diagnosis, evidence = gap.conclude(findings, progress)
+    logs = [trial.source for trial in recorded]
+    settings = {"logs": logs, "sim": str(simulator), "preset": str(preset), "seed": seed, "without": list(without)}
+    files = (simulator,) if isinstance(simulator, Path | str) else ()
+    save_diagnosis(evidence, out, settings, models=files)
     return diagnosis
 
 

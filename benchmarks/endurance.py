@@ -29,7 +29,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from hystmpc.ctrl import TipController
-from hystmpc.models.library import library_file
+from hystmpc.models.load import library_file
 from hystmpc.models.simulator import load_simulator
 from hystmpc.sim.plants.simulated import SimulatedPlant
 

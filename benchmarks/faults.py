@@ -29,8 +29,7 @@ from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.planner.assembly import Assembly
 from hystmpc.ctrl.planner.reach import Workspace, angles_at_rest
 from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.models.library import library_file
-from hystmpc.models.load import load_model
+from hystmpc.models.load import library_file, load_model
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse
 from hystmpc.models.simulator import load_simulator

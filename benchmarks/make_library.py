@@ -18,7 +18,7 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.identify.methods import identify
 from hystmpc.models.kinds.networks import NETWORK_PRESETS
-from hystmpc.models.library import library_file
+from hystmpc.models.load import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.models.train.networks import fit_network, network_bundle
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining

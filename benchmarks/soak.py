@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from hystmpc.models.library import library_file
+from hystmpc.models.load import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.rig.commission.review import compare_with_model, review
 from hystmpc.rig.config import RunSettings

@@ -65,7 +65,7 @@ def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path
         ConfigError: on an unknown device, key or parameter, a value out of bounds, or another unit.
         ModelError: if a simulator file is missing or unusable.
     """
-    from hystmpc.models.library import model_path
+    from hystmpc.models.load import model_path
     from hystmpc.sim.config import PlantSettings
     from hystmpc.sim.plants.make import make_plant as make
 

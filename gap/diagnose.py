@@ -59,7 +59,9 @@ def diagnose(
         ModelError: if the simulator is an inverse map.
     """
     findings = investigate(trials, simulator, seed=seed, without=without, only=only, progress=progress)
-    return _diagnosis(findings, next_step(findings))
+    diagnosis = _diagnosis(findings, next_step(findings))
+    (progress or _no_progress)(_STEPS, _STEPS, diagnosis.verdict)
+    return diagnosis
 
 
 def investigate(

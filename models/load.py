@@ -1,14 +1,18 @@
-"""Model files of either kind: a simulator in YAML or an export in ONNX."""
+"""Model files of either kind, a simulator in YAML or an export in ONNX, and what `builtin:NAME` means."""
 
 from __future__ import annotations
 
+from importlib.resources import files
 from pathlib import Path
 
-from hystmpc.trials.errors import ModelError
+from hystmpc.trials.errors import ModelError, did_you_mean
 
 from .contract.metadata import Start
 from .model import LoadedModel
 from .simulator import ChainModel, load_simulator
+
+BUILTIN = "builtin:"
+_ENDINGS = (".yaml", ".onnx")
 
 
 def load_model(path: Path | str, start: Start = "initial") -> LoadedModel:
@@ -29,3 +33,37 @@ def load_model(path: Path | str, start: Start = "initial") -> LoadedModel:
 
         return load_onnx(path, start)
     raise ModelError(f"{path}: ending {suffix or 'missing'}, expected a model file (.yaml simulator or .onnx)")
+
+
+def library_names() -> tuple[str, ...]:
+    """Names of the models that ship with the package, such as `tendon-catheter`."""
+    return tuple(sorted(_shipped()))
+
+
+def library_file(name: str) -> Path:
+    """File of a model that ships with the package.
+
+    Raises:
+        ModelError: on an unknown name; says which there are.
+    """
+    shipped = _shipped()
+    if name not in shipped:
+        raise ModelError(f"no built-in model {name!r}, {did_you_mean(name, shipped)}")
+    return shipped[name]
+
+
+def model_path(text: str, folder: Path | str = ".") -> Path:
+    """File that a configuration names: `builtin:NAME`, or a path that starts at `folder` where it is relative.
+
+    Raises:
+        ModelError: on an unknown built-in name.
+    """
+    if text.startswith(BUILTIN):
+        return library_file(text.removeprefix(BUILTIN))
+    return Path(folder) / text
+
+
+def _shipped() -> dict[str, Path]:
+    # A wheel is always unpacked, so that the folder of a resource is a real one.
+    entries = (Path(str(entry)) for entry in files("hystmpc.models.library").iterdir())
+    return {path.stem.replace("_", "-"): path for path in entries if path.suffix in _ENDINGS}

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from hystmpc.ctrl.limits import LimitsSettings, ModelledLimitsSettings, NotNegative, Positive
 from hystmpc.ctrl.planner.settings import TipSettings
-from hystmpc.models.library import model_path
+from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
 from hystmpc.trials.config import Settings, load_settings
 

@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from hystmpc.ctrl.config import CONTROLLERS, ControllerSettings
 from hystmpc.ctrl.limits import ModelledLimitsSettings
 from hystmpc.models.effects.place import EffectError, effect_from
-from hystmpc.models.library import model_path
+from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
 from hystmpc.trials.config import Settings, load_settings
 from hystmpc.trials.errors import ModelError, did_you_mean

@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid
 from hystmpc.ctrl.feedback.inverse import InversePidControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings
-from hystmpc.models.library import model_path
-from hystmpc.models.load import load_model
+from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
 from hystmpc.models.prediction.actuated import ActuatedPredictor
 from hystmpc.models.prediction.build import predictor_for

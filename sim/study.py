@@ -15,8 +15,7 @@ from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.limits import CommandLimits, ModelledLimitsSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.contract.metadata import ModelMetadata, Range
-from hystmpc.models.library import model_path
-from hystmpc.models.load import load_model
+from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, ControllerError

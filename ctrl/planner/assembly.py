@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.models.library import model_path
-from hystmpc.models.load import load_model
+from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
 

@@ -1,9 +1,12 @@
-"""Starts and search boxes of every kind of chain, read off the trials."""
+"""The one list of operator kinds: methods, starts and search boxes, read off the trials.
+
+To add a kind of model that is an operator: write the operator in `models/operators/` and its entry in `CHAIN_KINDS`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
@@ -124,53 +127,70 @@ class Extent:
     high: float
 
 
+_METHODS = {"best": "least_squares", "paper": "adam", "global": "global", "cmaes": "cmaes"}
+
+
 @dataclass(frozen=True)
 class ChainKind:
-    """How one kind of chain is started and bounded.
+    """One kind of operator model: how it is called, identified, started and bounded.
 
     Attributes:
+        name: on the command line and in reports.
+        title: in tables.
         starts: forward operators to start from.
         box: by parameter, the ends between which a global search looks; numbered parameters go by their stem.
         first: the same for where it begins to look; without an entry as `box`.
         fixed: parameters that are set.
-        inverted: makes the inverse operator of a forward one; None for forward kinds.
+        inverse: makes the inverse operator of a forward one; None where there is no inverse map.
+        inverse_fixed: parameters of the inverse operator that are set.
+        methods: identification method (`methods.METHODS`) by preset, the default first.
+        plays: number of plays where the request leaves it open.
     """
 
+    name: str
+    title: str
     starts: Callable[[Sequence[Trial], Extent, Structure], list[Operator]]
     box: Callable[[Extent, Structure], Ends]
     first: Callable[[Extent, Structure], Ends] = lambda e, s: {}
     fixed: tuple[str, ...] = ()
-    inverted: Callable[[Operator, Structure], Operator] | None = None
+    inverse: Callable[[Operator, Structure], Operator] | None = None
+    inverse_fixed: tuple[str, ...] = ()
+    methods: Mapping[str, str] = field(default_factory=lambda: _METHODS)
+    plays: int = 4
 
 
 def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> ChainTask:
     """Starts, box and fixed parameters of a chain of the kind.
 
     Args:
-        kind: one of `CHAIN_KINDS`.
+        kind: a name of `CHAIN_KINDS`; with `inverse_` before it, the inverse map, identified as its own model (the
+            "fitted inverse" of S2).
         trials: command to angle for forward kinds; swapped (`Trial.swapped`) for the inverse ones.
         structure: sizes of the chain.
 
     Raises:
         FitError: on an unknown kind, trials that are the wrong way round, unusable ones, or sizes below one.
     """
-    if kind not in CHAIN_KINDS:
-        raise FitError(f"no kind of chain {kind!r}, {did_you_mean(kind, CHAIN_KINDS)}")
+    known = [*CHAIN_KINDS, *(f"inverse_{name}" for name, entry in CHAIN_KINDS.items() if entry.inverse)]
+    if kind not in known:
+        raise FitError(f"no kind of chain {kind!r}, {did_you_mean(kind, known)}")
     if min(structure.plays, structure.bands) < 1:
         raise FitError(f"{structure.plays} plays and {structure.bands} bands, expected at least one of each")
     check_trial_set(trials)
-    chosen = CHAIN_KINDS[kind]
-    if trials[0].inverted != (chosen.inverted is not None):
-        way = "angle to command" if chosen.inverted else "command to angle"
+    entry = CHAIN_KINDS[kind.removeprefix("inverse_")]
+    inverse = entry.inverse if kind.startswith("inverse_") else None
+    if trials[0].inverted != (inverse is not None):
+        way = "angle to command" if inverse else "command to angle"
         raise FitError(f"{kind} maps {way}, got trials with the command in {trials[0].units.command}; swap them")
     forward = [trial.swapped() if trial.inverted else trial for trial in trials]
     extent = _extent(forward)
-    operators = chosen.starts(forward, extent, structure)
-    if chosen.inverted:
-        operators = [chosen.inverted(operator, structure) for operator in operators]
-    box = chosen.box(extent, structure)
-    ends, first = (_ends(operators[0], {**box, **narrower}) for narrower in ({}, chosen.first(extent, structure)))
-    return ChainTask(tuple(Chain(o) for o in operators), ends, first, chosen.fixed, tuple(trials))
+    operators = entry.starts(forward, extent, structure)
+    if inverse:
+        operators = [inverse(operator, structure) for operator in operators]
+    box = entry.box(extent, structure)
+    ends, first = (_ends(operators[0], {**box, **narrower}) for narrower in ({}, entry.first(extent, structure)))
+    fixed = entry.inverse_fixed if inverse else entry.fixed
+    return ChainTask(tuple(Chain(o) for o in operators), ends, first, fixed, tuple(trials))
 
 
 def _extent(trials: Sequence[Trial]) -> Extent:
@@ -279,11 +299,6 @@ def _bouc_wen_box(e: Extent, structure: Structure) -> Ends:
     }
 
 
-_BACKLASH = ChainKind(lambda trials, e, s: _cores(backlash_starts(trials)), _backlash_box)
-_PI = ChainKind(lambda trials, e, s: _cores(prandtl_ishlinskii_starts(trials, s.plays)), _plays_box, _plays_first)
-_DRDPI = ChainKind(_drdpi_starts, _drdpi_box, _drdpi_first)
-
-
 def _inverse_backlash(operator: Operator, structure: Structure) -> Operator:
     return Backlash(*operator.values).inverse(structure.dead_zone_deg)
 
@@ -295,17 +310,39 @@ def _inverse_plays(operator: Operator, structure: Structure) -> Operator:
     return operator.inverse()
 
 
-# The inverse forms have the forward models' numbers as parameters, fitted as their own (S2's "fitted inverse").
 CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
     {
-        "backlash": _BACKLASH,
-        "pi": _PI,
-        "drdpi": _DRDPI,
-        "bouc_wen": ChainKind(_bouc_wen_starts, _bouc_wen_box, fixed=("delta", "steepness")),
-        "inverse_backlash": ChainKind(
-            _BACKLASH.starts, _BACKLASH.box, fixed=("dead_zone",), inverted=_inverse_backlash
-        ),
-        "inverse_pi": ChainKind(_PI.starts, _PI.box, _PI.first, inverted=_inverse_plays),
-        "inverse_drdpi": ChainKind(_DRDPI.starts, _DRDPI.box, _DRDPI.first, inverted=_inverse_plays),
+        kind.name: kind
+        for kind in (
+            ChainKind(
+                "backlash",
+                "backlash",
+                lambda trials, e, s: _cores(backlash_starts(trials)),
+                _backlash_box,
+                inverse=_inverse_backlash,
+                inverse_fixed=("dead_zone",),
+                methods={"best": "least_squares", "paper": "adam", "iterated": "iterated"} | _METHODS,
+            ),
+            ChainKind(
+                "pi",
+                "PI",
+                lambda trials, e, s: _cores(prandtl_ishlinskii_starts(trials, s.plays)),
+                _plays_box,
+                _plays_first,
+                inverse=_inverse_plays,
+            ),
+            ChainKind(
+                "drdpi",
+                "DRDPI",
+                _drdpi_starts,
+                _drdpi_box,
+                _drdpi_first,
+                inverse=_inverse_plays,
+                methods={"best": "least_squares", "paper": "global", "cmaes": "cmaes"},  # a search in place of S1's GA
+                plays=10,  # as S1 has them
+            ),
+            ChainKind("bouc_wen", "Bouc-Wen", _bouc_wen_starts, _bouc_wen_box, fixed=("delta", "steepness")),
+        )
     }
 )
+"""The kinds of model that are operators; `models.kinds`, the command line and the tests read this list."""

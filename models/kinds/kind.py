@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from hystmpc.trials.errors import FitError, did_you_mean
 from hystmpc.trials.trial import Trial
@@ -78,12 +78,12 @@ class ModelKind(ABC):
         recurrent: whether its angle depends on more than the present command.
     """
 
-    name: ClassVar[str]
-    title: ClassVar[str]
-    presets: ClassVar[tuple[str, ...]] = ("best", "paper")
-    readable: ClassVar[bool] = False
-    invertible: ClassVar[bool] = True
-    recurrent: ClassVar[bool] = True
+    name: str
+    title: str
+    presets: tuple[str, ...] = ("best", "paper")
+    readable: bool = False
+    invertible: bool = True
+    recurrent: bool = True
 
     @abstractmethod
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:

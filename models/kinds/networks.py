@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, final
+from typing import Any, final
 
 from hystmpc.trials.trial import Trial
 
@@ -170,55 +170,55 @@ class NetworkKind(ModelKind):
 class FnnKind(NetworkKind):
     """Two ReLU layers of 64 over the present command alone, S2 section III-B; see `FeedForwardNet`."""
 
-    name: ClassVar[str] = "fnn"
-    title: ClassVar[str] = "FNN"
-    presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["fnn"])
-    recurrent: ClassVar[bool] = False
+    name = "fnn"
+    title = "FNN"
+    presets = tuple(NETWORK_PRESETS["fnn"])
+    recurrent = False
 
 
 @final
 class FnnHibKind(NetworkKind):
     """Two ReLU layers of 64 over the last 50 commands, S2 section III-B; see `FeedForwardNet`."""
 
-    name: ClassVar[str] = "fnn_hib"
-    title: ClassVar[str] = "FNN-HIB"
-    presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["fnn_hib"])
+    name = "fnn_hib"
+    title = "FNN-HIB"
+    presets = tuple(NETWORK_PRESETS["fnn_hib"])
 
 
 @final
 class LstmKind(NetworkKind):
     """Two layers of 64 cells, S1 eq. (1) and S2 section III-B; see `LstmWeights`."""
 
-    name: ClassVar[str] = "lstm"
-    title: ClassVar[str] = "LSTM"
-    presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["lstm"])
+    name = "lstm"
+    title = "LSTM"
+    presets = tuple(NETWORK_PRESETS["lstm"])
 
 
 @final
 class GruKind(NetworkKind):
     """Two layers of 64 units, S2 section III-B; see `GruNet`."""
 
-    name: ClassVar[str] = "gru"
-    title: ClassVar[str] = "GRU"
-    presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["gru"])
+    name = "gru"
+    title = "GRU"
+    presets = tuple(NETWORK_PRESETS["gru"])
 
 
 @final
 class Hb1Kind(NetworkKind):
     """An LSTM that gives the four parameters of a backlash at every sample, S2 eq. (6); see `SerialNet`."""
 
-    name: ClassVar[str] = "hb1"
-    title: ClassVar[str] = "HB1"
-    presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["hb1"])
+    name = "hb1"
+    title = "HB1"
+    presets = tuple(NETWORK_PRESETS["hb1"])
 
 
 @final
 class Hb2Kind(NetworkKind):
     """A backlash fitted beforehand and an LSTM that adds what it leaves, S2 eq. (7); see `ParallelNet`."""
 
-    name: ClassVar[str] = "hb2"
-    title: ClassVar[str] = "HB2"
-    presets: ClassVar[tuple[str, ...]] = tuple(NETWORK_PRESETS["hb2"])
+    name = "hb2"
+    title = "HB2"
+    presets = tuple(NETWORK_PRESETS["hb2"])
 
 
 NETWORK_KINDS: tuple[NetworkKind, ...] = (FnnKind(), FnnHibKind(), LstmKind(), GruKind(), Hb1Kind(), Hb2Kind())

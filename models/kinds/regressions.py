@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar, final
+from typing import final
 
 from hystmpc.trials.trial import Trial
 
@@ -30,9 +30,9 @@ class PlayKernelKind(ModelKind):
     See `PlayKernelWeights` for the equations and `PlayKernelSettings` for what is chosen how.
     """
 
-    name: ClassVar[str] = "play_kernel"
-    title: ClassVar[str] = "play kernel"
-    presets: ClassVar[tuple[str, ...]] = ("best", "rate_independent")
+    name = "play_kernel"
+    title = "play kernel"
+    presets = ("best", "rate_independent")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         from ..play_kernel.fit import PLAY_KERNEL_PRESETS, fit_play_kernel, play_kernel_bundle
@@ -67,9 +67,9 @@ class SvrKind(ModelKind):
     See `SvrWeights` for the equations and `SvrSettings` for what is compared how.
     """
 
-    name: ClassVar[str] = "svr"
-    title: ClassVar[str] = "SVR"
-    presets: ClassVar[tuple[str, ...]] = ("best", "paper", "grid")
+    name = "svr"
+    title = "SVR"
+    presets = ("best", "paper", "grid")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
         from ..train.svr_ import SVR_PRESETS, fit_svr, svr_bundle

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.models.evaluate import free_run
-from hystmpc.models.library import model_path
-from hystmpc.models.load import load_model
+from hystmpc.models.load import load_model, model_path
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.run_folder import Column, RunFolder

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.library import model_path
+from hystmpc.models.load import model_path
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.errors import ConfigError
 

@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from hystmpc.models.library import model_path
+from hystmpc.models.load import model_path
 from hystmpc.trials.errors import ConfigError
 
 from ..config import SimulationConfig

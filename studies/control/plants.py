@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.library import library_file
+from hystmpc.models.load import library_file
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep

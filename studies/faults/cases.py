@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from hystmpc.models.library import model_path
+from hystmpc.models.load import model_path
 from hystmpc.trials.config import dump_yaml
 
 # The run goes on to its end; is stopped safely by the controller; is left by a controller that is gone, so that the

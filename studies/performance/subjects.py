@@ -19,7 +19,7 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.contract.metadata import ModelMetadata, Range
-from hystmpc.models.library import library_file, library_names
+from hystmpc.models.load import library_file, library_names
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.motions import conditioned_rule, probe_commands, zero_state_rule
 from hystmpc.models.networks.lstm import LstmLayer, LstmStep, LstmWeights, lstm_step_graph

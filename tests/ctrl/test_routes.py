@@ -9,7 +9,7 @@ from hystmpc.ctrl.linearised.daqp_ import DaqpOptions
 from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse
 from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import ModelKind
-from hystmpc.models.library import library_file
+from hystmpc.models.load import library_file
 from hystmpc.models.model import Inverse, InvertiblePredictor, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
 from hystmpc.models.simulator import load_simulator

@@ -23,8 +23,7 @@ from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planning import PlanningError
 from hystmpc.ctrl.planning_settings import HoldSettings, WeightsSettings
 from hystmpc.models.inverse.one_step import AccompaniedPredictor
-from hystmpc.models.library import library_file
-from hystmpc.models.load import load_model
+from hystmpc.models.load import library_file, load_model
 from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse
 from hystmpc.models.simulator import ChainModel

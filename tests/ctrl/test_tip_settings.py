@@ -35,7 +35,7 @@ def test_reach_says_why_not() -> None:
 
 
 def test_from_config_reads_files_from_the_files_own_folder(tmp_path: Path) -> None:
-    from hystmpc.models.library import library_file
+    from hystmpc.models.load import library_file
 
     (tmp_path / "model.yaml").write_bytes(library_file("pi").read_bytes())
     (tmp_path / "tip.yaml").write_text(

@@ -129,7 +129,9 @@ def test_scales_of_parameters_are_the_ranges_of_the_signals() -> None:
     np.testing.assert_allclose(parameter_scales(CHAINS["backlash"], swapped), [slope, slope, shift, shift])
 
 
-@pytest.mark.parametrize("kind", list(CHAIN_KINDS))
+@pytest.mark.parametrize(
+    "kind", [*CHAIN_KINDS, *(f"inverse_{name}" for name in CHAIN_KINDS if CHAIN_KINDS[name].inverse)]
+)
 def test_starts_and_boxes_are_models(kind: str) -> None:
     data = [t.swapped() for t in BACKLASH_TRIALS] if kind.startswith("inverse") else BACKLASH_TRIALS
     task = chain_task(kind, data, Structure())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hystmpc.models.library import library_file
+from hystmpc.models.load import library_file
 from hystmpc.models.simulator import Simulator, load_simulator
 from hystmpc.sim.config import SimulationConfig
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from hystmpc.models.library import library_file, library_names, model_path
-from hystmpc.models.load import load_model
+from hystmpc.models.load import library_file, library_names, load_model, model_path
 from hystmpc.sim.compare import demo_config
 from hystmpc.sim.config import SimulationConfig, load_simulation
 from hystmpc.sim.study import prepare
