@@ -164,6 +164,7 @@ NAMES = [
 ALL = "$x$ \\frac{1}$ 50%s q'\"` naïve 日本 [red] [:smile:] {0} <b>&amp; -"
 
 
+@pytest.mark.slow
 @POSIX
 @pytest.mark.parametrize("name", NAMES)
 def test_a_file_is_called_as_it_is(

@@ -71,6 +71,7 @@ def test_moves_are_even_within_a_block_and_zero_after_the_last(blocks: tuple[int
     np.testing.assert_allclose(moves, np.concatenate([even, np.zeros(left)]), atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blocks", BLOCKS, ids=str)
 @pytest.mark.parametrize("weights", [HARD, SOFT], ids=["hard", "soft"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)

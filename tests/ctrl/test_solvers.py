@@ -47,6 +47,7 @@ def program(case: Case, weights: WeightsSettings, seed: int, horizon: int = H) -
 ONE_SIDED = SOFT.model_copy(update={"angle_lower_deg": None})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weights", [HARD, SOFT, ONE_SIDED], ids=["hard", "soft", "one-sided"])
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize("horizon", [1, H, 20])

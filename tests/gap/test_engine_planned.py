@@ -97,6 +97,7 @@ def test_a_set_that_was_taken_shows_no_more() -> None:
     assert np.abs(first[50:90] - second[50:90]).max() > 0.3
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_about_as_often_as_they_say() -> None:
     """Creep's share at 24 seeds of noise; a binomial of 90 % has less than 17 hits once in 500."""
     hits = 0

@@ -79,6 +79,7 @@ def test_a_repeat_is_kept_with_what_it_repeats(first: int, later: int, seed: int
     assert {first, second} <= set(found.kept)
 
 
+@pytest.mark.slow
 def test_long_trials_are_cut_before_fewer_than_twelve_are_used() -> None:
     trials = [trial(np.tile(sine(0.2), 20), name=f"{k}.csv") for k in range(40)]
     found = chosen(trials, 60_000)
@@ -102,6 +103,7 @@ def thinned(trials: list[Trial], most: int, patch: pytest.MonkeyPatch) -> Checke
     return check_trials(trials, simulator_of(BACKLASH))
 
 
+@pytest.mark.slow
 def test_trials_left_out_still_count_as_time_and_as_bending(monkeypatch: pytest.MonkeyPatch) -> None:
     trials = [trial((0.5 + 0.025 * k) * sine(0.1 + 0.02 * k), name=f"{k}.csv") for k in range(20)]
     every, some = check_trials(trials, simulator_of(BACKLASH)), thinned(trials, 10_000, monkeypatch)

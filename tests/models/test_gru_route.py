@@ -46,6 +46,7 @@ def reference(net, state: np.ndarray, plan: np.ndarray) -> tuple[np.ndarray, np.
     return angles.numpy(), slopes.numpy(), after.numpy()
 
 
+@pytest.mark.slow
 @every_size
 def test_exact_from_any_state(size: tuple[int, int]) -> None:
     net, route = network(size)

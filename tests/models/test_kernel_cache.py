@@ -185,6 +185,7 @@ def files(folder: Path) -> dict[str, Path]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [".nbi", ".nbc"])
 @pytest.mark.parametrize("damage", WAYS)
 def test_damage_is_told_once_and_mended(

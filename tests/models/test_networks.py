@@ -191,6 +191,7 @@ def small(epochs: int, keep_after: int, **changes: object) -> NetworkSettings:
     )
 
 
+@pytest.mark.slow
 def test_early_epochs_are_kept_only_where_no_later_one_is() -> None:
     fit = fit_network(four_trials(), small(5, 3, learning_rate=1e-12))
     late = fit.history[3:]

@@ -53,6 +53,7 @@ def started(folder: Path) -> tuple[list[str], float]:
     return [name for name, kernel in kernels.items() if not kernel.stats.cache_hits], answers["outer"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "text", "anew", "answer"),
     [

@@ -115,6 +115,7 @@ def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return load_onnx(path)
 
 
+@pytest.mark.slow
 def test_the_file_carries_its_window_and_reproduces_its_trials(model: OnnxModel) -> None:
     facts = model.metadata
     assert facts.state_size == facts.warmup_samples == 49

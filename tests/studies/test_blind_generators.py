@@ -65,6 +65,7 @@ def test_every_effect_of_the_design_has_a_generator() -> None:
         generator_named("servos")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("core", CORES, ids=lambda c: type(c).__name__)
 @pytest.mark.parametrize("generator", GENERATORS, ids=lambda g: g.name)
 def test_an_effect_changes_the_angle_and_more_of_it_changes_it_more(core: Core, generator: Generator) -> None:

@@ -165,6 +165,7 @@ def test_a_diagnosis_is_read_as_the_interface_has_it() -> None:
         reading_of({**data, "verdict": "perhaps"})
 
 
+@pytest.mark.slow
 def test_score_and_report_show_every_miss() -> None:
     cases = always(all_answers(), named("creep"))
     score = score_of(cases)

@@ -208,6 +208,7 @@ def test_inferred_numbers_of_the_paper_follow_from_printed_ones() -> None:
         assert drdpi.value == pytest.approx(lstm.value / (1 - reduction.value / 100), abs=0.005)
 
 
+@pytest.mark.slow
 def test_figures(demo: Reconstruction) -> None:
     section = section_figure(demo, 45.0)
     assert section.axes[0].get_title(loc="left").startswith("knows the play: mean error 0.")

@@ -190,6 +190,7 @@ def test_hostile_text_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
     line_of(text, ("one",))  # looks for places in the same texts, and must not fail either
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HOSTILE)
 def test_the_program_ends_with_2_and_one_line(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "study.yaml"
