@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -11,13 +12,14 @@ import typer
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.evaluate import evaluate
+from hystmpc.models.identify.auto import AutoFit
 from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest, ModelKind
 from hystmpc.models.load import load_model
 from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.trial import Trial
 
-from .console import bar, errors, out
+from .console import bar, errors, out, table
 from .evaluate import errors_table
 from .options import MODEL, SIMULATOR, Force, Layout, Logs, SkipFirstFlexure, check_output, files_read, trials_at
 
@@ -29,6 +31,7 @@ class Direction(StrEnum):
     INVERSE = "inverse"
 
 
+_PARTS = ("part", "form", "without it", "with it")
 _KINDS = ", ".join(kind.name for kind in KINDS)
 
 
@@ -99,6 +102,8 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
             show(done, f"best {best:.4f} {unit}", total=done)
     if found.interrupted:
         errors.print("interrupted: the best so far is kept", style="yellow")
+    if found.parts is not None:
+        _print_parts(found.parts, unit)
     if found.simulator is not None and path.suffix.lower() in SIMULATOR.endings:
         save_simulator(found.simulator, path)
         out.print(found.report, soft_wrap=True)
@@ -109,6 +114,24 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
         f"over {gate.steps} steps",
         soft_wrap=True,
     )
+
+
+def _print_parts(found: AutoFit, unit: str) -> None:
+    """What each part bought, its numbers, and what the logs do not determine."""
+    if found.rows:
+        rows = [(r.part, r.form, _figure(r.without_deg), _figure(r.with_deg)) for r in found.rows]
+        out.print(table(f"what each part buys, RMSE on trials left out, in {unit}", _PARTS, rows))
+    numbers = [
+        (f"{r.owner} {r.name}", f"{r.value:.4g}", f"{r.ci90[0]:.4g} to {r.ci90[1]:.4g}") for r in found.parameters
+    ]
+    if numbers:
+        out.print(table("identified numbers, with intervals of 90 %", ("parameter", "value", "interval"), numbers))
+    for line in found.advice:
+        out.print(line, soft_wrap=True)
+
+
+def _figure(value: float) -> str:
+    return f"{value:.3f}" if math.isfinite(value) else "-"
 
 
 def _duration(seconds: float) -> str:

@@ -13,6 +13,7 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..contract.metadata import Range
+from ..operators.curved_plays import CurvedPlays
 from ..operators.hysteresis import Backlash
 from .free_run import StagedChain
 
@@ -29,6 +30,7 @@ class Baseline(ABC):
         chain: the nominal chain.
         nominal, lower, upper, scale: of z.
         effects: position in z of what retuning leaves alone, because it is an effect: {effect: {name: position}}.
+        held: positions in z of what is chosen and never fitted.
     """
 
     chain: Chain
@@ -37,6 +39,7 @@ class Baseline(ABC):
     upper: Vec
     scale: Vec
     effects: Mapping[str, Mapping[str, int]]
+    held: tuple[int, ...] = ()
 
     @abstractmethod
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
@@ -99,7 +102,7 @@ class BacklashBaseline(Baseline):
 @final
 @dataclass(frozen=True, eq=False)
 class FreeCoreBaseline(Baseline):
-    """All parameters of the core, one that is an effect by another name apart.
+    """All parameters of the core but one that is an effect by another name; of curved plays slopes and offset.
 
     Attributes:
         chain: the nominal chain.
@@ -112,7 +115,9 @@ class FreeCoreBaseline(Baseline):
     def __post_init__(self) -> None:
         core, values = self.chain.core, np.array(self.chain.core.values)
         span = self.command.upper - self.command.lower
-        gain = max(sum(abs(v) for v, p in zip(values, core.parameters, strict=True) if p.unit == "deg/cmd"), 1e-6)
+        slopes = [abs(v) for v, p in zip(values, core.parameters, strict=True) if p.unit == "deg/cmd"]
+        pieces = core.pieces if isinstance(core, CurvedPlays) else 1
+        gain = max(sum(slopes) / pieces, 1e-6)
         typical = {"cmd": 0.05 * span, "deg/cmd": 0.1 * gain, "deg": 0.05 * gain * span, "s": 0.02}
         scale = [typical.get(p.unit, max(0.1 * abs(v), 1e-3)) for v, p in zip(values, core.parameters, strict=True)]
         object.__setattr__(self, "nominal", values)
@@ -125,6 +130,8 @@ class FreeCoreBaseline(Baseline):
             if p.name in _EFFECTS_BY_ANOTHER_NAME
         }
         object.__setattr__(self, "effects", named)
+        if isinstance(core, CurvedPlays):
+            object.__setattr__(self, "held", tuple(range(len(slopes) + 1, values.size)))
 
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
         return np.clip(z, self.lower, self.upper), np.eye(z.size)

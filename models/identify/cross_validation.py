@@ -52,10 +52,12 @@ class HeldOutErrors(Blocks):
     Attributes:
         hypothesis: what was judged.
         errors: of each run where it counts (C,) [deg].
+        fold_q: unknowns (Q,) fitted without each fold.
     """
 
     hypothesis: Hypothesis
     errors: tuple[Vec, ...]
+    fold_q: tuple[Vec, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +116,15 @@ class CrossValidation:
     def judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
         """Errors on each fold of a fit to the others; with one run, of the fit to it."""
         parts: dict[int, Vec] = {}
+        fold_q = []
         for fold in self.folds:
             rest = [run for k, run in enumerate(self.runs) if k not in fold]
             q = fit_problem(hypothesis.problem, rest, hypothesis.q, self.evaluations, 1e-3).q if rest else hypothesis.q
+            fold_q.append(q)
             parts |= {k: hypothesis.problem.held_out_error(q, self.runs[k]) for k in fold}
         errors = tuple(parts[k] for k in range(len(self.runs)))
         held_out = blocks_of(errors, self.runs)
-        return HeldOutErrors(held_out.energy, held_out.samples, held_out.run, hypothesis, errors)
+        return HeldOutErrors(held_out.energy, held_out.samples, held_out.run, hypothesis, errors, tuple(fold_q))
 
 
 def gain(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:

@@ -28,12 +28,14 @@ class TrialTerms:
 
     Attributes:
         shift: offset, gain and width of the trial, to first order: columns 1, theta and d theta / d width.
+        own_offset: an offset alone; no effect, as sensors are zeroed anew for a trial.
         frequency_hz: of a disturbance whose phase each trial has for itself; 0 for none.
         harmonics: of that disturbance.
         width: position of the baseline's width among the unknowns, -1 for none.
     """
 
     shift: bool = False
+    own_offset: bool = False
     frequency_hz: float = 0.0
     harmonics: int = 2
     width: int = -1
@@ -45,7 +47,7 @@ class TrialTerms:
 
     def columns(self, run: Run, theta: Vec, by_q: Vec) -> Vec:
         """The terms (C, K) at the samples that count."""
-        made: list[Vec] = []
+        made: list[Vec] = [np.ones(theta.size)] if self.own_offset else []
         if self.shift:
             made += [np.ones(theta.size), theta - theta.mean()]
             if self.width >= 0 and np.ptp(by_q[:, self.width]) > 0:
@@ -75,11 +77,11 @@ class TrialTerms:
 
         The gain counts by what it moves: the coefficient of theta times the spread of theta.
         """
-        if not self.shift:
+        if not (self.shift or self.own_offset):
             return np.empty(0), np.empty((0, by_q.shape[1]))
         columns = self.columns(run, theta, by_q)
-        scale = np.array([1.0, max(float(theta.std()), 1e-9)])[:, None]
-        found = scale * np.linalg.pinv(columns)[:2]
+        scale = np.array([1.0, max(float(theta.std()), 1e-9)] if self.shift else [1.0])[:, None]
+        found = scale * np.linalg.pinv(columns)[: len(scale)]
         return found @ error, found @ by_q
 
     def projected(self, run: Run, theta: Vec, error: Vec, by_q: Vec) -> tuple[Vec, Vec]:
@@ -164,6 +166,7 @@ class Problem:
         owners = [*((c, k) for k, (c, _) in enumerate(leading)), *((c, first + k) for k, (c, _) in enumerate(trailing))]
         self._carried = [(c.carries, states[k]) for c, k in owners if c.carries]
         kept = {k for name, own in baseline.effects.items() if name not in self._in_core() for k in own.values()}
+        kept.update(baseline.held)
         self._active = [k for k in range(baseline.nominal.size) if k not in kept]
         self._z = len(self._active)
         self._freedoms = [

@@ -54,14 +54,15 @@ def _compile(serialized: str) -> ChainKernels:
     theta, following = function(x, u, p, dt)
     by = ca.jacobian
     arguments = [x, u, p, dt]
-    step = scalar_program(dense("step", arguments, [theta, following]), "step")
+    step = scalar_program(dense("step", arguments, [theta, following]), "step", _TEMPLATES)
     tangent = scalar_program(
         dense("tangent", arguments, [theta, following, by(following, x), by(following, u), by(theta, x), by(theta, u)]),
         "tangent",
+        _TEMPLATES,
     )
     generated = "".join(_INLINED + program.source + "\n\n" for program in (step, tangent))
     loops = resources.files("hystmpc.models.kernels").joinpath("chain_loops.py").read_text(encoding="utf-8")
-    module = generated_module("import math\n\n\n" + generated + loops)
+    module = generated_module(_HEADER + "\n\n" + generated + loops)
     return ChainKernels(
         module.simulate,
         module.rollout,

@@ -138,9 +138,9 @@ class Program:
     constants: tuple[float, ...]
 
 
-def scalar_program(function: Any, name: str) -> Program:
+def scalar_program(function: Any, name: str, table: Mapping[str, str] = SCALAR) -> Program:
     """Return numba-ready source `name(i0, i1, ..., o0, o1, ..., k)` reading and writing flat float arrays."""
-    lines, constants = _body(function, SCALAR, "o{0}[{1}] = {2}")
+    lines, constants = _body(function, table, "o{0}[{1}] = {2}")
     inputs = [f"i{j}" for j in range(function.n_in())]
     outputs = [f"o{j}" for j in range(function.n_out())]
     header = f"def {name}({', '.join([*inputs, *outputs, 'k'])}):"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from hystmpc.trials.errors import FitError, did_you_mean
 
+from .auto import AutoKind
 from .kind import ModelKind
 from .networks import NETWORK_KINDS
 from .operator_kinds import OPERATOR_KINDS
 from .regressions import PlayKernelKind, SvrKind
 
-KINDS: tuple[ModelKind, ...] = (*OPERATOR_KINDS, *NETWORK_KINDS, SvrKind(), PlayKernelKind())
+KINDS: tuple[ModelKind, ...] = (AutoKind(), *OPERATOR_KINDS, *NETWORK_KINDS, SvrKind(), PlayKernelKind())
 
 
 def kind_named(name: str) -> ModelKind:

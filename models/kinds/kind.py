@@ -15,6 +15,7 @@ from ..contract.metadata import DeviceLimits
 from ..model import FitProgress
 
 if TYPE_CHECKING:
+    from ..identify.auto import AutoFit
     from ..simulator import Simulator
 
 
@@ -55,6 +56,7 @@ class Identified:
         history: step and best error so far, in the unit of the output.
         report: one line on how it went.
         interrupted: stopped by the user; this is the best so far.
+        parts: of `auto`, what each part of the device bought, its numbers with intervals, and what to record.
     """
 
     bundle: ExportBundle
@@ -62,6 +64,7 @@ class Identified:
     history: tuple[tuple[int, float], ...]
     report: str
     interrupted: bool = False
+    parts: AutoFit | None = None
 
 
 class ModelKind(ABC):

@@ -91,32 +91,40 @@ class Lag(Operator):
 @final
 @dataclass(frozen=True)
 class Servo(Operator):
-    """Underdamped lag of second order, exact for an input that runs straight between samples.
+    """Underdamped lag of second order, exact for an input in steps, or for one that runs straight between samples.
 
     y'' + 2 d w y' + w^2 y = w^2 u,  w = 2 d / tau
 
-    with damping ratio d, so that it stays behind a ramp by tau as a lag of first order does. With the ramp's slope
-    a = (u_k - u_{k-1}) / dt, what is off from following it, e = y - (u_{k-1} - a tau) and g = v - a, and with s = d w,
-    f = w sqrt(1 - d^2), c = cos(f dt), h = sin(f dt) / f,
+    with damping ratio d, so that it stays behind a ramp by tau as a lag of first order does. With the slope of the
+    input a, which is 0 for steps (hold 0) and (u_k - u_{k-1}) / dt for straight lines (hold 1), what is off from
+    following it, e = y - (u_k - a dt - a tau) and g = v - a, and with s = d w, f = w sqrt(1 - d^2), c = cos(f dt),
+    h = sin(f dt) / f,
 
         y_k = u_k - a tau + exp(-s dt) ((c + s h) e + h g),  v_k = a + exp(-s dt) (-w^2 h e + (c - s h) g)
 
     At 1 us it is the identity but for a microsecond of the ramp.
+
+    Attributes:
+        hold: order of the hold, 0 for an input in steps.
 
     Source: Ogata, Modern Control Engineering (5th ed., 2010), section 5.3.
     """
 
     tau_s: Annotated[float, Number("s", 1e-6, 1e3, 1.0, "time by which it stays behind a ramp")]
     damping: Annotated[float, Number("1", 0.05, 0.999, 0.7, "ratio to the critical damping")]
+    hold: int = 1
     name: ClassVar[str] = "servo"
+    shape: ClassVar[tuple[str, ...]] = ("hold",)
+    default_sizes: ClassVar[Mapping[str, int]] = {"hold": 1}
+    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"hold": (0, 1)}
     state_names: ClassVar[tuple[str, ...]] = ("y", "v", "u")
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         w = 2 * p[1] / p[0]
         s, f = p[1] * w, w * ca.sqrt(1 - p[1] * p[1])
         left, c, h = ca.exp(-s * dt), ca.cos(f * dt), ca.sin(f * dt) / f
-        slope = (u - x[2]) / dt
-        e, g = x[0] - x[2] + slope * p[0], x[1] - slope
+        slope = (u - x[2]) / dt if self.hold else 0.0
+        e, g = x[0] - (x[2] if self.hold else u) + slope * p[0], x[1] - slope
         y = u - slope * p[0] + left * ((c + s * h) * e + h * g)
         return ca.vertcat(y, slope + left * ((c - s * h) * g - w * w * h * e), u), y
 

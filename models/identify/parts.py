@@ -1,0 +1,157 @@
+"""What a device may be made of, part by part: the alternatives between which `fit auto` chooses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.trial import Trial
+
+from ..chain import Chain
+from ..effects.catalogue import candidates
+from ..effects.effect import Candidate, Freedom, Scale
+from ..operators.curved_plays import CurvedPlays
+from ..operators.dynamics import Lag, RateLimit, Servo
+from ..operators.hysteresis import Backlash
+from ..operators.operator import Operator
+from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
+from ..operators.slow_changes import Creep
+
+Form = tuple[Candidate, ...]
+"""One alternative of a part: effects that are added together; empty for a device without that part."""
+
+_REACHES = (0.3, 0.1, 0.8)  # of the command's range: the widest play at the starts
+_QUICKEST_S = 0.1  # relaxation time of the quick term of two; what is quicker is a lag
+_BENT = "pi, 6 plays"  # the core that is tried with a curve
+_CURVES = ("nonlinear_gain/output", "asymmetry/output", "asymmetry/directional", "slack/rounded", "contact/output")
+_CURVED = (5, 8)  # plays and pieces of the richest core
+_RADII = (0.02, 0.45)  # of the command's range: its narrowest and its widest play
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a device and its alternatives.
+
+    Attributes:
+        name: in tables: `drive`, `creep`, `rate dependence`.
+        forms: the alternatives, the device without the part first.
+    """
+
+    name: str
+    forms: tuple[Form, ...]
+
+
+def device_parts(scale: Scale) -> tuple[Part, ...]:
+    """Drive, creep and rate dependence, with bounds and starts of the one list of effects.
+
+    A drive holds each command over its sample, as a set-point that is sent in steps; where it runs straight between
+    the samples instead, that is half a sample of delay more. The delay therefore goes with every lag, too.
+
+    Args:
+        scale: sizes of the device and its trials.
+    """
+    known = {c.label: c for c in candidates(scale, ())}
+    delay = known["delay/command"]
+    one = replace(known["lag/command"], variant="one pole", operators=(Lag(0.1),))
+    two = replace(one, variant="two poles", operators=(Lag(0.1), Lag(0.1)))
+    servo = replace(known["lag/servo"], operators=(Servo(0.1, 0.7, 0),), starts=((2.0 * scale.dt_s, 0.75), (0.2, 0.75)))
+    ways = replace(known["lag/two ways"], operators=(Lag(0.1, (0.1,)),), starts=((0.3, 0.3),))
+    lags: tuple[Form, ...] = ((one,), (two,), (servo,), (ways,))
+    drives = ((), (delay,), (_top_speed(scale),), *lags, *((_short(delay), *lag) for lag in lags))
+    creeps = ((), *((form,) for form in _creeps(known["creep/command"], scale)))
+    widths = ((), (known["rate_dependence/command"],))
+    return (
+        Part("drive", drives),
+        Part("creep", creeps),
+        Part("rate dependence", widths),
+    )
+
+
+def _short(delay: Candidate) -> Candidate:
+    """The delay with one start, where another form is fitted with it."""
+    return replace(delay, starts=delay.starts[:1])
+
+
+def _top_speed(scale: Scale) -> Candidate:
+    """A follower with a top speed alone; it is a lag by name, as in the list of effects."""
+    free = (Freedom("top_speed", 0.02 * scale.span, 50 * scale.span, 0.0),)
+    return Candidate("lag", "top speed", "command", 20, (RateLimit(1.0),), free, ((0.5 * scale.span,),))
+
+
+def _creeps(creep: Candidate, scale: Scale) -> tuple[Candidate, Candidate]:
+    """One term, and a quick one with a slow one."""
+    share, tau = creep.free
+    slowest, middle = 3.0 * scale.duration_s, 2.0
+    one = replace(creep, starts=tuple((-0.1, start) for start in (2.0, 10.0)))
+    free = (
+        replace(share, name="share_1"),
+        replace(share, name="share_2"),
+        replace(tau, name="tau_1_s", lower=_QUICKEST_S, upper=middle),
+        replace(tau, name="tau_2_s", lower=middle, upper=max(slowest, 2.0 * middle)),
+    )
+    start = (-0.05, -0.05, 0.3, min(8.0, 0.5 * slowest))
+    both = replace(creep, variant="two terms", operators=(Creep((0.0, 0.0), (1.0, 10.0)),), free=free, starts=(start,))
+    return one, both
+
+
+@dataclass(frozen=True)
+class CoreForm:
+    """One alternative of the hysteresis core.
+
+    Attributes:
+        label: in tables, such as `pi, 6 plays`.
+        starts: chains of one structure, with values from which a fit starts.
+        size: free parameters, those of the curve included.
+        curve: static or directional curve that goes with the core; empty for none.
+    """
+
+    label: str
+    starts: tuple[Chain, ...]
+    size: int
+    curve: Form = ()
+
+
+def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
+    """Rate-independent cores, alone and with a curve, few numbers first; `CurvedPlays`, the richest, last.
+
+    The start is the line through all samples, which steps of a few values give as well as long ramps do.
+
+    Raises:
+        FitError: if the angle does not rise with the command.
+    """
+    command = np.concatenate([trial.command for trial in trials])
+    angle = np.concatenate([trial.angle for trial in trials])
+    slope, offset = (float(v) for v in np.polyfit(command, angle, 1))
+    if slope <= 0:
+        raise FitError(
+            f"the angle falls with the command ({slope:.4g} deg per unit), expected it to rise; "
+            "turn the sign of one channel"
+        )
+    span = float(np.ptp(command))
+
+    def backlash(reach: float) -> Operator:
+        half = 0.25 * reach * span
+        return Backlash(slope, slope, offset / slope + half, offset / slope - half)
+
+    def pi(plays: int, reach: float) -> PrandtlIshlinskii:
+        share = slope / (plays + 1)
+        return PrandtlIshlinskii(share, (share,) * plays, reach * span / plays, 0.0, offset)
+
+    made = [CoreForm("backlash", tuple(Chain(backlash(reach)) for reach in _REACHES), 4)]
+    made += [
+        CoreForm(f"pi, {plays} plays", tuple(Chain(pi(plays, reach)) for reach in _REACHES), plays + 3)
+        for plays in (3, 6, 10)
+    ]
+    known = {c.label: c for c in candidates(scale, ())}
+    plain = next(core for core in made if core.label == _BENT)
+    for label in _CURVES:
+        curve = known[label]
+        made.append(replace(plain, label=f"{_BENT}, {label}", size=plain.size + len(curve.free), curve=(curve,)))
+    count, pieces = _CURVED
+    slopes, radii = (slope / (count + 1),) * (pieces * (count + 1)), tuple(np.geomspace(*_RADII, count) * span)
+    bottom = offset + slope * float(command.min())
+    curved = CurvedPlays(slopes, bottom, radii, float(command.min()), float(command.max()), pieces)
+    return (*made, CoreForm(f"curved_plays, {count} plays of {pieces} pieces", (Chain(curved),), len(slopes) + 1))

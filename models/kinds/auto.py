@@ -1,0 +1,56 @@
+"""The kind `auto`: drive, creep and core of a device, chosen from the trials and fitted jointly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import final
+
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.trial import Trial
+
+from ..identify.auto import AutoFit, identify_auto
+from ..identify.methods import simulator_of
+from ..model import FitProgress
+from ..simulator import simulator_bundle
+from .kind import FitRequest, Identified, ModelKind
+
+_STEPS = 100  # of the progress
+
+
+@final
+class AutoKind(ModelKind):
+    """A whole device as a chain of operators; see `identify.auto.identify_auto`."""
+
+    name = "auto"
+    title = "auto"
+    presets = ("best",)
+    readable = True
+    invertible = False
+
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        self.check(trials, request)
+        if not trials:
+            raise FitError("got no trials, expected at least one")
+
+        def told(share: float, rmse: float) -> None:
+            if progress:
+                progress(round(_STEPS * share), rmse)
+
+        found = identify_auto(trials, None, request.skip_first_flexure, told)
+        hypothesis = found.choice.hypothesis
+        chain = hypothesis.problem.fitted_chain(hypothesis.q)
+        words = f"auto: {hypothesis.label} + {found.choice.core.label}"
+        simulator = simulator_of(chain, trials, request.limits, words, request.seed, request.skip_first_flexure)
+        return Identified(
+            simulator_bundle(simulator), simulator, (), _report(found, trials[0].units.angle), parts=found
+        )
+
+    def steps(self, request: FitRequest) -> int | None:
+        del request
+        return _STEPS
+
+
+def _report(found: AutoFit, unit: str) -> str:
+    """One line: what the device consists of, and the error on trials left out."""
+    parts = [c.label for form in found.choice.forms.values() for c in form]
+    return f"{' + '.join([*parts, found.choice.core.label])}; {found.choice.rmse_deg:.4f} {unit} on trials left out"
