@@ -20,7 +20,7 @@ from hystmpc.models.operators.static_curves import Contact, NonlinearGain, Slack
 from hystmpc.trials.errors import ModelError
 
 from .running import run_operator
-from .zoo import BACKLASH, DT, EXAMPLES, RATE_PI, STATIC_PI
+from .zoo import BACKLASH, CURVED, DT, EXAMPLES, RATE_PI, STATIC_PI
 
 EFFECTS = (
     FirstFlexure(0.2, 1.5),
@@ -30,7 +30,7 @@ EFFECTS = (
     Asymmetry(1.2, 0.85, 3.0),
     TrialShift(0.4, 1.1, 0.2),
 )
-RATE_INDEPENDENT = (Play(0.4), BACKLASH, STATIC_PI, *EFFECTS)
+RATE_INDEPENDENT = (Play(0.4), BACKLASH, STATIC_PI, CURVED, *EFFECTS)
 FORWARD = (*RATE_INDEPENDENT, RATE_PI)
 corners = st.lists(st.floats(0.0, 6.0), min_size=3, max_size=8)
 

@@ -1,0 +1,127 @@
+"""`fit auto`: parts that are there are found, parts that are not are not, and every fit is a usable model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hystmpc.models.chain import Chain
+from hystmpc.models.identify.auto import AutoSearch, AutoSettings, identify_auto
+from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.identify.runs import runs_of
+from hystmpc.models.kinds.catalogue import kind_named
+from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.operators.dynamics import Delay, Lag
+from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from hystmpc.models.operators.slow_changes import Creep
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from .zoo import DT
+
+CORE = PrandtlIshlinskii(4.0, (3.0, 2.0, 1.0), 0.2, 0.0, 22.0)
+NOISE_DEG = 0.1
+
+
+def motions(seed: int) -> list[Vec]:
+    """Point to point with holds, and sines of three frequencies, 20 s each [mm]."""
+    random, made = np.random.default_rng(seed), []
+    for _ in range(2):
+        targets = np.repeat(random.uniform(0.2, 5.8, 8), 62)
+        ramps = np.convolve(np.concatenate([np.full(25, 0.2), targets]), np.ones(10) / 10, mode="same")
+        made.append(np.concatenate([np.full(25, 0.2), ramps[12:]])[:500])
+    t = np.arange(500) * DT
+    for frequency, reach in ((0.15, 2.8), (0.4, 2.5), (0.8, 1.5)):
+        made.append(3.0 - reach * np.cos(2 * np.pi * frequency * t) * np.linspace(1.0, 0.4, t.size))
+    return made
+
+
+def recorded(*before: Operator, commands: list[Vec] | None = None, offsets_deg: float = 0.0) -> list[Trial]:
+    """Trials of a device with a known drive in front of a known core, with white noise."""
+    chain, random, trials = Chain(CORE, tuple(before)), np.random.default_rng(7), []
+    for k, u in enumerate(commands or motions(1)):
+        staged = StagedChain(chain)
+        state = staged.rest(u[:1], np.array([20.0]))
+        theta = staged.simulate(np.concatenate([np.full(100, u[0]), u])[:, None], DT, state)[0][100:, 0]
+        shift = offsets_deg * (-1) ** k
+        angle = theta + shift + NOISE_DEG * random.standard_normal(u.size)
+        trials.append(Trial(np.arange(u.size) * DT, u, angle, source=f"trial_{k}.csv"))
+    return trials
+
+
+def numbers(trials: list[Trial]) -> dict[str, tuple[float, float, float]]:
+    """Identified numbers with their intervals."""
+    return {f"{r.owner}.{r.name}": (r.value, *r.ci90) for r in identify_auto(trials).parameters}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("before", "truth"),
+    [
+        ((), {}),
+        ((Delay(0.09, 8),), {"delay.delay_s": 0.09}),
+        ((Lag(0.15),), {"lag.tau_s": 0.15}),
+        ((Delay(0.09, 8), Lag(0.15)), {"delay.delay_s": 0.09, "lag.tau_s": 0.15}),
+        ((Lag(0.15), Creep((-0.15,), (5.0,))), {"lag.tau_s": 0.15, "creep.share": -0.15, "creep.tau_s": 5.0}),
+    ],
+    ids=["none", "delay", "lag", "delay and lag", "lag and creep"],
+)
+def test_what_is_there_is_found_and_nothing_else(before: tuple[Operator, ...], truth: dict[str, float]) -> None:
+    found = numbers(recorded(*before))
+    assert {name for name in found if name.split(".")[0] in ("delay", "lag", "creep")} == set(truth)
+    for name, value in truth.items():
+        got, low, high = found[name]
+        assert got == pytest.approx(value, rel=0.05)
+        assert low <= got <= high
+
+
+@pytest.mark.slow
+def test_steps_of_three_values_give_both_time_constants_of_a_valve() -> None:
+    """Filling takes 2.5 s, venting 5 s; no ramp is recorded."""
+    random = np.random.default_rng(2)
+    levels = [np.concatenate([[0.2], random.choice([0.2, 3.0, 5.8], 5)]) for _ in range(4)]
+    commands = [np.repeat(level, 175) for level in levels]
+    found = numbers(recorded(Lag(2.5, (5.0,)), commands=commands))
+    assert found["lag.tau_up_s"][0] == pytest.approx(2.5, rel=0.2)
+    assert found["lag.tau_down_s"][0] == pytest.approx(5.0, rel=0.2)
+
+
+@pytest.mark.slow
+def test_trials_that_were_zeroed_anew_have_offsets_of_their_own() -> None:
+    assert identify_auto(recorded(Lag(0.15), offsets_deg=2.0)).offsets
+    assert not identify_auto(recorded(Lag(0.15))).offsets
+
+
+@pytest.mark.slow
+def test_the_result_is_a_model_at_the_noise_floor_with_a_table_of_its_parts() -> None:
+    identified = kind_named("auto").fit(recorded(Delay(0.09, 8), Lag(0.15)), FitRequest())
+    assert identified.simulator is not None
+    assert identified.parts is not None
+    rows = {row.part: row for row in identified.parts.rows}
+    assert rows["drive"].without_deg > 5 * rows["drive"].with_deg
+    assert rows["creep"].form == "none"
+    assert identified.parts.choice.rmse_deg < 1.15 * NOISE_DEG
+    assert identified.simulator.chain.before[0].name == "delay"
+
+
+def test_ctrl_c_keeps_the_best_so_far_and_before_the_first_look_says_so() -> None:
+    trials, calls = recorded(Lag(0.15))[:2], []
+
+    def stop(share: float, rmse: float) -> None:
+        calls.append((share, rmse))
+        raise KeyboardInterrupt
+
+    search = AutoSearch(trials, runs_of(trials), AutoSettings(), stop)
+    assert search.run().rmse_deg < 2.0
+    assert search.interrupted
+    assert len(calls) == 1
+
+
+def test_an_angle_that_falls_with_the_command_is_refused() -> None:
+    fallen = [replace(trial, angle=-trial.angle) for trial in recorded()]
+    with pytest.raises(FitError, match="falls with the command"):
+        identify_auto(fallen)
