@@ -61,9 +61,13 @@ class MuscleCore:
 
     @classmethod
     def draw(cls, random: np.random.Generator) -> MuscleCore:
-        """A device of this kind."""
-        ends = ((2.5, 3.5), (60.0, 100.0), (0.06, 0.18), (0.05, 0.25), (0.1, 0.5), (0.8, 1.6))
-        return cls(*(float(random.uniform(*pair)) for pair in ends))
+        """A device of this kind whose angle never rises as the pressure begins to fall.
+
+        The pull b (1 - f z) turns with z from 1 to -1 within the presliding p: it falls with b where p (1 - f) > 2 f b.
+        """
+        ends = ((2.5, 3.5), (60.0, 100.0), (0.04, 0.10), (8.0, 12.0), (0.1, 0.5), (0.8, 1.6))
+        bar, deg, friction, width, slack, half = (float(random.uniform(*pair)) for pair in ends)
+        return cls(bar, deg, friction, width * friction, slack, half)
 
     def numbers(self) -> MuscleNumbers:
         """As the recursion reads them: valve and air are fast, as lag and creep stand before the core."""

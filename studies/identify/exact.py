@@ -7,7 +7,6 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.models.model import Inverse, Predictor
@@ -20,7 +19,11 @@ from .kernels import FINE_S
 _DIFFERENCE = 2e-3  # of the travel
 _BLOCKS = 24
 # The model is exact: what is left of the first guess decays, and no noise comes in.
-_DRIFT_DEG = 0.01
+_TRUST = {
+    "drift_sigma_deg_per_sqrt_s": 0.01,
+    "motion_sigma_deg_per_sqrt_unit": 0.0,
+    "dead_band_gain_deg_per_unit": 0.0,
+}
 
 
 @final
@@ -74,19 +77,18 @@ class ExactInverse(Inverse):
         return min(max(float(place) - crept, low), high)
 
 
-def exact_controller(device: DrawnDevice, settings: LinearisedMpcSettings) -> GuardedController[Any]:
-    """The linearised law on the device itself, with an estimator that trusts it.
+def exact_controller(
+    device: DrawnDevice, settings: LinearisedMpcSettings, trusting: bool = False
+) -> GuardedController[Any]:
+    """The linearised law on the device itself.
 
     Args:
-        settings: of everything but the estimator.
+        settings: of the law; the estimator is told the whole samples of the delay.
+        trusting: let the estimator know that the model is exact, so that no noise comes in.
     """
     predictor = ExactPredictor(device)
-    trusting = EstimatorSettings(
-        sensor_sigma_deg=max(device.noise_deg, 1e-3),
-        drift_sigma_deg_per_sqrt_s=_DRIFT_DEG,
-        motion_sigma_deg_per_sqrt_unit=0.0,
-        dead_band_gain_deg_per_unit=0.0,
-        delay_samples=predictor.delay_samples,
-    )
-    settings = settings.model_copy(update={"estimator": trusting})
+    changes: dict[str, Any] = {"delay_samples": predictor.delay_samples}
+    if trusting:
+        changes |= _TRUST | {"sensor_sigma_deg": device.noise_deg}
+    settings = settings.model_copy(update={"estimator": settings.estimator.model_copy(update=changes)})
     return build_controller(settings, predictor, ExactInverse(predictor), device.limits)

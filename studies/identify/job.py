@@ -95,10 +95,12 @@ def fingerprint(job: IdentifyJob, settings: IdentifySettings) -> str:
 
 def result_files(folder: Path) -> ResultFiles[IdentifyResult]:
     """Results of the study's folder; a figure that is not there is null."""
-    return ResultFiles(folder, IdentifyResult, FORMAT, _plain)
+    return ResultFiles(folder, IdentifyResult, FORMAT, plain)
 
 
-def _plain(result: IdentifyResult) -> dict[str, Any]:
+def plain(result: IdentifyResult) -> dict[str, Any]:
+    """A result as JSON; a figure that is not there is null."""
+
     def finite(value: float) -> float | None:
         return value if math.isfinite(value) else None
 
@@ -123,13 +125,13 @@ class DeviceStudy:
 
 @dataclass
 class _Watch:
-    """Seconds by stage."""
+    """Processor time by stage [s]."""
 
     seconds: dict[str, float]
     last: float
 
     def lap(self, name: str) -> None:
-        now = time.perf_counter()
+        now = time.process_time()
         self.seconds[f"seconds.{name}"], self.last = now - self.last, now
 
 
@@ -143,7 +145,7 @@ def study_device(
         HystmpcError: if a controller cannot be built.
     """
     device = draw_devices(settings.devices, settings.seed, settings.quick)[job.number]
-    watch = _Watch({}, time.perf_counter())
+    watch = _Watch({}, time.process_time())
     plant = DrawnPlant(device, device.seed)
     trials = recordings(plant, settings.quick)
     watch.lap("record")
@@ -203,6 +205,7 @@ def _model_controllers(study: DeviceStudy) -> dict[str, Controller[Any]]:
         "sampling": _built(SamplingMpcSettings(), study.model, limits),
         "inverse": _built(InverseControllerSettings(), study.model, limits),
         "exact": exact_controller(study.device, LinearisedMpcSettings()),
+        "exact_trusting": exact_controller(study.device, LinearisedMpcSettings(), trusting=True),
     }
 
 

@@ -67,9 +67,9 @@ def _excitations(limits: CommandLimits, random: np.random.Generator, share: floa
     """Commands by name; `share` of the full number of moves or periods, 180 s in all at 1."""
     stroke, rate = limits.upper, limits.rate
     ends = (_INNER * stroke, _OUTER * stroke)
-    steps = RampHoldDraw(max(round(12 * share), 3), ends, (0.1 * rate, 0.8 * rate), (1.0, 4.0), (0.1 * stroke, stroke))
+    steps = RampHoldDraw(max(round(20 * share), 3), ends, (0.1 * rate, 0.8 * rate), (1.0, 4.0), (0.1 * stroke, stroke))
     yield "steps", _cut(steps(random), 40.0 * share)
-    holds = RampHoldDraw(max(round(4 * share), 1), ends, (0.05 * rate, 0.3 * rate), (6.0, 9.0), (0.2 * stroke, stroke))
+    holds = RampHoldDraw(max(round(8 * share), 1), ends, (0.05 * rate, 0.3 * rate), (6.0, 9.0), (0.2 * stroke, stroke))
     yield "long_holds", _cut(holds(random), 35.0 * share)
     half = 0.5 * (_OUTER * stroke)
     yield "slow_sine", DecayingSine(half, 0.1, 0.0, 30.0 * share)
@@ -109,7 +109,7 @@ def fresh_motions(plant: DrawnPlant, quick: bool = False) -> tuple[CountedMotion
     random = np.random.default_rng([plant.device.seed, 2])
     rest, reachable = plant.true_angle, plant.reachable_deg
     low, high = _range(random, reachable)
-    moves = 2 if quick else 6
+    moves = 2 if quick else 5
     targets = random.uniform(low, high, moves)
     holds = random.uniform(*_HOLDS_S, moves)
     limits = MotionLimits(velocity_deg_s=min(60.0, _SLOPE_SHARE * _speed(plant)))
@@ -120,7 +120,7 @@ def fresh_motions(plant: DrawnPlant, quick: bool = False) -> tuple[CountedMotion
         low, high = _range(random, reachable)
         amplitude = min(0.5 * (high - low), _SLOPE_SHARE * _speed(plant) / (2 * np.pi * hz))
         centre = 0.5 * (low + high)
-        scan = SinusoidScan(centre - amplitude, centre, amplitude, hz, 1.0 if quick else float(round(15 * hz)))
+        scan = SinusoidScan(centre - amplitude, centre, amplitude, hz, 1.0 if quick else float(round(10 * hz)))
         motions.append(_approached(name, rest, centre - amplitude, scan, limits))
     return tuple(motions)
 
