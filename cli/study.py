@@ -35,7 +35,9 @@ _STAGES = "; ".join(f"{name}: {', '.join(stages)}" for name, stages in STAGES.it
 
 
 def study(
-    name: Annotated[Name, typer.Argument(help="The papers' studies, one on recorded logs, the closed loop, or drawn devices.")],
+    name: Annotated[
+        Name, typer.Argument(help="The papers' studies, one on recorded logs, the closed loop, or drawn devices.")
+    ],
     folder: Annotated[Path, typer.Option("--out", help="Run folder; an unfinished study in it goes on.")],
     logs: Annotated[list[Path] | None, typer.Option(help="Logs or folders of *.csv, for `real`; repeatable.")] = None,
     layout: Annotated[str, typer.Option("--preset", help="Layout of the logs.")] = "auto",

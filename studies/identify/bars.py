@@ -146,7 +146,9 @@ def _rest(outcome: IdentifyOutcome) -> Bar:
     samples = sum(result.figures["linearised.hold_samples"] / float(result.facts["rate_hz"]) for result in outcome.done)
     still = sum(result.figures["linearised.rest_samples"] / float(result.facts["rate_hz"]) for result in outcome.done)
     restless = tuple(result.job.key for result in outcome.done if at_rest(result) < 0.99)
-    return Bar("settled hold time at rest", still / samples if samples else math.nan, (0.99, 1.0), len(outcome.done), restless)
+    return Bar(
+        "settled hold time at rest", still / samples if samples else math.nan, (0.99, 1.0), len(outcome.done), restless
+    )
 
 
 def _violations(outcome: IdentifyOutcome) -> Bar:
@@ -166,5 +168,8 @@ def summary(outcome: IdentifyOutcome, family: str | None = None) -> Mapping[str,
         "exact over best": lambda r: rmse(r, "exact") / min(rmse(r, name) for name in TUNED),
         "at rest": at_rest,
     }
-    medians = {name: float(np.median([figure(r) for r in results])) if results else math.nan for name, figure in figures.items()}
+    medians = {
+        name: float(np.median([figure(r) for r in results])) if results else math.nan
+        for name, figure in figures.items()
+    }
     return {"devices": float(len(results)), **medians}

@@ -252,7 +252,9 @@ def _virgin(device: DrawnDevice, p: Packed) -> Vec:
 def at_rest(device: DrawnDevice, p: Packed) -> tuple[float, Vec]:
     """True angle [deg] and state at command 0 after a flexure over the whole travel and a rest that settles creep."""
     up = np.linspace(0.0, device.limits.upper, round(0.5 * _FLEXURE_S * device.rate_hz))
-    rest_s = min(_SETTLED * (device.creep_s if device.creep else 0.0) + 10 * device.lag_s + device.delay_s + 1.0, _LONGEST_S)
+    rest_s = min(
+        _SETTLED * (device.creep_s if device.creep else 0.0) + 10 * device.lag_s + device.delay_s + 1.0, _LONGEST_S
+    )
     commands = np.concatenate([up, up[::-1], np.zeros(round(rest_s * device.rate_hz))])
     state, theta = _virgin(device, p), np.empty(commands.size)
     kernels.run(p, state, commands, theta)

@@ -152,9 +152,7 @@ def study_device(
     identified = _identified(settings.kind, trials, device, settings.seed)
     model = _opened(identified, folder / "models" / f"{device.key}-{settings.kind}")
     watch.lap("identify")
-    rival = _opened(
-        _identified(_RIVAL_MODEL, trials, device, settings.seed), folder / "models" / f"{device.key}-rival"
-    )
+    rival = _opened(_identified(_RIVAL_MODEL, trials, device, settings.seed), folder / "models" / f"{device.key}-rival")
     watch.lap("rival")
     plant = plant.reseeded(device.seed + _COMPARED)
     study = DeviceStudy(device, plant, fresh_motions(plant, settings.quick), model, rival)

@@ -57,7 +57,9 @@ def families_table(outcome: IdentifyOutcome) -> StudyTable:
     for family in (*FAMILIES, None):
         found = summary(outcome, family)
         rows.append([family or "all", *(_cell(value) for value in found.values())])
-    return StudyTable("families", ("family", *summary(outcome)), rows, "Simulated: medians over the devices of a family.")
+    return StudyTable(
+        "families", ("family", *summary(outcome)), rows, "Simulated: medians over the devices of a family."
+    )
 
 
 def devices_table(outcome: IdentifyOutcome) -> StudyTable:
@@ -66,7 +68,11 @@ def devices_table(outcome: IdentifyOutcome) -> StudyTable:
     for r in outcome.done:
         parts: list[Cell] = [cell for part in PARTS for cell in (round(r.truth[part], 4), _interval(r, part))]
         errors: list[Cell] = [_cell(rmse(r, name)) for name in CONTROLLERS]
-        ratios = (over_best(r), over("linearised", "exact")(r), over("as_identified_linearised", "as_identified_inverse")(r))
+        ratios = (
+            over_best(r),
+            over("linearised", "exact")(r),
+            over("as_identified_linearised", "as_identified_inverse")(r),
+        )
         facts: list[Cell] = [round(float(r.facts["noise_deg"]), 3), round(float(r.facts["servo_damping"]), 2)]
         rows.append([r.job.key, *facts, *parts, *errors, *map(_cell, ratios), _cell(at_rest(r)), round(r.seconds, 1)])
     drawn = [name for part in PARTS for name in (part, f"{part} found")]
@@ -77,7 +83,9 @@ def devices_table(outcome: IdentifyOutcome) -> StudyTable:
 
 def runs_table(outcome: IdentifyOutcome) -> StudyTable:
     """Every figure of every device; CSV only."""
-    rows: list[list[Cell]] = [[r.job.key, name, _cell(value)] for r in outcome.done for name, value in r.figures.items()]
+    rows: list[list[Cell]] = [
+        [r.job.key, name, _cell(value)] for r in outcome.done for name, value in r.figures.items()
+    ]
     return StudyTable("figures", ("device", "figure", "value"), rows, "", shown=False)
 
 
@@ -101,7 +109,9 @@ def ratios_figure(outcome: IdentifyOutcome) -> Figure:
             results = sorted((r for r in outcome.done if r.facts["family"] == family), key=over_best)
             best = np.array([min(rmse(r, name) for name in TUNED) for r in results])
             x = np.arange(len(results))
-            for (name, colour, label), mark in zip((*subjects, ("exact", PALETTE[5], "device known")), _MARKS, strict=False):
+            for (name, colour, label), mark in zip(
+                (*subjects, ("exact", PALETTE[5], "device known")), _MARKS, strict=False
+            ):
                 y = np.array([rmse(r, name) for r in results]) / best
                 axes.plot(x, y, mark, color=colour, markersize=3.5, label=label, linestyle="none")
             axes.axhline(1.0, color=REFERENCE, linewidth=0.8)

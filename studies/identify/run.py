@@ -84,7 +84,9 @@ def run_identify(study: IdentifyStudy, workers: int = 1, progress: Progress | No
     page, tables = identify_report(outcome)
     for table in tables:
         table.save(folder)
-    judged = [asdict(bar) | {"state": bar.state, "value": bar.value if bar.value < 1e300 else None} for bar in bars(outcome)]
+    judged = [
+        asdict(bar) | {"state": bar.state, "value": bar.value if bar.value < 1e300 else None} for bar in bars(outcome)
+    ]
     data = {"bars": judged, "devices": [plain(result) for result in results]}
     write_atomically(folder / "tables" / "identify.json", json.dumps(data, indent=1) + "\n")
     study.folder.write_report(page.html())
