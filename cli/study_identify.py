@@ -41,6 +41,7 @@ def identify(changes: dict[str, Any], folder: Path, workers: int) -> None:
         raise typer.Exit(INTERRUPTED) from None
     for failed in outcome.failed:
         errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", highlight=False)
-    rows = [[f"{c:.4g}" if isinstance(c, float) else str(c) for c in row[:6]] for row in bars_table(bars(outcome)).rows]
-    out.print(table("Bars", ("bar", "number", "90 % interval", "goal", "devices", "state"), rows))
+    rows = [[row[0], row[1], row[3], row[4], row[5]] for row in bars_table(bars(outcome)).rows]
+    shown = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
+    out.print(table("Bars", ("bar", "number", "goal", "devices", "state"), shown))
     out.print(f"{len(outcome.done)} devices done, {len(outcome.failed)} failed; report: {folder / 'report.html'}")

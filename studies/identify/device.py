@@ -35,7 +35,7 @@ _NOISE_DEG, _RATE = (0.03, 0.3), (2.5, 7.0)  # the rate in whole strokes a secon
 _CORES: Mapping[str, type[Core]] = MappingProxyType({"rod": RodCore, "capstan": CapstanCore, "dahl": DahlCore})
 _CODES = {"rod": ROD, "capstan": CAPSTAN, "dahl": DAHL, "muscle": MUSCLE}
 _NODES, _ELEMENTS, _NARROWEST_MM = 16, 8, 0.08  # as in the cores of the blind check
-_ROD_STEP_S = 0.01  # longest
+_ROD_STEP_S = 0.02  # longest, as in the blind check
 _FLEXURE_S, _SETTLED, _LONGEST_S = 10.0, 6.0, 60.0
 
 

@@ -25,6 +25,7 @@ _APPROACH_HOLD_S = 1.0
 _HOLDS_S = (2.0, 4.0)
 _WHOLE_SHARE = (0.5, 0.9)  # of the reachable angles that a reference takes
 _SLOPE_SHARE = 0.35  # of the greatest speed that the fast scan may ask for
+_RETURN, _REST_S = 0.3, 1.0  # share of the greatest speed on the way back to rest, and the rest there
 _QUICK = 0.25  # of the full length
 
 
@@ -64,19 +65,19 @@ def recordings(plant: DrawnPlant, quick: bool = False) -> tuple[Trial, ...]:
 
 
 def _excitations(limits: CommandLimits, random: np.random.Generator, share: float) -> Iterator[tuple[str, Trajectory]]:
-    """Commands by name; `share` of the full number of moves or periods, 180 s in all at 1."""
+    """Commands by name; `share` of the full length, 180 s in all at 1 with the ways back to rest."""
     stroke, rate = limits.upper, limits.rate
     ends = (_INNER * stroke, _OUTER * stroke)
     steps = RampHoldDraw(max(round(20 * share), 3), ends, (0.1 * rate, 0.8 * rate), (1.0, 4.0), (0.1 * stroke, stroke))
-    yield "steps", _cut(steps(random), 40.0 * share)
+    yield "steps", _cut(steps(random), 38.0 * share)
     holds = RampHoldDraw(max(round(8 * share), 1), ends, (0.05 * rate, 0.3 * rate), (6.0, 9.0), (0.2 * stroke, stroke))
-    yield "long_holds", _cut(holds(random), 35.0 * share)
+    yield "long_holds", _cut(holds(random), 33.0 * share)
     half = 0.5 * (_OUTER * stroke)
-    yield "slow_sine", DecayingSine(half, 0.1, 0.0, 30.0 * share)
-    yield "shrinking_sine", DecayingSine(half, 0.25, 0.06, 25.0 * share, lift=1.0)
-    yield "fast_sine", DecayingSine(0.3 * stroke, 0.6, 0.0, 15.0 * share, lift=1.0)
+    yield "slow_sine", DecayingSine(half, 0.1, 0.0, 28.0 * share)
+    yield "shrinking_sine", DecayingSine(half, 0.25, 0.06, 24.0 * share, lift=1.0)
+    yield "fast_sine", DecayingSine(0.3 * stroke, 0.6, 0.0, 14.0 * share, lift=1.0)
     turns = RampHoldDraw(200, ends, (0.05 * rate, 0.5 * rate), (0.0, 0.2), (0.05 * stroke, 0.6 * stroke))
-    yield "reversals", _cut(turns(random), 35.0 * share)
+    yield "reversals", _cut(turns(random), 33.0 * share)
 
 
 @dataclass(frozen=True)
@@ -95,10 +96,16 @@ def _cut(whole: Trajectory, longest_s: float) -> Trajectory:
 
 
 def _recorded(plant: DrawnPlant, motion: Trajectory, name: str) -> Trial:
-    """Command and the angle measured at the end of the sample over which it was held; within the limits of speed."""
+    """Command and the angle measured at the end of the sample over which it was held; it ends with a way back to rest.
+
+    The command keeps to the limit of its speed.
+    """
     limits, dt = plant.device.limits, plant.dt
-    t = dt * np.arange(round(motion.duration_s / dt) + 1, dtype=np.float64)
-    command = limits.clip_plans(motion(t), plant.rest_command, dt)
+    asked = motion(dt * np.arange(round(motion.duration_s / dt) + 1, dtype=np.float64))
+    back = np.arange(asked[-1], limits.lower, -_RETURN * limits.rate * dt)
+    held = np.full(round(_REST_S / dt), limits.lower)
+    command = limits.clip_plans(np.concatenate([asked, back, held]), plant.rest_command, dt)
+    t = dt * np.arange(command.size, dtype=np.float64)
     plant.reset()
     angle = np.array([plant.apply(float(u)) for u in command])
     return Trial(np.round(t, 6), command, angle, units=Units(command=plant.command_unit), source=name)
