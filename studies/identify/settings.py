@@ -21,7 +21,7 @@ class IdentifySettings(Settings):
         kind: of model that is identified, by name, see `hystmpc fit`.
         evaluations: closed-loop runs over all motions in the search of each PID's gains, about.
         seed: of the draw, the motions, the noise and the searches.
-        quick: few motions and short ones, no 250 Hz: proves that everything runs, and nothing else.
+        quick: few motions and short ones at 25 Hz: proves that everything runs, and nothing else.
     """
 
     study: Literal["identify"] = "identify"
