@@ -34,7 +34,8 @@ _LAG_S, _DELAY_SAMPLES, _CREEP, _CREEP_S = (0.02, 0.25), (0.5, 4.0), (0.03, 0.12
 _NOISE_DEG, _RATE = (0.03, 0.3), (2.5, 7.0)  # the rate in whole strokes a second
 _CORES: Mapping[str, type[Core]] = MappingProxyType({"rod": RodCore, "capstan": CapstanCore, "dahl": DahlCore})
 _CODES = {"rod": ROD, "capstan": CAPSTAN, "dahl": DAHL, "muscle": MUSCLE}
-_NODES, _ELEMENTS, _NARROWEST_MM = 16, 8, 0.08  # as in the cores of the blind check
+_NODES, _ELEMENTS = 16, 8  # as in the cores of the blind check
+_REVERSAL = 1.15  # widths of the Dahl elements over those at which the angle stands still at a reversal
 _ROD_STEP_S = 0.02  # longest, as in the blind check
 _FLEXURE_S, _SETTLED, _LONGEST_S = 10.0, 6.0, 60.0
 
@@ -206,7 +207,10 @@ def packed(device: DrawnDevice, delay_s: float) -> Packed:
     dahl = core if isinstance(core, DahlCore) else DahlCore()
     bends = np.arange(_NODES) >= round((1 - capstan.bending) * _NODES)
     weights = bends / bends.sum() / capstan.load
-    widths = np.geomspace(1.0, dahl.spread, _ELEMENTS) * _NARROWEST_MM
+    widths = np.geomspace(1.0, dahl.spread, _ELEMENTS)
+    # At a reversal an element turns twice as fast as the place moves: together they may not outrun it, else the angle
+    # would go on rising while the command falls.
+    widths *= _REVERSAL * 2 * _ELEMENTS * dahl.friction / float(widths.sum())
     delay = round(delay_s / FINE_S)
     servo = device.damping > 0
     return Packed(

@@ -45,8 +45,7 @@ def bars_table(judged: Sequence[Bar]) -> StudyTable:
         interval = NOTHING if bar.ci90 is None else f"{bar.ci90[0]:.2f} to {bar.ci90[1]:.2f}"
         more = f" and {len(bar.misses) - _SHOWN} more" if len(bar.misses) > _SHOWN else ""
         named = ", ".join(bar.misses[:_SHOWN]) + more
-        state = bar.state if math.isfinite(bar.value) or not bar.cases or math.isnan(bar.value) else "missed"
-        rows.append([bar.name, _cell(bar.value), interval, bar.goal, bar.cases, state, named or NOTHING])
+        rows.append([bar.name, _cell(bar.value), interval, bar.goal, bar.cases, bar.state, named or NOTHING])
     columns = ("bar", "number", "90 % interval", "goal", "devices", "state", "devices beyond it")
     return StudyTable("bars", columns, rows, "Simulated: the bars.")
 
