@@ -93,7 +93,7 @@ def _check_options(
 ) -> None:
     """Refuse options that a study has no use for."""
     own = {Name.CONTROL: loop, Name.IDENTIFY: drawn}.get(name, modelling)
-    for option, value in (modelling | loop | drawn).items():
+    for option, value in {**modelling, **loop, **drawn}.items():
         if option in own:
             continue
         if value not in (None, (), []):
