@@ -16,6 +16,7 @@ from hystmpc.trials.run_folder import require_resumable
 
 from .console import bar, errors, out
 from .study_control import control, rates
+from .study_identify import identify
 
 INTERRUPTED = 130
 
@@ -27,13 +28,16 @@ class Name(StrEnum):
     S2 = "s2"
     REAL = "real"
     CONTROL = "control"
+    IDENTIFY = "identify"
 
 
 _STAGES = "; ".join(f"{name}: {', '.join(stages)}" for name, stages in STAGES.items())
 
 
 def study(
-    name: Annotated[Name, typer.Argument(help="The papers' studies, one on recorded logs, or the closed loop.")],
+    name: Annotated[
+        Name, typer.Argument(help="The papers' studies, one on recorded logs, the closed loop, or drawn devices.")
+    ],
     folder: Annotated[Path, typer.Option("--out", help="Run folder; an unfinished study in it goes on.")],
     logs: Annotated[list[Path] | None, typer.Option(help="Logs or folders of *.csv, for `real`; repeatable.")] = None,
     layout: Annotated[str, typer.Option("--preset", help="Layout of the logs.")] = "auto",
@@ -52,6 +56,8 @@ def study(
     plants: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
     controllers: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
     motions: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
+    devices: Annotated[int | None, typer.Option(min=1, help="Of `identify`: how many are drawn; else 60.")] = None,
+    kind: Annotated[str | None, typer.Option(help="Of `identify`: kind of model, see `fit`; else auto.")] = None,
 ) -> None:
     """Do all jobs of a study and write its report.
 
@@ -61,9 +67,13 @@ def study(
     loop = {"rates_hz": rates(loop_rates), "plants": _names(plants), "controllers": _names(controllers)}
     loop["motions"] = _names(motions)
     modelling = {"kinds": kinds, "presets": presets, "directions": directions, "stages": stages}
-    _check_options(name, {"logs": logs, "epochs-scale": epochs_scale, **modelling}, loop)
+    drawn = {"devices": devices, "kind": kind}
+    _check_options(name, {"logs": logs, "epochs-scale": epochs_scale, **modelling}, loop, drawn)
     if name is Name.CONTROL:
         control(loop | {"seed": seed, "quick": quick}, folder, workers)
+        return
+    if name is Name.IDENTIFY:
+        identify(drawn | {"seed": seed, "quick": quick}, folder, workers)
         return
     settings = StudySettings.for_study(
         name.value,
@@ -78,10 +88,14 @@ def study(
     _run(settings, folder, workers)
 
 
-def _check_options(name: Name, modelling: Mapping[str, object], loop: Mapping[str, object]) -> None:
+def _check_options(
+    name: Name, modelling: Mapping[str, object], loop: Mapping[str, object], drawn: Mapping[str, object]
+) -> None:
     """Refuse options that a study has no use for."""
-    foreign = modelling if name is Name.CONTROL else loop
-    for option, value in foreign.items():
+    own = {Name.CONTROL: loop, Name.IDENTIFY: drawn}.get(name, modelling)
+    for option, value in {**modelling, **loop, **drawn}.items():
+        if option in own:
+            continue
         if value not in (None, (), []):
             raise ConfigError(f"study {name.value}: got --{option.removesuffix('_hz')}, which it has no use for")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,10 +57,32 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
     if search is None:
         raise ConfigError("tune_pid: got none, expected settings of the search")
     study = replace(study, plant=study.plant.reseeded(study.config.seed + 1))
+    return searched_gains(
+        settings, lambda tried: _mean_square(study, tried), search.evaluations, study.config.seed, progress
+    )
+
+
+def searched_gains(
+    settings: PidLike,
+    mean_square: Callable[[PidLike], float],
+    evaluations: int,
+    seed: int,
+    progress: Progress | None = None,
+) -> PidTuning:
+    """The gains of least mean square error by seeded differential evolution, never worse than the given ones.
+
+    Args:
+        settings: where the search starts; everything but `kp`, `ki`, `kd` and dead zone stays.
+        mean_square: of a controller, over all that it is to track [deg^2].
+        evaluations: times that it is called, about.
+
+    Raises:
+        KeyboardInterrupt: if the user ends the search; nothing is kept.
+    """
     bounds = np.array([*np.log(_KP_KI), _KD, _DEAD_ZONE_DEG])
     population = _PER_PARAMETER * len(bounds)
     # scipy counts generations after the first population
-    generations = max(1, search.evaluations // population - 1)
+    generations = max(1, evaluations // population - 1)
     total, done = population * (generations + 1), 0
 
     def cost(x: Vec) -> float:
@@ -67,7 +90,7 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
         done += 1
         if progress is not None:
             progress(min(done, total), total)
-        return _mean_square(study, with_gains(settings, x))
+        return mean_square(with_gains(settings, x))
 
     found: OptimizeResult = differential_evolution(
         cost,
@@ -77,9 +100,9 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
         maxiter=generations,
         polish=False,
         tol=1e-4,
-        rng=np.random.default_rng(study.config.seed),
+        rng=np.random.default_rng(seed),
     )
-    start = _mean_square(study, settings)
+    start = mean_square(settings)
     return PidTuning(with_gains(settings, found.x), float(np.sqrt(found.fun)), float(np.sqrt(start)), int(found.nfev))
 
 

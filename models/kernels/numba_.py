@@ -136,7 +136,9 @@ def _content(value: Any) -> tuple[bytes, list[Any]]:
     """What stands for a function or a global of one, and the values that it reads in turn."""
     if isinstance(value, FunctionType):
         names, scopes = _names(value.__code__), [value.__globals__]
-        modules = [part for part in (value.__globals__.get(name) for name in names) if isinstance(part, ModuleType)]
+        modules = [
+            part for part in (value.__globals__.get(name) for name in sorted(names)) if isinstance(part, ModuleType)
+        ]
         scopes += [vars(module) for module in modules if module.__name__.startswith("hystmpc")]
         read = [scope[name] for scope in scopes for name in sorted(names & scope.keys())]
         return getattr(value, "file_hash", None) or _file_hash(value), read

@@ -203,7 +203,7 @@ class Bar:
     @property
     def state(self) -> Literal["met", "missed", "not measured"]:
         """Whether the number is within its bounds."""
-        if not self.cases or not np.isfinite(self.value):
+        if not self.cases or np.isnan(self.value):
             return "not measured"
         return "met" if self.wanted[0] <= self.value <= self.wanted[1] else "missed"
 

@@ -1,0 +1,303 @@
+"""Devices drawn at random: drive, creep, one of four cores, sensor; and a drawn device as a plant."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import final
+
+import numpy as np
+
+from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.models.contract.metadata import Range
+from hystmpc.sim.devices.muscle import MuscleNumbers
+from hystmpc.sim.devices.rod import RodCatheter
+from hystmpc.sim.devices.rod_equations import new_knots
+from hystmpc.sim.devices.rod_solver import new_work
+from hystmpc.sim.plants.computed import ComputedPlant, Sensing
+from hystmpc.trials.types import Vec
+
+from ..blind.cores import TRAVEL_MM, CapstanCore, Core, DahlCore, RodCore
+from . import kernels
+from .kernels import CAPSTAN, DAHL, FINE_S, MUSCLE, OWN, ROD, Packed
+
+FAMILIES = ("rod", "capstan", "dahl", "muscle")
+RATES_HZ = (25.0, 50.0, 250.0)
+ABSENT = 0.3
+"""Share of the devices without lag, of those without delay, and of those without creep."""
+
+_SERVO = 0.25  # share of the lags that are servos of second order
+_LAG_S, _DELAY_SAMPLES, _CREEP, _CREEP_S = (0.02, 0.25), (0.5, 4.0), (0.03, 0.12), (0.8, 8.0)
+_NOISE_DEG, _RATE = (0.03, 0.3), (2.5, 7.0)  # the rate in whole strokes a second
+_CORES: Mapping[str, type[Core]] = MappingProxyType({"rod": RodCore, "capstan": CapstanCore, "dahl": DahlCore})
+_CODES = {"rod": ROD, "capstan": CAPSTAN, "dahl": DAHL, "muscle": MUSCLE}
+_NODES, _ELEMENTS = 16, 8  # as in the cores of the blind check
+_REVERSAL = 1.15  # widths of the Dahl elements over those at which the angle stands still at a reversal
+_ROD_STEP_S = 0.02  # longest, as in the blind check
+_FLEXURE_S, _SETTLED, _LONGEST_S = 10.0, 6.0, 60.0
+
+
+@dataclass(frozen=True)
+class MuscleCore:
+    """Numbers of the pneumatic core of `sim.devices.muscle`, without a lag or a late share of its own.
+
+    Attributes:
+        greatest_bar: greatest pressure [bar].
+        greatest_deg: angle that no pressure exceeds [deg].
+        friction: over pull, each way.
+        presliding_bar: pressure over which friction turns its side [bar].
+        slack_bar: pressure at which the bladder meets the braid [bar].
+        half_bar: pull that gives half of the greatest angle [bar].
+    """
+
+    greatest_bar: float
+    greatest_deg: float
+    friction: float
+    presliding_bar: float
+    slack_bar: float
+    half_bar: float
+
+    @classmethod
+    def draw(cls, random: np.random.Generator) -> MuscleCore:
+        """A device of this kind whose angle never rises as the pressure begins to fall.
+
+        The pull b (1 - f z) turns with z from 1 to -1 within the presliding p: it falls with b where p (1 - f) > 2 f b.
+        """
+        ends = ((2.5, 3.5), (60.0, 100.0), (0.04, 0.10), (8.0, 12.0), (0.1, 0.5), (0.8, 1.6))
+        bar, deg, friction, width, slack, half = (float(random.uniform(*pair)) for pair in ends)
+        return cls(bar, deg, friction, width * friction, slack, half)
+
+    def numbers(self) -> MuscleNumbers:
+        """As the recursion reads them: valve and air are fast, as lag and creep stand before the core."""
+        fast = {"supply_bar": 5.0, "valve_s": 0.002, "fill_s": 0.02, "vent_s": 0.02}
+        return MuscleNumbers(
+            **fast,
+            slack_bar=self.slack_bar,
+            slack_width_bar=0.08,
+            friction=self.friction,
+            presliding_bar=self.presliding_bar,
+            greatest_deg=self.greatest_deg,
+            half_bar=self.half_bar,
+            late=0.0,
+            late_share=1.0,
+            bend_share=1.0,
+        )
+
+
+_NO_MUSCLE = MuscleCore(1.0, 1.0, 0.0, 1.0, 0.0, 1.0)
+_NO_ROD = RodCore()
+
+
+@dataclass(frozen=True)
+class DrawnDevice:
+    """One device, by its numbers; command [mm or bar], held over each sample, to angle [deg] on a grid of 2 ms.
+
+        x = servo or lag(u(t - delay)),  z' = (x - z) / creep_s,  theta = core(x + creep z),  y = theta + noise
+
+    Attributes:
+        number: in the draw, from 0.
+        family: of `FAMILIES`.
+        lag_s: of the drive [s], 0 for none; of a servo the delay of a ramp, 2 damping / frequency.
+        damping: of a second-order servo; 0 for a lag of first order.
+        delay_s: whole fine steps [s].
+        creep: final over instant answer of the drive to a step, less 1; 0 for none.
+        creep_s: its time constant [s].
+        rate_per_s: greatest change of the command [command unit/s].
+        seed: of the sensor noise.
+    """
+
+    number: int
+    family: str
+    rate_hz: float
+    core: RodCore | CapstanCore | DahlCore | MuscleCore
+    lag_s: float
+    damping: float
+    delay_s: float
+    creep: float
+    creep_s: float
+    noise_deg: float
+    rate_per_s: float
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Name of the device's files."""
+        return f"{self.number:03d}-{self.family}-{self.rate_hz:g}hz"
+
+    @property
+    def unit(self) -> str:
+        """Unit of the command."""
+        return "bar" if self.family == "muscle" else "mm"
+
+    @property
+    def limits(self) -> CommandLimits:
+        """What it may be sent."""
+        return CommandLimits(0.0, _travel(self.core), self.rate_per_s)
+
+    @property
+    def truth(self) -> Mapping[str, float]:
+        """What an identification should find, 0 for what is not there: lag [s], delay [s], creep [1]."""
+        return {"lag": self.lag_s, "delay": self.delay_s, "creep": self.creep}
+
+
+def _travel(core: RodCore | CapstanCore | DahlCore | MuscleCore) -> float:
+    return core.greatest_bar if isinstance(core, MuscleCore) else TRAVEL_MM
+
+
+def draw_devices(count: int, seed: int, quick: bool = False) -> tuple[DrawnDevice, ...]:
+    """Devices in turn of their family, each family at all rates; equal arguments give equal devices.
+
+    `ABSENT` of them have no lag, as many no delay and as many no creep, drawn apart from each other.
+
+    Args:
+        quick: at 25 Hz alone.
+    """
+    random = np.random.default_rng([seed, 16])
+    rates = RATES_HZ[:1] if quick else RATES_HZ
+    gone = [set(random.permutation(count)[: math.ceil(ABSENT * count)].tolist()) for _ in range(3)]
+    starts = random.permutation(len(FAMILIES))
+    devices = []
+    for k in range(count):
+        family, turn = FAMILIES[k % len(FAMILIES)], k // len(FAMILIES)
+        rate = rates[(turn + int(starts[k % len(FAMILIES)])) % len(rates)]
+        devices.append(_drawn(np.random.default_rng([seed, 17, k]), k, family, rate, [k in which for which in gone]))
+    return tuple(devices)
+
+
+def _drawn(random: np.random.Generator, number: int, family: str, rate_hz: float, gone: list[bool]) -> DrawnDevice:
+    core = _core(random, family)
+    lag, creep, rate = (float(random.uniform(*ends)) for ends in (_LAG_S, _CREEP, _RATE))
+    delay = float(random.uniform(*_DELAY_SAMPLES)) / rate_hz
+    noise, creep_s = (float(np.exp(random.uniform(*np.log(ends)))) for ends in (_NOISE_DEG, _CREEP_S))
+    servo, damping = random.random() < _SERVO, float(random.uniform(0.6, 1.0))
+    return DrawnDevice(
+        number=number,
+        family=family,
+        rate_hz=rate_hz,
+        core=core,
+        lag_s=0.0 if gone[0] else lag,
+        damping=damping if servo and not gone[0] else 0.0,
+        delay_s=0.0 if gone[1] else FINE_S * round(delay / FINE_S),
+        creep=0.0 if gone[2] else creep,
+        creep_s=creep_s,
+        noise_deg=noise,
+        rate_per_s=rate * _travel(core),
+        seed=int(random.integers(2**31)),
+    )
+
+
+def _core(random: np.random.Generator, family: str) -> RodCore | CapstanCore | DahlCore | MuscleCore:
+    if family == "muscle":
+        return MuscleCore.draw(random)
+    core = _CORES[family].draw(random)
+    # What a rod relaxes by itself would be a creep that nobody drew.
+    return replace(core, fast_share=0.0, slow_share=0.0) if isinstance(core, RodCore) else core  # type: ignore[return-value]
+
+
+def packed(device: DrawnDevice, delay_s: float) -> Packed:
+    """The device as the recursions read it, with another delay [s]."""
+    core = device.core
+    fine = round(1 / (device.rate_hz * FINE_S))
+    rod = core.rod() if isinstance(core, RodCore) else _NO_ROD.rod()
+    places = max(math.ceil(fine * FINE_S / _ROD_STEP_S - 1e-9), 1)
+    capstan = core if isinstance(core, CapstanCore) else CapstanCore()
+    dahl = core if isinstance(core, DahlCore) else DahlCore()
+    bends = np.arange(_NODES) >= round((1 - capstan.bending) * _NODES)
+    weights = bends / bends.sum() / capstan.load
+    widths = np.geomspace(1.0, dahl.spread, _ELEMENTS)
+    # At a reversal an element turns twice as fast as the place moves: together they may not outrun it, else the angle
+    # would go on rising while the command falls.
+    widths *= _REVERSAL * 2 * _ELEMENTS * dahl.friction / float(widths.sum())
+    delay = round(delay_s / FINE_S)
+    servo = device.damping > 0
+    return Packed(
+        core=_CODES[device.family],
+        fine=fine,
+        commands=-(-delay // fine) + 1,
+        delay=delay,
+        lag_share=-math.expm1(-FINE_S / device.lag_s) if device.lag_s > 0 else 1.0,
+        frequency=2 * device.damping / device.lag_s if servo else 0.0,
+        damping=device.damping,
+        creep=device.creep,
+        creep_share=-math.expm1(-FINE_S / device.creep_s),
+        gain=1.0 if isinstance(core, MuscleCore) else float(core.gain),
+        offset_deg=0.0 if isinstance(core, MuscleCore) else float(core.offset_deg),
+        wrap=np.full(fine, capstan.wrap),
+        pretension=float(capstan.pretension),
+        shares=weights + capstan.compliance / _NODES,
+        weights=weights,
+        widths=widths,
+        parts=np.full(_ELEMENTS, dahl.friction / float(widths.sum())),
+        ones=np.ones(max(fine, kernels.SETTLE) + 1),
+        muscle=(core if isinstance(core, MuscleCore) else _NO_MUSCLE).numbers(),
+        rod=rod.numbers(),
+        step=rod.step_numbers(fine * FINE_S / places),
+        places=places,
+        work=new_work(rod.contacts),
+        knots=new_knots(rod.contacts),
+    )
+
+
+def _virgin(device: DrawnDevice, p: Packed) -> Vec:
+    """State (S,) of a device that was never moved, at command 0."""
+    core = device.core
+    if isinstance(core, RodCore):
+        own = RodCatheter(core.rod()).virgin()
+    elif isinstance(core, MuscleCore):
+        own = np.array([0.0, 0.0, -1.0, 0.0, 0.0])
+    else:
+        own = np.full(_NODES, core.pretension) if isinstance(core, CapstanCore) else np.zeros(_ELEMENTS)
+    return np.concatenate([np.zeros(p.commands + OWN), own])
+
+
+def at_rest(device: DrawnDevice, p: Packed) -> tuple[float, Vec]:
+    """True angle [deg] and state at command 0 after a flexure over the whole travel and a rest that settles creep."""
+    up = np.linspace(0.0, device.limits.upper, round(0.5 * _FLEXURE_S * device.rate_hz))
+    rest_s = min(
+        _SETTLED * (device.creep_s if device.creep else 0.0) + 10 * device.lag_s + device.delay_s + 1.0, _LONGEST_S
+    )
+    commands = np.concatenate([up, up[::-1], np.zeros(round(rest_s * device.rate_hz))])
+    state, theta = _virgin(device, p), np.empty(commands.size)
+    kernels.run(p, state, commands, theta)
+    return float(theta[-1]), state
+
+
+@final
+class DrawnPlant(ComputedPlant):
+    """A drawn device as a plant; a reset leaves it at rest at command 0.
+
+    Args:
+        seed: of the noise.
+    """
+
+    def __init__(self, device: DrawnDevice, seed: int) -> None:
+        self.device, self.packed = device, packed(device, device.delay_s)
+        self.rest = at_rest(device, self.packed)
+        self.command_limits = Range(lower=device.limits.lower, upper=device.limits.upper)
+        super().__init__(1 / device.rate_hz, 0.0, device.unit, Sensing(device.noise_deg), seed)
+
+    @cached_property
+    def reachable_deg(self) -> tuple[float, float]:
+        """Angles that it reaches on either branch of a slow stroke over the inner nine tenths of its travel [deg]."""
+        travel = self.device.limits.upper
+        up = np.linspace(0.0, 0.95 * travel, round(20 * self.device.rate_hz))
+        down = np.linspace(0.95 * travel, 0.05 * travel, round(20 * self.device.rate_hz))
+        theta, state = np.empty(up.size + down.size), self.rest[1].copy()
+        kernels.run(self.packed, state, np.concatenate([up, down]), theta)
+        return float(theta[-1]), float(theta[up.size - 1])
+
+    def noise(self, samples: int) -> Vec:
+        """Noise of the measurement at rest and of as many samples after it as a run would meet (samples + 1,) [deg]."""
+        return self._sensing.noise_deg * np.random.default_rng(self._seed).standard_normal(samples + 1)
+
+    def _at_rest(self, random: np.random.Generator) -> tuple[float, Vec]:
+        del random
+        return self.rest
+
+    def _advanced(self, state: Vec, u: float, random: np.random.Generator) -> tuple[float, Vec]:
+        del random
+        after = state.copy()
+        return float(kernels.advance(self.packed, after, float(u))), after

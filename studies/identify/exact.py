@@ -1,0 +1,94 @@
+"""The controller that knows the device exactly: the linearised law with the device itself as its model."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+
+from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
+from hystmpc.models.model import Inverse, Predictor
+from hystmpc.trials.types import Vec
+
+from . import kernels
+from .device import DrawnDevice, at_rest, packed
+from .kernels import FINE_S
+
+_DIFFERENCE = 2e-3  # of the travel
+_BLOCKS = 24
+# The model is exact: what is left of the first guess decays, and no noise comes in.
+_TRUST = {
+    "drift_sigma_deg_per_sqrt_s": 0.01,
+    "motion_sigma_deg_per_sqrt_unit": 0.0,
+    "dead_band_gain_deg_per_unit": 0.0,
+}
+
+
+@final
+class ExactPredictor(Predictor):
+    """The device as its own model, whole samples of its delay left out; the state is a copy of the device's.
+
+    Derivatives are differences over a five-hundredth of the travel. Plans of more than 24 samples move in 24 blocks, so
+    that a step costs as much as 24 roll-outs at most.
+    """
+
+    def __init__(self, device: DrawnDevice) -> None:
+        self.dt, self.command_range = 1 / device.rate_hz, (device.limits.lower, device.limits.upper)
+        fine = round(self.dt / FINE_S)
+        self.delay_samples = round(device.delay_s / FINE_S) // fine
+        self.packed = packed(device, device.delay_s - self.delay_samples * self.dt)
+        self._rest = at_rest(device, self.packed)[1]
+        self._small = _DIFFERENCE * device.limits.upper
+
+    def initial(self, y: float, u: float) -> Vec:
+        del y, u  # where the device rests is known
+        return self._rest.copy()
+
+    def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
+        after = state.copy()
+        return float(kernels.advance(self.packed, after, float(u))), after
+
+    def rollout(self, state: Vec, plans: Vec) -> Vec:
+        theta = np.empty(plans.shape)
+        kernels.rollout(self.packed, state, np.ascontiguousarray(plans, dtype=np.float64), theta)
+        return theta
+
+    def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
+        theta, jacobian = np.empty(plan.size), np.empty((plan.size, plan.size))
+        plan = np.ascontiguousarray(plan, dtype=np.float64)
+        kernels.linearise(self.packed, state, plan, self._small, _BLOCKS, theta, jacobian)
+        return theta, jacobian
+
+
+@final
+class ExactInverse(Inverse):
+    """The command that brings the core to an angle through a drive without lag; the law looks further ahead itself."""
+
+    def __init__(self, predictor: ExactPredictor) -> None:
+        self._predictor = predictor
+
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
+        del u_last  # within a dead band the core stays where it is
+        p, (low, high) = self._predictor.packed, self._predictor.command_range
+        crept = p.creep * float(state[p.commands + 2])
+        place = kernels.place_for(p, state, float(theta), low, high * (1 + p.creep))
+        return min(max(float(place) - crept, low), high)
+
+
+def exact_controller(
+    device: DrawnDevice, settings: LinearisedMpcSettings, trusting: bool = False
+) -> GuardedController[Any]:
+    """The linearised law on the device itself.
+
+    Args:
+        settings: of the law; the estimator is told the whole samples of the delay.
+        trusting: let the estimator know that the model is exact, so that no noise comes in.
+    """
+    predictor = ExactPredictor(device)
+    changes: dict[str, Any] = {"delay_samples": predictor.delay_samples}
+    if trusting:
+        changes |= _TRUST | {"sensor_sigma_deg": device.noise_deg}
+    settings = settings.model_copy(update={"estimator": settings.estimator.model_copy(update=changes)})
+    return build_controller(settings, predictor, ExactInverse(predictor), device.limits)

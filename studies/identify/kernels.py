@@ -1,0 +1,230 @@
+"""Compiled recursions of the drawn devices: one sample, roll-outs, and a whole loop under PID for its tuning.
+
+All functions take a device as `Packed` and its state (S,) as [commands (Q,), drive, its speed, creep, last place of the
+core, state of the core], and move the state on in place.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hystmpc.models.kernels.numba_ import njit
+from hystmpc.sim.devices import muscle, rod_solver
+from hystmpc.sim.devices.muscle import MuscleNumbers
+from hystmpc.sim.devices.rod_equations import Knots, RodNumbers, StepNumbers
+from hystmpc.sim.devices.rod_solver import Work
+
+from ..blind import kernels
+
+CAPSTAN, DAHL, ROD, MUSCLE = range(4)
+FINE_S = 0.002
+OWN = 4  # entries of the state beside the commands and the core's
+_MUSCLE_PARTS = 2
+SETTLE = 5  # fine steps in which the muscle's valve settles
+
+
+class Packed(NamedTuple):
+    """A device as the recursions read it; parts that its core has no use for hold neutral numbers."""
+
+    core: int
+    fine: int  # fine steps in a sample
+    commands: int  # Q, commands that are kept
+    delay: int  # fine steps
+    lag_share: float  # of the way to the command in a fine step, 1 without a lag
+    frequency: float  # of a second-order servo [rad/s], 0 for none
+    damping: float
+    creep: float  # final over instant answer, less 1
+    creep_share: float  # of the way in a fine step
+    gain: float  # [deg/mm], 1 for the muscle
+    offset_deg: float
+    wrap: Any  # capstan: (fine,)
+    pretension: float
+    shares: Any
+    weights: Any
+    widths: Any  # Dahl elements
+    parts: Any
+    ones: Any  # (fine + 1,)
+    muscle: MuscleNumbers
+    rod: RodNumbers
+    step: StepNumbers  # of the rod
+    places: int  # steps of the rod in a sample
+    work: Work
+    knots: Knots
+
+
+@njit(cache=True, error_model="numpy")
+def drive(p: Packed, state: Any, u: float, places: Any) -> None:
+    """Places of the core (fine + 1,) over one sample under the command u, the first of them the last before it.
+
+    Delay; lag x' = (u - x) / tau, exact, or servo x'' = w^2 (u - x) - 2 zeta w x', semi-implicit; then one Kelvin-Voigt
+    element, z' = (x - z) / tau, place = x + creep z.
+    """
+    q = p.commands
+    for k in range(q - 1):
+        state[k] = state[k + 1]
+    state[q - 1] = u
+    x, v, z = state[q], state[q + 1], state[q + 2]
+    places[0] = state[q + 3]
+    for j in range(p.fine):
+        late = (p.delay - j + p.fine - 1) // p.fine if p.delay > j else 0
+        sent = state[q - 1 - late]
+        if p.frequency > 0.0:
+            w = p.frequency * FINE_S
+            v = (v + p.frequency * w * (sent - x)) / (1.0 + 2.0 * p.damping * w + w * w)
+            x += FINE_S * v
+        else:
+            x += p.lag_share * (sent - x)
+        z += p.creep_share * (x - z)
+        places[j + 1] = x + p.creep * z
+    state[q], state[q + 1], state[q + 2], state[q + 3] = x, v, z, places[p.fine]
+
+
+@njit(cache=True, error_model="numpy")
+def bend(p: Packed, core: Any, places: Any, steps: int) -> float:
+    """Angle after the core went through places (n + 1,), the first of them where it was [deg]; `core` is moved on.
+
+    Args:
+        steps: in which a rod goes there.
+    """
+    n = places.size - 1
+    out = np.empty(n + 1)
+    if p.core == CAPSTAN:
+        kernels.capstan(places[1:], p.wrap, core, p.shares, p.weights, p.pretension, out)
+        return p.offset_deg + p.gain * out[n - 1]
+    if p.core == DAHL:
+        kernels.dahl(places, p.ones, p.widths, p.parts, core, out)
+        return p.offset_deg + p.gain * (places[n] - out[n])
+    if p.core == MUSCLE:
+        pressure = np.empty(n)
+        muscle.advance(core, places[1:], p.muscle, FINE_S, _MUSCLE_PARTS, out, pressure)
+        return p.offset_deg + p.gain * out[n - 1]
+    coarse, unused, tension = np.empty(steps), np.empty(steps), np.empty(steps)
+    for k in range(steps):
+        coarse[k] = places[n * (k + 1) // steps]
+    rod_solver.advance(core, coarse, p.rod, p.step, 1, p.work, p.knots, out, unused, tension)
+    return p.offset_deg + p.gain * np.radians(out[steps - 1]) * p.rod.offset
+
+
+@njit(cache=True, error_model="numpy")
+def advance(p: Packed, state: Any, u: float) -> float:
+    """True angle at the end of one sample under the command u [deg]."""
+    places = np.empty(p.fine + 1)
+    drive(p, state, u, places)
+    return bend(p, state[p.commands + OWN :], places, p.places)
+
+
+@njit(cache=True, error_model="numpy")
+def run(p: Packed, state: Any, commands: Any, theta: Any) -> None:
+    """True angles theta (T,) under commands (T,)."""
+    for k in range(commands.size):
+        theta[k] = advance(p, state, commands[k])
+
+
+@njit(cache=True, error_model="numpy")
+def rollout(p: Packed, state: Any, plans: Any, theta: Any) -> None:
+    """Angles (N, H) of plans (N, H) from one state, which is kept."""
+    for n in range(plans.shape[0]):
+        run(p, state.copy(), plans[n], theta[n])
+
+
+@njit(cache=True, error_model="numpy")
+def linearise(p: Packed, state: Any, plan: Any, small: float, blocks: int, theta: Any, jacobian: Any) -> None:
+    """Angles (H,) along a plan (H,) and their differences over `small` by commands (H, H), `blocks` columns at once."""
+    horizon = plan.size
+    states, moved, other = np.empty((horizon, state.size)), np.empty(horizon), state.copy()
+    for k in range(horizon):
+        states[k] = other
+        theta[k] = advance(p, other, plan[k])
+    jacobian[:] = 0.0
+    count = min(blocks, horizon)
+    for b in range(count):
+        start, stop = horizon * b // count, horizon * (b + 1) // count
+        moved[:] = plan
+        moved[start:stop] += small
+        other[:] = states[start]
+        for k in range(start, horizon):
+            change = (advance(p, other, moved[k]) - theta[k]) / small
+            sharing = min(k + 1, stop) - start
+            jacobian[k, start : start + sharing] = change / sharing
+
+
+@njit(cache=True, error_model="numpy")
+def place_for(p: Packed, state: Any, theta: float, low: float, high: float) -> float:
+    """Place of the core within [low, high] at which a straight move from the present one shows `theta`."""
+    q = p.commands
+    places, first = np.empty(SETTLE + 1), state[q + 3]
+    places[0] = first
+    ends, errors = (low, high), np.empty(2)
+    for k in range(2):
+        places[1:] = ends[k]
+        errors[k] = bend(p, state[q + OWN :].copy(), places, 1) - theta
+    if errors[0] >= 0.0:
+        return low
+    if errors[1] <= 0.0:
+        return high
+    x = first
+    for _ in range(12):
+        places[1:] = x
+        error = bend(p, state[q + OWN :].copy(), places, 1) - theta
+        if abs(error) < 1e-3:
+            break
+        # Illinois: the end that stays counts half, so that it does not stay for ever.
+        if error > 0.0:
+            high, errors[1], errors[0] = x, error, 0.5 * errors[0]
+        else:
+            low, errors[0], errors[1] = x, error, 0.5 * errors[1]
+        x = (low * errors[1] - high * errors[0]) / (errors[1] - errors[0])
+    return x
+
+
+class PidNumbers(NamedTuple):
+    """Gains as `ctrl.feedback.pid.PidSettings`, and the limits of the command with its greatest change a sample."""
+
+    kp: float
+    ki: float
+    kd: float
+    filter_s: float
+    tracking_s: float
+    dead_zone_deg: float
+    lower: float
+    upper: float
+    reach: float
+    dt: float
+
+
+@njit(cache=True, error_model="numpy")
+def pid_square_error(
+    p: Packed, rest: Any, wanted: Any, due: Any, feedforward: Any, noise: Any, first: int, g: PidNumbers, angle: float
+) -> float:
+    """Mean square true error from sample `first` on under `ctrl.feedback.pid.Pid`, in one compiled call [deg^2].
+
+    A search takes some hundred such runs; a test holds it against the controller itself.
+
+    Args:
+        rest: state that the device rests in, at the command g.lower.
+        wanted: reference at the ends of the samples (N,) [deg].
+        due: what the measurement at each sample's begin is compared with (N,) [deg]; NaN for the first measurement.
+        feedforward: added to the feedback (N,).
+        noise: of the measurements (N + 1,) [deg].
+        angle: true angle at rest [deg].
+    """
+    state, u, integral, speed = rest.copy(), g.lower, 0.0, 0.0
+    y = angle + noise[0]
+    before, smooth, span, total = y, g.dt / (g.filter_s + g.dt), g.upper - g.lower, 0.0
+    for k in range(wanted.size):
+        error = due[k] - y if due[k] == due[k] else 0.0
+        speed += smooth * ((y - before) / g.dt - speed)
+        before = y
+        asked = feedforward[k] + g.kp * error + integral - g.kd * speed
+        low, high = max(g.lower, u - g.reach), min(g.upper, u + g.reach)
+        u = min(max(asked, low), high)
+        held = error if abs(error) > g.dead_zone_deg else 0.0
+        integral += g.dt * (g.ki * held + (u - asked) / g.tracking_s)
+        integral = min(max(integral, -span), span)
+        angle = advance(p, state, u)
+        y = angle + noise[k + 1]
+        if k >= first:
+            total += (angle - wanted[k]) ** 2
+    return total / (wanted.size - first)
