@@ -80,6 +80,25 @@ class InitialRule(Settings):
         return np.asarray(self.offset, dtype=np.float64) + np.asarray(self.slope, dtype=np.float64) * y
 
 
+Sigma = Annotated[float, Field(ge=0, le=1e6)]
+
+
+class NoiseModel(Settings):
+    """What a model leaves unexplained, as an estimator takes it: white noise of the sensor on a random walk.
+
+        y_k - model_k = d_k + v_k,   var(v_k) = sensor^2,   var(d_{k+1} - d_k) = drift^2 dt + motion^2 |u_{k+1} - u_k|
+
+    Attributes:
+        sensor_sigma_deg: standard deviation of v [deg].
+        drift_sigma_deg_per_sqrt_s: of the change of d over one second [deg/sqrt(s)].
+        motion_sigma_deg_per_sqrt_unit: of its change over one unit of command travel [deg/sqrt(command unit)].
+    """
+
+    sensor_sigma_deg: Annotated[float, Field(gt=0, le=1e6)]
+    drift_sigma_deg_per_sqrt_s: Sigma
+    motion_sigma_deg_per_sqrt_unit: Sigma
+
+
 class ModelMetadata(Settings):
     """The facts without which a model file is refused, and the bounds beyond which it is refused too.
 
@@ -101,6 +120,8 @@ class ModelMetadata(Settings):
         warmup_samples: samples of the first command, held and unscored, before the first output counts; at most 1e6.
         training_data_hash: fingerprint of the trials that the model was identified on.
         training: free facts (preset, seed, validation error, logs).
+        noise: what the model leaves unexplained of its trials; None where that was not found out. The one fact that a
+            file may lack.
     """
 
     format: str = FORMAT
@@ -118,6 +139,7 @@ class ModelMetadata(Settings):
     warmup_samples: int = Field(ge=0, le=LONGEST_WARMUP)
     training_data_hash: str
     training: dict[str, str | float | int | bool] = Field(default_factory=dict)
+    noise: NoiseModel | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -163,7 +185,8 @@ class ModelMetadata(Settings):
 
     def to_properties(self) -> dict[str, str]:
         """Keys and JSON values for `metadata_props`."""
-        return {PREFIX + key: json.dumps(value) for key, value in self.model_dump(mode="json").items()}
+        facts = self.model_dump(mode="json", exclude={"noise"} if self.noise is None else None)
+        return {PREFIX + key: json.dumps(value) for key, value in facts.items()}
 
     @classmethod
     def from_properties(cls, properties: Mapping[str, str], where: str) -> Self:
@@ -184,7 +207,8 @@ class ModelMetadata(Settings):
                 f"{where}: model format {fields['format']!r}, this version of hystmpc reads {FORMAT!r}; "
                 "export the model again"
             )
-        missing = [key for key in cls.model_fields if key not in ours]  # defaults included: a file cut off lacks them
+        needed = [key for key in cls.model_fields if key != "noise"]  # defaults included: a file cut off lacks them
+        missing = [key for key in needed if key not in ours]
         if missing:
             raise ModelError(f"{where}: metadata lacks {', '.join(missing)}; the file is cut off or was edited")
         try:
