@@ -12,23 +12,19 @@ from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Vec
 
-# Without facts: a good sensor, and a model that is right within some tenths of a degree.
-_UNKNOWN = NoiseModel(sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=0.2, motion_sigma_deg_per_sqrt_unit=0.4)
-_SENSOR_FACTORS = 2.0 ** np.arange(-3.5, 3.6, 0.5)
-_DRIFT = 0.01 * 3.0 ** np.arange(6)  # deg/sqrt(s): from a model that is exact to one that is lost
-_MOTION = np.array([0.1, 0.4, 1.6, 6.4])  # deg over the square root of the whole range of commands
-_PRIOR_SPREAD = np.log(4.0)  # of each sigma about what the model file says
-_SWITCHING_S = 20.0  # mean time for which one hypothesis holds
-import os, json
-_o = json.loads(os.environ.get("NB", "{}"))
-_SENSOR_S = _o.get("sens_s", 1.0)
-_MOST_GAIN = _o.get("most", 0.6)
-_SWITCHING_S = _o.get("sw", 20.0)
-_UNKNOWN = NoiseModel(sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=_o.get("drift", 0.2), motion_sigma_deg_per_sqrt_unit=_o.get("motion", 0.4))
-_FREEDOM = 7.0  # of Student's distribution: (7 + 1) / 2 is a whole power
+# Without facts a model is taken for a good one: a few samples show the contrary, hundreds show that it is.
+_UNKNOWN = NoiseModel(sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=0.1, motion_sigma_deg_per_sqrt_unit=0.2)
+_PRIOR_SPREAD = math.log(4.0)  # standard deviation of the logarithm of each sigma about what is known of it
+_LEAST_SENSOR_DEG = 0.02  # a model of simulated trials without noise says nothing of a real sensor
+_SENSOR_FACTORS = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # of what is known
+_DRIFT = 0.01 * 3.0 ** np.arange(6)  # deg/sqrt(s), up to 2.4
+_MOTION = 0.025 * 4.0 ** np.arange(5)  # deg over the square root of the whole range of commands, up to 6.4
+_SWITCHING_S = 20.0  # mean time for which the model is as wrong as it is
+_SENSOR_SHARE = 0.2  # of these changes are changes of the sensor too
+_MOST_GAIN = 0.5
+_FREEDOM = 7.0  # of Student's density: (7 + 1) / 2 is a whole power
+_FIRST = 100.0  # variance of the first disturbance in those of the sensor: the first measurements decide
 _TINY = 1e-20  # deg^2: a sigma of zero has no logarithm
-_FIRST = 100.0  # variance of the first disturbance, in those of the sensor: the first measurement decides
-
 
 Sigmas = tuple[float | None, float | None, float | None]
 """Sensor, drift and motion as in `NoiseModel`; None for one that is to be found."""
@@ -38,22 +34,29 @@ Sigmas = tuple[float | None, float | None, float | None]
 class NoiseBank:
     """Kalman filters of one disturbance, each for other noises, weighted by how well they foretell the measurements.
 
-        z_k = y_k - model_k = d_k + v_k,   var(v) = sensor^2,   var(d_k+1 - d_k) = drift^2 dt + motion^2 |du_k|
+        z_k = y_k - model_k = d_k + v_k,   var(v) = sensor^2,   var(d_{k+1} - d_k) = drift^2 dt + motion^2 |du_k|
 
-    Filter i holds one triple of sigmas, and its disturbance d_i and variance P_i are those of the Kalman filter:
+    Filter i holds one triple of sigmas on a fixed grid. Its disturbance d_i has the variance P_i:
 
-        S_i = P_i + sensor_i^2,   e_i = z - d_i,   d_i <- d_i + (P_i / S_i) e_i,   P_i <- P_i sensor_i^2 / S_i
-        w_i <- (1 - eps) w_i p(e_i; S_i) / sum_j w_j p(e_j; S_j) + eps w_i0,   eps = dt / 20 s
+        S_i = P_i + sensor_i^2,   K_i = min(P_i / S_i, 1/2),   d_i <- d_i + K_i (z - d_i)
+        P_i <- (1 - K_i)^2 P_i + K_i^2 sensor_i^2,   w_i <- w_i p(z - d_i; S_i) / sum_j w_j p(z - d_j; S_j)
         d = sum_i w_i d_i,   P = sum_i w_i (P_i + (d_i - d)^2)
 
-    The weights are the probabilities of the hypotheses (Magill, "Optimal adaptive estimation of sampled stochastic
-    processes", IEEE TAC 10, 1965). Which one is true may change: with probability eps it is drawn anew in a sample, from
-    the probabilities w_i0 at the start (the jump Markov model of Blom and Bar-Shalom, IEEE TAC 33, 1988, whose filters
-    are not mixed here). So no weight falls below eps w_i0, and seconds of evidence suffice to change one's mind. p is
-    Student's density with 7 degrees of freedom and variance S_i: a single spike says little.
+    The weights are the probabilities of the triples (Magill, "Optimal adaptive estimation of sampled stochastic
+    processes", IEEE Transactions on Automatic Control 10, 1965). p is Student's density with 7 degrees of freedom and
+    variance S_i, so that one spike says little. How wrong the model is may change. Each sample, with probability
+    dt / 20 s, drift and motion are drawn anew from their prior, one time in five the sensor too (a jump Markov model,
+    Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988, without their mixing of the filters). No
+    weight dies, and a model that turns out wrong is found within a second of motion.
 
-    The grid is fixed, hence every sigma is within its ends for ever, and each filter is a stable one. A sigma that is
-    given has no other value; where all three are, this is the Kalman filter.
+    The gain of a bank is bounded because the loop is closed. A plan takes the disturbance for constant, but where the
+    model's error answers to the command, as behind a lag that the model lacks, the next command changes it. A gain
+    near one then makes an oscillation, which in turn looks like a large drift. K is the filter of internal model
+    control, whose robust stability asks for |filter| |relative model error| < 1 at every frequency (Morari and
+    Zafiriou, "Robust process control", 1989, section 2.6).
+
+    All sigmas stay on the grid, and every filter is stable. A sigma that is given has no other value. Where all three
+    are given this is the Kalman filter itself, without a bound of its gain.
 
     Args:
         given: sigmas set by hand.
@@ -63,78 +66,95 @@ class NoiseBank:
 
     def __init__(self, given: Sigmas, predictor: Predictor, limit_deg: float) -> None:
         low, high = predictor.command_range
-        known, dt_s = predictor.noise or _UNKNOWN, predictor.dt
-        centre = known.sensor_sigma_deg
-        sensor, by_sensor = _axis(given[0], centre, centre * _SENSOR_FACTORS)
+        known = predictor.noise or _UNKNOWN
+        usual = max(known.sensor_sigma_deg, _LEAST_SENSOR_DEG)
+        sensor, by_sensor = _axis(given[0], usual, usual * _SENSOR_FACTORS)
         drift, by_drift = _axis(given[1], known.drift_sigma_deg_per_sqrt_s, _DRIFT)
-        grid = _MOTION / math.sqrt(high - low)
-        motion, by_motion = _axis(given[2], known.motion_sigma_deg_per_sqrt_unit, grid)
-        squares = np.array([axis.ravel() for axis in np.meshgrid(sensor**2, drift**2, motion**2, indexing="ij")])
-        self._dt = dt_s
-        self._sensor, self._drift, self._motion = squares[0], dt_s * squares[1], squares[2]
-        self._logs = np.log(np.maximum(squares, _TINY))
-        self._by_sensor, self._prior = by_sensor, np.outer(by_drift, by_motion).ravel()
-        self._start = np.outer(by_sensor, self._prior).ravel()
-        self._rates = np.array([dt_s / (dt_s + _SWITCHING_S), dt_s / (dt_s + _SENSOR_S)])
-        self._most = _MOST_GAIN if self._start.size > 1 else 1.0
-        self._first = _FIRST * (given[0] or known.sensor_sigma_deg) ** 2
-        self._limit = limit_deg
+        motion, by_motion = _axis(given[2], known.motion_sigma_deg_per_sqrt_unit, _MOTION / math.sqrt(high - low))
+        grid = np.array([axis.ravel() for axis in np.meshgrid(sensor, drift, motion, indexing="ij")])
+        self._dt, self._limit = predictor.dt, limit_deg
+        self._sensor, self._drift, self._motion = grid[0] ** 2, predictor.dt * grid[1] ** 2, grid[2] ** 2
+        self._logs = np.log(np.maximum(grid**2, _TINY))
+        self._by_sensor, self._by_model = by_sensor, np.outer(by_drift, by_motion).ravel()
+        self._prior = np.outer(self._by_sensor, self._by_model).ravel()
+        self._switching = predictor.dt / (predictor.dt + _SWITCHING_S)
+        self._most = _MOST_GAIN if self._prior.size > 1 else 1.0
+        self._first = _FIRST * (given[0] or usual) ** 2
 
     def init(self, disturbance: float) -> tuple[Vec, float]:
         """Rows disturbance, variance, weight (3, M) of a bank whose disturbance [deg] is a guess; its variance."""
-        count = self._start.size
-        bank = np.array([np.full(count, disturbance), np.full(count, self._first), self._start])
-        return bank, self._first
+        count = self._prior.size
+        return np.array([np.full(count, disturbance), np.full(count, self._first), self._prior]), self._first
 
     def correct(self, bank: Vec, offset: float) -> tuple[Vec, float, float]:
         """The bank with a measurement `offset` = y - model [deg] used, its disturbance [deg] and variance [deg^2]."""
         after = np.empty_like(bank)
-        mean, variance = corrected(
-            bank, self._sensor, self._prior, self._by_sensor, offset, self._rates, self._most, self._limit, after
+        mean, variance = correct_filters(
+            bank, self._sensor, self._by_sensor, self._by_model, offset, self._switching, self._most, self._limit, after
         )
         return after, mean, variance
 
-    def advance(self, bank: Vec, travel: float, mean: float) -> tuple[Vec, float]:
+    def advance(self, bank: Vec, travel: float, disturbance: float) -> tuple[Vec, float]:
         """The bank one sample later, and its variance [deg^2].
 
         Args:
             travel: of the command in that sample [command unit].
-            mean: disturbance of the bank [deg].
+            disturbance: of the bank [deg].
         """
         after = np.empty_like(bank)
-        return after, advanced(bank, self._drift, self._motion, travel, self._limit, mean, after)
+        variance = advance_filters(bank, self._drift, self._motion, travel, self._limit, disturbance, after)
+        return after, float(variance)
 
     def found(self, bank: Vec) -> NoiseModel:
-        """The sigmas as the bank sees them: geometric means over the hypotheses."""
-        sensor, drift, motion = np.exp(0.5 * (self._logs @ bank[2])).tolist()
+        """The sigmas as the bank sees them: geometric means over the filters."""
+        sensor, drift, motion = np.sqrt(self._variances(bank)).tolist()
         return NoiseModel(
             sensor_sigma_deg=sensor, drift_sigma_deg_per_sqrt_s=drift, motion_sigma_deg_per_sqrt_unit=motion
         )
 
+    def sensor_variance(self, bank: Vec) -> float:
+        """Variance of the sensor's noise [deg^2], as `found`."""
+        return float(self._variances(bank)[0])
+
     def growth(self, bank: Vec, travel: float) -> float:
-        """Variance that the disturbance gains in a sample in which the command travels so far [deg^2], as seen."""
-        _, drift, motion = np.exp(self._logs @ bank[2]).tolist()
+        """Variance that the disturbance gains in a sample in which the command travels so far [deg^2], as `found`."""
+        _, drift, motion = self._variances(bank).tolist()
         return float(drift * self._dt + motion * travel)
 
-    def sensor_variance(self, bank: Vec) -> float:
-        """Variance of the sensor's noise [deg^2], as seen."""
-        return math.exp(float(self._logs[0] @ bank[2]))
+    def _variances(self, bank: Vec) -> Vec:
+        return np.asarray(np.exp(self._logs @ bank[2]))
 
 
-def _axis(given: float | None, centre: float, grid: Vec) -> tuple[Vec, Vec]:
+def _axis(given: float | None, known: float, grid: Vec) -> tuple[Vec, Vec]:
     """Values and probabilities of one sigma."""
     if given is not None:
         return np.array([given]), np.ones(1)
-    inside = min(max(centre, grid[0]), grid[-1])
-    weights = np.exp(-0.5 * (np.log(grid / inside) / _PRIOR_SPREAD) ** 2)
+    centre = min(max(known, grid[0]), grid[-1])
+    weights = np.exp(-0.5 * (np.log(grid / centre) / _PRIOR_SPREAD) ** 2)
     return grid, weights / weights.sum()
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def corrected(
-    bank: Any, sensor: Any, prior: Any, by_sensor: Any, offset: float, rates: Any, most: float, limit: float, after: Any
+def correct_filters(
+    bank: Any,
+    sensor: Any,
+    by_sensor: Any,
+    by_model: Any,
+    offset: float,
+    switching: float,
+    most: float,
+    limit: float,
+    after: Any,
 ) -> tuple[float, float]:
-    """Write the bank (3, M) after a measurement; answers disturbance [deg] and variance [deg^2]."""
+    """Write the bank (3, M) after a measurement; answers disturbance [deg] and variance [deg^2].
+
+    Args:
+        sensor: variance of each filter's sensor (M,) [deg^2].
+        by_sensor, by_model: prior of the sensors (J,) and of drift and motion (M / J,), sensor by sensor.
+        switching: probability of a change in a sample.
+        most: bound of the gain.
+        limit: bound of the disturbance [deg].
+    """
     total = 0.0
     for i in range(sensor.size):
         before, noise = bank[1, i], sensor[i]
@@ -146,22 +166,28 @@ def corrected(
         after[1, i] = (1.0 - gain) * (1.0 - gain) * before + gain * gain * noise
         after[2, i] = bank[2, i] / (math.sqrt(spread) * odd * odd)
         total += after[2, i]
-    inner, mean = prior.size, 0.0
+    inner, mean = by_model.size, 0.0
     for j in range(by_sensor.size):
         share = 0.0
         for i in range(j * inner, (j + 1) * inner):
             share += after[2, i]
-        share = rates[0] * ((1.0 - rates[1]) * share / total + rates[1] * by_sensor[j])
+        share = switching * ((1.0 - _SENSOR_SHARE) * share / total + _SENSOR_SHARE * by_sensor[j])
         for i in range(inner):
             k = j * inner + i
-            after[2, k] = (1.0 - rates[0]) * after[2, k] / total + share * prior[i]
+            after[2, k] = (1.0 - switching) * after[2, k] / total + share * by_model[i]
             mean += after[2, k] * after[0, k]
     return mean, mixed_variance(after, mean)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advanced(bank: Any, drift: Any, motion: Any, travel: float, limit: float, mean: float, after: Any) -> float:
-    """Write the bank (3, M) one sample later; answers its variance [deg^2]."""
+def advance_filters(bank: Any, drift: Any, motion: Any, travel: float, limit: float, mean: float, after: Any) -> float:
+    """Write the bank (3, M) one sample later; answers its variance about `mean` [deg^2].
+
+    Args:
+        drift, motion: variance of each filter's walk in a sample, and over one unit of travel (M,).
+        travel: of the command [command unit].
+        limit: bound of the disturbance [deg].
+    """
     for i in range(bank.shape[1]):
         after[0, i] = bank[0, i]
         after[1, i] = min(bank[1, i] + drift[i] + motion[i] * travel, limit * limit)
@@ -171,7 +197,7 @@ def advanced(bank: Any, drift: Any, motion: Any, travel: float, limit: float, me
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def mixed_variance(bank: Any, mean: float) -> float:
-    """Variance [deg^2] of the mixture about its mean [deg]."""
+    """Variance of a mixture (3, M) about its mean [deg^2]."""
     total = 0.0
     for i in range(bank.shape[1]):
         total += bank[2, i] * (bank[1, i] + (bank[0, i] - mean) ** 2)

@@ -102,7 +102,7 @@ class EstimatorSettings(Settings):
     motion_sigma_deg_per_sqrt_unit: NotNegative | None = None
     delay_samples: Annotated[int, Field(ge=0)] = 0
     outlier_deg: Positive = 15.0
-    dead_band_gain_deg_per_unit: NotNegative = 1.0
+    dead_band_gain_deg_per_unit: NotNegative = 0.0
     disturbance_limit_deg: Positive = 30.0
 
 
