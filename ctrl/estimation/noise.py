@@ -176,6 +176,7 @@ def correct_filters(
             k = j * inner + i
             after[2, k] = (1.0 - switching) * after[2, k] / total + share * by_model[i]
             mean += after[2, k] * after[0, k]
+    mean = min(max(mean, -limit), limit)  # the weights sum to one but for rounding
     return mean, mixed_variance(after, mean)
 
 

@@ -230,4 +230,3 @@ def usable_angle(y: object) -> float:
     except (TypeError, ValueError, OverflowError):
         return math.nan
     return angle if abs(angle) <= ANGLE_BOUND_DEG else math.nan
-

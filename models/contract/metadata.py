@@ -185,8 +185,7 @@ class ModelMetadata(Settings):
 
     def to_properties(self) -> dict[str, str]:
         """Keys and JSON values for `metadata_props`."""
-        facts = self.model_dump(mode="json", exclude={"noise"} if self.noise is None else None)
-        return {PREFIX + key: json.dumps(value) for key, value in facts.items()}
+        return {PREFIX + key: json.dumps(value) for key, value in self.model_dump(mode="json").items()}
 
     @classmethod
     def from_properties(cls, properties: Mapping[str, str], where: str) -> Self:

@@ -46,7 +46,9 @@ class PlayKernelKind(ModelKind):
         report = f"lag {found.choice.lag_s:g} s, {found.rmse:.4f} {unit} on the training trials"
         if found.judged:
             report += f", {found.judged[found.choice]:.4f} {unit} offset-free on trials left out"
-        bundle = with_noise(play_kernel_bundle(found, trials, settings, request.limits), trials, found.weights.state_size)
+        bundle = with_noise(
+            play_kernel_bundle(found, trials, settings, request.limits), trials, found.weights.state_size
+        )
         return Identified(bundle, None, tuple(history), report, found.interrupted)
 
     def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
