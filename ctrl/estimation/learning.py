@@ -156,9 +156,10 @@ class LearningEstimator(Observer):
         y_k = model_k + phi_k' w + d_k + v_k,   d_{k+1} = d_k + n_k,   w_{k+1} = w_k + m_k
         z = (d, w),  h = (1, phi),  s = h' P h + r,  z <- z + P h (y - model - h' z) / s,  P <- P - P h h' P / s
 
-    n_k and r are those that a `NoiseBank` sees in what model and learned part together leave over. m_k grows with the command's travel alone, so that in a hold, where one sum of
-    weights is seen and no single one, nothing is forgotten. Weights stay within four standard deviations of zero.
-    Outliers count as missing, and the disturbance is not corrected inside the model's dead band, as there.
+    n_k and r are those that a `NoiseBank` sees in what model and learned part together leave over. m_k grows with the
+    command's travel alone, so that in a hold, where one sum of weights is seen and no single one, nothing is forgotten.
+    Weights stay within four standard deviations of zero. Outliers count as missing, and the disturbance is not
+    corrected inside the model's dead band, as there.
     """
 
     def __init__(

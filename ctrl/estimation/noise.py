@@ -166,7 +166,7 @@ def correct_filters(
         after[1, i] = (1.0 - gain) * (1.0 - gain) * before + gain * gain * noise
         after[2, i] = bank[2, i] / (math.sqrt(spread) * odd * odd)
         total += after[2, i]
-    inner, mean = by_model.size, 0.0
+    inner, mean = by_model.size, after[0, 0]
     for j in range(by_sensor.size):
         share = 0.0
         for i in range(j * inner, (j + 1) * inner):
@@ -175,8 +175,7 @@ def correct_filters(
         for i in range(inner):
             k = j * inner + i
             after[2, k] = (1.0 - switching) * after[2, k] / total + share * by_model[i]
-            mean += after[2, k] * after[0, k]
-    mean = min(max(mean, -limit), limit)  # the weights sum to one but for rounding
+            mean += after[2, k] * (after[0, k] - after[0, 0])
     return mean, mixed_variance(after, mean)
 
 

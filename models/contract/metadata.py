@@ -125,6 +125,7 @@ class ModelMetadata(Settings):
     """
 
     format: str = FORMAT
+    noise: NoiseModel | None = None  # not the last one: a file that is cut off lacks what follows
     kind: str = Field(min_length=1)
     dt_s: SampleTime
     command_unit: str = Field(min_length=1)
@@ -139,7 +140,6 @@ class ModelMetadata(Settings):
     warmup_samples: int = Field(ge=0, le=LONGEST_WARMUP)
     training_data_hash: str
     training: dict[str, str | float | int | bool] = Field(default_factory=dict)
-    noise: NoiseModel | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -27,8 +27,8 @@ def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: 
     """Most likely noises behind the residuals of free runs, for the estimator of a controller.
 
     r_k = d_k + v_k with v white and d a random walk, of which every trial has its own; see `NoiseModel`. Likelihood by
-    the Kalman filter, the variance of v eliminated in closed form, the two ratios by Nelder and Mead from the best point
-    of a grid (Harvey, "Forecasting, structural time series models and the Kalman filter", 1989, sections 3.4 and 4.2).
+    the Kalman filter, the variance of v eliminated in closed form, the two ratios by Nelder and Mead from the best
+    point of a grid (Harvey, "Forecasting, structural time series models and the Kalman filter", 1989, section 3.4).
 
     Residuals of the trials that a model was fitted to are too small. A least-squares fit of p parameters to n
     independent errors leaves (n - p) / n of their variance; errors whose neighbours are correlated by rho count as

@@ -89,7 +89,8 @@ class SvrKind(ModelKind):
         )
         if found.judged:
             report += f", {found.judged[choice]:.4f} {unit} on what was left out"
-        bundle = with_noise(svr_bundle(found, trials, settings, request.limits), trials, len(found.weights.supports))
+        bundle = svr_bundle(found, trials, settings, request.limits)
+        bundle = with_noise(bundle, trials, len(found.weights.supports))
         return Identified(bundle, None, tuple(history), report, found.interrupted)
 
     def steps(self, request: FitRequest) -> int | None:

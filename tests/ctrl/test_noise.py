@@ -1,8 +1,9 @@
-"""Laws of the bank of observers: given sigmas are kept, unknown ones are found, and nothing that is measured breaks it."""
+"""Laws of the bank of observers: given sigmas are kept, unknown ones found, and no measurement breaks it."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,6 +86,23 @@ def test_a_model_that_turns_out_wrong_is_found_within_a_second_of_motion() -> No
     assert after > 3.0 * before
     late = [estimate.disturbance - offset for estimate, offset in zip(estimates[275:], wrong[275:], strict=True)]
     assert np.sqrt(np.mean(np.square(late))) < 0.15
+
+
+@given(st.floats(-10.0, 10.0), st.integers(0, 20))
+@settings(max_examples=20, deadline=None)
+def test_a_bank_takes_half_of_what_it_sees_at_most(step: float, seed: int) -> None:
+    """However wrong the model has been; a single filter takes what its sigmas say."""
+    estimator = OutputEstimator(Lag(), AUTO)
+    before = run(estimator, *walk(3.0, 0.02, 2.0, 2.0, seed))[-1]
+    before = estimator.advance(before, before.command)
+    before = replace(before, bank=np.vstack([np.full(before.bank.shape[1], before.disturbance), before.bank[1:]]))
+    after = estimator.correct(before, before.angles[0] + before.disturbance + step)
+    assert abs(after.disturbance - before.disturbance) <= 0.5 * abs(step) + 1e-9
+    given = EstimatorSettings(sensor_sigma_deg=0.01, drift_sigma_deg_per_sqrt_s=2.0, motion_sigma_deg_per_sqrt_unit=0.0)
+    single = OutputEstimator(Lag(), given)
+    rest = single.advance(run(single, *walk(3.0, 0.0, 0.0, 0.0))[-1], 0.0)
+    moved = single.correct(rest, rest.angles[0] + 1.0).disturbance - rest.disturbance
+    assert moved > 0.9
 
 
 def test_one_spike_says_little() -> None:

@@ -128,5 +128,5 @@ def test_facts_out_of_bounds_are_refused() -> None:
     known = facts.model_copy(update={"noise": noise_of(0.1, 0.2, 0.3)}).to_properties()
     assert ModelMetadata.from_properties(known, "file").noise == noise_of(0.1, 0.2, 0.3)
     bad = known | {"hystmpc.noise": known["hystmpc.noise"].replace("0.1", "-0.1")}
-    with pytest.raises(ModelError, match="noise.sensor_sigma_deg"):
+    with pytest.raises(ModelError, match=r"noise\.sensor_sigma_deg"):
         ModelMetadata.from_properties(bad, "file")
