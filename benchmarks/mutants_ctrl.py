@@ -10,6 +10,7 @@ _guarded = mutated_file(
 )
 _fallback = mutated_file("ctrl", "fallback.py", "test_fallback.py", "test_contract.py")
 _estimator = mutated_file("ctrl", "estimation/observer.py", "test_estimator.py", "test_fallback.py")
+_noise = mutated_file("ctrl", "estimation/noise.py", "test_noise.py", "test_estimator.py")
 
 MUTANTS: tuple[Mutant, ...] = (
     _limits(
@@ -109,33 +110,35 @@ MUTANTS: tuple[Mutant, ...] = (
         "FallbackState(plan=plan[1:], predicted=predicted[1:])",
         "FallbackState(plan=plan)",
     ),
-    _estimator(
-        "the bound of the disturbance is removed", "return min(max(disturbance, -limit), limit)", "return disturbance"
+    _noise(
+        "the bound of the disturbance is removed",
+        "min(max(bank[0, i] + gain * error, -limit), limit)",
+        "bank[0, i] + gain * error",
     ),
-    _estimator(
+    _noise(
         "the disturbance is bounded on one side only",
-        "return min(max(disturbance, -limit), limit)",
-        "return min(disturbance, limit)",
+        "min(max(bank[0, i] + gain * error, -limit), limit)",
+        "min(bank[0, i] + gain * error, limit)",
     ),
+    _noise("the innovation has the wrong sign", "bank[0, i] + gain * error", "bank[0, i] - gain * error"),
+    _noise("the gain of a bank is not bounded", "min(before / spread, most)", "before / spread"),
+    _noise("weights may die", "share * by_model[i]", "0.0"),
+    _noise("a given sigma is not kept", "if given is not None:", "if given is not None and known < 0.0:"),
+    _noise("a spike says as much as it likes", "_FREEDOM = 7.0", "_FREEDOM = 1e9"),
     _estimator(
         "outliers are taken",
-        "if not abs(innovation) <= self._settings.outlier_deg:",
-        "if math.isnan(innovation):",
+        "if not abs(offset - estimate.disturbance) <= self._settings.outlier_deg:",
+        "if math.isnan(offset):",
     ),
     _estimator(
         "not-a-number is taken for a measurement",
-        "if not abs(innovation) <= self._settings.outlier_deg:",
-        "if abs(innovation) > self._settings.outlier_deg:",
-    ),
-    _estimator(
-        "the innovation has the wrong sign",
-        "self._bounded(estimate.disturbance + gain * innovation)",
-        "self._bounded(estimate.disturbance - gain * innovation)",
+        "if not abs(offset - estimate.disturbance) <= self._settings.outlier_deg:",
+        "if abs(offset - estimate.disturbance) > self._settings.outlier_deg:",
     ),
     _estimator(
         "missing measurements are not counted",
-        "estimate, missing=estimate.missing + 1)\n        prior",
-        "estimate, missing=0)\n        prior",
+        "estimate, missing=estimate.missing + 1)\n        if not",
+        "estimate, missing=0)\n        if not",
     ),
     _estimator(
         "a start far from the model is accepted",
@@ -149,8 +152,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _estimator(
         "the dead band winds the disturbance up",
-        "if estimate.responsive[0] else 0.0",
-        "if estimate.responsive else 0.0",
+        "if not estimate.responsive[0]:",
+        "if not estimate.responsive:",
     ),
     _estimator(
         "the delay is not waited for", "angles=(*estimate.angles[1:], angle)", "angles=(angle,) * len(estimate.angles)"

@@ -108,7 +108,7 @@ class GuardedController(Generic[M]):
         Args:
             commands: sent last (T,) [mm or bar], the newest at the end.
             angles: measured when each was sent (T,) [deg]; not-a-number where there was none. The device is taken to
-                have rested at the first usable one, under the command sent then.
+                have rested at the first usable one, under the command sent before it, or then where it is the first.
 
         Raises:
             ControllerError: if no angle is usable, a command is beyond the limits, or the model fails.
@@ -121,7 +121,7 @@ class GuardedController(Generic[M]):
                 f"expected as many commands within {low} to {high} as angles, at least one of them usable"
             )
         first = int(usable[0])
-        state = self.init(float(angles[first]), float(commands[first]))
+        state = self.init(float(angles[first]), float(commands[max(first - 1, 0)]))
         estimate, last = state.estimate, float(angles[usable[-1]])
         for y, u in zip(angles[first:].tolist(), commands[first:].tolist(), strict=True):
             after, fault = attempt(partial(self._observer.advance, self._observer.correct(estimate, y), u))

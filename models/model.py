@@ -10,7 +10,7 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from .contract.metadata import ModelMetadata, Start
+from .contract.metadata import ModelMetadata, NoiseModel, Start
 
 
 class Model(Protocol):
@@ -124,6 +124,7 @@ class Predictor(ABC):
 
     dt: float
     command_range: tuple[float, float]  # the range the model was identified on
+    noise: NoiseModel | None = None  # what the model leaves unexplained, where its file says so
 
     @abstractmethod
     def initial(self, y: float, u: float) -> Vec:
@@ -156,6 +157,7 @@ class ModelPredictor(Predictor):
     def __init__(self, metadata: ModelMetadata, start: Start = "conditioned") -> None:
         self.dt = metadata.dt_s
         self.command_range = (metadata.trained_command.lower, metadata.trained_command.upper)
+        self.noise = metadata.noise
         self._rule, self._warmup = metadata.rule(start), metadata.warmup_samples
 
     def initial(self, y: float, u: float) -> Vec:

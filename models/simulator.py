@@ -18,7 +18,7 @@ from hystmpc.trials.types import Vec
 
 from .chain import Chain
 from .contract.export import ExportBundle, export_onnx
-from .contract.metadata import ModelMetadata, Range, Rate, SampleTime, Start
+from .contract.metadata import ModelMetadata, NoiseModel, Range, Rate, SampleTime, Start
 from .kernels.chain_kernels import compile_step
 from .kernels.program import dense
 from .model import LoadedModel, StepFunction
@@ -56,13 +56,19 @@ class Residual(Settings):
 
 
 class Identification(Settings):
-    """Where a simulator's numbers come from."""
+    """Where a simulator's numbers come from.
+
+    Attributes:
+        residuals: one for each trial.
+        noise: what they consist of, see `ModelMetadata.noise`.
+    """
 
     method: str
     seed: int = 0
     skip_first_flexure: bool = False
     training_data_hash: str = ""
     residuals: tuple[Residual, ...] = ()
+    noise: NoiseModel | None = None
 
 
 class SimulatorFile(Settings):
@@ -134,6 +140,7 @@ class Simulator:
             warmup_samples=self.chain.settling_samples,
             training_data_hash=self.identification.training_data_hash,
             training={"method": self.identification.method, "seed": self.identification.seed},
+            noise=self.identification.noise,
         )
 
 
@@ -155,7 +162,7 @@ def save_simulator(simulator: Simulator, path: Path | str) -> Path:
             "core": operator_spec(chain.core),
             "after": [operator_spec(operator) for operator in chain.after],
         },
-        "identification": simulator.identification.model_dump(mode="json"),
+        "identification": simulator.identification.model_dump(mode="json", exclude_none=True),
     }
     return write_atomically(path, dump_yaml(content))
 

@@ -37,7 +37,7 @@ class LearnedPredictor(Predictor):
     """
 
     def __init__(self, model: Predictor, settings: AdaptationSettings) -> None:
-        self.dt, self.command_range, self.model = model.dt, model.command_range, model
+        self.dt, self.command_range, self.noise, self.model = model.dt, model.command_range, model.noise, model
         low, high = model.command_range
         self.radii = (high - low) * settings.widest_share * np.arange(1, settings.plays + 1) / max(settings.plays, 1)
         self.gain = 1.0 if settings.lag_s == 0 else 1.0 - math.exp(-model.dt / settings.lag_s)
@@ -156,9 +156,10 @@ class LearningEstimator(Observer):
         y_k = model_k + phi_k' w + d_k + v_k,   d_{k+1} = d_k + n_k,   w_{k+1} = w_k + m_k
         z = (d, w),  h = (1, phi),  s = h' P h + r,  z <- z + P h (y - model - h' z) / s,  P <- P - P h h' P / s
 
-    n_k is that of the plain estimator; m_k grows with the command's travel alone, so that in a hold, where one sum of
-    weights is seen and no single one, nothing is forgotten. Weights stay within four standard deviations of zero.
-    Outliers count as missing, and the disturbance is not corrected inside the model's dead band, as there.
+    n_k and r are those that a `NoiseBank` sees in what model and learned part together leave over. m_k grows with the
+    command's travel alone, so that in a hold, where one sum of weights is seen and no single one, nothing is forgotten.
+    Weights stay within four standard deviations of zero. Outliers count as missing, and the disturbance is not
+    corrected inside the model's dead band, as there.
     """
 
     def __init__(
@@ -166,6 +167,7 @@ class LearningEstimator(Observer):
     ) -> None:
         self._predictor, self._settings = predictor, settings
         self._plain = OutputEstimator(predictor, settings)
+        self._noise = self._plain.bank
         self.delay_samples = settings.delay_samples
         self._prior = _prior(predictor, adaptation)
         self._walk = adaptation.walk_share**2 * self._prior
@@ -178,12 +180,14 @@ class LearningEstimator(Observer):
         return replace(plain, covariance=covariance, features=(np.zeros(self._predictor.size),) * len(plain.angles))
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:
-        innovation = usable_angle(y) - estimate.angles[0] - estimate.disturbance
+        offset = usable_angle(y) - estimate.angles[0]
+        innovation = offset - estimate.disturbance
         if not abs(innovation) <= self._settings.outlier_deg:  # also true where it is not a number
             return replace(estimate, missing=estimate.missing + 1)
+        bank = self._noise.correct(estimate.bank, offset)[0] if estimate.responsive[0] else estimate.bank
         along = np.concatenate([[1.0], estimate.features[0]])
         spread = estimate.covariance @ along
-        variance = float(along @ spread) + self._settings.sensor_sigma_deg**2
+        variance = float(along @ spread) + self._noise.sensor_variance(bank)
         gain = spread / variance
         before = self._predictor.weights(estimate.state)
         weights = np.clip(before + gain[1:] * innovation, -self._bound, self._bound)
@@ -202,6 +206,7 @@ class LearningEstimator(Observer):
             stalled=estimate.stalled,
             covariance=covariance,
             features=estimate.features,
+            bank=bank,
         )
 
     def advance(self, estimate: Estimate, u: float) -> Estimate:
@@ -213,13 +218,10 @@ class LearningEstimator(Observer):
 
     def _grown(self, estimate: Estimate, after: Estimate, phi: Vec) -> Estimate:
         """With the covariance one sample later."""
-        settings, coming = self._settings, after.moves[0]
+        coming = after.moves[0]
         covariance = estimate.covariance.copy()
-        covariance[0, 0] += (
-            settings.drift_sigma_deg_per_sqrt_s**2 * self._predictor.dt
-            + settings.motion_sigma_deg_per_sqrt_unit**2 * coming
-        )
-        covariance[0, 0] = min(covariance[0, 0], settings.disturbance_limit_deg**2)
+        covariance[0, 0] += self._noise.growth(after.bank, coming)
+        covariance[0, 0] = min(covariance[0, 0], self._settings.disturbance_limit_deg**2)
         covariance[1:, 1:] += self._walk * coming
         shown = (*estimate.features[1:], phi)
         return Estimate(
@@ -235,6 +237,7 @@ class LearningEstimator(Observer):
             stalled=after.stalled,
             covariance=covariance,
             features=shown,
+            bank=after.bank,
         )
 
 

@@ -40,6 +40,7 @@ class Estimate:
         stalled: number of samples since the model was last advanced; above zero it has failed.
         covariance: of the errors of disturbance and learned weights, where weights are learned.
         features: what the weights are multiplied by, for each of the angles, where weights are learned.
+        bank: filters of `NoiseBank`, of which disturbance and variance are the mixture (3, M).
     """
 
     state: Vec
@@ -54,6 +55,7 @@ class Estimate:
     stalled: int = 0
     covariance: Vec = field(default_factory=lambda: EMPTY)
     features: tuple[Vec, ...] = ()
+    bank: Vec = field(default_factory=lambda: EMPTY)
 
 
 class Observer(ABC):
@@ -81,6 +83,9 @@ class Observer(ABC):
 class EstimatorSettings(Settings):
     """Block `estimator`: what is assumed about sensor, device and model.
 
+    A sigma that is left out starts at what the model file says of it, or at a usual value, and is corrected while the
+    loop runs; see `NoiseBank`. One that is given is kept.
+
     Attributes:
         sensor_sigma_deg: standard deviation of the angle sensor [deg].
         drift_sigma_deg_per_sqrt_s: standard deviation of the disturbance's change over one second [deg / sqrt(s)].
@@ -92,12 +97,12 @@ class EstimatorSettings(Settings):
         disturbance_limit_deg: bound of the estimated disturbance [deg].
     """
 
-    sensor_sigma_deg: Positive = 0.15
-    drift_sigma_deg_per_sqrt_s: Positive = 0.4
-    motion_sigma_deg_per_sqrt_unit: NotNegative = 0.0
+    sensor_sigma_deg: Positive | None = None
+    drift_sigma_deg_per_sqrt_s: Positive | None = None
+    motion_sigma_deg_per_sqrt_unit: NotNegative | None = None
     delay_samples: Annotated[int, Field(ge=0)] = 0
     outlier_deg: Positive = 15.0
-    dead_band_gain_deg_per_unit: NotNegative = 1.0
+    dead_band_gain_deg_per_unit: NotNegative = 0.0
     disturbance_limit_deg: Positive = 30.0
 
 
@@ -106,8 +111,10 @@ class OutputEstimator(Observer):
     """Model run on the commands really sent, plus a random-walk output disturbance.
 
         theta_k = model(commands up to k-1-D) + d_k,   d_{k+1} = d_k + w_k,   y_k = theta_k + v_k
-        var(w_k) = drift_sigma^2 dt + motion_sigma^2 |u_k - u_{k-1}|,   var(v_k) = r = sensor_sigma^2
-        K = P / (P + r),   d_k <- d_k + K (y_k - theta_k),   P <- (1 - K) P,   P_{k+1} = P + var(w_k)
+        var(w_k) = drift_sigma^2 dt + motion_sigma^2 |u_k - u_{k-1}|,   var(v_k) = sensor_sigma^2
+
+    d and the variance of its error are those of a bank of Kalman filters, see `NoiseBank`; where all three sigmas are
+    given, of one Kalman filter.
 
     The model always holds every command sent; the D predicted angles on their way are kept in a queue, so a
     measurement meets the prediction made for its own instant, and plans start where the queue ends.
@@ -117,19 +124,22 @@ class OutputEstimator(Observer):
     """
 
     def __init__(self, predictor: Predictor, settings: EstimatorSettings) -> None:
+        from .noise import NoiseBank  # numba takes a second to import, which settings alone need not wait for
+
         self._predictor = predictor
         self._settings = settings
-        self._gain = kalman_gain(settings.sensor_sigma_deg, settings.drift_sigma_deg_per_sqrt_s, predictor.dt)
-        self._sensor, self._drift = settings.sensor_sigma_deg**2, settings.drift_sigma_deg_per_sqrt_s**2 * predictor.dt
-        self._motion = settings.motion_sigma_deg_per_sqrt_unit**2
+        self.bank = NoiseBank(
+            (
+                settings.sensor_sigma_deg,
+                settings.drift_sigma_deg_per_sqrt_s,
+                settings.motion_sigma_deg_per_sqrt_unit,
+            ),
+            predictor,
+            settings.disturbance_limit_deg,
+        )
         low, high = predictor.command_range
         self._resolution = _RESOLUTION * abs(high - low)
         self.delay_samples = settings.delay_samples
-
-    @property
-    def gain(self) -> float:
-        """Steady-state Kalman gain K while the command rests."""
-        return self._gain
 
     def init(self, y: float, u: float) -> Estimate:
         """A device at rest: what the model cannot explain of `y` is the first disturbance.
@@ -146,18 +156,19 @@ class OutputEstimator(Observer):
                 f"accepted is a difference of {self._settings.disturbance_limit_deg:.6g} deg"
             )
         queue = self.delay_samples + 1
-        rest = self._sensor * self._gain / (1.0 - self._gain)  # P of the Riccati equation
-        return Estimate(state, u, (float(angle),) * queue, (True,) * queue, (0.0,) * queue, y - angle, rest, y)
+        bank, variance = self.bank.init(y - angle)
+        return Estimate(
+            state, u, (float(angle),) * queue, (True,) * queue, (0.0,) * queue, y - angle, variance, y, bank=bank
+        )
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:
-        innovation = usable_angle(y) - estimate.angles[0] - estimate.disturbance
-        if not abs(innovation) <= self._settings.outlier_deg:  # also true where it is not a number
+        offset = usable_angle(y) - estimate.angles[0]
+        if not abs(offset - estimate.disturbance) <= self._settings.outlier_deg:  # also where it is not a number
             return replace(estimate, missing=estimate.missing + 1)
-        prior = estimate.variance
-        gain = prior / (prior + self._sensor) if estimate.responsive[0] else 0.0
-        disturbance = self._bounded(estimate.disturbance + gain * innovation)
-        posterior = (1.0 - gain) * prior
-        return replace(estimate, disturbance=disturbance, variance=posterior, measured=float(y), missing=0)
+        if not estimate.responsive[0]:
+            return replace(estimate, measured=float(y), missing=0)
+        bank, disturbance, variance = self.bank.correct(estimate.bank, offset)
+        return replace(estimate, bank=bank, disturbance=disturbance, variance=variance, measured=float(y), missing=0)
 
     def advance(self, estimate: Estimate, u: float) -> Estimate:
         angle, state = self._predictor.advance(estimate.state, u)
@@ -172,7 +183,7 @@ class OutputEstimator(Observer):
         moved = abs(u - estimate.command)
         coming = estimate.moves[1] if len(estimate.moves) > 1 else moved
         answers = abs(angle - estimate.angles[-1]) >= self._settings.dead_band_gain_deg_per_unit * moved
-        variance = estimate.variance + self._drift + self._motion * coming
+        bank, variance = self.bank.advance(estimate.bank, coming, estimate.disturbance)
         return Estimate(  # `replace` takes ten times as long
             state=state,
             command=u,
@@ -180,17 +191,14 @@ class OutputEstimator(Observer):
             responsive=(*estimate.responsive[1:], answers or moved <= self._resolution),
             moves=(*estimate.moves[1:], moved),
             disturbance=estimate.disturbance,
-            variance=min(variance, self._settings.disturbance_limit_deg**2),
+            variance=variance,
             measured=estimate.measured,
             missing=estimate.missing,
             stalled=stalled,
             covariance=estimate.covariance,
             features=estimate.features,
+            bank=bank,
         )
-
-    def _bounded(self, disturbance: float) -> float:
-        limit = self._settings.disturbance_limit_deg
-        return min(max(disturbance, -limit), limit)
 
 
 @final
@@ -222,20 +230,3 @@ def usable_angle(y: object) -> float:
     except (TypeError, ValueError, OverflowError):
         return math.nan
     return angle if abs(angle) <= ANGLE_BOUND_DEG else math.nan
-
-
-def kalman_gain(sensor_sigma_deg: float, drift_sigma_deg: float, dt_s: float) -> float:
-    """Steady-state gain for a disturbance that walks at random: d+ = d + w, e = d + v.
-
-    The Riccati equation P = P - P^2 / (P + r) + q with r = sensor_sigma^2 [deg^2] and q = drift_sigma^2 dt [deg^2]
-    is the quadratic P^2 - q P - q r = 0; the gain is P / (P + r). A test holds it against `control.dlqe`, whose import
-    alone costs a control process a second and 60 MB.
-
-    Args:
-        sensor_sigma_deg: standard deviation of the angle sensor [deg].
-        drift_sigma_deg: standard deviation of the disturbance's change over one second [deg / sqrt(s)].
-        dt_s: sample time [s].
-    """
-    r, q = sensor_sigma_deg**2, drift_sigma_deg**2 * dt_s
-    covariance = 0.5 * (q + math.sqrt(q * q + 4.0 * q * r))
-    return covariance / (covariance + r)

@@ -80,6 +80,25 @@ class InitialRule(Settings):
         return np.asarray(self.offset, dtype=np.float64) + np.asarray(self.slope, dtype=np.float64) * y
 
 
+Sigma = Annotated[float, Field(ge=0, le=1e6)]
+
+
+class NoiseModel(Settings):
+    """What a model leaves unexplained, as an estimator takes it: white noise of the sensor on a random walk.
+
+        y_k - model_k = d_k + v_k,   var(v_k) = sensor^2,   var(d_{k+1} - d_k) = drift^2 dt + motion^2 |u_{k+1} - u_k|
+
+    Attributes:
+        sensor_sigma_deg: standard deviation of v [deg].
+        drift_sigma_deg_per_sqrt_s: of the change of d over one second [deg/sqrt(s)].
+        motion_sigma_deg_per_sqrt_unit: of its change over one unit of command travel [deg/sqrt(command unit)].
+    """
+
+    sensor_sigma_deg: Annotated[float, Field(gt=0, le=1e6)]
+    drift_sigma_deg_per_sqrt_s: Sigma
+    motion_sigma_deg_per_sqrt_unit: Sigma
+
+
 class ModelMetadata(Settings):
     """The facts without which a model file is refused, and the bounds beyond which it is refused too.
 
@@ -101,9 +120,12 @@ class ModelMetadata(Settings):
         warmup_samples: samples of the first command, held and unscored, before the first output counts; at most 1e6.
         training_data_hash: fingerprint of the trials that the model was identified on.
         training: free facts (preset, seed, validation error, logs).
+        noise: what the model leaves unexplained of its trials; None where that was not found out. The one fact that a
+            file may lack.
     """
 
     format: str = FORMAT
+    noise: NoiseModel | None = None  # not the last one: a file that is cut off lacks what follows
     kind: str = Field(min_length=1)
     dt_s: SampleTime
     command_unit: str = Field(min_length=1)
@@ -184,7 +206,8 @@ class ModelMetadata(Settings):
                 f"{where}: model format {fields['format']!r}, this version of hystmpc reads {FORMAT!r}; "
                 "export the model again"
             )
-        missing = [key for key in cls.model_fields if key not in ours]  # defaults included: a file cut off lacks them
+        needed = [key for key in cls.model_fields if key != "noise"]  # defaults included: a file cut off lacks them
+        missing = [key for key in needed if key not in ours]
         if missing:
             raise ModelError(f"{where}: metadata lacks {', '.join(missing)}; the file is cut off or was edited")
         try:

@@ -17,7 +17,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
-from ..contract.metadata import DeviceLimits, Range
+from ..contract.metadata import DeviceLimits, NoiseModel, Range
 from ..evaluate import evaluate
 from ..model import FitProgress
 from ..operators.hysteresis import Backlash
@@ -25,6 +25,7 @@ from ..simulator import ChainModel, Identification, Residual, Simulator
 from .adam import AdamSettings, fit_by_adam
 from .chain_fit import ChainFit, ChainTask
 from .chain_kinds import Structure, backlash_starts, chain_task, prandtl_ishlinskii_starts
+from .estimation_noise import estimation_noise
 from .global_search import GlobalSettings, adapt, evolve, fit_globally
 from .iterated import IteratedSettings, fit_by_iteration
 from .least_squares import OperatorFitSettings, fit_by_least_squares, fit_chain
@@ -162,7 +163,7 @@ def simulator_of(
     """
     _check_lines(chain, command_range(trials))
 
-    def build(residuals: tuple[Residual, ...]) -> Simulator:
+    def build(residuals: tuple[Residual, ...], noise: NoiseModel | None) -> Simulator:
         return Simulator(
             chain=chain,
             dt_s=check_trial_set(trials),
@@ -179,12 +180,15 @@ def simulator_of(
                 skip_first_flexure=skip_first_flexure,
                 training_data_hash=fingerprint(trials),
                 residuals=residuals,
+                noise=noise,
             ),
         )
 
-    model = ChainModel(build(()))
+    model = ChainModel(build((), None))
     runs = [(trial, evaluate(model, trial, skip_first_flexure)) for trial in trials]
-    return build(tuple(residual(trial, trial, run.theta, run.start) for trial, run in runs))
+    errors = [(trial.angle - run.theta)[run.start :] for trial, run in runs]
+    noise = None if model.metadata.inverted else estimation_noise(trials, errors, chain.values.size)
+    return build(tuple(residual(trial, trial, run.theta, run.start) for trial, run in runs), noise)
 
 
 def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:

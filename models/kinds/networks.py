@@ -144,6 +144,7 @@ class NetworkKind(ModelKind):
     """A kind that is a network, with presets of `NETWORK_PRESETS`; torch is loaded when one is trained."""
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        from ..identify.estimation_noise import with_noise  # compiled code, which a list of kinds need not load
         from ..train.networks import fit_network, network_bundle
 
         self.check(trials, request)
@@ -155,7 +156,10 @@ class NetworkKind(ModelKind):
             f"({found.validation_rmse_deg:.3f} {trials[0].units.angle})"
         )
         history = tuple((look.step, look.validation_rmse_deg) for look in found.history)
-        return Identified(network_bundle(found, trials, request.limits), None, history, report, found.interrupted)
+        bundle = network_bundle(found, trials, request.limits)
+        unseen = request.validation or [trial for trial in trials if trial.source in found.held_out]
+        bundle = with_noise(bundle, unseen or trials, 0 if unseen else bundle.metadata.state_size)
+        return Identified(bundle, None, history, report, found.interrupted)
 
     def steps(self, request: FitRequest) -> int | None:
         return network_settings(self.name, request).steps

@@ -35,6 +35,7 @@ class PlayKernelKind(ModelKind):
     presets = ("best", "rate_independent")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        from ..identify.estimation_noise import with_noise
         from ..play_kernel.fit import PLAY_KERNEL_PRESETS, fit_play_kernel, play_kernel_bundle
 
         self.check(trials, request)
@@ -45,7 +46,9 @@ class PlayKernelKind(ModelKind):
         report = f"lag {found.choice.lag_s:g} s, {found.rmse:.4f} {unit} on the training trials"
         if found.judged:
             report += f", {found.judged[found.choice]:.4f} {unit} offset-free on trials left out"
-        bundle = play_kernel_bundle(found, trials, settings, request.limits)
+        bundle = with_noise(
+            play_kernel_bundle(found, trials, settings, request.limits), trials, found.weights.state_size
+        )
         return Identified(bundle, None, tuple(history), report, found.interrupted)
 
     def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:
@@ -72,6 +75,7 @@ class SvrKind(ModelKind):
     presets = ("best", "paper", "grid")
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        from ..identify.estimation_noise import with_noise
         from ..train.svr_ import SVR_PRESETS, fit_svr, svr_bundle
 
         self.check(trials, request)
@@ -86,6 +90,7 @@ class SvrKind(ModelKind):
         if found.judged:
             report += f", {found.judged[choice]:.4f} {unit} on what was left out"
         bundle = svr_bundle(found, trials, settings, request.limits)
+        bundle = with_noise(bundle, trials, len(found.weights.supports))
         return Identified(bundle, None, tuple(history), report, found.interrupted)
 
     def steps(self, request: FitRequest) -> int | None:

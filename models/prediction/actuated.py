@@ -32,7 +32,7 @@ class ActuatedPredictor(Predictor):
     def __init__(self, predictor: Predictor, lag_s: float) -> None:
         if not (math.isfinite(lag_s) and lag_s > 0):
             raise ModelError(f"actuator lag: got {lag_s} s, expected a positive time constant")
-        self.dt, self.command_range = predictor.dt, predictor.command_range
+        self.dt, self.command_range, self.noise = predictor.dt, predictor.command_range, predictor.noise
         self.gain = 1 - math.exp(-predictor.dt / lag_s)
         self._predictor = predictor
         self._kept = np.empty((0, 0))

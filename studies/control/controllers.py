@@ -12,14 +12,15 @@ NETWORKS: tuple[ModelName, ...] = ("lstm", "hb2")
 NETWORK_RATE_HZ = 25.0
 """A network holds at the sample time at which it was identified, and at 250 Hz trials are ten times as long."""
 
-# As in the examples: what a model gets wrong shows while the command moves.
+# Fixed, so that results stay comparable: what a model gets wrong shows while the command moves.
 _ESTIMATOR = {
+    "sensor_sigma_deg": 0.15,
     "drift_sigma_deg_per_sqrt_s": 0.3,
     "motion_sigma_deg_per_sqrt_unit": 1.5,
     "dead_band_gain_deg_per_unit": 0,
 }
 # An exact model needs no disturbance; this lets what is left of the first guess decay, and no noise in.
-_TRUST = {"drift_sigma_deg_per_sqrt_s": 0.01, "motion_sigma_deg_per_sqrt_unit": 0.0, "dead_band_gain_deg_per_unit": 0}
+_TRUST = _ESTIMATOR | {"drift_sigma_deg_per_sqrt_s": 0.01, "motion_sigma_deg_per_sqrt_unit": 0.0}
 # What is left over by a model that is not the plant is learned; with it, less of an error is the disturbance's.
 _LEARNING = _ESTIMATOR | {"motion_sigma_deg_per_sqrt_unit": 0.8}
 _RATE_WEIGHT = 3.0  # at 25 Hz

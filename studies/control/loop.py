@@ -54,7 +54,7 @@ class RestedPredictor(Predictor):
     """
 
     def __init__(self, predictor: Predictor, before: Vec) -> None:
-        self.dt, self.command_range = predictor.dt, predictor.command_range
+        self.dt, self.command_range, self.noise = predictor.dt, predictor.command_range, predictor.noise
         self._predictor, self._before = predictor, before
 
     def initial(self, y: float, u: float) -> Vec:

@@ -1,0 +1,204 @@
+"""How noisy the sensor is and how far the model is off: a bank of Kalman filters that judges it while the loop runs."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, final
+
+import numpy as np
+
+from hystmpc.models.contract.metadata import NoiseModel
+from hystmpc.models.kernels.numba_ import njit
+from hystmpc.models.model import Predictor
+from hystmpc.trials.types import Vec
+
+# Without facts a model is taken for a good one: a few samples show the contrary, hundreds show that it is.
+_UNKNOWN = NoiseModel(sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=0.1, motion_sigma_deg_per_sqrt_unit=0.2)
+_PRIOR_SPREAD = math.log(4.0)  # standard deviation of the logarithm of each sigma about what is known of it
+_LEAST_SENSOR_DEG = 0.02  # a model of simulated trials without noise says nothing of a real sensor
+_SENSOR_FACTORS: Vec = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # of what is known
+_DRIFT: Vec = 0.01 * 3.0 ** np.arange(6)  # deg/sqrt(s), up to 2.4
+_MOTION: Vec = 0.025 * 4.0 ** np.arange(5)  # deg over the square root of the whole range of commands, up to 6.4
+_SWITCHING_S = 20.0  # mean time for which the model is as wrong as it is
+_SENSOR_SHARE = 0.2  # of these changes are changes of the sensor too
+_MOST_GAIN = 0.5
+_FREEDOM = 7.0  # of Student's density: (7 + 1) / 2 is a whole power
+_FIRST = 100.0  # variance of the first disturbance in those of the sensor: the first measurements decide
+_TINY = 1e-20  # deg^2: a sigma of zero has no logarithm
+
+Sigmas = tuple[float | None, float | None, float | None]
+"""Sensor, drift and motion as in `NoiseModel`; None for one that is to be found."""
+
+
+@final
+class NoiseBank:
+    """Kalman filters of one disturbance, each for other noises, weighted by how well they foretell the measurements.
+
+        z_k = y_k - model_k = d_k + v_k,   var(v) = sensor^2,   var(d_{k+1} - d_k) = drift^2 dt + motion^2 |du_k|
+
+    Filter i holds one triple of sigmas on a fixed grid. Its disturbance d_i has the variance P_i:
+
+        S_i = P_i + sensor_i^2,   K_i = min(P_i / S_i, 1/2),   d_i <- d_i + K_i (z - d_i)
+        P_i <- (1 - K_i)^2 P_i + K_i^2 sensor_i^2,   w_i <- w_i p(z - d_i; S_i) / sum_j w_j p(z - d_j; S_j)
+        d = sum_i w_i d_i,   P = sum_i w_i (P_i + (d_i - d)^2)
+
+    The weights are the probabilities of the triples (Magill, "Optimal adaptive estimation of sampled stochastic
+    processes", IEEE Transactions on Automatic Control 10, 1965). p is Student's density with 7 degrees of freedom and
+    variance S_i, so that one spike says little. How wrong the model is may change. Each sample, with probability
+    dt / 20 s, drift and motion are drawn anew from their prior, one time in five the sensor too (a jump Markov model,
+    Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988, without their mixing of the filters). No
+    weight dies, and a model that turns out wrong is found within a second of motion.
+
+    The gain of a bank is bounded because the loop is closed. A plan takes the disturbance for constant, but where the
+    model's error answers to the command, as behind a lag that the model lacks, the next command changes it. A gain
+    near one then makes an oscillation, which in turn looks like a large drift. K is the filter of internal model
+    control, whose robust stability asks for |filter| |relative model error| < 1 at every frequency (Morari and
+    Zafiriou, "Robust process control", 1989, section 2.6).
+
+    All sigmas stay on the grid, and every filter is stable. A sigma that is given has no other value. Where all three
+    are given this is the Kalman filter itself, without a bound of its gain.
+
+    Args:
+        given: sigmas set by hand.
+        predictor: of the model, with what its file says about these sigmas.
+        limit_deg: bound of the disturbance [deg].
+    """
+
+    def __init__(self, given: Sigmas, predictor: Predictor, limit_deg: float) -> None:
+        low, high = predictor.command_range
+        known = predictor.noise or _UNKNOWN
+        usual = max(known.sensor_sigma_deg, _LEAST_SENSOR_DEG)
+        sensor, by_sensor = _axis(given[0], usual, usual * _SENSOR_FACTORS)
+        drift, by_drift = _axis(given[1], known.drift_sigma_deg_per_sqrt_s, _DRIFT)
+        motion, by_motion = _axis(given[2], known.motion_sigma_deg_per_sqrt_unit, _MOTION / math.sqrt(high - low))
+        grid = np.array([axis.ravel() for axis in np.meshgrid(sensor, drift, motion, indexing="ij")])
+        self._dt, self._limit = predictor.dt, limit_deg
+        self._sensor, self._drift, self._motion = grid[0] ** 2, predictor.dt * grid[1] ** 2, grid[2] ** 2
+        self._logs = np.log(np.maximum(grid**2, _TINY))
+        self._by_sensor, self._by_model = by_sensor, np.outer(by_drift, by_motion).ravel()
+        self._prior = np.outer(self._by_sensor, self._by_model).ravel()
+        self._switching = predictor.dt / (predictor.dt + _SWITCHING_S)
+        self._most = _MOST_GAIN if self._prior.size > 1 else 1.0
+        self._first = _FIRST * (given[0] or usual) ** 2
+
+    def init(self, disturbance: float) -> tuple[Vec, float]:
+        """Rows disturbance, variance, weight (3, M) of a bank whose disturbance [deg] is a guess; its variance."""
+        count = self._prior.size
+        return np.array([np.full(count, disturbance), np.full(count, self._first), self._prior]), self._first
+
+    def correct(self, bank: Vec, offset: float) -> tuple[Vec, float, float]:
+        """The bank with a measurement `offset` = y - model [deg] used, its disturbance [deg] and variance [deg^2]."""
+        after = np.empty_like(bank)
+        mean, variance = correct_filters(
+            bank, self._sensor, self._by_sensor, self._by_model, offset, self._switching, self._most, self._limit, after
+        )
+        return after, mean, variance
+
+    def advance(self, bank: Vec, travel: float, disturbance: float) -> tuple[Vec, float]:
+        """The bank one sample later, and its variance [deg^2].
+
+        Args:
+            travel: of the command in that sample [command unit].
+            disturbance: of the bank [deg].
+        """
+        after = np.empty_like(bank)
+        variance = advance_filters(bank, self._drift, self._motion, travel, self._limit, disturbance, after)
+        return after, float(variance)
+
+    def found(self, bank: Vec) -> NoiseModel:
+        """The sigmas as the bank sees them: geometric means over the filters."""
+        sensor, drift, motion = np.sqrt(self._variances(bank)).tolist()
+        return NoiseModel(
+            sensor_sigma_deg=sensor, drift_sigma_deg_per_sqrt_s=drift, motion_sigma_deg_per_sqrt_unit=motion
+        )
+
+    def sensor_variance(self, bank: Vec) -> float:
+        """Variance of the sensor's noise [deg^2], as `found`."""
+        return float(self._variances(bank)[0])
+
+    def growth(self, bank: Vec, travel: float) -> float:
+        """Variance that the disturbance gains in a sample in which the command travels so far [deg^2], as `found`."""
+        _, drift, motion = self._variances(bank).tolist()
+        return float(drift * self._dt + motion * travel)
+
+    def _variances(self, bank: Vec) -> Vec:
+        return np.asarray(np.exp(self._logs @ bank[2]))
+
+
+def _axis(given: float | None, known: float, grid: Vec) -> tuple[Vec, Vec]:
+    """Values and probabilities of one sigma."""
+    if given is not None:
+        return np.array([given]), np.ones(1)
+    centre = min(max(known, grid[0]), grid[-1])
+    weights = np.exp(-0.5 * (np.log(grid / centre) / _PRIOR_SPREAD) ** 2)
+    return grid, weights / weights.sum()
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def correct_filters(
+    bank: Any,
+    sensor: Any,
+    by_sensor: Any,
+    by_model: Any,
+    offset: float,
+    switching: float,
+    most: float,
+    limit: float,
+    after: Any,
+) -> tuple[float, float]:
+    """Write the bank (3, M) after a measurement; answers disturbance [deg] and variance [deg^2].
+
+    Args:
+        sensor: variance of each filter's sensor (M,) [deg^2].
+        by_sensor, by_model: prior of the sensors (J,) and of drift and motion (M / J,), sensor by sensor.
+        switching: probability of a change in a sample.
+        most: bound of the gain.
+        limit: bound of the disturbance [deg].
+    """
+    total = 0.0
+    for i in range(sensor.size):
+        before, noise = bank[1, i], sensor[i]
+        spread, error = before + noise, offset - bank[0, i]
+        odd = 1.0 + error * error / ((_FREEDOM - 2.0) * spread)
+        odd *= odd
+        gain = min(before / spread, most)
+        after[0, i] = min(max(bank[0, i] + gain * error, -limit), limit)
+        after[1, i] = (1.0 - gain) * (1.0 - gain) * before + gain * gain * noise
+        after[2, i] = bank[2, i] / (math.sqrt(spread) * odd * odd)
+        total += after[2, i]
+    inner, mean = by_model.size, after[0, 0]
+    for j in range(by_sensor.size):
+        share = 0.0
+        for i in range(j * inner, (j + 1) * inner):
+            share += after[2, i]
+        share = switching * ((1.0 - _SENSOR_SHARE) * share / total + _SENSOR_SHARE * by_sensor[j])
+        for i in range(inner):
+            k = j * inner + i
+            after[2, k] = (1.0 - switching) * after[2, k] / total + share * by_model[i]
+            mean += after[2, k] * (after[0, k] - after[0, 0])
+    return mean, mixed_variance(after, mean)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def advance_filters(bank: Any, drift: Any, motion: Any, travel: float, limit: float, mean: float, after: Any) -> float:
+    """Write the bank (3, M) one sample later; answers its variance about `mean` [deg^2].
+
+    Args:
+        drift, motion: variance of each filter's walk in a sample, and over one unit of travel (M,).
+        travel: of the command [command unit].
+        limit: bound of the disturbance [deg].
+    """
+    for i in range(bank.shape[1]):
+        after[0, i] = bank[0, i]
+        after[1, i] = min(bank[1, i] + drift[i] + motion[i] * travel, limit * limit)
+        after[2, i] = bank[2, i]
+    return float(mixed_variance(after, mean))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def mixed_variance(bank: Any, mean: float) -> float:
+    """Variance of a mixture (3, M) about its mean [deg^2]."""
+    total = 0.0
+    for i in range(bank.shape[1]):
+        total += bank[2, i] * (bank[1, i] + (bank[0, i] - mean) ** 2)
+    return total

@@ -1,0 +1,148 @@
+"""Noise of a model: what it leaves unexplained of trials, split into white noise and a random walk for an estimator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from ..contract.export import ExportBundle
+from ..contract.metadata import NoiseModel
+from ..kernels.numba_ import njit
+
+_LEAST_DEG = 1e-4  # of the sensor's noise: below it residuals are rounding, as those of simulated trials without noise
+_RATIOS = np.linspace(-18.0, 6.0, 7)  # logarithms of the walk's variance in a sample over that of the sensor
+_GREATEST_OPTIMISM = 2.0
+_LONGEST = 4000  # samples of one trial that a model is run over: enough for three numbers
+
+
+def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int = 0) -> NoiseModel:
+    """Most likely noises behind the residuals of free runs, for the estimator of a controller.
+
+    r_k = d_k + v_k with v white and d a random walk, of which every trial has its own; see `NoiseModel`. Likelihood by
+    the Kalman filter, the variance of v eliminated in closed form, the two ratios by Nelder and Mead from the best
+    point of a grid (Harvey, "Forecasting, structural time series models and the Kalman filter", 1989, section 3.4).
+
+    Residuals of the trials that a model was fitted to are too small. A least-squares fit of p parameters to n
+    independent errors leaves (n - p) / n of their variance; errors whose neighbours are correlated by rho count as
+    n (1 - rho) / (1 + rho) independent ones (Bartlett, J. Roy. Stat. Soc. 98, 1935). Drift and motion are enlarged by
+    the square root of that factor, at most by 2. The sensor's noise stays: it is averaged over all samples.
+
+    Args:
+        trials: uniformly sampled at one rate.
+        residuals: measurement less model, or the reverse, of the last samples of each trial (C,) [deg].
+        fitted: number p of parameters that were fitted to these very trials; 0 where they were held out.
+
+    Raises:
+        FitError: if there are no residuals, more than samples in a trial, or they are not finite.
+    """
+    travels = []
+    for trial, residual in zip(trials, residuals, strict=True):
+        if not 2 <= residual.size <= len(trial) or not np.isfinite(residual).all():
+            raise FitError(f"{trial.source}: got {residual.size} residuals, expected 2 to {len(trial)} finite ones")
+        moves = np.abs(np.diff(trial.command, prepend=trial.command[0]))[-residual.size :]
+        travels.append(np.concatenate([[-1.0], moves[1:]]))  # below zero: here a trial begins
+    if not travels:
+        raise FitError("got no residuals, expected those of at least one trial")
+    joint, travel = np.concatenate(residuals), np.concatenate(travels)
+    usual = max(float(np.mean(travel[travel > 0])) if np.any(travel > 0) else 1.0, 1e-12)
+    drift, motion = _most_likely_ratios(joint, travel, usual)
+    sensor = math.sqrt(max(walk_likelihood(joint, travel, drift, motion)[1], _LEAST_DEG**2))
+    more = _optimism(residuals, fitted) * sensor
+    return NoiseModel(
+        sensor_sigma_deg=sensor,
+        drift_sigma_deg_per_sqrt_s=more * math.sqrt(drift / trials[0].dt),
+        motion_sigma_deg_per_sqrt_unit=more * math.sqrt(motion),
+    )
+
+
+def with_noise(bundle: ExportBundle, trials: Sequence[Trial], fitted: int) -> ExportBundle:
+    """The bundle with the noise of its model on trials, free runs of its reference; as it is for an inverse map.
+
+    Args:
+        trials: sampled at the model's rate, of its units.
+        fitted: see `estimation_noise`.
+    """
+    facts = bundle.metadata
+    if facts.inverted:
+        return bundle
+    heads = [trial.select(0, min(len(trial), _LONGEST)) for trial in trials]
+    longest = facts.warmup_samples + max(len(trial) for trial in heads)
+    commands = np.array([
+        np.concatenate([
+            np.full(facts.warmup_samples, trial.command[0]),
+            trial.command,
+            np.full(longest - facts.warmup_samples - len(trial), trial.command[-1]),
+        ])
+        for trial in heads
+    ])  # fmt: skip
+    states = facts.initial.state(np.array([[trial.angle[0]] for trial in heads]))
+    angles = np.empty_like(commands)
+    for k in range(longest):
+        theta, states = bundle.reference.advance(states, commands[:, k : k + 1])
+        angles[:, k] = theta[:, 0]
+    runs = angles[:, facts.warmup_samples :]
+    residuals = [trial.angle - run[: len(trial)] for trial, run in zip(heads, runs, strict=True)]
+    noise = estimation_noise(heads, residuals, fitted)
+    return replace(bundle, metadata=facts.model_copy(update={"noise": noise}))
+
+
+def _most_likely_ratios(residuals: Vec, travel: Vec, usual: float) -> tuple[float, float]:
+    """Variance of the walk in a sample, and over one unit of travel, in variances of the sensor."""
+    from scipy.optimize import minimize  # half a second to import
+
+    def cost(logs: Vec) -> float:
+        drift, motion = np.exp(np.clip(logs, -25.0, 12.0))
+        return float(walk_likelihood(residuals, travel, drift, motion / usual)[0])
+
+    corners = [np.array([a, b]) for a in _RATIOS for b in _RATIOS]
+    best = min(corners, key=cost)
+    found = minimize(cost, best, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3, "maxfev": 200}).x
+    drift, motion = np.exp(np.clip(found, -25.0, 12.0)).tolist()
+    return drift, motion / usual
+
+
+def _optimism(residuals: Sequence[Vec], fitted: int) -> float:
+    """Factor by which deviations of the trials that were fitted are too small."""
+    if fitted == 0:
+        return 1.0
+    around = [residual - residual.mean() for residual in residuals]
+    power = sum(float(part @ part) for part in around)
+    rho = sum(float(part[1:] @ part[:-1]) for part in around) / power if power > 0 else 0.0
+    rho = min(max(rho, 0.0), 0.999)
+    independent = sum(part.size for part in around) * (1.0 - rho) / (1.0 + rho)
+    return min(math.sqrt(independent / max(independent - fitted, 1e-9)), _GREATEST_OPTIMISM)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def walk_likelihood(residuals: Any, travel: Any, drift: float, motion: float) -> tuple[float, float]:
+    """Twice the negative logarithm of the likelihood but for a constant, and the sensor's variance [deg^2].
+
+    P, S in variances of the sensor:  S = P + 1,  r = mean e^2 / S,  cost = n log r + sum log S.
+
+    Args:
+        residuals: (T,) [deg].
+        travel: of the command in the sample before each (T,) [command unit]; below zero at the first one of a trial.
+        drift, motion: variance of the walk in a sample, and over one unit of travel, in variances of the sensor.
+    """
+    disturbance, variance, squares, logs, count = 0.0, 1.0, 0.0, 0.0, 0
+    for k in range(residuals.size):
+        if travel[k] < 0.0:
+            disturbance, variance = residuals[k], 1.0  # the first one of a trial only tells where the walk begins
+            continue
+        variance += drift + motion * travel[k]
+        spread, error = variance + 1.0, residuals[k] - disturbance
+        squares += error * error / spread
+        logs += math.log(spread)
+        disturbance += variance / spread * error
+        variance /= spread
+        count += 1
+    sensor = max(squares / count, 1e-16)
+    return count * math.log(sensor) + logs, sensor
