@@ -12,7 +12,7 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.kinds.networks import NETWORK_PRESETS
-from hystmpc.models.networks.settings import RecurrentSettings
+from hystmpc.models.networks.settings import DeviceFacts, RecurrentSettings
 from hystmpc.models.train.networks import NetworkCheck, NetworkFit, fit_network, network_bundle
 from hystmpc.models.train.runs import TrainingRun, arrange, draw_windows, hold_out, pause, stretch
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining, TeacherSettings, WindowTraining
@@ -251,9 +251,8 @@ def test_a_network_that_amplifies_rounding_is_noticed() -> None:
     ramp = np.linspace(-1, 1, 400)
     judged = whole_runs([TrainingRun(ramp, ramp, np.ones(400))] * 2, 0)
     torch.manual_seed(0)
-    calm, chaotic = (
-        RecurrentSettings(hidden=32, layers=1, memory_samples=0, command_gain=1.0).network(0.0, None) for _ in range(2)
-    )
+    settings = RecurrentSettings(hidden=32, layers=1, memory_samples=0, command_gain=1.0)
+    calm, chaotic = (settings.network(DeviceFacts()) for _ in range(2))
     with torch.no_grad():
         chaotic.get_parameter("lstm.weight_hh_l0").mul_(60.0)
     found = [rounding_error(net, judged, judged.output(net)) for net in (calm, chaotic)]
