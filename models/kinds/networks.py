@@ -191,7 +191,7 @@ class FnnHibKind(NetworkKind):
 
 @final
 class LstmKind(NetworkKind):
-    """Two layers of 64 cells, S1 eq. (1) and S2 section III-B; see `LstmWeights`."""
+    """Cells over plays of the command, see `GatedLstmNet`; the papers' two layers of 64, see `LstmWeights`."""
 
     name = "lstm"
     title = "LSTM"
