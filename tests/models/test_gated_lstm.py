@@ -8,10 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import numpy_helper
 
+from hystmpc.models.evaluate import free_run
 from hystmpc.models.kernels.gated import GatedLstmRoute, pack_gated_lstm
 from hystmpc.models.networks.nodes import Scaling, network_step_graph
 from hystmpc.models.networks.settings import DeviceFacts, GatedSettings
+from hystmpc.models.prediction.build import predictor_for
+from hystmpc.models.prediction.recurrent import GatedLstmPredictor
 from hystmpc.trials.errors import ModelError
+
+from .tiny_kinds import FORWARD, example
 
 torch = pytest.importorskip("torch", reason="torch is an extra")
 from hystmpc.models.networks.network_ import TorchStep  # noqa: E402  (needs torch)
@@ -129,6 +134,20 @@ def test_sample_moves_only_the_rows_that_it_is_asked_for(form: str) -> None:
     np.testing.assert_allclose(states[0], following, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(states[1], kept[1])
     assert np.isnan(theta[1])
+
+
+@pytest.mark.slow
+def test_the_default_lstm_holds_in_its_file_and_behind_its_predictor() -> None:
+    """onnxruntime and the kernels, after a motion that was recorded: not a bit of drift in a minute."""
+    one = example("lstm", FORWARD)
+    predictor = predictor_for(one.model)
+    assert isinstance(predictor, GatedLstmPredictor)
+    commands = np.concatenate([one.trials[0].command[:60], np.full(1500, 2.2)])
+    theta = free_run(one.model, commands, 40.0)
+    assert np.ptp(theta[:60]) > 5.0
+    assert np.ptp(theta[60 + 50 :]) == 0.0
+    followed = predictor.rollout(predictor.initial(40.0, float(commands[0])), commands[None])[0]
+    assert np.ptp(followed[60 + 50 :]) == 0.0
 
 
 def test_missing_weights_are_named() -> None:
