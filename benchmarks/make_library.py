@@ -52,13 +52,13 @@ def recorded(name: str, excitation: Trajectory, seed: int) -> Trial:
 
 
 def settings(updates: int) -> NetworkSettings:
-    """Those of the preset `best`; without a teacher, since these trials already hold and repeat."""
-    best = NETWORK_PRESETS["lstm"]["best"]
-    way = best.training
+    """Those of the preset `stacked`; without a teacher, since these trials already hold and repeat."""
+    stacked = NETWORK_PRESETS["lstm"]["stacked"]
+    way = stacked.training
     if not isinstance(way, StreamTraining):
-        raise TypeError(f"preset best trains by {way.scheme}, expected streams")
+        raise TypeError(f"preset stacked trains by {way.scheme}, expected streams")
     training = way.model_copy(update={"updates": updates, "teacher": None})
-    return best.model_copy(update={"validation_trials": 3, "training": training})
+    return stacked.model_copy(update={"validation_trials": 3, "training": training})
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from typing import Any, final
 from hystmpc.trials.trial import Trial
 
 from ..model import FitProgress
-from ..networks.settings import FeedForwardSettings, HybridSettings, NetworkForm, RecurrentSettings
+from ..networks.settings import FeedForwardSettings, GatedSettings, HybridSettings, NetworkForm, RecurrentSettings
 from ..train.settings import (
     NetworkSettings,
     RestSettings,
@@ -68,8 +68,12 @@ _HIB = FeedForwardSettings(history=_HISTORY)
 _HB1 = HybridSettings(form="serial")
 _HB2 = HybridSettings(form="parallel")
 _SERIAL = _S2_WINDOWS.model_copy(update={"batch": 4})
-# A device that saturates and has dead zones, such as the PAM catheter of S1, is no Prandtl-Ishlinskii operator.
-_KERNEL_TEACHER = StreamTraining(teacher=TeacherSettings(model="play_kernel"))
+_GATED_TRAINING = StreamTraining(
+    streams=32,
+    matrix_learning_rate=0.02,
+    updates=1600,
+    teacher=TeacherSettings(model="play_kernel", runs=32, centred=True),
+)
 _SINGLE = {"length": 1}  # a feed-forward network is scored on the last sample of its window
 
 NETWORK_PRESETS: Mapping[str, Mapping[str, NetworkSettings]] = MappingProxyType(
@@ -89,8 +93,8 @@ NETWORK_PRESETS: Mapping[str, Mapping[str, NetworkSettings]] = MappingProxyType(
             _s1("fnn_hib", _HIB, _S1_WINDOWS.model_copy(update=_SINGLE)),
         ),
         "lstm": _named(
-            NetworkSettings(kind="lstm", network=_LSTM),
-            NetworkSettings(kind="lstm", preset="kernel", network=_LSTM, training=_KERNEL_TEACHER),
+            NetworkSettings(kind="lstm", network=GatedSettings(), learning_rate=0.01, training=_GATED_TRAINING),
+            NetworkSettings(kind="lstm", preset="stacked", network=_LSTM),
             _s2("lstm", _LSTM.model_copy(update=_PLAIN)),
             _s1("lstm", _LSTM.model_copy(update=_PLAIN)),
         ),
@@ -191,7 +195,7 @@ class FnnHibKind(NetworkKind):
 
 @final
 class LstmKind(NetworkKind):
-    """Two layers of 64 cells, S1 eq. (1) and S2 section III-B; see `LstmWeights`."""
+    """Cells over plays of the command, see `GatedLstmNet`; the papers' two layers of 64, see `LstmWeights`."""
 
     name = "lstm"
     title = "LSTM"

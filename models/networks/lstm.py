@@ -18,6 +18,9 @@ from hystmpc.trials.types import Vec
 from ..model import StepFunction
 from .nodes import GraphWriter, Scaling, network_step_graph, tensor
 
+GATED_MARK = "gated.head.weight"
+"""Initializer that only an increment-gated LSTM has, see `GatedLstmNet`."""
+
 
 @dataclass(frozen=True)
 class LstmLayer:
@@ -229,12 +232,13 @@ def write_layers(writer: GraphWriter, layers: tuple[LstmLayer, ...], v: str, sta
     writer.split(state, [hidden] * (2 * count), [f"{name}_{k}" for k in range(count) for name in ("h", "c")])
     following, x = [], v
     for k, layer in enumerate(layers):
-        following += _write_layer(writer, k, layer, x)
+        following += write_layer(writer, k, layer, x)
         x = following[-2]
     return x, following
 
 
-def _write_layer(writer: GraphWriter, k: int, layer: LstmLayer, x: str) -> list[str]:
+def write_layer(writer: GraphWriter, k: int, layer: LstmLayer, x: str) -> list[str]:
+    """Nodes of the k-th layer over its input `x` and its state `h_k`, `c_k`; returns the names of the next two."""
     names = {part: writer.weight(f"lstm.{k}.{part}", getattr(layer, part)) for part in ("w_ih", "w_hh", "bias")}
     writer.node("Gemm", [x, names["w_ih"], names["bias"]], f"zx_{k}", transB=1)
     writer.node("Gemm", [f"h_{k}", names["w_hh"], f"zx_{k}"], f"z_{k}", transB=1)

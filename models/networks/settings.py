@@ -5,9 +5,12 @@ The modules with the PyTorch classes take numbers and never import this one.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
+import numpy as np
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from hystmpc.trials.config import Settings
@@ -17,8 +20,26 @@ if TYPE_CHECKING:
     from .network_ import Network
     from .recurrent_ import LstmNet
 
+_SPAN = 2.0  # of inputs scaled to [-1, 1]
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=1)]
+
+
+@dataclass(frozen=True)
+class DeviceFacts:
+    """What is known of the device before its network is trained.
+
+    Attributes:
+        rest: scaled input of a device at rest.
+        operator: the fitted backlash in scaled units, for hybrids.
+        lag_samples: time constant of the lag in front of the hysteresis [samples]; 0 for none.
+        inverted: whether the network is an inverse map.
+    """
+
+    rest: float = 0.0
+    operator: Operator | None = None
+    lag_samples: float = 0.0
+    inverted: bool = False
 
 
 class FormSettings(Settings, ABC):
@@ -44,13 +65,8 @@ class FormSettings(Settings, ABC):
         return 0
 
     @abstractmethod
-    def network(self, rest: float, operator: Operator | None) -> Network:
-        """A network with initial weights drawn from torch's generator.
-
-        Args:
-            rest: scaled input of a device at rest, for a buffer of past inputs.
-            operator: the fitted backlash in scaled units, for hybrids.
-        """
+    def network(self, facts: DeviceFacts) -> Network:
+        """A network with initial weights drawn from torch's generator."""
 
 
 def _of_its_form(data: Any) -> Any:
@@ -79,11 +95,10 @@ class FeedForwardSettings(FormSettings):
         """Samples before the present one."""
         return self.history - 1
 
-    def network(self, rest: float, operator: Operator | None) -> Network:
+    def network(self, facts: DeviceFacts) -> Network:
         from .network_ import FeedForwardNet  # torch is loaded by these methods only
 
-        del operator
-        return FeedForwardNet(self.hidden, self.history, rest)
+        return FeedForwardNet(self.hidden, self.history, facts.rest)
 
 
 class CellSettings(FormSettings):
@@ -114,10 +129,10 @@ class RecurrentSettings(CellSettings):
     form: Literal["recurrent"] = "recurrent"
     cell: Literal["lstm", "gru"] = "lstm"
 
-    def network(self, rest: float, operator: Operator | None) -> Network:
+    def network(self, facts: DeviceFacts) -> Network:
         from .recurrent_ import GruNet
 
-        del rest, operator
+        del facts
         if self.cell == "lstm":
             return self.lstm()
         return GruNet(self.hidden, self.layers, self.memory_samples, self.command_gain)
@@ -137,11 +152,45 @@ class HybridSettings(CellSettings):
     head_gain: Annotated[float, Field(ge=0)] = 0.1
     dead_zone: Annotated[float, Field(ge=0, le=10)] | None = None
 
-    def network(self, rest: float, operator: Operator | None) -> Network:
+    def network(self, facts: DeviceFacts) -> Network:
         from .hybrid_ import ParallelNet, SerialNet
 
-        del rest
-        if operator is None:
+        if facts.operator is None:
             raise TypeError("a hybrid needs its operator, got None")
         net = SerialNet if self.form == "serial" else ParallelNet
-        return net(self.lstm(net.outputs), operator, self.head_gain)
+        return net(self.lstm(net.outputs), facts.operator, self.head_gain)
+
+
+class GatedSettings(FormSettings):
+    """An LSTM over the plays of the command, which moves only as far as the command does; see `GatedLstmNet`.
+
+    Lengths are shares of the range of the input.
+
+    Attributes:
+        hidden: cells of the one layer.
+        plays: number of plays; 0 for an LSTM that sees the command alone.
+        reach: greatest radius; the radii of a forward model are spread evenly up to it.
+        inverse_finest: least radius of an inverse map, whose radii are spread evenly in their logarithm: a reversal of
+            the angle asks for a jump across the loop, which only plays of small radius follow.
+        path: travel of the command over which the cell forgets, None for an LSTM without the gate.
+    """
+
+    form: Literal["gated"] = "gated"
+    hidden: Annotated[int, Field(ge=2)] = 24
+    plays: Annotated[int, Field(ge=0)] = 8
+    reach: Annotated[float, Field(gt=0, le=1)] = 0.45
+    inverse_finest: Annotated[float, Field(gt=0, le=1)] = 3e-3
+    path: Positive | None = 0.025
+
+    def network(self, facts: DeviceFacts) -> Network:
+        from .gated_ import GatedLstmNet
+
+        keep = math.exp(-1.0 / facts.lag_samples) if facts.lag_samples > 0 else 0.0
+        path = None if self.path is None else _SPAN * self.path
+        return GatedLstmNet(self.hidden, _SPAN * self._radii(facts.inverted), facts.rest, keep, path)
+
+    def _radii(self, inverted: bool) -> np.ndarray:
+        """Radii (n,), as shares of the range."""
+        if inverted:
+            return np.geomspace(self.inverse_finest, self.reach, self.plays)
+        return self.reach * np.arange(1, self.plays + 1) / max(self.plays, 1)

@@ -46,9 +46,9 @@ def _exported_predictor(model: LoadedModel) -> Predictor:
 
     assert isinstance(model, OnnxModel)  # there are these two
     if model.metadata.kind in ("lstm", "gru"):
-        from .recurrent import GruPredictor, LstmPredictor
+        from .recurrent import recurrent_predictor
 
-        return LstmPredictor.of_model(model) if model.metadata.kind == "lstm" else GruPredictor(model)
+        return recurrent_predictor(model)
     if model.metadata.kind == "play_kernel":
         from ..play_kernel.predictor import PlayKernelPredictor
 

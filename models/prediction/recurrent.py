@@ -15,7 +15,7 @@ from ..contract.metadata import ModelMetadata, Start
 from ..kernels.network_route import NetworkRoute
 from ..kernels.vector_emitter import SHAPES, host_shape
 from ..model import ModelPredictor
-from ..networks.lstm import LstmWeights
+from ..networks.lstm import GATED_MARK, LstmWeights
 
 if TYPE_CHECKING:
     from ..contract.load import OnnxModel
@@ -82,6 +82,23 @@ class GruPredictor(RoutedPredictor):
         super().__init__(model.metadata, "conditioned", GruRoute(model.initializers))
 
 
+@final
+class GatedLstmPredictor(RoutedPredictor):
+    """Compiled prediction of an increment-gated LSTM; state [w, p_1 ... p_n, h, c] as in `GatedLstmNet`.
+
+    Args:
+        model: a loaded model file of kind `lstm`; the graph's initializers are all that it needs.
+
+    Raises:
+        ModelError: if the initializers are not those of an exported gated LSTM.
+    """
+
+    def __init__(self, model: OnnxModel) -> None:
+        from ..kernels.gated import GatedLstmRoute
+
+        super().__init__(model.metadata, "conditioned", GatedLstmRoute(model.initializers))
+
+
 def chosen_route(weights: LstmWeights) -> NetworkRoute:
     """The vector kernel in the processor's own shape, the plain route where it has none; or what the user says.
 
@@ -135,3 +152,15 @@ class LstmPredictor(RoutedPredictor):
             ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
         """
         return cls(LstmWeights.from_arrays(model.initializers), model.metadata, start)
+
+
+def recurrent_predictor(model: OnnxModel) -> RoutedPredictor:
+    """The compiled predictor of a model file of kind `lstm` or `gru`.
+
+    Raises:
+        ModelError: if the initializers are not those of such a network.
+        ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
+    """
+    if model.metadata.kind == "gru":
+        return GruPredictor(model)
+    return GatedLstmPredictor(model) if GATED_MARK in model.initializers else LstmPredictor.of_model(model)

@@ -22,6 +22,7 @@ from ..identify.runs import check_trial_set, command_range, facts_of
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
 from ..networks.nodes import Scaling, network_step_graph
+from ..networks.settings import DeviceFacts
 from ..operators.hysteresis import Backlash
 from .runs import Prepared, Rng, TrainingRun, hold_out, prepared, rest_of, scaled_run, scaling_of
 from .settings import NetworkSettings, StreamTraining, WindowTraining
@@ -161,19 +162,27 @@ def _checks(
 ) -> Iterator[Check]:
     from .updates_ import stream_checks, window_checks
 
-    ready: Prepared = prepared(training, judges, scaling, settings)
-    net = settings.network.network(rest_of(training, scaling, settings.rest), ready.operator)
     way = settings.training
+    teacher, lag_s = None, 0.0
+    if isinstance(way, StreamTraining) and way.teacher is not None:
+        teacher = Teacher(training, way.teacher.plays, way.teacher.model)
+        lag_s = teacher.lag_s
+        if way.teacher.centred:
+            own = judges is training
+            training = [teacher.centred(trial) for trial in training]
+            judges = training if own else judges
+    ready: Prepared = prepared(training, judges, scaling, settings)
+    rest, inverted = rest_of(training, scaling, settings.rest), training[0].inverted
+    net = settings.network.network(DeviceFacts(rest, ready.operator, lag_s / training[0].dt, inverted))
     if isinstance(way, StreamTraining):
-        return stream_checks(net, ready.training, ready.judges, _teacher(training, scaling, way), settings, way)
+        return stream_checks(net, ready.training, ready.judges, _teacher_runs(teacher, scaling, way), settings, way)
     return window_checks(net, ready.training, ready.judges, settings, way)
 
 
-def _teacher(training: Sequence[Trial], scaling: Scaling, way: StreamTraining) -> TeacherRuns:
-    if way.teacher is None:
+def _teacher_runs(teacher: Teacher | None, scaling: Scaling, way: StreamTraining) -> TeacherRuns:
+    if teacher is None or way.teacher is None:
         return lambda done, rng: []
-    teacher, count = Teacher(training, way.teacher.plays, way.teacher.model), way.teacher.runs
-    first, last = way.teacher.weight
+    count, (first, last) = way.teacher.runs, way.teacher.weight
 
     def runs(done: float, rng: Rng) -> list[TrainingRun]:
         return [scaled_run(run, scaling) for run in teacher.runs(count, first + (last - first) * done, rng)]
@@ -249,7 +258,7 @@ def training_seconds(trials: Sequence[Trial], settings: NetworkSettings) -> floa
     training, _ = hold_out(trials, settings.validation_trials, settings.seed)
     with torch_session(settings.seed, settings.threads):
         backlash = Backlash(1.0, 1.0, 0.1, -0.1) if settings.network.has_backlash else None
-        net = settings.network.network(0.0, backlash)
+        net = settings.network.network(DeviceFacts(operator=backlash, inverted=trials[0].inverted))
         way = settings.training
         if isinstance(way, StreamTraining):
             return way.updates * _seconds_of(_stream_update(net, settings, way))

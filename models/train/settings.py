@@ -92,12 +92,15 @@ class TeacherSettings(Settings):
         plays: number of plays of a `pi`.
         runs: motions of 10 to 60 s drawn anew for each round.
         weight: weight of a teacher's sample against a recorded one, at the start of training and at its end.
+        centred: take out of each training trial the mean by which it lies off the teacher. Angle sensors are zeroed
+            anew for each trial; a network that follows the offsets of its training trials does worse on the next one.
     """
 
     model: Literal["pi", "play_kernel"] = "pi"
     plays: Count = 10
     runs: Count = 16
     weight: tuple[Share, Share] = (1.0, 0.7)
+    centred: bool = False
 
 
 class StreamTraining(Settings):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Literal, final
 
 import numpy as np
@@ -40,6 +41,8 @@ class Teacher:
 
     Attributes:
         rmse_deg: its error on the trials [deg].
+        lag_s: time constant of the lag in front of its hysteresis [s]; 0 for a Prandtl-Ishlinskii model, which has
+            none, and for an inverse map, whose input is what comes out behind the lag.
         answer: its free run (T,) [deg] over commands (T,) from a first angle [deg].
 
     Raises:
@@ -50,13 +53,21 @@ class Teacher:
     def __init__(self, trials: Sequence[Trial], plays: int, model: Literal["pi", "play_kernel"] = "pi") -> None:
         self._inverted = trials[0].inverted
         trials = [trial.swapped() for trial in trials] if self._inverted else trials
-        self.rmse_deg, self.answer = _operator(trials, plays) if model == "pi" else _play_kernel(trials)
+        self.rmse_deg, lag_s, self.answer = _operator(trials, plays) if model == "pi" else _play_kernel(trials)
+        self.lag_s = 0.0 if self._inverted else lag_s
         self._starts = [(float(t.command[0]), float(t.angle[0])) for t in trials]
         self._range, self._rate, self._dt = command_range(trials), fastest_command(trials), check_trial_set(trials)
 
     def runs(self, count: int, weight: float, rng: Rng) -> list[TrainingRun]:
         """Random motions in equal parts of each kind, in the units of the trials."""
         return [self._run(_KINDS[k % len(_KINDS)], weight, rng) for k in range(count)]
+
+    def centred(self, trial: Trial) -> Trial:
+        """The trial, its angles less the mean by which they lie off the teacher's free run."""
+        forward = trial.swapped() if self._inverted else trial
+        offset = np.mean(forward.angle - self.answer(forward.command, float(forward.angle[0])))
+        moved = replace(forward, angle=forward.angle - offset)
+        return moved.swapped() if self._inverted else moved
 
     def _run(self, kind: Callable[[Range, float, float, Rng], Vec], weight: float, rng: Rng) -> TrainingRun:
         rest, angle = self._starts[rng.integers(len(self._starts))]
@@ -67,16 +78,16 @@ class Teacher:
         return TrainingRun(answer, command, weights) if self._inverted else TrainingRun(command, answer, weights)
 
 
-def _operator(trials: Sequence[Trial], plays: int) -> tuple[float, Answer]:
-    """Error on the trials [deg] and free run of a Prandtl-Ishlinskii model."""
+def _operator(trials: Sequence[Trial], plays: int) -> tuple[float, float, Answer]:
+    """Error on the trials [deg], no lag [s], and free run of a Prandtl-Ishlinskii model."""
     simulator, fit = identify("pi", trials, plays=plays)
     if fit.interrupted:
         raise KeyboardInterrupt  # the user wants the training to end, not only this part of it
-    return fit.rmse_deg, ChainModel(simulator).run
+    return fit.rmse_deg, 0.0, ChainModel(simulator).run
 
 
-def _play_kernel(trials: Sequence[Trial]) -> tuple[float, Answer]:
-    """Error on the trials, their own offsets taken out [deg], and free run of a play-kernel model."""
+def _play_kernel(trials: Sequence[Trial]) -> tuple[float, float, Answer]:
+    """Error on the trials, their own offsets taken out [deg], lag [s], and free run of a play-kernel model."""
     settings = PlayKernelSettings()
     fit = fit_play_kernel(trials, settings)
     if fit.interrupted:
@@ -89,7 +100,7 @@ def _play_kernel(trials: Sequence[Trial]) -> tuple[float, Answer]:
         plan = np.concatenate([np.full(warmup, command[0]), command])
         return predictor.rollout(state, plan[None])[0, warmup:]
 
-    return fit.rmse, answer
+    return fit.rmse, fit.choice.lag_s, answer
 
 
 def _decaying_sine(commands: Range, rate: float, dt: float, rng: Rng) -> Vec:

@@ -8,7 +8,7 @@ from onnx import numpy_helper
 
 from hystmpc.models.kernels.gru import GruRoute, pack_gru
 from hystmpc.models.networks.nodes import Scaling, network_step_graph
-from hystmpc.models.networks.settings import RecurrentSettings
+from hystmpc.models.networks.settings import DeviceFacts, RecurrentSettings
 from hystmpc.trials.errors import ModelError
 
 torch = pytest.importorskip("torch", reason="torch is an extra")
@@ -21,7 +21,7 @@ def network(size: tuple[int, int]):  # type: ignore[no-untyped-def]
     torch.manual_seed(1)
     hidden, layers = size
     settings = RecurrentSettings(cell="gru", hidden=hidden, layers=layers, memory_samples=0, command_gain=1.0)
-    net = settings.network(0.0, None)
+    net = settings.network(DeviceFacts())
     with torch.no_grad():
         for weight in net.parameters():
             weight.mul_(2.0)  # gates that open and close

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -12,7 +13,7 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.kinds.networks import NETWORK_PRESETS
-from hystmpc.models.networks.settings import RecurrentSettings
+from hystmpc.models.networks.settings import DeviceFacts, GatedSettings, RecurrentSettings
 from hystmpc.models.train.networks import NetworkCheck, NetworkFit, fit_network, network_bundle
 from hystmpc.models.train.runs import TrainingRun, arrange, draw_windows, hold_out, pause, stretch
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining, TeacherSettings, WindowTraining
@@ -37,6 +38,14 @@ WAYS = {
     "streams": SMALL,
     "streams with teacher": SMALL.model_copy(
         update={"training": STREAMS.model_copy(update={"teacher": TeacherSettings(plays=3, runs=2)})}
+    ),
+    "gated, centred on a play kernel": SMALL.model_copy(
+        update={
+            "network": GatedSettings(hidden=8, plays=4),
+            "training": STREAMS.model_copy(
+                update={"teacher": TeacherSettings(model="play_kernel", runs=2, centred=True)}
+            ),
+        }
     ),
     "windows": SMALL.model_copy(update={"training": WindowTraining(length=20, epochs=6, windows_per_epoch=160)}),
     "windows, constant in constant out": SMALL.model_copy(
@@ -251,9 +260,8 @@ def test_a_network_that_amplifies_rounding_is_noticed() -> None:
     ramp = np.linspace(-1, 1, 400)
     judged = whole_runs([TrainingRun(ramp, ramp, np.ones(400))] * 2, 0)
     torch.manual_seed(0)
-    calm, chaotic = (
-        RecurrentSettings(hidden=32, layers=1, memory_samples=0, command_gain=1.0).network(0.0, None) for _ in range(2)
-    )
+    settings = RecurrentSettings(hidden=32, layers=1, memory_samples=0, command_gain=1.0)
+    calm, chaotic = (settings.network(DeviceFacts()) for _ in range(2))
     with torch.no_grad():
         chaotic.get_parameter("lstm.weight_hh_l0").mul_(60.0)
     found = [rounding_error(net, judged, judged.output(net)) for net in (calm, chaotic)]
@@ -270,6 +278,32 @@ def test_an_inverse_map_learns_from_swapped_runs_of_a_forward_teacher() -> None:
     for one, other in zip(*pairs, strict=True):
         np.testing.assert_array_equal(one.command, other.angle)
         np.testing.assert_array_equal(one.angle, other.command)
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_centring_takes_out_the_offset_of_a_trial_and_nothing_else(inverted: bool) -> None:
+    trials = [trial.swapped() if inverted else trial for trial in four_trials()]
+    teacher = Teacher(trials, 4, "play_kernel")
+    for forward in four_trials():
+        shifted = replace(forward, angle=forward.angle + 2.0)
+        pair = [teacher.centred(t.swapped() if inverted else t) for t in (forward, shifted)]
+        one, other = ((t.swapped() if inverted else t) for t in pair)
+        np.testing.assert_allclose(one.angle, other.angle, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(one.command, forward.command)
+        assert np.ptp(one.angle - forward.angle) < 1e-9
+        assert abs(np.mean(one.angle - forward.angle)) < 1.0
+
+
+def test_a_teacher_knows_the_lag_in_front_of_the_hysteresis() -> None:
+    lagged, gain = [], 1 - np.exp(-DT / 0.04)
+    for trial in four_trials():
+        travel, v = [], float(trial.command[0])
+        for u in trial.command.tolist():
+            v += gain * (u - v)
+            travel.append(v)
+        lagged.append(replace(trial, angle=np.interp(travel, [0.0, 6.0], [30.0, 90.0])))
+    assert Teacher(lagged, 4, "play_kernel").lag_s == 0.04
+    assert Teacher([trial.swapped() for trial in lagged], 4, "play_kernel").lag_s == 0.0
 
 
 @pytest.mark.parametrize("model", ["pi", "play_kernel"])

@@ -11,7 +11,7 @@ from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.networks import NETWORK_PRESETS, network_settings
 from hystmpc.models.networks.hybrid_ import operator_step
 from hystmpc.models.networks.nodes import Scaling
-from hystmpc.models.networks.settings import FeedForwardSettings, HybridSettings, RecurrentSettings
+from hystmpc.models.networks.settings import DeviceFacts, FeedForwardSettings, HybridSettings, RecurrentSettings
 from hystmpc.models.operators.hysteresis import Backlash, InverseBacklash
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.simulator import ChainModel
@@ -56,7 +56,7 @@ def by_operator(operator: Operator, u: np.ndarray, y: float) -> np.ndarray:
 def hybrid(form: str, operator: Operator) -> object:
     """A hybrid whose LSTM says nothing yet."""
     torch.manual_seed(0)
-    return HybridSettings(form=form, hidden=4, head_gain=0.0).network(0.0, operator)
+    return HybridSettings(form=form, hidden=4, head_gain=0.0).network(DeviceFacts(operator=operator))
 
 
 @every_operator
@@ -110,7 +110,8 @@ def test_the_parallel_hybrid_starts_windows_from_its_own_backlash() -> None:
 
 def test_a_history_buffer_holds_the_inputs_before() -> None:
     torch.manual_seed(0)
-    net, v = FeedForwardSettings(hidden=(8, 8), history=5).network(-0.7, None), torch.linspace(-1, 1, 30)[None]
+    net = FeedForwardSettings(hidden=(8, 8), history=5).network(DeviceFacts(rest=-0.7))
+    v = torch.linspace(-1, 1, 30)[None]
     with torch.no_grad():
         outputs, state = net(v, net.start(torch.zeros(1)))
         padded = torch.cat([torch.full((1, 4), -0.7), v], dim=1)

@@ -15,6 +15,7 @@ from hystmpc.models.kinds import networks
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest, Identified
 from hystmpc.models.kinds.networks import NETWORK_PRESETS
+from hystmpc.models.networks.settings import FeedForwardSettings
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining
 from hystmpc.trials.trial import Trial
 
@@ -26,7 +27,9 @@ STREAMS = StreamTraining(length=25, streams=4, updates=30, rounds_between_checks
 
 def tiny(settings: NetworkSettings, **changes: object) -> NetworkSettings:
     """The same network with a few cells and a few updates."""
-    sizes = {"hidden": 6, "layers": 1} if hasattr(settings.network, "layers") else {"hidden": (6,)}
+    sizes: dict[str, object] = {"hidden": (6,) if isinstance(settings.network, FeedForwardSettings) else 6}
+    if hasattr(settings.network, "layers"):
+        sizes["layers"] = 1
     if getattr(settings.network, "history", 1) > 1:
         sizes["history"] = 5
     network = settings.network.model_copy(update=sizes)
