@@ -1,0 +1,201 @@
+"""Dynamics before or behind what is inverted: the input over a preview that brings their output along a path."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from hystmpc.trials.types import Vec
+
+from ..chain import Chain
+from ..kernels.numba_ import njit
+from ..model import Inverse, Predictor
+from ..operators.dynamics import Delay, Lag, RateLimit, Servo
+from ..operators.operator import Operator
+from ..prediction.compiled import CompiledPredictor
+from ..simulator import Simulator
+
+DYNAMICS = (Delay, Lag, Servo, RateLimit)
+"""Operators that are not inverted sample by sample: that would amplify every deviation."""
+
+_MOVE_WEIGHT = 1e-3  # of a squared move of the input against a squared deviation of the output
+_ROUNDS = 3  # linearisations
+_LINEAR = 1e-6  # share of the output's change that the linearisation may miss
+_ACTS = 1e-6  # share of the greatest answer below which an input does not act yet
+_CHANGES = 40  # of the active set
+
+
+class Fit(NamedTuple):
+    """Inputs (H,) of a drive, its outputs (H,) along them, and the first sample that the inputs change."""
+
+    inputs: Vec
+    outputs: Vec
+    first: int
+
+
+@final
+class Drive:
+    """Dynamics of unit gain between an input and an output of the same unit.
+
+    Args:
+        predictor: of the dynamics alone.
+    """
+
+    def __init__(self, predictor: Predictor) -> None:
+        self.predictor = predictor
+
+    @classmethod
+    def of_operators(cls, operators: tuple[Operator, ...], simulator: Simulator) -> Drive:
+        """Drive of operators in series, at the sample time of a simulator."""
+        chain = Chain(operators[-1], before=operators[:-1])
+        return cls(CompiledPredictor.of_simulator(replace(simulator, chain=chain)))
+
+    def held(self, state: Vec, u: float, horizon: int) -> Fit:
+        """Outputs (H,) of an input held at `u`, and the first sample that another input would change."""
+        plan = np.full(horizon, u)
+        outputs, response = self.predictor.linearise(state, plan)
+        return Fit(plan, outputs, first_acting(response))
+
+    def fit(self, state: Vec, wanted: Vec, u_last: float, reach: float) -> Fit:
+        """Inputs whose outputs come closest to `wanted` (H,).
+
+            min_m  sum_k (v_k(u) - w_k)^2 + eps sum_k m_k^2   s.t.  |m_k| <= reach,   u_k = u_{k-1} + m_k
+
+        Solved exactly for linear dynamics, by Gauss-Newton steps for others. Every program is solved by the primal-dual
+        active-set method (Hintermuller, Ito and Kunisch, SIAM J. Optim. 13 (2002)).
+        """
+        moves, inputs = np.zeros(wanted.size), np.full(wanted.size, u_last)
+        outputs, response = self.predictor.linearise(state, inputs)
+        first = first_acting(response)
+        for _ in range(_ROUNDS):
+            by_move = np.ascontiguousarray(np.cumsum(response[:, ::-1], axis=1)[:, ::-1])
+            found = bounded_moves(by_move, wanted - outputs, moves, reach, _MOVE_WEIGHT)
+            promised, moves = outputs + by_move @ (found - moves), found
+            inputs = u_last + np.cumsum(moves)
+            before = outputs
+            outputs, response = self.predictor.linearise(state, inputs)
+            if np.max(np.abs(outputs - promised)) <= _LINEAR * max(1.0, float(np.max(np.abs(outputs - before)))):
+                break
+        return Fit(inputs, outputs, first)
+
+
+class DrivenParts(NamedTuple):
+    """State of what is inverted, of the drive before it and of the drive behind it; empty where there is none."""
+
+    middle: Vec
+    front: Vec
+    back: Vec
+
+
+@final
+class DrivenInverse(Inverse):
+    """Inverse of a model with dynamics before or behind it: the command at which it comes to rest at the angle.
+
+    Where the angle is to go meanwhile takes a preview; see `DrivenFollower`.
+
+    Args:
+        inner: inverse of the model without the dynamics.
+        predictor: of what `inner` inverts.
+        front: drive between command and travel; None for none.
+        back: dynamics between the inverted model's angle and the tip's; None for none.
+        front_first: whether the front's state stands before the model's, else behind it.
+    """
+
+    def __init__(
+        self,
+        inner: Inverse,
+        predictor: Predictor,
+        front: Drive | None,
+        back: Drive | None = None,
+        sizes: tuple[int, int] = (0, 0),
+        front_first: bool = True,
+    ) -> None:
+        self.inner, self.predictor, self.front, self.back = inner, predictor, front, back
+        self._sizes, self._front_first = sizes, front_first
+
+    def parts(self, state: Vec) -> DrivenParts:
+        """The parts of the state (S,) of the whole model."""
+        ahead, behind = self._sizes
+        if self._front_first:
+            cut = state.size - behind
+            return DrivenParts(state[ahead:cut], state[:ahead], state[cut:])
+        cut = state.size - ahead
+        return DrivenParts(state[:cut], state[cut:], state[:0])
+
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
+        return self.inner.command(self.parts(state).middle, theta, u_last)
+
+
+class Split(NamedTuple):
+    """A chain in three: dynamics on the command, what is inverted, dynamics on the angle."""
+
+    front: tuple[Operator, ...]
+    middle: Chain
+    back: tuple[Operator, ...]
+
+
+def split(chain: Chain) -> Split:
+    """The chain up to its last and from its first dynamic operator, and what lies between."""
+    last = max((k + 1 for k, o in enumerate(chain.before) if isinstance(o, DYNAMICS)), default=0)
+    first = min((k for k, o in enumerate(chain.after) if isinstance(o, DYNAMICS)), default=len(chain.after))
+    middle = Chain(chain.core, chain.before[last:], chain.after[:first])
+    return Split(chain.before[:last], middle, chain.after[first:])
+
+
+def states_of(operators: tuple[Operator, ...]) -> int:
+    """Entries of the state of operators in series."""
+    return sum(len(operator.states) for operator in operators)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def first_acting(response: Any) -> int:
+    """The first sample that an input changes: rows of the response (H, H) before it are zero."""
+    most = np.max(np.abs(response))
+    for k in range(response.shape[0]):
+        for j in range(k + 1):
+            if abs(response[k, j]) > _ACTS * most:
+                return k
+    return int(response.shape[0])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def bounded_moves(by_move: Any, off: Any, start: Any, reach: float, weight: float) -> Any:
+    """argmin over |m_k| <= reach of |G (m - m_0) - e|^2 + w |m|^2 (H,), with G (H, H), e (H,), m_0 `start` (H,).
+
+    A sample whose multiplier has the wrong sign is released, one beyond its bound is held there, all at once, until
+    nothing changes. Should the sets go round, the best that the bounds make of the last answer is taken.
+    """
+    size = start.size
+    hessian = by_move.T @ by_move
+    linear = by_move.T @ off + hessian @ start
+    for k in range(size):
+        hessian[k, k] += weight
+    moves, side = np.zeros(size), np.zeros(size)
+    for _ in range(_CHANGES):
+        free = np.flatnonzero(side == 0.0)
+        moves[:] = side * reach
+        if free.size:
+            matrix, right = np.empty((free.size, free.size)), linear[free].copy()
+            for a in range(free.size):
+                for b in range(free.size):
+                    matrix[a, b] = hessian[free[a], free[b]]
+                for k in range(size):
+                    right[a] -= hessian[free[a], k] * moves[k]
+            solved = np.linalg.solve(matrix, right)
+            for a in range(free.size):
+                moves[free[a]] = solved[a]
+        pull = linear - hessian @ moves
+        changed = False
+        for k in range(size):
+            now = side[k]
+            if now == 0.0:
+                now = 1.0 if moves[k] > reach else (-1.0 if moves[k] < -reach else 0.0)
+            elif now * pull[k] < 0.0:
+                now = 0.0
+            changed = changed or now != side[k]
+            side[k] = now
+        if not changed:
+            break
+    return np.minimum(np.maximum(moves, -reach), reach)
