@@ -24,6 +24,8 @@ _MOVE_WEIGHT = 1e-3  # of a squared move of the input against a squared deviatio
 _ROUNDS = 3  # linearisations
 _LINEAR = 1e-6  # share of the output's change that the linearisation may miss
 _ACTS = 1e-6  # share of the greatest answer below which an input does not act yet
+_WHOLE = 1e-9  # share of a sample by which a delay of whole samples may be short of them
+_FREE = 1e9  # bound of moves that have none
 _CHANGES = 40  # of the active set
 
 
@@ -71,7 +73,7 @@ class Drive:
         first = first_acting(response)
         for _ in range(_ROUNDS):
             by_move = np.ascontiguousarray(np.cumsum(response[:, ::-1], axis=1)[:, ::-1])
-            found = bounded_moves(by_move, wanted - outputs, moves, reach, _MOVE_WEIGHT)
+            found = bounded_moves(by_move, wanted - outputs, moves, min(reach, _FREE), _MOVE_WEIGHT)
             promised, moves = outputs + by_move @ (found - moves), found
             inputs = u_last + np.cumsum(moves)
             before = outputs
@@ -100,7 +102,9 @@ class DrivenInverse(Inverse):
         predictor: of what `inner` inverts.
         front: drive between command and travel; None for none.
         back: dynamics between the inverted model's angle and the tip's; None for none.
+        sizes: entries of the states of front and back.
         front_first: whether the front's state stands before the model's, else behind it.
+        delay_samples: whole samples before a command shows at all.
     """
 
     def __init__(
@@ -111,7 +115,9 @@ class DrivenInverse(Inverse):
         back: Drive | None = None,
         sizes: tuple[int, int] = (0, 0),
         front_first: bool = True,
+        delay_samples: int = 0,
     ) -> None:
+        self.delay_samples = delay_samples
         self.inner, self.predictor, self.front, self.back = inner, predictor, front, back
         self._sizes, self._front_first = sizes, front_first
 
@@ -144,6 +150,11 @@ def split(chain: Chain) -> Split:
     return Split(chain.before[:last], middle, chain.after[first:])
 
 
+def whole_delay(operators: tuple[Operator, ...], dt_s: float) -> int:
+    """Samples that pass before an input of operators in series shows at all."""
+    return sum(int(o.delay_s / dt_s + _WHOLE) for o in operators if isinstance(o, Delay))
+
+
 def states_of(operators: tuple[Operator, ...]) -> int:
     """Entries of the state of operators in series."""
     return sum(len(operator.states) for operator in operators)
@@ -161,41 +172,36 @@ def first_acting(response: Any) -> int:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
+def with_held(hessian: Any, linear: Any, side: Any, reach: float) -> Any:
+    """argmin of 1/2 m'P m - q'm (H,) with the moves of a side (-1, 1) at that bound and the others free."""
+    moves, free = side * reach, np.flatnonzero(side == 0.0)
+    if free.size:
+        matrix, right = np.empty((free.size, free.size)), linear[free] - (hessian @ moves)[free]
+        for a in range(free.size):
+            for b in range(free.size):
+                matrix[a, b] = hessian[free[a], free[b]]
+        moves[free] = np.linalg.solve(matrix, right)
+    return moves
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
 def bounded_moves(by_move: Any, off: Any, start: Any, reach: float, weight: float) -> Any:
     """argmin over |m_k| <= reach of |G (m - m_0) - e|^2 + w |m|^2 (H,), with G (H, H), e (H,), m_0 `start` (H,).
 
-    A sample whose multiplier has the wrong sign is released, one beyond its bound is held there, all at once, until
-    nothing changes. Should the sets go round, the best that the bounds make of the last answer is taken.
+    A move whose multiplier has the wrong sign is released, one beyond its bound is held there, all at once, until
+    nothing changes. Should the sets go round, the last answer within the bounds is taken.
     """
-    size = start.size
     hessian = by_move.T @ by_move
     linear = by_move.T @ off + hessian @ start
-    for k in range(size):
-        hessian[k, k] += weight
-    moves, side = np.zeros(size), np.zeros(size)
+    hessian += weight * np.eye(start.size)
+    side = np.zeros(start.size)
+    moves = side
     for _ in range(_CHANGES):
-        free = np.flatnonzero(side == 0.0)
-        moves[:] = side * reach
-        if free.size:
-            matrix, right = np.empty((free.size, free.size)), linear[free].copy()
-            for a in range(free.size):
-                for b in range(free.size):
-                    matrix[a, b] = hessian[free[a], free[b]]
-                for k in range(size):
-                    right[a] -= hessian[free[a], k] * moves[k]
-            solved = np.linalg.solve(matrix, right)
-            for a in range(free.size):
-                moves[free[a]] = solved[a]
+        moves = with_held(hessian, linear, side, reach)
         pull = linear - hessian @ moves
-        changed = False
-        for k in range(size):
-            now = side[k]
-            if now == 0.0:
-                now = 1.0 if moves[k] > reach else (-1.0 if moves[k] < -reach else 0.0)
-            elif now * pull[k] < 0.0:
-                now = 0.0
-            changed = changed or now != side[k]
-            side[k] = now
-        if not changed:
+        beyond = np.sign(moves) * (np.abs(moves) > reach)
+        after = np.where(side == 0.0, beyond, side * (side * pull >= 0.0))
+        if np.all(after == side):
             break
+        side = after
     return np.minimum(np.maximum(moves, -reach), reach)

@@ -140,7 +140,9 @@ class DrivenFollower(Follower):
                 last = v
         if first < wanted.size:
             free = self._inner.follow(middle, wanted[first:], last, bounds._replace(reach=np.inf))[0]
-            plans[:] = free if front is None else front.fit(ahead, np.append(travel[:first], free), u_last, bounds.reach)[0]
+            plans[:] = (
+                free if front is None else front.fit(ahead, np.append(travel[:first], free), u_last, bounds.reach)[0]
+            )
         return plans
 
 

@@ -26,9 +26,10 @@ def within(u, low, high, last):
 def follow(packed, size, state, p, dt, k_step, k_tangent, wanted, u_last, bounds, inverted, plans):
     """Commands (2, H) along the angles `wanted` (H,): row 0 within [low, high] alone, row 1 within the rate limit too.
 
-    state: [network (S,), its angle, chain, its angle], or the chain alone where `size` = S = 0. The chain is asked for the wanted angle and what it is off the network by then. bounds: low, high,
-    greatest change per sample; inverted: least and greatest command among which the inverse searches. There is one row
-    until it wants more than the rate limit allows.
+    state: [network (S,), its angle, chain, its angle], or the chain alone where `size` = S = 0. The chain is asked for
+    the wanted angle and what it is off the network by then. bounds: low, high, greatest change per sample; inverted:
+    least and greatest command among which the inverse searches. There is one row until it wants more than the rate
+    limit allows.
     """
     low, high, reach = bounds[0], bounds[1], bounds[2]
     first, final = (size + 1, state.size - 1) if size > 0 else (0, state.size)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from hystmpc.trials.errors import ModelError
 
 from ..contract.metadata import ModelMetadata
-from ..inverse.drive import Drive, DrivenInverse, split, states_of
+from ..inverse.drive import Drive, DrivenInverse, split, states_of, whole_delay
 from ..inverse.one_step import (
     AccompaniedPredictor,
     CompanionInverse,
@@ -69,9 +69,9 @@ def predictor_and_inverse(
 ) -> tuple[Predictor, Inverse]:
     """Predictor and inverse that share one memory.
 
-    A compiled model is inverted exactly, dynamics before and behind a chain's hysteresis over a preview. Any other gets a companion whose inverse is asked instead: the given
-    simulator, or a backlash fitted to the model's own free run. A model given instead has to be an inverse map, which
-    runs beside the model and is asked itself.
+    A compiled model is inverted exactly, and a chain's lags and delays over a preview (`DrivenInverse`). Any other gets
+    a companion whose inverse is asked instead: the given simulator, or a backlash fitted to the model's own free run. A
+    model given instead has to be an inverse map, which runs beside the model and is asked itself.
 
     Raises:
         FitError: if no companion is given and none can be fitted.
@@ -104,7 +104,8 @@ def inverse_of_chain(simulator: Simulator) -> Inverse:
     if not front and not back:
         return inverse
     drives = [Drive.of_operators(side, simulator) if side else None for side in (front, back)]
-    return DrivenInverse(inverse, inner, drives[0], drives[1], (states_of(front), states_of(back)))
+    sizes, delay = (states_of(front), states_of(back)), whole_delay((*front, *back), simulator.dt_s)
+    return DrivenInverse(inverse, inner, drives[0], drives[1], sizes, delay_samples=delay)
 
 
 def _inverse_range(facts: ModelMetadata) -> tuple[float, float]:
