@@ -132,22 +132,13 @@ class LinearisationSettings(PredictiveSettings):
         return self
 
 
-_KNOTS, _TOWARDS_START = 12, 1.3
-
-
 # A noise is a matrix F (H, K): samples are F w with w standard normal (K,). Rows have unit norm, so that every sample
 # of a plan is perturbed with the same variance.
 class SplineNoiseSettings(Settings):
-    """Cubic spline through independent normals at knots x_i = (i / (K - 1))^1.3 of the horizon, i = 0..K-1.
-
-    They stand closer at the beginning, whose first command is the only one that is sent.
-
-    Attributes:
-        knots: K; null for 12, or as many as the horizon has samples where they are fewer.
-    """
+    """Cubic spline through `knots` independent normals, evenly spaced over the horizon."""
 
     kind: Literal["spline"] = "spline"
-    knots: Annotated[int, Field(ge=2)] | None = None
+    knots: Annotated[int, Field(ge=2)] = 6
 
     def matrix(self, horizon: int) -> Mat:
         """F (H, knots).
@@ -155,15 +146,12 @@ class SplineNoiseSettings(Settings):
         Raises:
             ControllerError: if there are more knots than samples.
         """
-        if horizon < 2:  # one command: a spline takes two knots
-            return np.ones((horizon, 1))
-        knots = min(_KNOTS, horizon) if self.knots is None else self.knots
-        if knots > horizon:
-            raise ControllerError(f"spline noise: got {knots} knots, expected 2 to the horizon of {horizon}")
+        if self.knots > horizon:
+            raise ControllerError(f"spline noise: got {self.knots} knots, expected 2 to the horizon of {horizon}")
         from scipy.interpolate import make_interp_spline  # takes half a second, which the linearised controller spares
 
-        at = np.linspace(0.0, 1.0, knots) ** _TOWARDS_START
-        spline = make_interp_spline(at, np.eye(knots), k=min(3, knots - 1))
+        at = np.linspace(0.0, 1.0, self.knots)
+        spline = make_interp_spline(at, np.eye(self.knots), k=min(3, self.knots - 1))
         return _unit_rows(spline(np.linspace(0.0, 1.0, horizon)))
 
 
@@ -197,7 +185,7 @@ class SamplingSettings(PredictiveSettings):
     temperature: Positive = 0.02
     elites: Annotated[float, Field(gt=0, le=0.5)] = 0.1
     seed: Annotated[int, Field(ge=0)] = 0
-    noise: Annotated[SplineNoiseSettings | ColouredNoiseSettings, Field(discriminator="kind")] = SplineNoiseSettings()
+    noise: Annotated[SplineNoiseSettings | ColouredNoiseSettings, Field(discriminator="kind")] = ColouredNoiseSettings()
 
 
 def _unit_rows(factor: Mat) -> Mat:

@@ -18,6 +18,7 @@ from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningPr
 from ..planning_settings import SamplingSettings, WeightsSettings
 
 _RANK = 1e-3  # singular values of the noise below this share of the greatest are none
+_DIRECTIONS = 20  # of the noise: the strongest; more would make a step's time grow with the square of the horizon
 _SMALL = 1e-12  # squared distance of a sample from the start below which it says nothing
 _RIDGE = 1e-6  # of the fit, as a share of its normal matrix's trace
 _PARTS = np.array([1.0, 0.5, 0.25])[:, None]
@@ -36,10 +37,13 @@ class SamplingPlanner(Planner[SampleCounter]):
 
     def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
         self._predictor, self._limits, self._settings = predictor, limits, settings
-        noise = settings.noise.matrix(settings.horizon)
-        self._shape = np.ascontiguousarray(noise.T)
+        # the same distribution from as few normals as it has directions, and never more than the step is linear in
+        left, sizes, _ = np.linalg.svd(settings.noise.matrix(settings.horizon), full_matrices=False)
+        count = min(np.count_nonzero(sizes > _RANK * sizes[0]), _DIRECTIONS)
+        basis = left[:, :count]
+        self._shape = np.ascontiguousarray((basis * sizes[:count]).T)
         self._cost = PlanCost(settings.weights, settings.horizon)
-        self._polish = SampledGaussNewton(settings.weights, noise)
+        self._polish = SampledGaussNewton(settings.weights, np.ascontiguousarray(basis))
 
     def init(self) -> SampleCounter:
         return SampleCounter(0)
@@ -73,19 +77,18 @@ class SamplingPlanner(Planner[SampleCounter]):
 class SampledGaussNewton:
     """A Gauss-Newton step whose Jacobian is fitted to the samples: no derivative of the model is asked for.
 
-        theta_n - theta_0 ~ S z_n,  p_n - p_0 = B z_n,  B orthonormal columns of the noise
+        theta_n - theta_0 ~ S z_n,  p_n - p_0 = B z_n,  B the orthonormal basis (H, K) of the noise
         S = argmin sum_n |theta_n - theta_0 - S z_n|^2 / |z_n|^4
         z = argmin of the planning cost with theta_0 + S z and p_0 + B z
 
     The samples near the start count most; those further off give a slope where the play's own is zero.
     """
 
-    def __init__(self, weights: WeightsSettings, noise: Mat) -> None:
-        left, sizes, _ = np.linalg.svd(noise, full_matrices=False)
-        self._basis = np.ascontiguousarray(left[:, sizes > _RANK * sizes[0]])
+    def __init__(self, weights: WeightsSettings, basis: Mat) -> None:
+        self._basis = basis
         self._rate, self._effort = weights.rate, weights.effort
         self._soft = weights.soft_limit if weights.limits_angle else 0.0
-        self._tracking = weights.over(noise.shape[0])
+        self._tracking = weights.over(basis.shape[0])
         self._moves = np.diff(self._basis, axis=0, prepend=0.0)
         self._constant = self._rate * self._moves.T @ self._moves + self._effort * self._basis.T @ self._basis
 

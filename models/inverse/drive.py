@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple, final
 
@@ -26,7 +27,8 @@ _LINEAR = 1e-6  # share of the output's change that the linearisation may miss
 _ACTS = 1e-6  # share of the greatest answer below which an input does not act yet
 _WHOLE = 1e-9  # share of a sample by which a delay of whole samples may be short of them
 _FREE = 1e9  # bound of moves that have none
-_CHANGES = 40  # of the active set
+_CHANGES = 4  # of the active set, per move
+_SIGN = 1e-10  # share of the greatest gradient that counts as zero
 
 
 class Fit(NamedTuple):
@@ -65,8 +67,8 @@ class Drive:
 
             min_m  sum_k (v_k(u) - w_k)^2 + eps sum_k m_k^2   s.t.  |m_k| <= reach,   u_k = u_{k-1} + m_k
 
-        Solved exactly for linear dynamics, by Gauss-Newton steps for others. Every program is solved by the primal-dual
-        active-set method (Hintermuller, Ito and Kunisch, SIAM J. Optim. 13 (2002)).
+        Solved exactly for linear dynamics, by Gauss-Newton steps for others. Every program is solved by an active-set
+        method for least squares with bounds (Stark and Parker, Computational Statistics 10 (1995)).
         """
         moves, inputs = np.zeros(wanted.size), np.full(wanted.size, u_last)
         outputs, response = self.predictor.linearise(state, inputs)
@@ -171,37 +173,91 @@ def first_acting(response: Any) -> int:
     return int(response.shape[0])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def with_held(hessian: Any, linear: Any, side: Any, reach: float) -> Any:
-    """argmin of 1/2 m'P m - q'm (H,) with the moves of a side (-1, 1) at that bound and the others free."""
-    moves, free = side * reach, np.flatnonzero(side == 0.0)
-    if free.size:
-        matrix, right = np.empty((free.size, free.size)), linear[free] - (hessian @ moves)[free]
-        for a in range(free.size):
-            for b in range(free.size):
-                matrix[a, b] = hessian[free[a], free[b]]
-        moves[free] = np.linalg.solve(matrix, right)
+def bounded_moves(by_move: Vec, off: Vec, start: Vec, reach: float, weight: float) -> Vec:
+    """argmin over |m_k| <= reach of |G (m - m_0) - e|^2 + w |m|^2 (H,), with G (H, H), e (H,), m_0 `start` (H,)."""
+    hessian = by_move.T @ by_move
+    linear = by_move.T @ off + hessian @ start
+    hessian[np.diag_indices_from(hessian)] += weight
+    moves: Vec = start.copy()
+    lead_moves(hessian, linear, reach, moves)
     return moves
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def bounded_moves(by_move: Any, off: Any, start: Any, reach: float, weight: float) -> Any:
-    """argmin over |m_k| <= reach of |G (m - m_0) - e|^2 + w |m|^2 (H,), with G (H, H), e (H,), m_0 `start` (H,).
+def lead_moves(hessian: Any, linear: Any, reach: float, moves: Any) -> None:
+    """argmin over |m_k| <= reach of 1/2 m'P m - q'm (H,) in place, P positive definite, from moves within the bounds.
 
-    A move whose multiplier has the wrong sign is released, one beyond its bound is held there, all at once, until
-    nothing changes. Should the sets go round, the last answer within the bounds is taken.
+    Towards the best free moves, as far as the first that meets its bound, which is held there; once none does, the one
+    whose multiplier has the wrong sign most is released.
     """
-    hessian = by_move.T @ by_move
-    linear = by_move.T @ off + hessian @ start
-    hessian += weight * np.eye(start.size)
-    side = np.zeros(start.size)
-    moves = side
-    for _ in range(_CHANGES):
-        moves = with_held(hessian, linear, side, reach)
-        pull = linear - hessian @ moves
-        beyond = np.sign(moves) * (np.abs(moves) > reach)
-        after = np.where(side == 0.0, beyond, side * (side * pull >= 0.0))
-        if np.all(after == side):
-            break
-        side = after
-    return np.minimum(np.maximum(moves, -reach), reach)
+    size = moves.size
+    side, wanted, factor = np.zeros(size), np.empty(size), np.empty((size, size))
+    greatest = 0.0
+    for k in range(size):
+        greatest = max(greatest, abs(linear[k]))
+    for _ in range(_CHANGES * size):
+        free_optimum(hessian, linear, side, reach, factor, wanted)
+        share, hit = first_bound(moves, wanted, side, reach)
+        for k in range(size):
+            moves[k] = min(max(moves[k] + share * (wanted[k] - moves[k]), -reach), reach)
+        if hit >= 0:
+            side[hit] = 1.0 if wanted[hit] > 0.0 else -1.0
+            moves[hit] = side[hit] * reach
+            continue
+        worst = wrong_side(hessian, linear, side, moves, -_SIGN * greatest)
+        if worst < 0:
+            return
+        side[worst] = 0.0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def free_optimum(hessian: Any, linear: Any, side: Any, reach: float, factor: Any, wanted: Any) -> None:
+    """The minimum with the moves of a side (-1, 1) at that bound and the others free (H,), by Cholesky's factors."""
+    for i in range(side.size):
+        total = linear[i]
+        for k in range(side.size):
+            total -= hessian[i, k] * side[k] * reach
+        for j in range(i + 1):
+            part = 0.0
+            if side[i] == 0.0 and side[j] == 0.0:
+                part = hessian[i, j]
+                for k in range(j):
+                    part -= factor[i, k] * factor[j, k]
+            if i != j:
+                factor[i, j] = part / factor[j, j]
+                total -= factor[i, j] * wanted[j]
+            else:
+                factor[i, i] = math.sqrt(part) if side[i] == 0.0 else 1.0
+        wanted[i] = total / factor[i, i] if side[i] == 0.0 else side[i] * reach
+    for i in range(side.size - 1, -1, -1):
+        if side[i] == 0.0:
+            for k in range(i + 1, side.size):
+                wanted[i] -= factor[k, i] * wanted[k]
+            wanted[i] /= factor[i, i]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def first_bound(moves: Any, wanted: Any, side: Any, reach: float) -> Any:
+    """Share of the way from `moves` to `wanted` (H,) where the first free move meets a bound, and which; -1: none."""
+    share, hit = 1.0, -1
+    for k in range(moves.size):
+        if side[k] == 0.0 and abs(wanted[k]) > reach:
+            bound = reach if wanted[k] > 0.0 else -reach
+            part = (bound - moves[k]) / (wanted[k] - moves[k])
+            if hit < 0 or part < share:
+                share, hit = part, k
+    return share, hit
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def wrong_side(hessian: Any, linear: Any, side: Any, moves: Any, least: float) -> int:
+    """The held move whose multiplier is the most below `least`; -1 where none is."""
+    worst = -1
+    for k in range(side.size):
+        if side[k] != 0.0:
+            pull = linear[k]
+            for i in range(side.size):
+                pull -= hessian[k, i] * moves[i]
+            if side[k] * pull < least:
+                worst, least = k, side[k] * pull
+    return worst

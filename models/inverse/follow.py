@@ -132,7 +132,7 @@ class DrivenFollower(Follower):
         middle, ahead, behind = self._inverse.parts(state)
         if back is not None:
             wanted = back.fit(behind, wanted, float(wanted[0]), np.inf).inputs
-        travel, first, last = None, 0, u_last
+        travel, first, last = wanted, 0, u_last
         if front is not None:
             travel, first = front.held(ahead, u_last, wanted.size)[1:]
             for v in travel[:first].tolist():
@@ -140,9 +140,9 @@ class DrivenFollower(Follower):
                 last = v
         if first < wanted.size:
             free = self._inner.follow(middle, wanted[first:], last, bounds._replace(reach=np.inf))[0]
-            plans[:] = (
-                free if front is None else front.fit(ahead, np.append(travel[:first], free), u_last, bounds.reach)[0]
-            )
+            if front is not None:
+                free = front.fit(ahead, np.append(travel[:first], free), u_last, bounds.reach).inputs
+            plans[:] = np.clip(free, bounds.low, bounds.high)
         return plans
 
 
