@@ -146,12 +146,14 @@ class PathIntegralPlanner(SamplingPlanner):
         watch.lap("rollout")
         costs = self._cost(plans, angles, problem)
         usable = np.isfinite(costs)
-        if not usable.any():
-            raise PlanningError(f"none of {len(plans)} samples has a finite prediction")
+        if not usable.all():
+            if not usable.any():
+                raise PlanningError(f"none of {len(plans)} samples has a finite prediction")
+            plans, angles, costs = plans[usable], angles[usable], costs[usable]
         best = int(np.argmin(costs))
         found = CommandPlan(plans[best], angles[best], float(costs[best]))
-        averaged = self._weighted(plans[usable], costs[usable])
-        polished = self._polish.plans(start, plans[usable], angles[usable], problem)
+        averaged = self._weighted(plans, costs)
+        polished = self._polish.plans(start, plans, angles, problem)
         tried = self._cheapest(np.vstack([averaged[None], polished]), problem)
         watch.lap("weigh")
         return min((start, tried, found), key=lambda p: p.cost)
