@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.inverse.drive import Drive, DrivenInverse
 from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
 from hystmpc.models.load import load_model
 from hystmpc.models.model import Inverse, InvertiblePredictor, LoadedModel, Predictor
 from hystmpc.models.operators.dynamics import Delay
-from hystmpc.models.prediction.actuated import ActuatedInverse, ActuatedPredictor
+from hystmpc.models.prediction.actuated import ActuatedPredictor
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
 from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.trials.errors import ControllerError
@@ -139,4 +140,4 @@ def _actuated(model: Pair, lag_s: float) -> Pair:
     if lag_s == 0:
         return model
     predictor = ActuatedPredictor(model[0], lag_s)
-    return predictor, ActuatedInverse(predictor, model[1])
+    return predictor, DrivenInverse(model[1], model[0], Drive(predictor.lag), sizes=(1, 0), front_first=False)

@@ -8,11 +8,13 @@ from typing import Generic, TypeVar, final
 
 import numpy as np
 
+from hystmpc.models.inverse.drive import DrivenInverse
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
 from .analysis import static_gain
 from .command import ControlInput, Source, Stopwatch
+from .estimation.learning import LearnedInverse
 from .fallback import attempt
 from .law import Law, Proposal
 from .limits import CommandLimits
@@ -66,7 +68,9 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         self._candidates = Candidates(predictor, inverse, limits, settings.horizon)
         self._angle_limits = settings.weights.angle_limits_deg
         self._cost = PlanCost(settings.weights, settings.horizon)
-        self._hold = HoldRule(settings.hold, predictor.dt)
+        known = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
+        delay = known.delay_samples if isinstance(known, DrivenInverse) else 0
+        self._hold = HoldRule(settings.hold, predictor.dt, delay)
         self._slope = attempt(lambda: static_gain(predictor))[0] or 0.0  # a model may fail where no plan ever is
 
     def init(self, y: float, u: float) -> PredictiveMemory[P]:
@@ -136,13 +140,15 @@ class HoldRule:
     `tolerance_deg` at first; and with every `patience` that passes one standard deviation of the disturbance estimate
     more, up to five, since noise may never let it come closer and a command has to come to rest; once held, five.
 
+    A command that shows `delay` samples later has to leave that much earlier; `lead` counts from there.
+
     A longer lead would let the command cross the dead band before the reference turns. On a dead band as flat as the
     model's that is free; on a device that answers there, it moves the tip in a hold.
     """
 
-    def __init__(self, settings: HoldSettings, dt: float) -> None:
+    def __init__(self, settings: HoldSettings, dt: float, delay: int = 0) -> None:
         self._tolerance = settings.tolerance_deg
-        self._patience, self._lead = round(settings.patience_s / dt), max(round(settings.lead_s / dt), 1)
+        self._patience, self._lead = round(settings.patience_s / dt), delay + max(round(settings.lead_s / dt), 1)
         self._settle_after, self._settle = round(settings.settle_after_s / dt), round(settings.settle_s / dt)
 
     def judge(self, before: Hold, reference: Vec, held: Vec, sigma: float) -> Hold:

@@ -179,13 +179,13 @@ class SamplingSettings(PredictiveSettings):
     kind: Literal["sampling_mpc"] = "sampling_mpc"
     method: Literal["mppi", "cem"] = "mppi"
     samples: Count = 256
-    iterations: Count = 2
+    iterations: Count = 1
     sigma: Positive = 0.3
     finest: Annotated[float, Field(gt=0, le=1)] = 0.01
     temperature: Positive = 0.02
     elites: Annotated[float, Field(gt=0, le=0.5)] = 0.1
     seed: Annotated[int, Field(ge=0)] = 0
-    noise: Annotated[SplineNoiseSettings | ColouredNoiseSettings, Field(discriminator="kind")] = SplineNoiseSettings()
+    noise: Annotated[SplineNoiseSettings | ColouredNoiseSettings, Field(discriminator="kind")] = ColouredNoiseSettings()
 
 
 def _unit_rows(factor: Mat) -> Mat:

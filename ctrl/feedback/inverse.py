@@ -5,26 +5,33 @@ S2 is RA-L 2024, PMC11633443.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Literal, final
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, final
 
+import numpy as np
+
+from hystmpc.models.inverse.drive import DrivenInverse
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
-from ..command import ControlInput, Source, Stopwatch
+from ..command import EMPTY, ControlInput, Source, Stopwatch
 from ..estimation.observer import EstimatorSettings, Observer, OutputEstimator
 from ..law import Law, LawSettings, Proposal
-from ..limits import CommandLimits, NotNegative
+from ..limits import CommandLimits, Count, NotNegative
 from .pid import Pid, PidMemory, PidSettings
+
+if TYPE_CHECKING:
+    from ..linearised.feasible_inverse import FeasibleInverse
 
 REFERENCE_DEAD_ZONE_DEG = 0.027  # 0.0003 of 90 deg, RA-L 2024, PMC11633443 (S2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FeedforwardMemory:
-    """The angle followed at present [deg]."""
+    """The angle followed at present [deg], and what is left of the last plan of commands (0..H,)."""
 
     followed: float
+    plan: Vec = field(default_factory=lambda: EMPTY)
 
 
 @final
@@ -33,25 +40,41 @@ class InverseFeedforward(Law[FeedforwardMemory]):
 
     A reference that changes by less than the dead zone is not followed: any noise on it would flip the branch of
     the inverse and jump across the whole dead band (RA-L 2024, PMC11633443 (S2), inverse backlash).
+
+    Args:
+        ahead: plans over a preview, for a model with lag or delay; None for the inverse sample by sample.
     """
 
-    horizon = 1
     source = Source.CONTROLLER
 
-    def __init__(self, inverse: Inverse, dead_zone_deg: float = REFERENCE_DEAD_ZONE_DEG) -> None:
-        self._inverse = inverse
-        self._dead_zone = dead_zone_deg
+    def __init__(
+        self,
+        inverse: Inverse,
+        dead_zone_deg: float = REFERENCE_DEAD_ZONE_DEG,
+        ahead: FeasibleInverse | None = None,
+    ) -> None:
+        self._inverse, self._dead_zone, self._ahead = inverse, dead_zone_deg, ahead
+        self.horizon = 1 if ahead is None else ahead.horizon
 
     def init(self, y: float, u: float) -> FeedforwardMemory:
         del u
         return FeedforwardMemory(y)
 
     def propose(self, memory: FeedforwardMemory, given: ControlInput, watch: Stopwatch) -> Proposal[FeedforwardMemory]:
-        wanted = float(given.reference[0])
-        followed = wanted if abs(wanted - memory.followed) >= self._dead_zone else memory.followed
-        u = self._inverse.command(given.state, followed, given.u_last)
+        wanted = np.array(given.reference[: self.horizon])
+        before = memory.followed
+        for k, angle in enumerate(wanted.tolist()):
+            before = wanted[k] = angle if abs(angle - before) >= self._dead_zone else before
+        followed = float(wanted[0])
+        if self._ahead is None:
+            u = self._inverse.command(given.state, followed, given.u_last)
+            watch.lap("inverse")
+            return Proposal(u, FeedforwardMemory(followed))
+        plan = self._ahead.plan(given.state, given.u_last, wanted, memory.plan, self._dead_zone)
         watch.lap("inverse")
-        return Proposal(u, FeedforwardMemory(followed))
+        return Proposal(
+            float(plan.commands[0]), FeedforwardMemory(followed, plan.commands[1:]), plan.commands, plan.angles
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +96,10 @@ class InversePid(Law[InversePidMemory]):
     would take every correction for an error of its own and go back across the dead band to undo it.
     """
 
-    horizon = 1
     source = Source.CONTROLLER
 
     def __init__(self, feedforward: InverseFeedforward, pid: Pid, predictor: Predictor, limits: CommandLimits) -> None:
+        self.horizon = feedforward.horizon
         self._feedforward, self._pid = feedforward, pid
         self._predictor, self._limits = predictor, limits
 
@@ -96,32 +119,46 @@ class InversePid(Law[InversePidMemory]):
         return Proposal(u, InversePidMemory(wanted.memory, pid, state, u_alone))
 
 
-class InverseControllerSettings(LawSettings):
+class FeedforwardSettings(LawSettings):
+    """What both controllers with an inverse have.
+
+    Attributes:
+        reference_dead_zone_deg: change of the reference that is not followed [deg].
+        preview: samples of the reference that the inverse of a model with lag or delay looks at.
+    """
+
+    estimator: EstimatorSettings = EstimatorSettings()
+    reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
+    preview: Count = 20
+
+    def observer(self, predictor: Predictor) -> Observer:
+        return OutputEstimator(predictor, self.estimator)
+
+    def feedforward(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> InverseFeedforward:
+        """The inverse: over the preview for a model with lag or delay, else sample by sample."""
+        ahead = None
+        if isinstance(inverse, DrivenInverse):
+            from ..linearised.feasible_inverse import FeasibleInverse
+
+            ahead = FeasibleInverse(predictor, inverse, limits, self.preview)
+        return InverseFeedforward(inverse, self.reference_dead_zone_deg, ahead)
+
+
+class InverseControllerSettings(FeedforwardSettings):
     """Inverse feedforward."""
 
     kind: Literal["inverse"] = "inverse"
-    estimator: EstimatorSettings = EstimatorSettings()
-    reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
-
-    def observer(self, predictor: Predictor) -> Observer:
-        return OutputEstimator(predictor, self.estimator)
 
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        del predictor, limits
-        return InverseFeedforward(inverse, self.reference_dead_zone_deg)
+        return self.feedforward(predictor, inverse, limits)
 
 
-class InversePidControllerSettings(LawSettings):
+class InversePidControllerSettings(FeedforwardSettings):
     """Inverse feedforward with PID feedback."""
 
     kind: Literal["inverse_pid"] = "inverse_pid"
-    estimator: EstimatorSettings = EstimatorSettings()
-    reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
     gains: PidSettings = PidSettings(kp_per_deg=0.01, ki_per_deg_s=0.2)
 
-    def observer(self, predictor: Predictor) -> Observer:
-        return OutputEstimator(predictor, self.estimator)
-
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        feedforward = InverseFeedforward(inverse, self.reference_dead_zone_deg)
+        feedforward = self.feedforward(predictor, inverse, limits)
         return InversePid(feedforward, Pid(self.gains, limits, predictor.dt), predictor, limits)

@@ -14,9 +14,14 @@ from hystmpc.trials.types import Mat, Vec
 
 from ..command import Stopwatch
 from ..limits import CommandLimits
-from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
-from ..planning_settings import SamplingSettings
+from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem, moves_of
+from ..planning_settings import SamplingSettings, WeightsSettings
 
+_RANK = 1e-3  # singular values of the noise below this share of the greatest are none
+_DIRECTIONS = 20  # of the noise: the strongest; more would make a step's time grow with the square of the horizon
+_SMALL = 1e-12  # squared distance of a sample from the start below which it says nothing
+_RIDGE = 1e-6  # of the fit, as a share of its normal matrix's trace
+_PARTS = np.array([1.0, 0.5, 0.25])[:, None]
 _KEPT = 0.3  # share of the elites that take part in the next iteration again (Pinneri et al. 2020)
 
 
@@ -32,8 +37,13 @@ class SamplingPlanner(Planner[SampleCounter]):
 
     def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
         self._predictor, self._limits, self._settings = predictor, limits, settings
-        self._shape = np.ascontiguousarray(settings.noise.matrix(settings.horizon).T)
+        # the same distribution from as few normals as it has directions, and never more than the step is linear in
+        left, sizes, _ = np.linalg.svd(settings.noise.matrix(settings.horizon), full_matrices=False)
+        count = min(np.count_nonzero(sizes > _RANK * sizes[0]), _DIRECTIONS)
+        basis = left[:, :count]
+        self._shape = np.ascontiguousarray((basis * sizes[:count]).T)
         self._cost = PlanCost(settings.weights, settings.horizon)
+        self._polish = SampledGaussNewton(settings.weights, np.ascontiguousarray(basis))
 
     def init(self) -> SampleCounter:
         return SampleCounter(0)
@@ -57,10 +67,54 @@ class SamplingPlanner(Planner[SampleCounter]):
     def _admissible(self, plans: Mat, problem: PlanningProblem) -> Mat:
         return self._limits.clip_plans(plans, problem.u_last, self._predictor.dt)
 
-    def _rolled_out(self, plan: Vec, problem: PlanningProblem) -> CommandPlan:
-        """One plan (H,), made admissible."""
-        plans = self._admissible(plan[None, :], problem)
+    def _cheapest(self, plans: Mat, problem: PlanningProblem) -> CommandPlan:
+        """The cheapest of a few plans (N, H), made admissible."""
+        plans = self._admissible(plans, problem)
         return self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)
+
+
+@final
+class SampledGaussNewton:
+    """A Gauss-Newton step whose Jacobian is fitted to the samples: no derivative of the model is asked for.
+
+        theta_n - theta_0 ~ S z_n,  p_n - p_0 = B z_n,  B the orthonormal basis (H, K) of the noise
+        S = argmin sum_n |theta_n - theta_0 - S z_n|^2 / |z_n|^4
+        z = argmin of the planning cost with theta_0 + S z and p_0 + B z
+
+    The samples near the start count most; those further off give a slope where the play's own is zero.
+    """
+
+    def __init__(self, weights: WeightsSettings, basis: Mat) -> None:
+        self._basis = basis
+        self._rate, self._effort = weights.rate, weights.effort
+        self._soft = weights.soft_limit if weights.limits_angle else 0.0
+        self._tracking = weights.over(basis.shape[0])
+        self._moves = np.diff(self._basis, axis=0, prepend=0.0)
+        self._constant = self._rate * self._moves.T @ self._moves + self._effort * self._basis.T @ self._basis
+
+    def plans(self, start: CommandPlan, plans: Mat, angles: Mat, problem: PlanningProblem) -> Mat:
+        """The step from `start`, its half and its quarter (3, H), from samples (N, H) and their angles (N, H)."""
+        slope = self._slope((plans - start.commands) @ self._basis, angles - start.angles)
+        low, high = problem.angle_limits
+        excess = np.maximum(start.angles - high, 0.0) - np.maximum(low - start.angles, 0.0)
+        weighted = slope.T * (self._tracking + self._soft * (excess != 0.0))
+        pull = slope.T @ (self._tracking * (start.angles - problem.reference) + self._soft * excess)
+        pull += self._rate * (moves_of(start.commands, problem.u_last) @ self._moves)
+        pull += self._effort * ((start.commands - problem.feedforward) @ self._basis)
+        step = np.linalg.solve(weighted @ slope + self._constant, -pull)
+        found: Mat = start.commands + _PARTS * (self._basis @ step)
+        return found
+
+    @staticmethod
+    def _slope(z: Mat, answers: Mat) -> Mat:
+        """S (H, K) from distances (N, K) and changes of the angles (N, H)."""
+        near = 1.0 / np.maximum(np.einsum("nk,nk->n", z, z), _SMALL)[:, None]
+        z, answers = near * z, near * answers
+        normal = z.T @ z
+        # no sample may have moved at all: then the slope is zero
+        normal[np.diag_indices_from(normal)] += _RIDGE * np.trace(normal) + np.finfo(np.float64).tiny
+        slope: Mat = np.linalg.solve(normal, z.T @ answers).T
+        return slope
 
 
 @final
@@ -68,7 +122,8 @@ class PathIntegralPlanner(SamplingPlanner):
     """Weighted mean of random plans around the best candidate (Williams et al., T-RO 2018, eq. (30)).
 
     The samples spread geometrically from `sigma` to its finest share, so that one iteration both explores and refines.
-    The mean is moved to the weighted mean or to the best sample, whichever costs less, never to a worse plan.
+    The mean is moved to the weighted mean, to the best sample or along the step of `SampledGaussNewton`, whichever
+    costs least, never to a worse plan. The weighted mean alone would follow the noise of the disturbance estimate.
     """
 
     def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
@@ -91,12 +146,17 @@ class PathIntegralPlanner(SamplingPlanner):
         watch.lap("rollout")
         costs = self._cost(plans, angles, problem)
         usable = np.isfinite(costs)
-        if not usable.any():
-            raise PlanningError(f"none of {len(plans)} samples has a finite prediction")
-        averaged = self._rolled_out(self._weighted(plans[usable], costs[usable]), problem)
+        if not usable.all():
+            if not usable.any():
+                raise PlanningError(f"none of {len(plans)} samples has a finite prediction")
+            plans, angles, costs = plans[usable], angles[usable], costs[usable]
         best = int(np.argmin(costs))
+        found = CommandPlan(plans[best], angles[best], float(costs[best]))
+        averaged = self._weighted(plans, costs)
+        polished = self._polish.plans(start, plans, angles, problem)
+        tried = self._cheapest(np.vstack([averaged[None], polished]), problem)
         watch.lap("weigh")
-        return min((start, averaged, CommandPlan(plans[best], angles[best], float(costs[best]))), key=lambda p: p.cost)
+        return min((start, tried, found), key=lambda p: p.cost)
 
     def _weighted(self, plans: Mat, costs: Vec) -> Vec:
         lowest = costs.min()
@@ -121,8 +181,8 @@ class CrossEntropyPlanner(SamplingPlanner):
         u_n = mean + deviation * F w_n,  mean = mean of the elites,  deviation = max(std of the elites, finest sigma)
 
     over every sample of the horizon; F is the noise. The first mean is the best candidate. The result is the cheapest
-    plan seen, the last mean included, so that it never costs more than the start (Pinneri et al., "Sample-efficient
-    cross-entropy method for real-time planning", CoRL 2020, algorithm 1).
+    plan seen, the last mean and the steps of `SampledGaussNewton` included, so that it never costs more than the start
+    (Pinneri et al., "Sample-efficient cross-entropy method for real-time planning", CoRL 2020, algorithm 1).
     """
 
     def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
@@ -137,7 +197,7 @@ class CrossEntropyPlanner(SamplingPlanner):
         search = _Search(start.commands, np.full(horizon, self._settings.sigma), np.empty((0, horizon)), start)
         for _ in range(self._settings.iterations):
             search = self._iterate(problem, search, generator, watch)
-        last = self._rolled_out(search.mean, problem)
+        last = self._cheapest(search.mean[None], problem)
         watch.lap("rollout")
         return last if last.cost < search.best.cost else search.best
 
@@ -157,8 +217,10 @@ class CrossEntropyPlanner(SamplingPlanner):
         elites, first = plans[order], int(order[0])
         found = CommandPlan(plans[first], angles[first], float(costs[first]))
         deviation = np.maximum(elites.std(axis=0), self._settings.finest * self._settings.sigma)
+        finite = np.isfinite(costs)
+        polished = self._cheapest(self._polish.plans(search.best, plans[finite], angles[finite], problem), problem)
+        best = min((search.best, found, polished), key=lambda plan: plan.cost)
         watch.lap("weigh")
-        best = found if found.cost < search.best.cost else search.best
         return _Search(elites.mean(axis=0), deviation, elites[: self._kept], best)
 
 

@@ -14,9 +14,9 @@ from hystmpc.trials.types import Vec
 
 from ..kernels.numba_ import generated_module, njit
 from ..model import Inverse, Predictor
-from ..prediction.actuated import ActuatedInverse
 from ..prediction.compiled import CompiledPredictor
 from ..prediction.recurrent import RoutedPredictor
+from .drive import DrivenInverse
 from .one_step import CompanionInverse, CompiledInverse
 
 
@@ -77,14 +77,13 @@ class StepwiseFollower(Follower):
 
 @final
 class CompiledFollower(Follower):
-    """All samples in one compiled call: for chains, and for networks beside a chain, behind a lag or not.
+    """All samples in one compiled call: for chains, and for networks beside a chain.
 
     Args:
         inverse: of the chain.
         chain: what is inverted.
         network: what the chain stands in for; None for itself.
         size: entries of the network's state.
-        gain: of the actuator's lag, see `ActuatedPredictor`; 1 for none.
     """
 
     def __init__(
@@ -93,7 +92,6 @@ class CompiledFollower(Follower):
         chain: CompiledPredictor,
         network: RoutedPredictor | None = None,
         size: int = 0,
-        gain: float = 1.0,
     ) -> None:
         route = None if network is None else network.route
         self._packed: Any = 0 if route is None else route.packed
@@ -103,25 +101,61 @@ class CompiledFollower(Follower):
         )
         self._chain = (chain.parameters, chain.sample_s, kernels.step_constants, kernels.tangent_constants)
         self._inverted = np.array([inverse.low, inverse.high])
-        self._size, self._gain = size, gain
+        self._size = size
 
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
         plans = np.full((2, wanted.size), u_last)
         if np.isfinite(state).all():  # a clamp of the gates would turn what is no number into one
-            ends = np.array(bounds), self._inverted, self._gain
+            ends = np.array(bounds), self._inverted
             self._kernel(self._packed, self._size, state, *self._chain, wanted, u_last, *ends, plans)
+        return plans
+
+
+@final
+class DrivenFollower(Follower):
+    """The inverse behind and before dynamics: first where the travel should be, then the commands that bring it there.
+
+    The dynamics behind are undone along the preview, the inverse follows what is left from the instant on at which a
+    command acts, and the drive is led along its answer within the rate limit (`Drive.fit`). Both plans are the same:
+    without a rate limit there is none.
+    """
+
+    def __init__(self, inverse: DrivenInverse) -> None:
+        self._inverse = inverse
+        self._inner = follower_for(inverse.predictor, inverse.inner)
+
+    def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
+        plans = np.full((2, wanted.size), u_last)
+        if not np.isfinite(state).all():
+            return plans
+        front, back, inner = self._inverse.front, self._inverse.back, self._inverse.predictor
+        middle, ahead, behind = self._inverse.parts(state)
+        if back is not None:
+            wanted = back.fit(behind, wanted, float(wanted[0]), np.inf).inputs
+        travel, first, last = wanted, 0, u_last
+        if front is not None:
+            travel, first = front.held(ahead, u_last, wanted.size)[1:]
+            for v in travel[:first].tolist():
+                _, middle = inner.advance(middle, v)
+                last = v
+        if first < wanted.size:
+            free = self._inner.follow(middle, wanted[first:], last, bounds._replace(reach=np.inf))[0]
+            if front is not None:
+                free = front.fit(ahead, np.append(travel[:first], free), u_last, bounds.reach).inputs
+            plans[:] = np.clip(free, bounds.low, bounds.high)
         return plans
 
 
 def follower_for(predictor: Predictor, inverse: Inverse) -> Follower:
     """The fastest way to follow an inverse with the memory of its predictor."""
-    inner, gain = (inverse.inverse, inverse.gain) if isinstance(inverse, ActuatedInverse) else (inverse, 1.0)
-    if isinstance(inner, CompiledInverse) and isinstance(inner.predictor, CompiledPredictor):
-        return CompiledFollower(inner, inner.predictor, gain=gain)
-    if isinstance(inner, CompanionInverse) and isinstance(inner.inverse, CompiledInverse):
-        network, chain = inner.predictor.predictor, inner.inverse.predictor
+    if isinstance(inverse, DrivenInverse):
+        return DrivenFollower(inverse)
+    if isinstance(inverse, CompiledInverse) and isinstance(inverse.predictor, CompiledPredictor):
+        return CompiledFollower(inverse, inverse.predictor)
+    if isinstance(inverse, CompanionInverse) and isinstance(inverse.inverse, CompiledInverse):
+        network, chain = inverse.predictor.predictor, inverse.inverse.predictor
         if isinstance(network, RoutedPredictor) and isinstance(chain, CompiledPredictor):
-            return CompiledFollower(inner.inverse, chain, network, inner.predictor.size, gain)
+            return CompiledFollower(inverse.inverse, chain, network, inverse.predictor.size)
     return StepwiseFollower(predictor, inverse)
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hystmpc.trials.errors import ModelError
 
 from ..contract.metadata import ModelMetadata
+from ..inverse.drive import Drive, DrivenInverse, split, states_of, whole_delay
 from ..inverse.one_step import (
     AccompaniedPredictor,
     CompanionInverse,
@@ -66,9 +69,9 @@ def predictor_and_inverse(
 ) -> tuple[Predictor, Inverse]:
     """Predictor and inverse that share one memory.
 
-    A compiled model is inverted exactly. Any other gets a companion whose inverse is asked instead: the given
-    simulator, or a backlash fitted to the model's own free run. A model given instead has to be an inverse map, which
-    runs beside the model and is asked itself.
+    A compiled model is inverted exactly, and a chain's lags and delays over a preview (`DrivenInverse`). Any other gets
+    a companion whose inverse is asked instead: the given simulator, or a backlash fitted to the model's own free run. A
+    model given instead has to be an inverse map, which runs beside the model and is asked itself.
 
     Raises:
         FitError: if no companion is given and none can be fitted.
@@ -80,6 +83,8 @@ def predictor_and_inverse(
         check_inverse_map(companion.metadata, model.metadata)
         mapped = MappedPredictor(predictor, companion)
         return mapped, TrainedInverse(mapped, low, high)
+    if isinstance(model, ChainModel) and companion is None:
+        return predictor, inverse_of_chain(model.simulator)
     if isinstance(predictor, InvertiblePredictor) and companion is None:
         return predictor, CompiledInverse(predictor, low, high)
     if companion is None:
@@ -89,6 +94,18 @@ def predictor_and_inverse(
     beside = CompiledPredictor.of_simulator(companion)
     both = AccompaniedPredictor(predictor, beside)
     return both, CompanionInverse(both, CompiledInverse(beside, low, high))
+
+
+def inverse_of_chain(simulator: Simulator) -> Inverse:
+    """Inverse of a simulator, with the memory of its `CompiledPredictor`."""
+    front, middle, back = split(simulator.chain)
+    inner = CompiledPredictor.of_simulator(replace(simulator, chain=middle))
+    inverse = CompiledInverse(inner, simulator.command_limits.lower, simulator.command_limits.upper)
+    if not front and not back:
+        return inverse
+    drives = [Drive.of_operators(side, simulator) if side else None for side in (front, back)]
+    sizes, delay = (states_of(front), states_of(back)), whole_delay((*front, *back), simulator.dt_s)
+    return DrivenInverse(inverse, inner, drives[0], drives[1], sizes, delay_samples=delay)
 
 
 def _inverse_range(facts: ModelMetadata) -> tuple[float, float]:

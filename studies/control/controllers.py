@@ -84,16 +84,16 @@ class BenchmarkController:
             return {"kind": self.kind}
         if not self.predictive:
             return {"kind": self.kind, "estimator": {"delay_samples": delay_samples}}
-        fast, linearised = dt_s < _FAST_DT_S, self.kind == "linearised_mpc"
+        fast = dt_s < _FAST_DT_S
         settings: dict[str, Any] = {
             "kind": self.kind,
-            "horizon": 50 if fast else 20 if linearised else 10,
+            "horizon": 50 if fast else 20,
             "estimator": self._estimator() | {"delay_samples": delay_samples},
             "weights": {"rate": (_LEARNING_RATE_WEIGHT if self.learns else _RATE_WEIGHT) * (_BASE_DT_S / dt_s) ** 2},
         }
         if self.learns:
             settings["adaptation"] = {"lag_s": lag_s}
-        return settings if linearised else settings | {"iterations": 3}
+        return settings
 
     def _estimator(self) -> dict[str, Any]:
         return dict(_LEARNING if self.learns else _TRUST if self.trusting else _ESTIMATOR)

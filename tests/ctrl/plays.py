@@ -11,6 +11,8 @@ import numpy as np
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.operators import dynamics as operators
+from hystmpc.models.operators.dynamics import Delay
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.prediction.build import predictor_and_inverse
 from hystmpc.models.simulator import ChainModel, Identification, Simulator
@@ -222,9 +224,16 @@ class Case:
         )
 
 
+PI = PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, 22.0)
+
+
 def compiled_pi() -> tuple[Predictor, Inverse]:
     """Rate-dependent PI with four plays, as identified models are: compiled, with its exact inverse."""
-    chain = Chain(PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, 22.0))
+    return compiled(Chain(PI))
+
+
+def compiled(chain: Chain) -> tuple[Predictor, Inverse]:
+    """A chain of a tendon catheter, compiled, with its inverse."""
     simulator = Simulator(
         chain=chain,
         dt_s=DT,
@@ -252,4 +261,7 @@ def lag() -> tuple[Predictor, Inverse]:
 PLAY = Case("backlash", Backlash.m_lo * Backlash.c_lo, 0.0, backlash)
 LINEAR = Case("lag", Lag.b, 0.0, lag)
 SOUND = [PLAY, LINEAR, Case("compiled PI", 22.0, 0.0, compiled_pi)]
+DRIVEN = Case(
+    "PI behind delay and lag", 22.0, 0.0, lambda: compiled(Chain(PI, (Delay(2 * DT, 2), operators.Lag(0.12))))
+)
 BROKEN = [case.broken(fault) for case in (PLAY, LINEAR) for fault in (raising, not_a_number)]

@@ -15,9 +15,10 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import LoopLog, run_loop
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.inverse.drive import Drive, DrivenInverse
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.operators.hysteresis import Backlash
-from hystmpc.models.prediction.actuated import ActuatedInverse, ActuatedPredictor
+from hystmpc.models.prediction.actuated import ActuatedPredictor
 from hystmpc.models.prediction.build import predictor_and_inverse
 from hystmpc.models.simulator import ChainModel, Identification, Simulator
 from hystmpc.trials.errors import ControllerError
@@ -47,7 +48,7 @@ def backlash(lag_s: float) -> tuple[Predictor, Inverse]:
     if lag_s == 0:
         return predictor, inverse
     actuated = ActuatedPredictor(predictor, lag_s)
-    return actuated, ActuatedInverse(actuated, inverse)
+    return actuated, DrivenInverse(inverse, predictor, Drive(actuated.lag), sizes=(1, 0), front_first=False)
 
 
 def test_describing_function_is_that_of_control() -> None:
@@ -74,7 +75,7 @@ def simulated(kind: str, lag_s: float, kp: float, ki: float, dead_zone: float) -
     )
     controller = build_controller(settings, predictor, inverse, LIMITS)
     plant = ModelPlant(predictor, 50.0, 3.0, offset_deg=3.0)  # an exact feedforward would leave the loop nothing to do
-    return run_loop(controller, plant, lambda _: np.full(1, 55.0), 2000, u_start=3.0)
+    return run_loop(controller, plant, lambda _: np.full(controller.horizon, 55.0), 2000, u_start=3.0)
 
 
 @cache

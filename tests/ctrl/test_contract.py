@@ -17,10 +17,10 @@ from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.limits import CommandLimits
 
-from .plays import BROKEN, PLAY, SOUND, Case
+from .plays import BROKEN, DRIVEN, PLAY, SOUND, Case
 
 LIMITS = [CommandLimits(0.0, 6.0, 12.0), CommandLimits(-1.0, 2.5, 0.7), CommandLimits(0.0, 0.01, 500.0)]
-CASES = {case.name: case for case in [*SOUND, *BROKEN]}
+CASES = {case.name: case for case in [*SOUND, DRIVEN, *BROKEN]}
 VARIANTS: dict[str, dict[str, Any]] = {
     "linearised_mpc, OSQP": {"kind": "linearised_mpc", "solver": "osqp"},
     "linearised_mpc, blocked": {"kind": "linearised_mpc", "move_blocking": [1, 2, 2]},
@@ -74,7 +74,7 @@ def test_never_raises_and_never_leaves_the_limits(kind: str, name: str, data: st
         u = command.u
 
 
-@pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
+@pytest.mark.parametrize("case", [*SOUND, DRIVEN], ids=lambda c: c.name)
 @pytest.mark.parametrize("kind", KINDS)
 def test_restored_snapshot_gives_the_same_command(kind: str, case: Case) -> None:
     controller = controller_for(kind, case.name, LIMITS[0])

@@ -1,0 +1,263 @@
+"""Dynamics before or behind what is inverted: the input over a preview that brings their output along a path."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from hystmpc.trials.types import Vec
+
+from ..chain import Chain
+from ..kernels.numba_ import njit
+from ..model import Inverse, Predictor
+from ..operators.dynamics import Delay, Lag, RateLimit, Servo
+from ..operators.operator import Operator
+from ..prediction.compiled import CompiledPredictor
+from ..simulator import Simulator
+
+DYNAMICS = (Delay, Lag, Servo, RateLimit)
+"""Operators that are not inverted sample by sample: that would amplify every deviation."""
+
+_MOVE_WEIGHT = 1e-3  # of a squared move of the input against a squared deviation of the output
+_ROUNDS = 3  # linearisations
+_LINEAR = 1e-6  # share of the output's change that the linearisation may miss
+_ACTS = 1e-6  # share of the greatest answer below which an input does not act yet
+_WHOLE = 1e-9  # share of a sample by which a delay of whole samples may be short of them
+_FREE = 1e9  # bound of moves that have none
+_CHANGES = 4  # of the active set, per move
+_SIGN = 1e-10  # share of the greatest gradient that counts as zero
+
+
+class Fit(NamedTuple):
+    """Inputs (H,) of a drive, its outputs (H,) along them, and the first sample that the inputs change."""
+
+    inputs: Vec
+    outputs: Vec
+    first: int
+
+
+@final
+class Drive:
+    """Dynamics of unit gain between an input and an output of the same unit.
+
+    Args:
+        predictor: of the dynamics alone.
+    """
+
+    def __init__(self, predictor: Predictor) -> None:
+        self.predictor = predictor
+
+    @classmethod
+    def of_operators(cls, operators: tuple[Operator, ...], simulator: Simulator) -> Drive:
+        """Drive of operators in series, at the sample time of a simulator."""
+        chain = Chain(operators[-1], before=operators[:-1])
+        return cls(CompiledPredictor.of_simulator(replace(simulator, chain=chain)))
+
+    def held(self, state: Vec, u: float, horizon: int) -> Fit:
+        """Outputs (H,) of an input held at `u`, and the first sample that another input would change."""
+        plan = np.full(horizon, u)
+        outputs, response = self.predictor.linearise(state, plan)
+        return Fit(plan, outputs, first_acting(response))
+
+    def fit(self, state: Vec, wanted: Vec, u_last: float, reach: float) -> Fit:
+        """Inputs whose outputs come closest to `wanted` (H,).
+
+            min_m  sum_k (v_k(u) - w_k)^2 + eps sum_k m_k^2   s.t.  |m_k| <= reach,   u_k = u_{k-1} + m_k
+
+        Solved exactly for linear dynamics, by Gauss-Newton steps for others. Every program is solved by an active-set
+        method for least squares with bounds (Stark and Parker, Computational Statistics 10 (1995)).
+        """
+        moves, inputs = np.zeros(wanted.size), np.full(wanted.size, u_last)
+        outputs, response = self.predictor.linearise(state, inputs)
+        first = first_acting(response)
+        for _ in range(_ROUNDS):
+            by_move = np.ascontiguousarray(np.cumsum(response[:, ::-1], axis=1)[:, ::-1])
+            found = bounded_moves(by_move, wanted - outputs, moves, min(reach, _FREE), _MOVE_WEIGHT)
+            promised, moves = outputs + by_move @ (found - moves), found
+            inputs = u_last + np.cumsum(moves)
+            before = outputs
+            outputs, response = self.predictor.linearise(state, inputs)
+            if np.max(np.abs(outputs - promised)) <= _LINEAR * max(1.0, float(np.max(np.abs(outputs - before)))):
+                break
+        return Fit(inputs, outputs, first)
+
+
+class DrivenParts(NamedTuple):
+    """State of what is inverted, of the drive before it and of the drive behind it; empty where there is none."""
+
+    middle: Vec
+    front: Vec
+    back: Vec
+
+
+@final
+class DrivenInverse(Inverse):
+    """Inverse of a model with dynamics before or behind it: the command at which it comes to rest at the angle.
+
+    Where the angle is to go meanwhile takes a preview; see `DrivenFollower`.
+
+    Args:
+        inner: inverse of the model without the dynamics.
+        predictor: of what `inner` inverts.
+        front: drive between command and travel; None for none.
+        back: dynamics between the inverted model's angle and the tip's; None for none.
+        sizes: entries of the states of front and back.
+        front_first: whether the front's state stands before the model's, else behind it.
+        delay_samples: whole samples before a command shows at all.
+    """
+
+    def __init__(
+        self,
+        inner: Inverse,
+        predictor: Predictor,
+        front: Drive | None,
+        back: Drive | None = None,
+        sizes: tuple[int, int] = (0, 0),
+        front_first: bool = True,
+        delay_samples: int = 0,
+    ) -> None:
+        self.delay_samples = delay_samples
+        self.inner, self.predictor, self.front, self.back = inner, predictor, front, back
+        self._sizes, self._front_first = sizes, front_first
+
+    def parts(self, state: Vec) -> DrivenParts:
+        """The parts of the state (S,) of the whole model."""
+        ahead, behind = self._sizes
+        if self._front_first:
+            cut = state.size - behind
+            return DrivenParts(state[ahead:cut], state[:ahead], state[cut:])
+        cut = state.size - ahead
+        return DrivenParts(state[:cut], state[cut:], state[:0])
+
+    def command(self, state: Vec, theta: float, u_last: float) -> float:
+        return self.inner.command(self.parts(state).middle, theta, u_last)
+
+
+class Split(NamedTuple):
+    """A chain in three: dynamics on the command, what is inverted, dynamics on the angle."""
+
+    front: tuple[Operator, ...]
+    middle: Chain
+    back: tuple[Operator, ...]
+
+
+def split(chain: Chain) -> Split:
+    """The chain up to its last and from its first dynamic operator, and what lies between."""
+    last = max((k + 1 for k, o in enumerate(chain.before) if isinstance(o, DYNAMICS)), default=0)
+    first = min((k for k, o in enumerate(chain.after) if isinstance(o, DYNAMICS)), default=len(chain.after))
+    middle = Chain(chain.core, chain.before[last:], chain.after[:first])
+    return Split(chain.before[:last], middle, chain.after[first:])
+
+
+def whole_delay(operators: tuple[Operator, ...], dt_s: float) -> int:
+    """Samples that pass before an input of operators in series shows at all."""
+    return sum(int(o.delay_s / dt_s + _WHOLE) for o in operators if isinstance(o, Delay))
+
+
+def states_of(operators: tuple[Operator, ...]) -> int:
+    """Entries of the state of operators in series."""
+    return sum(len(operator.states) for operator in operators)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def first_acting(response: Any) -> int:
+    """The first sample that an input changes: rows of the response (H, H) before it are zero."""
+    most = np.max(np.abs(response))
+    for k in range(response.shape[0]):
+        for j in range(k + 1):
+            if abs(response[k, j]) > _ACTS * most:
+                return k
+    return int(response.shape[0])
+
+
+def bounded_moves(by_move: Vec, off: Vec, start: Vec, reach: float, weight: float) -> Vec:
+    """argmin over |m_k| <= reach of |G (m - m_0) - e|^2 + w |m|^2 (H,), with G (H, H), e (H,), m_0 `start` (H,)."""
+    hessian = by_move.T @ by_move
+    linear = by_move.T @ off + hessian @ start
+    hessian[np.diag_indices_from(hessian)] += weight
+    moves: Vec = start.copy()
+    lead_moves(hessian, linear, reach, moves)
+    return moves
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def lead_moves(hessian: Any, linear: Any, reach: float, moves: Any) -> None:
+    """argmin over |m_k| <= reach of 1/2 m'P m - q'm (H,) in place, P positive definite, from moves within the bounds.
+
+    Towards the best free moves, as far as the first that meets its bound, which is held there; once none does, the one
+    whose multiplier has the wrong sign most is released.
+    """
+    size = moves.size
+    side, wanted, factor = np.zeros(size), np.empty(size), np.empty((size, size))
+    greatest = 0.0
+    for k in range(size):
+        greatest = max(greatest, abs(linear[k]))
+    for _ in range(_CHANGES * size):
+        free_optimum(hessian, linear, side, reach, factor, wanted)
+        share, hit = first_bound(moves, wanted, side, reach)
+        for k in range(size):
+            moves[k] = min(max(moves[k] + share * (wanted[k] - moves[k]), -reach), reach)
+        if hit >= 0:
+            side[hit] = 1.0 if wanted[hit] > 0.0 else -1.0
+            moves[hit] = side[hit] * reach
+            continue
+        worst = wrong_side(hessian, linear, side, moves, -_SIGN * greatest)
+        if worst < 0:
+            return
+        side[worst] = 0.0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def free_optimum(hessian: Any, linear: Any, side: Any, reach: float, factor: Any, wanted: Any) -> None:
+    """The minimum with the moves of a side (-1, 1) at that bound and the others free (H,), by Cholesky's factors."""
+    for i in range(side.size):
+        total = linear[i]
+        for k in range(side.size):
+            total -= hessian[i, k] * side[k] * reach
+        for j in range(i + 1):
+            part = 0.0
+            if side[i] == 0.0 and side[j] == 0.0:
+                part = hessian[i, j]
+                for k in range(j):
+                    part -= factor[i, k] * factor[j, k]
+            if i != j:
+                factor[i, j] = part / factor[j, j]
+                total -= factor[i, j] * wanted[j]
+            else:
+                factor[i, i] = math.sqrt(part) if side[i] == 0.0 else 1.0
+        wanted[i] = total / factor[i, i] if side[i] == 0.0 else side[i] * reach
+    for i in range(side.size - 1, -1, -1):
+        if side[i] == 0.0:
+            for k in range(i + 1, side.size):
+                wanted[i] -= factor[k, i] * wanted[k]
+            wanted[i] /= factor[i, i]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def first_bound(moves: Any, wanted: Any, side: Any, reach: float) -> Any:
+    """Share of the way from `moves` to `wanted` (H,) where the first free move meets a bound, and which; -1: none."""
+    share, hit = 1.0, -1
+    for k in range(moves.size):
+        if side[k] == 0.0 and abs(wanted[k]) > reach:
+            bound = reach if wanted[k] > 0.0 else -reach
+            part = (bound - moves[k]) / (wanted[k] - moves[k])
+            if hit < 0 or part < share:
+                share, hit = part, k
+    return share, hit
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def wrong_side(hessian: Any, linear: Any, side: Any, moves: Any, least: float) -> int:
+    """The held move whose multiplier is the most below `least`; -1 where none is."""
+    worst = -1
+    for k in range(side.size):
+        if side[k] != 0.0:
+            pull = linear[k]
+            for i in range(side.size):
+                pull -= hessian[k, i] * moves[i]
+            if side[k] * pull < least:
+                worst, least = k, side[k] * pull
+    return worst
