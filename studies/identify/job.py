@@ -172,8 +172,17 @@ def found_parts(identified: Identified) -> dict[str, Interval]:
 
     Names are those of `DrawnDevice.truth`; a part that it did not find is left out.
     """
-    del identified  # kinds other than `auto` do not tell
-    return {}
+    found: dict[str, Interval] = {}
+    for row in identified.parts.parameters if identified.parts else ():
+        low, high = row.ci90
+        if (row.owner, row.name) in (("lag", "tau_s"), ("delay", "delay_s")):
+            found[row.owner] = (row.value, low, high)
+        elif row.owner == "creep" and row.name.startswith("share"):
+            before = found.get("creep", (0.0, 0.0, 0.0))  # of two terms the sum; drawn shares have the other sign
+            found["creep"] = (before[0] - row.value, before[1] - high, before[2] - low)
+        elif row.owner == "lag" and row.name in ("tau_up_s", "top_speed"):
+            found["lag"] = (row.value, low, high)
+    return found
 
 
 def _identified(kind: str, trials: Sequence[Trial], device: DrawnDevice, seed: int) -> Identified:
