@@ -185,7 +185,9 @@ class SamplingSettings(PredictiveSettings):
     temperature: Positive = 0.02
     elites: Annotated[float, Field(gt=0, le=0.5)] = 0.1
     seed: Annotated[int, Field(ge=0)] = 0
-    noise: Annotated[SplineNoiseSettings | ColouredNoiseSettings, Field(discriminator="kind")] = ColouredNoiseSettings()
+    noise: Annotated[SplineNoiseSettings | ColouredNoiseSettings, Field(discriminator="kind")] = ColouredNoiseSettings(
+        exponent=1.0
+    )
 
 
 def _unit_rows(factor: Mat) -> Mat:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
 
-from hystmpc.models.inverse.drive import DrivenInverse
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
@@ -136,6 +135,8 @@ class FeedforwardSettings(LawSettings):
 
     def feedforward(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> InverseFeedforward:
         """The inverse: over the preview for a model with lag or delay, else sample by sample."""
+        from hystmpc.models.inverse.drive import DrivenInverse  # numba and CasADi, which importing settings spares
+
         ahead = None
         if isinstance(inverse, DrivenInverse):
             from ..linearised.feasible_inverse import FeasibleInverse

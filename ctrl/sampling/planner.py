@@ -113,8 +113,7 @@ class SampledGaussNewton:
         normal = z.T @ z
         # no sample may have moved at all: then the slope is zero
         normal[np.diag_indices_from(normal)] += _RIDGE * np.trace(normal) + np.finfo(np.float64).tiny
-        slope: Mat = np.linalg.solve(normal, z.T @ answers).T
-        return slope
+        return np.asarray(np.linalg.solve(normal, z.T @ answers).T, dtype=np.float64)
 
 
 @final

@@ -69,9 +69,9 @@ def at_rest(result: IdentifyResult) -> float:
 def covered(result: IdentifyResult, part: str) -> bool | None:
     """Whether what was drawn lies within the 90 % interval; None where nothing was drawn or the model is another one.
 
-    The lag of a servo is no such number: its drive is of second order.
+    Lag and delay of a servo are no such numbers: its drive is of second order.
     """
-    if result.truth[part] == 0 or (part == "lag" and result.facts["servo_damping"]):
+    if result.truth[part] == 0 or (part != "creep" and result.facts["servo_damping"]):
         return None
     if part not in result.found:
         return False

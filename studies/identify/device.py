@@ -140,7 +140,21 @@ class DrawnDevice:
     @property
     def truth(self) -> Mapping[str, float]:
         """What an identification should find, 0 for what is not there: lag [s], delay [s], creep [1]."""
-        return {"lag": self.lag_s, "delay": self.delay_s, "creep": self.creep}
+        return {"lag": self.lag_s, "delay": self.seen_delay_s, "creep": self.creep}
+
+    @property
+    def seen_delay_s(self) -> float:
+        """The delay that samples can show, as an operator that interpolates between samples has it [s].
+
+        A command that is held over a sample of length T and arrives n + f samples late changes the lag's input within
+        the sample. With r = T / tau the lag takes the share (1 - exp(-(1 - f) r)) / (1 - exp(-r)) from the newer one of
+        two commands, as interpolation by f' = 1 - share does. Without a lag only the whole samples n are seen.
+        """
+        whole, part = divmod(self.delay_s * self.rate_hz + 1e-9, 1.0)
+        if self.lag_s == 0:
+            return whole / self.rate_hz
+        r = 1.0 / (self.rate_hz * self.lag_s)
+        return (whole + 1.0 - math.expm1(-(1.0 - part) * r) / math.expm1(-r)) / self.rate_hz
 
 
 def _travel(core: RodCore | CapstanCore | DahlCore | MuscleCore) -> float:

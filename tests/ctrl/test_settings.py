@@ -63,7 +63,7 @@ def test_wrong_settings_end_in_one_clear_line(data: dict[str, Any], text: str) -
     [
         ({"kind": "pid", "limits": {"lower": 0, "upper": 7, "rate_per_s": 3}}, "within those of the device"),
         ({"kind": "pid", "gains": {"tracking_s": 0.01}}, "expected at least the sample time"),
-        ({"kind": "sampling_mpc", "horizon": 4}, "expected 2 to the horizon of 4"),
+        ({"kind": "sampling_mpc", "horizon": 4, "noise": {"kind": "spline"}}, "expected 2 to the horizon of 4"),
         ({"kind": "inverse", "ladder": {"safe_command": 9}}, "safe_command"),
         ({"kind": "linearised_mpc", "weights": {"angle_lower_deg": 9, "angle_upper_deg": 8}}, "angle_limits_deg"),
     ],
