@@ -99,7 +99,7 @@ class PartRow:
     """What one part bought.
 
     Attributes:
-        part: `drive`, `creep`, `rate dependence`, `core` or `sensor zero`.
+        part: `drive`, `creep`, `core` or `sensor zero`.
         form: the alternative that was chosen, `none` for a device without the part.
         without_deg: held-out error of the device without the part, everything else fitted anew [deg]; of the core:
             with a backlash in its place. Not-a-number where there is nothing to leave out.

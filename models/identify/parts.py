@@ -36,7 +36,7 @@ class Part:
     """One part of a device and its alternatives.
 
     Attributes:
-        name: in tables: `drive`, `creep`, `rate dependence`.
+        name: in tables: `drive`, `creep`.
         forms: the alternatives, the device without the part first.
     """
 
@@ -45,10 +45,12 @@ class Part:
 
 
 def device_parts(scale: Scale) -> tuple[Part, ...]:
-    """Drive, creep and rate dependence, with bounds and starts of the one list of effects.
+    """Drive and creep, with bounds and starts of the one list of effects.
 
     A drive holds each command over its sample, as a set-point that is sent in steps; where it runs straight between
     the samples instead, that is half a sample of delay more. The delay therefore goes with every lag, too.
+
+    A width of the plays that grows with speed is no part: in motion it looks like a delay, and it is wrong in holds.
 
     Args:
         scale: sizes of the device and its trials.
@@ -63,12 +65,7 @@ def device_parts(scale: Scale) -> tuple[Part, ...]:
     lags: tuple[Form, ...] = ((one,), (two,), (servo,), (ways,))
     drives = ((), (delay,), (_top_speed(scale),), *lags, *((_short(delay), *lag) for lag in lags))
     creeps = ((), *((form,) for form in _creeps(known["creep/command"], scale)))
-    widths = ((), (known["rate_dependence/command"],))
-    return (
-        Part("drive", drives),
-        Part("creep", creeps),
-        Part("rate dependence", widths),
-    )
+    return Part("drive", drives), Part("creep", creeps)
 
 
 def _short(delay: Candidate) -> Candidate:

@@ -150,11 +150,12 @@ class DrawnDevice:
         the sample. With r = T / tau the lag takes the share (1 - exp(-(1 - f) r)) / (1 - exp(-r)) from the newer one of
         two commands, as interpolation by f' = 1 - share does. Without a lag only the whole samples n are seen.
         """
-        whole, part = divmod(self.delay_s * self.rate_hz + 1e-9, 1.0)
+        whole, part = divmod(round(self.delay_s * self.rate_hz, 6), 1.0)
         if self.lag_s == 0:
             return whole / self.rate_hz
         r = 1.0 / (self.rate_hz * self.lag_s)
-        return (whole + 1.0 - math.expm1(-(1.0 - part) * r) / math.expm1(-r)) / self.rate_hz
+        share = math.expm1(-(1.0 - part) * r) / math.expm1(-r) if part else 1.0
+        return (whole + 1.0 - share) / self.rate_hz
 
 
 def _travel(core: RodCore | CapstanCore | DahlCore | MuscleCore) -> float:
