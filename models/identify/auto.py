@@ -163,6 +163,9 @@ def identify_auto(
     search = AutoSearch(coarse, runs, settings, progress)
     found = search.run()
     parameters = tuple(_widened(found, runs, search.tried, settings))
+    while not search.interrupted and (nothing := _without_meaning(found, parameters)):
+        found = search.less(found, nothing)
+        parameters = tuple(_widened(found, runs, search.tried, settings))
     rows = () if search.interrupted else tuple(search.bought(found))
     if coarse is not trials:
         found = AutoSearch(trials, _runs(trials, skip_first_flexure), settings, progress, search.offsets).again(found)
@@ -261,6 +264,18 @@ class AutoSearch:
         z = choice.hypothesis.problem.retuned(choice.hypothesis.q)
         core = replace(core, starts=(core.starts[0].with_values(z.tolist()),))
         return self._polished(self._judged(core, forms, self._fitted(core, forms, None)))
+
+    def less(self, choice: Choice, part: str) -> Choice:
+        """The device without a part, or with its next simpler alternative of the same kind, fitted anew."""
+        forms = next(p.forms for p in self._parts if p.name == part)
+        present = choice.forms[part]
+        simpler = [
+            f
+            for f in forms
+            if f and {c.effect for c in f} == {c.effect for c in present} and _count(f) < _count(present)
+        ]
+        left = choice.forms | {part: max(simpler, key=_count) if simpler else ()}
+        return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
 
     def bought(self, choice: Choice) -> Iterator[PartRow]:
         """What each part bought, the chosen device less that part fitted anew."""
@@ -394,6 +409,22 @@ def _form_of(choice: Choice, row: ParameterRow) -> set[str]:
     """Labels of the part that a number belongs to."""
     every = [*choice.forms.values(), choice.core.curve]
     return {c.label for form in every if any(c.effect == row.owner for c in form) for c in form}
+
+
+def _count(form: Form) -> int:
+    """Free numbers of an alternative."""
+    return sum(len(c.free) for c in form)
+
+
+def _without_meaning(choice: Choice, parameters: Sequence[ParameterRow]) -> str:
+    """A part with a number whose interval holds the value at which it does nothing; empty where there is none."""
+    for name, form in choice.forms.items():
+        for row in parameters:
+            effects = {c.effect for c in form}
+            known = row.neutral is not None and row.name.startswith(("share", "delay"))
+            if row.owner in effects and known and row.ci90[0] <= (row.neutral or 0.0) <= row.ci90[1] and len(form) == 1:
+                return name
+    return ""
 
 
 def _log(value: float) -> float:

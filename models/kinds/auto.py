@@ -32,18 +32,21 @@ class AutoKind(ModelKind):
         if not trials:
             raise FitError("got no trials, expected at least one")
 
+        history: list[tuple[int, float]] = []
+
         def told(share: float, rmse: float) -> None:
+            history.append((round(_STEPS * share), rmse))
             if progress:
-                progress(round(_STEPS * share), rmse)
+                progress(*history[-1])
 
         found = identify_auto(trials, None, request.skip_first_flexure, told)
         hypothesis = found.choice.hypothesis
         chain = hypothesis.problem.fitted_chain(hypothesis.q)
         words = f"auto: {hypothesis.label} + {found.choice.core.label}"
         simulator = simulator_of(chain, trials, request.limits, words, request.seed, request.skip_first_flexure)
-        return Identified(
-            simulator_bundle(simulator), simulator, (), _report(found, trials[0].units.angle), parts=found
-        )
+        report = _report(found, trials[0].units.angle)
+        bundle = simulator_bundle(simulator)
+        return Identified(bundle, simulator, tuple(history), report, found.interrupted, found)
 
     def steps(self, request: FitRequest) -> int | None:
         del request

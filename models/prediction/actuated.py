@@ -76,7 +76,7 @@ class ActuatedPredictor(Predictor):
 
     def __init__(self, predictor: Predictor, lag_s: float) -> None:
         self.lag = LagPredictor(predictor, lag_s)
-        self.dt, self.command_range = predictor.dt, predictor.command_range
+        self.dt, self.command_range, self.noise = predictor.dt, predictor.command_range, predictor.noise
         self._predictor = predictor
 
     def initial(self, y: float, u: float) -> Vec:

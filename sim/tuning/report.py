@@ -138,8 +138,10 @@ def _slices(found: Tuning) -> Figure:
         for axes, path in zip(grid.ravel(), paths, strict=False):
             one = found.settings.search[path]
             value = (lambda v: v) if one.choice is None else str
-            axes.plot([value(t.values[path]) for t in done], [t.value for t in done], "o", color=MEASURED, ms=3)
-            axes.axvline(value(found.best.values[path]), color=MODEL, lw=1.0)
+            shown = [t for t in done if t.values[path] is not None]  # settings that were left out have no number
+            axes.plot([value(t.values[path]) for t in shown], [t.value for t in shown], "o", color=MEASURED, ms=3)
+            if found.best.values[path] is not None:
+                axes.axvline(value(found.best.values[path]), color=MODEL, lw=1.0)
             axes.set_xlabel(path.rpartition(".")[2], fontsize=7.0)
             axes.set(yscale="log")
             plain_log(axes.yaxis)
