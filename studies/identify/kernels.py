@@ -92,14 +92,14 @@ def bend(p: Packed, core: Any, places: Any, steps: int) -> float:
     out = np.empty(n + 1)
     if p.core == CAPSTAN:
         kernels.capstan(places[1:], p.wrap, core, p.shares, p.weights, p.pretension, out)
-        return p.offset_deg + p.gain * out[n - 1]
+        return float(p.offset_deg + p.gain * out[n - 1])
     if p.core == DAHL:
         kernels.dahl(places, p.ones, p.widths, p.parts, core, out)
-        return p.offset_deg + p.gain * (places[n] - out[n])
+        return float(p.offset_deg + p.gain * (places[n] - out[n]))
     if p.core == MUSCLE:
         pressure = np.empty(n)
         muscle.advance(core, places[1:], p.muscle, FINE_S, _MUSCLE_PARTS, out, pressure)
-        return p.offset_deg + p.gain * out[n - 1]
+        return float(p.offset_deg + p.gain * out[n - 1])
     coarse, unused, tension = np.empty(steps), np.empty(steps), np.empty(steps)
     for k in range(steps):
         coarse[k] = places[n * (k + 1) // steps]
