@@ -208,13 +208,13 @@ def fit(
     """Identify a model from recorded trials; Ctrl-C keeps the best so far.
 
     Args:
-        kind: `backlash`, `pi`, `drdpi`, `bouc_wen`, `play_kernel`, `svr`, `fnn`, `fnn_hib`, `lstm`, `gru`, `hb1` or
-            `hb2`.
+        kind: `auto` for the whole device, or `backlash`, `pi`, `drdpi`, `bouc_wen`, `play_kernel`, `svr`, `fnn`,
+            `fnn_hib`, `lstm`, `gru`, `hb1` or `hb2`.
         trials: logs, data frames or trials, see `read_trials`.
         preset: layout of the logs.
         rate_hz: rate at which the model runs, and to which the trials are resampled [Hz].
         inverse: identify the map from angle to command.
-        training: preset of the training, `best` or `paper`; the kind's first where left out.
+        training: preset of the training, `best` or `paper`; the kind's own where left out.
         steps: greatest number of epochs, updates or iterations.
         hold_out: whole trials by which a network is stopped early.
         validation: trials that only judge, in place of held-out ones.
@@ -237,7 +237,7 @@ def fit(
     device = DeviceLimits(Range(lower=limits.lower, upper=limits.upper), limits.rate) if limits else DeviceLimits()
     judges = tuple(_directed(validation, preset, rate_hz, inverse)) if validation != () else ()
     request = FitRequest(
-        preset=training or chosen.presets[0],
+        preset=training or chosen.usual_preset(inverse),
         seed=seed,
         steps=steps,
         hold_out=hold_out,

@@ -66,7 +66,7 @@ def fit(
     kinds = (MODEL, SIMULATOR) if chosen.readable else (MODEL,)
     check_output("--out", path, kinds, files_read(logs, preset), force, of=chosen.name)
     request = FitRequest(
-        preset=training or chosen.presets[0],
+        preset=training or chosen.usual_preset(direction is Direction.INVERSE),
         seed=seed,
         steps=epochs,
         hold_out=hold_out,

@@ -76,6 +76,7 @@ class ModelKind(ABC):
         name: on the command line and in reports.
         title: in tables.
         presets: names that `FitRequest.preset` may have, the default first.
+        inverse_preset: the default for inverse maps, where it is another one.
         readable: whether the result also has a readable form, a simulator in YAML.
         invertible: whether inverse maps can be identified.
         recurrent: whether its angle depends on more than the present command.
@@ -84,9 +85,14 @@ class ModelKind(ABC):
     name: str
     title: str
     presets: tuple[str, ...] = ("best", "paper")
+    inverse_preset: str = ""
     readable: bool = False
     invertible: bool = True
     recurrent: bool = True
+
+    def usual_preset(self, inverted: bool) -> str:
+        """The preset that is taken where none is named."""
+        return (inverted and self.inverse_preset) or self.presets[0]
 
     @abstractmethod
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:

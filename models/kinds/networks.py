@@ -200,6 +200,7 @@ class LstmKind(NetworkKind):
     name = "lstm"
     title = "LSTM"
     presets = tuple(NETWORK_PRESETS["lstm"])
+    inverse_preset = "stacked"  # a gated state cannot jump across the loop, as the command does where the angle turns
 
 
 @final
