@@ -126,7 +126,7 @@ def _product(operands: Sequence[Tensor | None], given: Mapping[str, Any]) -> Ten
     a, b = _present(operands[0]), _present(operands[1])
     if len(b.shape) > 2 and int(np.prod(b.shape[:-2])) > 1:
         raise ValueError(f"second operand has shape {b.shape}, expected at most two axes longer than one")
-    shape = np.matmul(np.empty(a.shape), np.empty(b.shape)).shape
+    shape = np.matmul(np.zeros(a.shape), np.zeros(b.shape)).shape
     inner = a.shape[-1]
     rows, columns = a.entries.shape[0] // inner, b.entries.shape[0] // inner
     # Column-major CasADi reads a row-major matrix as its transpose: C' = B' A'.
