@@ -60,6 +60,7 @@ def resting(case: Case, **options: Any) -> ModelPlant:
     return ModelPlant(case.predictor, case.y_rest, case.u_rest, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize("kind", PREDICTIVE)
 @pytest.mark.parametrize(("motion", "rmse"), [(scan, 0.02), (smooth_moves, 0.03)])
@@ -124,6 +125,7 @@ def test_constant_output_offset_leaves_no_error(kind: str, case: Case) -> None:
     assert np.max(np.abs(error[-20:])) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 @pytest.mark.parametrize("kind", ["inverse", *PREDICTIVE])
 def test_known_delay_costs_nothing_but_the_beginning(kind: str, case: Case) -> None:

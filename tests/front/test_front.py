@@ -108,6 +108,7 @@ def test_progress_is_told(trials: list[hystmpc.Trial]) -> None:
     assert [call[:2] for call in calls] == [(1, 3), (2, 3), (3, 3)]
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_what_a_person_would_look_at(pi: hystmpc.Fit, trials: list[hystmpc.Trial]) -> None:
     for shown in (trials[0], pi, hystmpc.evaluate(pi, trials)):
         assert isinstance(shown.plot(), Figure)

@@ -108,6 +108,7 @@ def test_the_result_is_a_model_at_the_noise_floor_with_a_table_of_its_parts() ->
     assert identified.simulator.chain.before[0].name == "delay"
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_best_so_far_and_before_the_first_look_says_so() -> None:
     trials, calls = recorded(Lag(0.15))[:2], []
 

@@ -145,6 +145,7 @@ def model(found: Identified, tmp_path_factory: pytest.TempPathFactory) -> OnnxMo
     return load_onnx(path, start="conditioned")
 
 
+@pytest.mark.slow
 def test_weights_come_back_from_the_file(found: Identified, model: OnnxModel) -> None:
     reference = found.bundle.reference
     assert isinstance(reference, PlayKernelStep)

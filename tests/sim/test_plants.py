@@ -52,6 +52,7 @@ def seen(device: ComputedPlant, wanted: Iterable[float]) -> list[tuple[float, fl
 PLANTS: Mapping[str, ComputedPlant] = {name: plant(**block) for name, block in ALL.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL)
 @given(u=commands)
 @settings(max_examples=5)

@@ -70,6 +70,7 @@ def test_rules_beside_are_asked_where_there_is_nothing_too() -> None:
     assert score_of(always([answer("single", ["lag"])], said)).groups["nothing wrong, left alone by"] == {}
 
 
+@pytest.mark.slow
 def test_random_guesses_score_near_chance() -> None:
     random = np.random.default_rng(0)
     cases = [

@@ -112,6 +112,7 @@ def test_who_knows_the_device_predicts_it(device: DrawnDevice) -> None:
     assert jacobian.sum(axis=1) * 1e-3 * device.limits.upper == pytest.approx(change, abs=0.1)
 
 
+@pytest.mark.slow
 def test_who_knows_the_device_follows_it_closely() -> None:
     plant = DrawnPlant(replace(QUIET[1], noise_deg=0.1), 1)
     motion, controller = (

@@ -183,6 +183,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile_text_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
     text, part = HOSTILE[name]
