@@ -163,12 +163,20 @@ def identify_auto(
     search = AutoSearch(coarse, runs, settings, progress)
     found = search.run()
     parameters = tuple(_widened(found, runs, search.tried, settings))
-    while not search.interrupted and (nothing := _without_meaning(found, parameters)):
-        found = search.less(found, nothing)
-        parameters = tuple(_widened(found, runs, search.tried, settings))
-    rows = () if search.interrupted else tuple(search.bought(found))
+    rows: tuple[PartRow, ...] = ()
+    try:
+        while not search.interrupted and (nothing := _without_meaning(found, parameters)):
+            found = search.less(found, nothing)
+            parameters = tuple(_widened(found, runs, search.tried, settings))
+        rows = () if search.interrupted else tuple(search.bought(found))
+    except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
+        search.interrupted = True
     if coarse is not trials:
-        found = AutoSearch(trials, _runs(trials, skip_first_flexure), settings, progress, search.offsets).again(found)
+        full = AutoSearch(trials, _runs(trials, skip_first_flexure), settings, progress, search.offsets)
+        try:
+            found = full.again(found)
+        except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
+            raise nothing_found("the fit at the full rate", interrupted=True) from None
     return AutoFit(found, rows, parameters, search.offsets, tuple(_advice(parameters)), search.interrupted)
 
 
