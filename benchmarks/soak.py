@@ -38,7 +38,6 @@ from hystmpc.models.load import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.rig.commission.review import compare_with_model, review
 from hystmpc.rig.config import RunSettings
-from hystmpc.sim.plants.simulated import at_sample_time
 from hystmpc.studies.control.controllers import CONTROLLERS, NETWORKS
 from hystmpc.studies.faults.cases import DEVICE, RUN
 from hystmpc.studies.faults.play import end, start, start_device
@@ -80,7 +79,7 @@ def configurations(folder: Path, plan: Plan, transport: str) -> tuple[Path, dict
     """
     rate_hz = plan.rate_hz
     folder.mkdir(parents=True)
-    model = at_sample_time(load_simulator(library_file("pi")), 1 / rate_hz)
+    model = load_simulator(library_file("pi")).at_sample_time(1 / rate_hz)
     save_simulator(model, folder / "pi.yaml")
     dds = {"kind": "dds", "domain": _DOMAIN}
     wires = {"udp": {"kind": "udp"}, "dds": dds, IN_PROCESS: {"kind": "simulated", "plant": _PLANT, "seed": 1}}

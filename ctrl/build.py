@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ from hystmpc.models.inverse.drive import Drive, DrivenInverse
 from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
 from hystmpc.models.load import load_model
 from hystmpc.models.model import Inverse, InvertiblePredictor, LoadedModel, Predictor
-from hystmpc.models.operators.dynamics import Delay
 from hystmpc.models.prediction.actuated import ActuatedPredictor
 from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
 from hystmpc.models.simulator import ChainModel, Simulator
@@ -116,23 +115,13 @@ def _given_inverse(file: Path, dt_s: float) -> Simulator | LoadedModel:
     given = load_model(file)
     if not isinstance(given, ChainModel):
         return given
-    simulator = _at_sample_time(given.simulator, dt_s)
+    simulator = given.simulator.at_sample_time(dt_s)
     return ChainModel(simulator) if given.metadata.inverted else simulator
 
 
 def _companion(model: LoadedModel) -> Simulator | None:
     """A backlash that stands in where the model has no inverse of its own."""
     return None if isinstance(predictor_for(model), InvertiblePredictor) else surrogate_backlash(model)
-
-
-def _at_sample_time(simulator: Simulator, dt_s: float) -> Simulator:
-    """The simulator at another sample time: delays get the store that they need at it."""
-    chain = simulator.chain
-    before, after = (
-        tuple(Delay.at_rate(o.delay_s, dt_s) if isinstance(o, Delay) else o for o in side)
-        for side in (chain.before, chain.after)
-    )
-    return replace(simulator, chain=replace(chain, before=before, after=after), dt_s=dt_s)
 
 
 def _actuated(model: Pair, lag_s: float) -> Pair:

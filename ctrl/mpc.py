@@ -63,11 +63,11 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         planner: Planner[P],
         settings: PredictiveSettings,
     ) -> None:
-        self.horizon = settings.horizon
+        self.horizon = settings.preview_samples(predictor.dt)
         self._predictor, self._planner = predictor, planner
-        self._candidates = Candidates(predictor, inverse, limits, settings.horizon)
+        self._candidates = Candidates(predictor, inverse, limits, self.horizon)
         self._angle_limits = settings.weights.angle_limits_deg
-        self._cost = PlanCost(settings.weights, settings.horizon)
+        self._cost = PlanCost(settings.weights, self.horizon)
         known = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
         delay = known.delay_samples if isinstance(known, DrivenInverse) else 0
         self._hold = HoldRule(settings.hold, predictor.dt, delay)

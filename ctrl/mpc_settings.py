@@ -55,7 +55,8 @@ class LinearisedMpcSettings(PredictiveController, LinearisationSettings):
         iterations: linearisations per step.
         solver: of the quadratic programs.
         solver_eps: tolerance of OSQP; DAQP is exact.
-        move_blocking: samples of each block of moves, see `MoveBlocking`; null lets every sample move.
+        move_blocking: samples of each block of moves, see `MoveBlocking`; null lets every sample move, but for a
+            preview of more than 20 samples whose length is not given, see `LinearisationSettings.blocks`.
     """
 
     def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:

@@ -31,7 +31,7 @@ class WeightsSettings(Settings):
 
     tracking: Positive = 1.0
     terminal: NotNegative = 2.0
-    rate: Positive = 3.0
+    rate: Positive = 0.3
     effort: NotNegative = 0.01
     soft_limit: NotNegative = 100.0
     angle_lower_deg: float | None = None
@@ -103,14 +103,26 @@ class AdaptationSettings(Settings):
     walk_share: NotNegative = 0.05
 
 
+_LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
+_ALIKE = 3  # blocks of one length
+
+
 class PredictiveSettings(LawSettings):
-    """What both predictive controllers have."""
+    """What both predictive controllers have.
+
+    Attributes:
+        horizon: samples of the preview; null for 20, or 0.24 s where that is more, but no more than 60.
+    """
 
     estimator: EstimatorSettings = EstimatorSettings()
     adaptation: AdaptationSettings | None = None
-    horizon: Count = 20
+    horizon: Count | None = None
     weights: WeightsSettings = WeightsSettings()
     hold: HoldSettings = HoldSettings()
+
+    def preview_samples(self, dt_s: float) -> int:
+        """Samples of the preview at sample time `dt_s` [s]."""
+        return self.horizon or min(max(_LEAST_SAMPLES, round(_PREVIEW_S / dt_s)), _MOST_SAMPLES)
 
 
 class LinearisationSettings(PredictiveSettings):
@@ -124,12 +136,26 @@ class LinearisationSettings(PredictiveSettings):
 
     @model_validator(mode="after")
     def _blocks_fit(self) -> LinearisationSettings:
-        together = sum(self.move_blocking or ())
-        if together > self.horizon:
+        together, horizon = sum(self.move_blocking or ()), self.horizon or _LEAST_SAMPLES
+        if together > horizon:
             raise ValueError(
-                f"got move_blocking of {together} samples together, expected at most the horizon of {self.horizon}"
+                f"got move_blocking of {together} samples together, expected at most the horizon of {horizon}"
             )
         return self
+
+    def blocks(self, dt_s: float) -> tuple[int, ...] | None:
+        """Samples of each block of moves at sample time `dt_s` [s]; None where every sample may move.
+
+        A preview of more than 20 samples whose length is not given has blocks of 1, 2, 4, 8, ... samples, three of each
+        length, as long as they fit.
+        """
+        horizon = self.preview_samples(dt_s)
+        if self.move_blocking is not None or self.horizon is not None or horizon <= _LEAST_SAMPLES:
+            return self.move_blocking
+        lengths: list[int] = []
+        while sum(lengths) + (following := 2 ** (len(lengths) // _ALIKE)) <= horizon:
+            lengths.append(following)
+        return tuple(lengths)
 
 
 # A noise is a matrix F (H, K): samples are F w with w standard normal (K,). Rows have unit norm, so that every sample

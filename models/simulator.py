@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, final
@@ -24,6 +24,7 @@ from .kernels.program import dense
 from .model import LoadedModel, StepFunction
 from .motions import probe_commands
 from .operators.catalogue import operator_from, operator_spec
+from .operators.dynamics import stored
 
 if TYPE_CHECKING:
     import onnx
@@ -111,6 +112,12 @@ class Simulator:
     trained_rate_per_s: float
     identification: Identification
     angle_unit: str = "deg"
+
+    def at_sample_time(self, dt_s: float) -> Simulator:
+        """The same simulator at sample time `dt_s` [s]: delays get the store that they need at it."""
+        chain = self.chain
+        before, after = stored(chain.before, dt_s), stored(chain.after, dt_s)
+        return replace(self, chain=replace(chain, before=before, after=after), dt_s=dt_s)
 
     def metadata(self) -> ModelMetadata:
         """The facts of the model contract.

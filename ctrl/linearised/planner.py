@@ -44,11 +44,12 @@ class LinearisedPlanner(Planner[None]):
         options: OsqpOptions | DaqpOptions | None = None,
     ) -> None:
         self._predictor, self._limits, self._iterations = predictor, limits, settings.iterations
-        weights, horizon, blocks = settings.weights, settings.horizon, settings.move_blocking
+        weights, dt = settings.weights, predictor.dt
+        horizon, blocks = settings.preview_samples(dt), settings.blocks(dt)
         self._cost = PlanCost(weights, horizon)
-        self._qp: PlanProgram = TrackingQp(weights, limits, horizon, predictor.dt)
+        self._qp: PlanProgram = TrackingQp(weights, limits, horizon, dt)
         if blocks is not None:
-            self._qp = BlockedQp(weights, limits, MoveBlocking(blocks, horizon), predictor.dt)
+            self._qp = BlockedQp(weights, limits, MoveBlocking(blocks, horizon), dt)
         if options is None:
             options = DaqpOptions() if settings.solver == "daqp" else OsqpOptions(eps=settings.solver_eps)
         pattern = self._qp.pattern

@@ -37,12 +37,13 @@ class SamplingPlanner(Planner[SampleCounter]):
 
     def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
         self._predictor, self._limits, self._settings = predictor, limits, settings
+        horizon = settings.preview_samples(predictor.dt)
         # the same distribution from as few normals as it has directions, and never more than the step is linear in
-        left, sizes, _ = np.linalg.svd(settings.noise.matrix(settings.horizon), full_matrices=False)
+        left, sizes, _ = np.linalg.svd(settings.noise.matrix(horizon), full_matrices=False)
         count = min(np.count_nonzero(sizes > _RANK * sizes[0]), _DIRECTIONS)
         basis = left[:, :count]
         self._shape = np.ascontiguousarray((basis * sizes[:count]).T)
-        self._cost = PlanCost(settings.weights, settings.horizon)
+        self._cost = PlanCost(settings.weights, horizon)
         self._polish = SampledGaussNewton(settings.weights, np.ascontiguousarray(basis))
 
     def init(self) -> SampleCounter:

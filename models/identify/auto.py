@@ -17,6 +17,7 @@ from hystmpc.trials.types import Vec
 
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate, Scale
+from ..operators.dynamics import Delay
 from .baseline import FreeCoreBaseline
 from .chain_fit import nothing_found
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
@@ -265,7 +266,7 @@ class AutoSearch:
         known = {c.label: c for part in self._parts for form in part.forms for c in form}
         values = _values(choice.hypothesis)
         forms = {
-            name: tuple(replace(known[c.label], starts=(tuple(values[c.label]),)) for c in form)
+            name: tuple(_near(known[c.label], tuple(values[c.label]), self._runs[0].dt_s) for c in form)
             for name, form in choice.forms.items()
         }
         core = next(core for core in self._cores if core.label == choice.core.label)
@@ -361,6 +362,16 @@ class AutoSearch:
     def _validation(self, core: CoreForm) -> CrossValidation:
         baseline = FreeCoreBaseline(core.starts[0], self._command)
         return CrossValidation(baseline, self._runs, self._settings.evaluations)
+
+
+def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float) -> Candidate:
+    """The candidate from known values on; a delay may move by a sample of the search, and has no longer a store."""
+    candidate = replace(candidate, starts=(values,))
+    if candidate.effect != "delay":
+        return candidate
+    operator = Delay.at_rate(values[0] + 1 / _SEARCH_HZ, dt_s)
+    free = (replace(candidate.free[0], upper=operator.samples * dt_s),)
+    return replace(candidate, operators=(operator,), free=free)
 
 
 def _values(hypothesis: Hypothesis) -> dict[str, list[float]]:

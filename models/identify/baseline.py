@@ -116,7 +116,7 @@ class FreeCoreBaseline(Baseline):
         core, values = self.chain.core, np.array(self.chain.core.values)
         span = self.command.upper - self.command.lower
         slopes = [abs(v) for v, p in zip(values, core.parameters, strict=True) if p.unit == "deg/cmd"]
-        pieces = core.pieces if isinstance(core, CurvedPlays) else 1
+        pieces = core.pieces + 1 if isinstance(core, CurvedPlays) else 1
         gain = max(sum(slopes) / pieces, 1e-6)
         typical = {"cmd": 0.05 * span, "deg/cmd": 0.1 * gain, "deg": 0.05 * gain * span, "s": 0.02}
         scale = [typical.get(p.unit, max(0.1 * abs(v), 1e-3)) for v, p in zip(values, core.parameters, strict=True)]

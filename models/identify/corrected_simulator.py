@@ -67,7 +67,7 @@ def corrected_simulator(
         training_data_hash=fingerprint([log for *_, log in fitted]),
         residuals=tuple(_residual(chain, run, trial, log, skip) for run, trial, log in fitted),
     )
-    return replace(simulator, chain=chain, identification=identification)
+    return replace(simulator, chain=chain, identification=identification).at_sample_time(simulator.dt_s)
 
 
 def network_effects(chosen: Hypothesis, baseline: Baseline, last: Run, dt_s: float, simulator: str) -> dict[str, str]:

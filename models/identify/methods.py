@@ -162,11 +162,12 @@ def simulator_of(
         FitError: on unusable trials, or a backlash whose lines cross within the trained range.
     """
     _check_lines(chain, command_range(trials))
+    dt_s = check_trial_set(trials)
 
     def build(residuals: tuple[Residual, ...], noise: NoiseModel | None) -> Simulator:
         return Simulator(
             chain=chain,
-            dt_s=check_trial_set(trials),
+            dt_s=dt_s,
             command_unit=trials[0].units.command,
             angle_unit=trials[0].units.angle,
             command_limits=limits.command or command_range(trials),
@@ -182,7 +183,7 @@ def simulator_of(
                 residuals=residuals,
                 noise=noise,
             ),
-        )
+        ).at_sample_time(dt_s)
 
     model = ChainModel(build((), None))
     runs = [(trial, evaluate(model, trial, skip_first_flexure)) for trial in trials]

@@ -149,7 +149,10 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
         curve = known[label]
         made.append(replace(plain, label=f"{_BENT}, {label}", size=plain.size + len(curve.free), curve=(curve,)))
     count, pieces = _CURVED
-    slopes, radii = (slope / (count + 1),) * (pieces * (count + 1)), tuple(np.geomspace(*_RADII, count) * span)
+    slopes, radii = (slope / (count + 1),) * ((pieces + 1) * (count + 1)), tuple(np.geomspace(*_RADII, count) * span)
     bottom = offset + slope * float(command.min())
     curved = CurvedPlays(slopes, bottom, radii, float(command.min()), float(command.max()), pieces)
-    return (*made, CoreForm(f"curved_plays, {count} plays of {pieces} pieces", (Chain(curved),), len(slopes) + 1))
+    size = len(slopes) + 1
+    gradual = replace(curved, turn=1)
+    made.append(CoreForm(f"curved_plays, {count} gradual plays of {pieces} pieces", (Chain(gradual),), size))
+    return (*made, CoreForm(f"curved_plays, {count} plays of {pieces} pieces", (Chain(curved),), size))

@@ -1,8 +1,10 @@
-"""A sum of plays, each seen through a rising curve of its own: the core that `fit auto` uses for asymmetric loops."""
+"""Sums of sharp or gradual plays, each seen through a rising curve of its own: the richest cores of `fit auto`."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import ClassVar, Self, final
 
 import casadi as ca
@@ -10,31 +12,42 @@ import casadi as ca
 from .hysteresis import play
 from .operator import Operator, Parameter, Symbol, check_values
 
+_NARROW = 1e-9  # half-width below which a gradual play is none [cmd]
+
 
 @final
 @dataclass(frozen=True)
 class CurvedPlays(Operator):
-    """Sum of rising piecewise linear curves of the command and of its plays.
+    """Sum of rising smooth curves of the command and of its plays.
 
-        z_0 = u,  z_i,k = max(u_k - r_i, min(u_k + r_i, z_i,k-1)),  i = 1..n
-        theta = b + sum_i f_i(z_i),  f_i(z) = sum_j s_ij (part of z - low that lies in piece j)
+        z_0 = u,  z_i,k = max(u_k - r_i, min(u_k + r_i, z_i,k-1)),  i = 1..n                       turn 0
+                  z_i,k = u_k - s r_i (1 - e) - (u_k-1 - z_i,k-1) e,
+                          s = sign(u_k - u_k-1),  e = exp(-|u_k - u_k-1| / (2 r_i))               turn 1
+        theta = b + sum_i f_i(z_i),  f_i(low) = 0,  f_i' runs straight between s_ij at the knots j = 0..K
 
-    All curves share K pieces of equal length between `low` and `high`; the first and the last one go on beyond. Slopes
-    are not negative and those of the command itself are positive, so that the angle rises with the command and the
-    inverse exists. With one piece it is a Prandtl-Ishlinskii model with free radii.
+    All curves share K pieces of equal length between `low` and `high`; beyond, they go on straight. Slopes are not
+    negative and those of the command itself are positive, so that the angle rises with the command and the inverse
+    exists. With equal slopes in each curve it is a Prandtl-Ishlinskii model with free radii.
+
+    A gradual play (turn 1) stands still at a reversal and takes the new direction over a travel of some r_i, as dry
+    friction with presliding does: u - z is the force of a Dahl element. It is as wide as the sharp one, and z never
+    falls while u rises.
 
     Attributes:
-        slopes: s_01..s_0K, s_11..s_nK, n + 1 curves of K slopes [deg/cmd].
+        slopes: s_00..s_0K, s_10..s_nK, n + 1 curves of K + 1 slopes [deg/cmd].
         b: angle where every play is at `low` [deg].
         radii: half-widths r_1..r_n of the plays [cmd].
         low, high: ends of the pieces [cmd].
         pieces: number K of pieces of each curve.
+        turn: 0 for sharp plays, 1 for gradual ones.
 
     Raises:
-        ModelError: if a value is out of bounds, or the number of slopes is not pieces times (plays + 1).
+        ModelError: if a value is out of bounds, or the number of slopes is not (pieces + 1) times (plays + 1).
 
     Source: additive operator of the Krasnosel'skii-Pokrovskii type, Krasnosel'skii, Pokrovskii, Systems with Hysteresis
-    (1989), section 29, with monotone curves as in `models.play_kernel`.
+    (1989), section 29. Curves: monotone splines of order 2, Ramsay, Monotone regression splines in action, Statistical
+    Science 3 (1988). Gradual plays: Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14 (1976),
+    eq. (3) with exponent 1, integrated over a straight move.
     """
 
     slopes: tuple[float, ...]
@@ -43,8 +56,11 @@ class CurvedPlays(Operator):
     low: float
     high: float
     pieces: int
+    turn: int = 0
     name: ClassVar[str] = "curved_plays"
-    shape: ClassVar[tuple[str, ...]] = ("plays", "pieces")
+    shape: ClassVar[tuple[str, ...]] = ("plays", "pieces", "turn")
+    default_sizes: ClassVar[Mapping[str, int]] = {"turn": 0}
+    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"turn": (0, 1)}
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "slopes", tuple(float(v) for v in self.slopes))
@@ -54,7 +70,8 @@ class CurvedPlays(Operator):
     @classmethod
     def template(cls, **structure: int) -> Self:
         plays, pieces = structure["plays"], structure["pieces"]
-        return cls((1.0,) * (pieces * (plays + 1)), 0.0, (0.0,) * plays, 0.0, 1.0, pieces)
+        slopes = (1.0,) * ((pieces + 1) * (plays + 1))
+        return cls(slopes, 0.0, (0.0,) * plays, 0.0, 1.0, pieces, structure.get("turn", 0))
 
     @property
     def plays(self) -> int:
@@ -63,10 +80,10 @@ class CurvedPlays(Operator):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        curves = [(i, k) for i in range(self.plays + 1) for k in range(1, self.pieces + 1)]
+        curves = [(i, k) for i in range(self.plays + 1) for k in range(self.pieces + 1)]
         return (
             *(
-                Parameter(f"s{i}_{k}", "deg/cmd", 0.0 if i else 1e-6, 1e4, f"slope of play {i} in piece {k}")
+                Parameter(f"s{i}_{k}", "deg/cmd", 0.0 if i else 1e-6, 1e4, f"slope of play {i} at knot {k}")
                 for i, k in curves
             ),
             Parameter("b", "deg", -1e4, 1e4, "angle where every play is at the lower end"),
@@ -77,38 +94,50 @@ class CurvedPlays(Operator):
 
     @property
     def states(self) -> tuple[str, ...]:
-        return tuple(f"z{i}" for i in range(1, self.plays + 1))
+        plays = tuple(f"z{i}" for i in range(1, self.plays + 1))
+        return (*plays, "u") if self.turn else plays
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
         del dt
         radii = self._radii(p)
+        if self.turn:
+            z = [_gradual_play(u, x[self.plays], x[i], radius) for i, radius in enumerate(radii)]
+            return ca.vertcat(*z, u), self._angle([u, *z], p)
         z = [play(u, x[i], radius) for i, radius in enumerate(radii)]
         return ca.vertcat(*z), self._angle([u, *z], p)
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
         # All plays at one share of their half-widths, linear in y; the mean slope of each curve stands for the curve.
-        radii, pieces = self._radii(p), self.pieces
-        means = [sum(p[i * pieces + k] for k in range(pieces)) / pieces for i in range(1, self.plays + 1)]
+        radii, knots = self._radii(p), self.pieces + 1
+        means = [sum(p[i * knots + k] for k in range(knots)) / knots for i in range(1, self.plays + 1)]
         half = sum(mean * r for mean, r in zip(means, radii, strict=True))
         share = (y - self._angle([u] * (self.plays + 1), p)) / (half + 1e-9)
-        return ca.vertcat(*(u + share * r for r in radii))
+        z = [u + share * r for r in radii]
+        return ca.vertcat(*z, u) if self.turn else ca.vertcat(*z)
 
     def _radii(self, p: Symbol) -> list[Symbol]:
-        first = self.pieces * (self.plays + 1) + 1
+        first = (self.pieces + 1) * (self.plays + 1) + 1
         return [p[first + i] for i in range(self.plays)]
 
     def _angle(self, plays: list[Symbol], p: Symbol) -> Symbol:
-        count = self.pieces * len(plays)
+        """b and all curves, each a line and a parabola from every knot on: s_0 (z - low) + sum_k c_k max(z - z_k, 0)^2."""
+        knots = self.pieces + 1
+        count = knots * len(plays)
         low, high = p[count + len(plays)], p[count + len(plays) + 1]
         width = (high - low) / self.pieces
-        knots = [low + k * width for k in range(self.pieces + 1)]
         total = p[count]
         for i, z in enumerate(plays):
-            for k in range(self.pieces):
-                part = z
-                if k + 1 < self.pieces:
-                    part = ca.fmin(part, knots[k + 1])
-                if k > 0:
-                    part = ca.fmax(part, knots[k])
-                total = total + p[i * self.pieces + k] * (part - knots[k])
+            slopes = [p[i * knots + k] for k in range(knots)]
+            bends = [0.0, *((after - before) / (2.0 * width) for before, after in pairwise(slopes)), 0.0]
+            total += slopes[0] * (z - low)
+            for k in range(knots):
+                total += (bends[k + 1] - bends[k]) * ca.fmax(z - (low + k * width), 0.0) ** 2
         return total
+
+
+def _gradual_play(u: Symbol, before: Symbol, z: Symbol, r: Symbol) -> Symbol:
+    """Next state of a gradual play of half-width `r` whose state is `z`, on a straight move from `before` to `u`."""
+    behind = ca.fmax(ca.fmin(before - z, r), -r)  # what is guessed of a rest may be out of reach
+    side = ca.if_else(u >= before, 1.0, -1.0)
+    kept = ca.exp(-side * (u - before) / (2.0 * r + _NARROW))
+    return u - side * r * (1.0 - kept) - behind * kept

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Self, final
 
@@ -207,3 +207,8 @@ class Delay(Operator):
     def settling_samples(self) -> int:
         """The store's length."""
         return self.samples
+
+
+def stored(operators: Sequence[Operator], dt_s: float) -> tuple[Operator, ...]:
+    """The operators, delays with just the store that they need at sample time `dt_s` [s]."""
+    return tuple(Delay.at_rate(o.delay_s, dt_s) if isinstance(o, Delay) else o for o in operators)

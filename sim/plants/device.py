@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.operators.dynamics import stored
 from hystmpc.trajectories.excitation import s2_initialisation
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
@@ -15,7 +16,7 @@ from hystmpc.trials.types import Vec
 from ..devices.device import Device
 from .cascade import OperatorCascade
 from .computed import ComputedPlant
-from .simulated import Effects, stored
+from .simulated import Effects
 
 _REST_S = 5.0
 

@@ -105,19 +105,7 @@ def plant_simulator(simulator: Simulator, effects: Effects, dt_s: float) -> Simu
     chain = replace(chain, before=(*effects.actuator, *chain.before), after=own)
     for placed in effects.placed:
         chain = with_effect(chain, placed.operator, placed.side)
-    return at_sample_time(replace(simulator, chain=chain), dt_s)
-
-
-def at_sample_time(simulator: Simulator, dt_s: float) -> Simulator:
-    """The same simulator at sample time `dt_s` [s]: delays get the store that they need at it."""
-    chain = simulator.chain
-    before, after = stored(chain.before, dt_s), stored(chain.after, dt_s)
-    return replace(simulator, chain=replace(chain, before=before, after=after), dt_s=dt_s)
-
-
-def stored(operators: Sequence[Operator], dt_s: float) -> tuple[Operator, ...]:
-    """The operators, delays with the store that they need at sample time `dt_s` [s]."""
-    return tuple(Delay.at_rate(o.delay_s, dt_s) if isinstance(o, Delay) else o for o in operators)
+    return replace(simulator, chain=chain).at_sample_time(dt_s)
 
 
 def mismatched(chain: Chain, factors: Mapping[str, float]) -> Chain:

@@ -13,7 +13,7 @@ from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.simulator import Simulator, save_simulator
-from hystmpc.sim.plants.simulated import SimulatedPlant, at_sample_time
+from hystmpc.sim.plants.simulated import SimulatedPlant
 from hystmpc.trajectories.excitation import Offset, s2_point_to_point, s2_sinusoid
 from hystmpc.trajectories.trajectory import Trajectory
 from hystmpc.trials.errors import FitError
@@ -67,8 +67,8 @@ def save_backlash(plant: Plant, folder: Path, rates_hz: Iterable[float], seed: i
     found, lag_s = fitted_backlash(plant, seed, quick), plant.effects.lag_s
     lag = (Lag(lag_s),) if lag_s > 0 else ()
     behind = replace(found, chain=replace(found.chain, before=lag))
-    files = [save_simulator(at_sample_time(found, 1 / rate), backlash_file(folder, plant, rate)) for rate in rates_hz]
-    return [*files, save_simulator(at_sample_time(behind, RECORDING_DT_S), companion_file(folder, plant))]
+    files = [save_simulator(found.at_sample_time(1 / rate), backlash_file(folder, plant, rate)) for rate in rates_hz]
+    return [*files, save_simulator(behind.at_sample_time(RECORDING_DT_S), companion_file(folder, plant))]
 
 
 def save_network(plant: Plant, kind: str, folder: Path, updates: int, seed: int, quick: bool = False) -> str:

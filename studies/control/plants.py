@@ -14,7 +14,7 @@ from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep
 from hystmpc.models.simulator import ChainModel, Simulator, load_simulator
-from hystmpc.sim.plants.simulated import Effects, SimulatedPlant, at_sample_time, mismatched
+from hystmpc.sim.plants.simulated import Effects, SimulatedPlant, mismatched
 
 MISMATCH = 1.2
 """Factor on every parameter of a plant whose models are off, its lag and delay included."""
@@ -69,7 +69,7 @@ class Plant:
         """Hysteresis and creep, without lag and delay, at a sample time [s]."""
         base = load_simulator(library_file(self.library))
         chain = replace(base.chain, before=self.before)
-        return at_sample_time(replace(base, chain=mismatched(chain, dict.fromkeys(chain.labels, self.factor))), dt_s)
+        return replace(base, chain=mismatched(chain, dict.fromkeys(chain.labels, self.factor))).at_sample_time(dt_s)
 
     def device(self, dt_s: float, seed: int = 0) -> SimulatedPlant:
         """The device, without anything that is written to files."""
@@ -104,7 +104,7 @@ def half_width(simulator: Simulator) -> float:
 
     Only the core counts; what stands before and after it has no part in the backlash.
     """
-    slow = at_sample_time(replace(simulator, chain=Chain(simulator.chain.core)), 0.01)
+    slow = replace(simulator, chain=Chain(simulator.chain.core)).at_sample_time(0.01)
     limits = simulator.command_limits
     up = np.linspace(limits.lower, limits.upper, round(0.5 * _SLOW_S / slow.dt_s))
     theta = ChainModel(slow).run(np.concatenate([up, up[::-1], up, up[::-1]]), simulator.trained_angle_deg.lower)

@@ -22,7 +22,8 @@ RATE_PI = PrandtlIshlinskii(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, 22.0)
 # Dead at the bottom, saturating at the top: bends at 30 and 40, 60 and 75 deg of 22 to 83 before the dead zones.
 DEADBAND = Deadband(1.1, (0.5, 0.08), (0.6, 0.1), (15.0, 10.0), (15.0, 15.0), 50.0, 48.0)
 DRDPI = Drdpi(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, -28.0, (0.5, 0.08), (0.6, 0.1), (12.0, 8.0), (12.0, 12.0), 48.0)
-CURVED = CurvedPlays((2.0, 3.0, 1.5, 2.5, 2.0, 1.0, 1.0, 0.5, 3.0), 20.0, (0.2, 0.7), 0.5, 5.5, 3)
+CURVED = CurvedPlays((2.0, 3.0, 1.5, 2.0, 2.5, 2.0, 1.0, 1.5, 1.0, 0.5, 3.0, 2.0), 20.0, (0.2, 0.7), 0.5, 5.5, 3)
+GRADUAL = CurvedPlays(CURVED.slopes, 20.0, (0.2, 0.7), 0.5, 5.5, 3, turn=1)
 BOUC_WEN = BoucWen(-9.0, 0.8, 2.2, 10.7, 10.2, 0.04 / 6, 25.0)
 
 # Every operator of the catalogue appears at least once; a test holds this list against the catalogue.
@@ -38,6 +39,7 @@ EXAMPLES: tuple[Operator, ...] = (
     DRDPI.inverse(),
     BOUC_WEN,
     CURVED,
+    GRADUAL,
     Lag(0.08),
     Delay(0.1, 4),
     Lag(0.08, (0.25,)),
