@@ -31,7 +31,7 @@ class WeightsSettings(Settings):
 
     tracking: Positive = 1.0
     terminal: NotNegative = 2.0
-    rate: Positive = 0.3
+    rate: Positive = 3.0
     effort: NotNegative = 0.01
     soft_limit: NotNegative = 100.0
     angle_lower_deg: float | None = None
