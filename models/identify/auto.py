@@ -62,7 +62,7 @@ class AutoSettings:
     near: float = 1.15
     rounds: int = 3
     evaluations: int = 12
-    widening: float = 1.3
+    widening: float = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +167,7 @@ def identify_auto(
     rows: tuple[PartRow, ...] = ()
     try:
         while not search.interrupted and (nothing := _without_meaning(found, parameters)):
-            found = search.less(found, nothing)
+            found = search.less(found, *nothing)
             parameters = tuple(_widened(found, runs, search.tried, settings))
         rows = () if search.interrupted else tuple(search.bought(found))
     except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
@@ -176,6 +176,7 @@ def identify_auto(
         full = AutoSearch(trials, _runs(trials, skip_first_flexure), settings, progress, search.offsets)
         try:
             found = full.again(found)
+            parameters = tuple(_moved(parameters, found))
         except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
             raise nothing_found("the fit at the full rate", interrupted=True) from None
     return AutoFit(found, rows, parameters, search.offsets, tuple(_advice(parameters)), search.interrupted)
@@ -274,16 +275,14 @@ class AutoSearch:
         core = replace(core, starts=(core.starts[0].with_values(z.tolist()),))
         return self._polished(self._judged(core, forms, self._fitted(core, forms, None)))
 
-    def less(self, choice: Choice, part: str) -> Choice:
-        """The device without a part, or with its next simpler alternative of the same kind, fitted anew."""
+    def less(self, choice: Choice, part: str, effect: str) -> Choice:
+        """The device with a part's next simpler alternative: with the effect if there is one, else without it."""
         forms = next(p.forms for p in self._parts if p.name == part)
         present = choice.forms[part]
-        simpler = [
-            f
-            for f in forms
-            if f and {c.effect for c in f} == {c.effect for c in present} and _count(f) < _count(present)
-        ]
-        left = choice.forms | {part: max(simpler, key=_count) if simpler else ()}
+        whole, rest = {c.effect for c in present}, {c.label for c in present if c.effect != effect}
+        simpler = [f for f in forms if {c.effect for c in f} == whole and _count(f) < _count(present)]
+        without = [f for f in forms if {c.label for c in f} == rest]
+        left = choice.forms | {part: max([*without, *(simpler if len(present) == 1 else [])], key=_count)}
         return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
 
     def bought(self, choice: Choice) -> Iterator[PartRow]:
@@ -401,14 +400,12 @@ def _widened(
 
     Source: Buckland, Burnham, Augustin, Model selection: an integral part of inference, Biometrics 53 (1997), eq. (3).
     """
-    problem = choice.hypothesis.problem
     rows = [r for r in parameter_rows(choice.hypothesis, runs, {}) if r.owner != "baseline"]
     folds = [_numbers(choice.hypothesis, q) for q in choice.judged.fold_q]
     equals = [other for other in tried if _as_good(gain(other.judged, choice.judged), choice, settings)]
-    logarithmic = {(c.effect, f.name) for c in problem.effects for f in c.free if f.scale == 0}
     for row in rows:
-        key = (row.owner, row.name)
-        change = _log if key in logarithmic else _same
+        key, logarithmic = (row.owner, row.name), _is_logarithmic(choice, row)
+        change = _log if logarithmic else _same
         value = change(row.value)
         ends = [abs(change(end) - value) for end in row.ci90 if math.isfinite(end)]
         own = max(ends, default=0.0) / _QUANTILE
@@ -419,7 +416,7 @@ def _widened(
         spread = math.sqrt(float(np.mean(np.square(away)))) if away else 0.0
         half = settings.widening * _QUANTILE * math.hypot(own, jackknife, spread)
         low, high = value - half, value + half
-        if key in logarithmic:
+        if logarithmic:
             low, high = math.exp(max(low, -50.0)), math.exp(min(high, 50.0))
         yield replace(row, ci90=(low, high))
 
@@ -435,15 +432,43 @@ def _count(form: Form) -> int:
     return sum(len(c.free) for c in form)
 
 
-def _without_meaning(choice: Choice, parameters: Sequence[ParameterRow]) -> str:
-    """A part with a number whose interval holds the value at which it does nothing; empty where there is none."""
+def _moved(rows: Sequence[ParameterRow], choice: Choice) -> Iterator[ParameterRow]:
+    """The numbers of a fit at another rate, their intervals as wide as they were, in logarithms where they are wide so.
+
+    A lag between samples that are held is half a sample early: at another rate the delay is another one.
+    """
+    found = _numbers(choice.hypothesis, choice.hypothesis.q)
+    for row in rows:
+        value, (low, high) = found[(row.owner, row.name)], row.ci90
+        if _is_logarithmic(choice, row):
+            ends = (value * low / row.value, value * high / row.value)
+        else:
+            ends = (value + low - row.value, value + high - row.value)
+        yield replace(row, value=value, ci90=ends)
+
+
+def _is_logarithmic(choice: Choice, row: ParameterRow) -> bool:
+    effects = choice.hypothesis.problem.effects
+    return any((c.effect, f.name) == (row.owner, row.name) and f.scale == 0 for c in effects for f in c.free)
+
+
+def _without_meaning(choice: Choice, parameters: Sequence[ParameterRow]) -> tuple[str, str] | None:
+    """A part and its effect of which a number may have the value at which it does nothing; None where there is none.
+
+    That is a share of creep or a delay whose interval holds zero, or a lag at its lower bound.
+    """
     for name, form in choice.forms.items():
-        for row in parameters:
-            effects = {c.effect for c in form}
-            known = row.neutral is not None and row.name.startswith(("share", "delay"))
-            if row.owner in effects and known and row.ci90[0] <= (row.neutral or 0.0) <= row.ci90[1] and len(form) == 1:
-                return name
-    return ""
+        for row in (row for row in parameters if row.owner in {c.effect for c in form}):
+            low, high = row.ci90
+            may_be_none = row.name.startswith(("share", "delay")) and low <= 0.0 <= high
+            if may_be_none or (row.owner == "lag" and _at_lower_bound(choice, row)):
+                return name, row.owner
+    return None
+
+
+def _at_lower_bound(choice: Choice, row: ParameterRow) -> bool:
+    free = [f for c in choice.hypothesis.problem.effects for f in c.free if (c.effect, f.name) == (row.owner, row.name)]
+    return row.at_bound and row.name.startswith("tau") and any(row.value < 1.01 * f.lower for f in free)
 
 
 def _log(value: float) -> float:

@@ -120,7 +120,7 @@ class CurvedPlays(Operator):
         return [p[first + i] for i in range(self.plays)]
 
     def _angle(self, plays: list[Symbol], p: Symbol) -> Symbol:
-        """b and all curves, each a line and a parabola from every knot on: s_0 (z - low) + sum_k c_k max(z - z_k, 0)^2."""
+        """b and all curves, each a line and parabolas from the knots on: s_0 (z - low) + sum_k c_k max(z - z_k, 0)^2."""
         knots = self.pieces + 1
         count = knots * len(plays)
         low, high = p[count + len(plays)], p[count + len(plays) + 1]

@@ -17,21 +17,15 @@ from .device import DrawnDevice, at_rest, packed
 from .kernels import FINE_S
 
 _DIFFERENCE = 2e-3  # of the travel
-_BLOCKS = 24
-# The model is exact: what is left of the first guess decays, and no noise comes in.
-_TRUST = {
-    "drift_sigma_deg_per_sqrt_s": 0.01,
-    "motion_sigma_deg_per_sqrt_unit": 0.0,
-    "dead_band_gain_deg_per_unit": 0.0,
-}
+_BLOCKS = 12
 
 
 @final
 class ExactPredictor(Predictor):
     """The device as its own model, whole samples of its delay left out; the state is a copy of the device's.
 
-    Derivatives are differences over a five-hundredth of the travel. Plans of more than 24 samples move in 24 blocks, so
-    that a step costs as much as 24 roll-outs at most.
+    Derivatives are differences over a five-hundredth of the travel. Plans of more than 12 samples move in 12 blocks, so
+    that a step costs as much as 12 roll-outs at most.
     """
 
     def __init__(self, device: DrawnDevice) -> None:
@@ -77,18 +71,13 @@ class ExactInverse(Inverse):
         return min(max(float(place) - crept, low), high)
 
 
-def exact_controller(
-    device: DrawnDevice, settings: LinearisedMpcSettings, trusting: bool = False
-) -> GuardedController[Any]:
+def exact_controller(device: DrawnDevice, settings: LinearisedMpcSettings) -> GuardedController[Any]:
     """The linearised law on the device itself.
 
     Args:
         settings: of the law; the estimator is told the whole samples of the delay.
-        trusting: let the estimator know that the model is exact, so that no noise comes in.
     """
     predictor = ExactPredictor(device)
-    changes: dict[str, Any] = {"delay_samples": predictor.delay_samples}
-    if trusting:
-        changes |= _TRUST | {"sensor_sigma_deg": device.noise_deg}
-    settings = settings.model_copy(update={"estimator": settings.estimator.model_copy(update=changes)})
+    estimator = settings.estimator.model_copy(update={"delay_samples": predictor.delay_samples})
+    settings = settings.model_copy(update={"estimator": estimator})
     return build_controller(settings, predictor, ExactInverse(predictor), device.limits)

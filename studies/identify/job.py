@@ -212,7 +212,6 @@ def _model_controllers(study: DeviceStudy) -> dict[str, Controller[Any]]:
         "sampling": _built(SamplingMpcSettings(), study.model, limits),
         "inverse": _built(InverseControllerSettings(), study.model, limits),
         "exact": exact_controller(study.device, LinearisedMpcSettings()),
-        "exact_trusting": exact_controller(study.device, LinearisedMpcSettings(), trusting=True),
     }
 
 

@@ -32,8 +32,7 @@ _ABOUT = """Simulated devices drawn at random: a core (rod, capstan, Dahl, muscl
 servo, and creep, with a noisy sensor. A model is identified from three minutes of logs. The predictive controllers have
 default settings. The gains of PID and of inverse with PID are searched on the very device and motions under another
 realisation of the noise: the strongest opponents of their kind, not forecasts. "exact" is the default controller with
-the device itself as its model; "exact, trusting" also knows that its model is exact and lets no noise in. Every RMSE is
-of the true angle over three fresh motions, without the approach to each."""
+the device itself as its model. Every RMSE is of the true angle over three fresh motions without their approaches."""
 _SHOWN = 6  # devices that a bar names
 _MARKS = "os^v"
 
