@@ -1,4 +1,4 @@
-"""Make the identified models that ship with the package anew: `backlash.yaml`, `pi.yaml` and `lstm.onnx`.
+"""Make the identified models that ship with the package anew: `auto.yaml`, `backlash.yaml`, `pi.yaml`, `lstm.onnx`.
 
     python benchmarks/make_library.py [--out FOLDER] [--updates 4000]
 
@@ -17,6 +17,8 @@ from rich.progress import Progress
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.identify.methods import identify
+from hystmpc.models.kinds.auto import AutoKind
+from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.networks import NETWORK_PRESETS
 from hystmpc.models.load import library_file
 from hystmpc.models.simulator import load_simulator, save_simulator
@@ -74,6 +76,10 @@ def main() -> None:
         simulator, fit = identify(kind, trials, limits=limits)
         save_simulator(simulator, arguments.out / f"{kind}.yaml")
         print(f"{kind}: {fit.rmse_deg:.3f} deg on {len(trials)} trials")
+    found = AutoKind().fit(trials, FitRequest(limits=limits))
+    if found.simulator is not None:
+        save_simulator(found.simulator, arguments.out / "auto.yaml")
+    print(f"auto: {found.report}")
     chosen = settings(arguments.updates)
     with Progress() as bar:
         task = bar.add_task("lstm", total=chosen.steps)

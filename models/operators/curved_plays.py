@@ -10,7 +10,7 @@ from typing import ClassVar, Self, final
 import casadi as ca
 
 from .hysteresis import play
-from .operator import Operator, Parameter, Symbol, check_values
+from .operator import Operator, Parameter, Symbol, check_values, maximum, minimum
 
 _NARROW = 1e-9  # half-width below which a gradual play is none [cmd]
 
@@ -120,7 +120,7 @@ class CurvedPlays(Operator):
         return [p[first + i] for i in range(self.plays)]
 
     def _angle(self, plays: list[Symbol], p: Symbol) -> Symbol:
-        """b and all curves, each a line and parabolas from the knots on: s_0 (z - low) + sum_k c_k max(z - z_k, 0)^2."""
+        """b and all curves, a line and parabolas from the knots on: s_0 (z - low) + sum_k c_k max(z - z_k, 0)^2."""
         knots = self.pieces + 1
         count = knots * len(plays)
         low, high = p[count + len(plays)], p[count + len(plays) + 1]
@@ -137,7 +137,7 @@ class CurvedPlays(Operator):
 
 def _gradual_play(u: Symbol, before: Symbol, z: Symbol, r: Symbol) -> Symbol:
     """Next state of a gradual play of half-width `r` whose state is `z`, on a straight move from `before` to `u`."""
-    behind = ca.fmax(ca.fmin(before - z, r), -r)  # what is guessed of a rest may be out of reach
+    behind = maximum(minimum(before - z, r), -r)  # what is guessed of a rest may be out of reach
     side = ca.if_else(u >= before, 1.0, -1.0)
     kept = ca.exp(-side * (u - before) / (2.0 * r + _NARROW))
     return u - side * r * (1.0 - kept) - behind * kept

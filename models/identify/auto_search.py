@@ -1,0 +1,301 @@
+"""Search of the structure of a device: part after part, the simplest alternative that held-out errors allow."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+
+from hystmpc.trials.trial import Trial
+
+from ..effects.effect import Candidate, Scale
+from ..operators.dynamics import Delay
+from .baseline import FreeCoreBaseline
+from .chain_fit import nothing_found
+from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
+from .parts import CoreForm, Form, core_forms, device_parts
+from .problem import TrialTerms
+from .runs import Run, command_range
+
+SearchProgress = Callable[[float, float], None]
+"""Told the share that is done, and the least error on held-out trials so far [deg]."""
+
+SEARCH_HZ = 50.0
+"""The structure is searched on trials of at most this rate [Hz]."""
+
+_FROM_AFAR = 3  # times as many evaluations where a fit starts from a line instead of from a neighbour
+_THREADS = 2  # alternatives that are fitted side by side
+
+
+@dataclass(frozen=True)
+class AutoSettings:
+    """How `fit auto` searches; thresholds were chosen on simulated development devices.
+
+    Attributes:
+        standard_errors: by which the held-out error has to fall for a part to be added.
+        least_share: of the held-out mean square error, by which it has to fall.
+        near: alternatives within this factor of the best training error are judged on held-out trials.
+        rounds: greatest number of passes over all parts.
+        evaluations: free runs of one fit.
+        widening: factor on intervals for what no alternative of the list can express.
+    """
+
+    standard_errors: float = 2.0
+    least_share: float = 0.05
+    near: float = 1.15
+    rounds: int = 3
+    evaluations: int = 12
+    widening: float = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """A device as far as it is chosen.
+
+    Attributes:
+        core: form of the core.
+        forms: alternative of each part, by its name.
+        judged: the fit, with its errors on held-out trials.
+    """
+
+    core: CoreForm
+    forms: dict[str, Form]
+    judged: HeldOutErrors
+
+    @property
+    def size(self) -> int:
+        """Free parameters."""
+        return self.core.size + sum(len(c.free) for form in self.forms.values() for c in form)
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """The fit to all trials."""
+        return self.judged.hypothesis
+
+    @property
+    def rmse_deg(self) -> float:
+        """Root mean square error on held-out trials [deg]."""
+        return math.sqrt(self.judged.mse)
+
+
+@dataclass(frozen=True)
+class PartRow:
+    """What one part bought.
+
+    Attributes:
+        part: `drive`, `creep`, `core` or `sensor zero`.
+        form: the alternative that was chosen, `none` for a device without the part.
+        without_deg: held-out error of the device without the part, everything else fitted anew [deg]; of the core:
+            with a backlash in its place. Not-a-number where there is nothing to leave out.
+        with_deg: held-out error of the chosen device [deg].
+    """
+
+    part: str
+    form: str
+    without_deg: float
+    with_deg: float
+
+
+@final
+class AutoSearch:
+    """Part after part, the simplest alternative whose held-out error is not significantly above the best one.
+
+    All parameters are fitted jointly for each alternative. It begins with the richest core, so that no other part has
+    to stand in for it, and chooses each part anew while the others change.
+
+    Source: one-standard-error rule of Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984),
+    section 3.4.3; the number of standard errors is `AutoSettings.standard_errors`.
+    """
+
+    def __init__(
+        self,
+        trials: Sequence[Trial],
+        runs: Sequence[Run],
+        settings: AutoSettings,
+        progress: SearchProgress,
+        offsets: bool = False,
+    ) -> None:
+        self._runs, self._settings, self._progress = tuple(runs), settings, progress
+        scale = Scale.of(runs)
+        self._cores, self._parts = core_forms(trials, scale), device_parts(scale)
+        self._command = command_range(trials)
+        self._steps, self._done = (len(self._parts) + 1) * settings.rounds + 1, 0
+        self.offsets, self.interrupted = offsets, False
+        self.tried: list[Choice] = []
+
+    def run(self) -> Choice:
+        """The chosen device."""
+        core, none = self._cores[-1], self._none()
+        try:
+            self.offsets = self._zeroed_anew()
+            present = self._judged(core, none, self._fitted(core, none, None))
+        except KeyboardInterrupt:
+            raise nothing_found("the first core", interrupted=True) from None
+        try:
+            for _ in range(self._settings.rounds):
+                before = _labels(present.core, present.forms)
+                for part in self._parts:
+                    present = self._simplest(
+                        [(present.core, present.forms | {part.name: f}) for f in part.forms], present
+                    )
+                    self._tell()
+                present = self._simplest([(core, present.forms) for core in self._cores], present)
+                self._tell()
+                if _labels(present.core, present.forms) == before:
+                    break
+            return self._polished(self._with_one_zero(present))
+        except KeyboardInterrupt:
+            self.interrupted = True
+            return present
+
+    def _with_one_zero(self, choice: Choice) -> Choice:
+        """The device with one offset for all trials, where offsets of their own are worth nothing any more."""
+        if not self.offsets:
+            return choice
+        self.offsets = False
+        plain = self._judged(choice.core, choice.forms, self._fitted(choice.core, choice.forms, choice))
+        self.offsets = self._worth(plain.judged, choice.judged)
+        return choice if self.offsets else plain
+
+    def again(self, choice: Choice) -> Choice:
+        """The same structure fitted to these trials, from the values of another rate."""
+        known = {c.label: c for part in self._parts for form in part.forms for c in form}
+        values = _values(choice.hypothesis)
+        forms = {
+            name: tuple(_near(known[c.label], tuple(values[c.label]), self._runs[0].dt_s) for c in form)
+            for name, form in choice.forms.items()
+        }
+        core = next(core for core in self._cores if core.label == choice.core.label)
+        z = choice.hypothesis.problem.retuned(choice.hypothesis.q)
+        core = replace(core, starts=(core.starts[0].with_values(z.tolist()),))
+        return self._polished(self._judged(core, forms, self._fitted(core, forms, None)))
+
+    def less(self, choice: Choice, part: str, effect: str) -> Choice:
+        """The device with a part's next simpler alternative: with the effect if there is one, else without it."""
+        forms = next(p.forms for p in self._parts if p.name == part)
+        present = choice.forms[part]
+        whole, rest = {c.effect for c in present}, {c.label for c in present if c.effect != effect}
+        simpler = [f for f in forms if {c.effect for c in f} == whole and free_numbers(f) < free_numbers(present)]
+        without = [f for f in forms if {c.label for c in f} == rest]
+        left = choice.forms | {part: max([*without, *(simpler if len(present) == 1 else [])], key=free_numbers)}
+        return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
+
+    def bought(self, choice: Choice) -> Iterator[PartRow]:
+        """What each part bought, the chosen device less that part fitted anew."""
+        for name, form in choice.forms.items():
+            if not form:
+                yield PartRow(name, "none", math.nan, choice.rmse_deg)
+                continue
+            forms = {**choice.forms, name: ()}
+            without = self._judged(choice.core, forms, self._fitted(choice.core, forms, choice))
+            yield PartRow(name, " + ".join(_title(c) for c in form), without.rmse_deg, choice.rmse_deg)
+        plain, rmse = self._cores[0], math.nan
+        if choice.core.label != plain.label:
+            rmse = self._judged(plain, choice.forms, self._fitted(plain, choice.forms, choice)).rmse_deg
+        yield PartRow("core", choice.core.label, rmse, choice.rmse_deg)
+        yield PartRow("sensor zero", "of each trial" if self.offsets else "one", math.nan, choice.rmse_deg)
+
+    def _none(self) -> dict[str, Form]:
+        return {part.name: () for part in self._parts}
+
+    def _tell(self) -> None:
+        best = min((choice.judged.mse for choice in self.tried), default=math.nan)
+        self._progress(self._done / self._steps, math.sqrt(best))
+        self._done += 1
+
+    def _zeroed_anew(self) -> bool:
+        """Whether trials have offsets of their own, seen with the richest core behind the commonest drive."""
+        if len(self._runs) < 2:
+            return False
+        found = []
+        for self.offsets in (False, True):
+            delay_and_lag = next(form for form in self._parts[0].forms if len(form) > 1)
+            forms = {**self._none(), self._parts[0].name: delay_and_lag}
+            fit = self._fitted(self._cores[-1], forms, None)
+            found.append(self._validation(self._cores[-1]).judge(fit))
+        return self._worth(found[0], found[1])
+
+    def _simplest(self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice) -> Choice:
+        def fitted(alternative: tuple[CoreForm, dict[str, Form]]) -> tuple[CoreForm, dict[str, Form], Hypothesis]:
+            return (*alternative, self._fitted(*alternative, present))
+
+        with ThreadPoolExecutor(_THREADS) as pool:  # free runs are compiled and let other threads run
+            fits = list(pool.map(fitted, made))
+            least = min(fit.mse for *_, fit in fits)
+            near = [fit for fit in fits if fit[2].mse < self._settings.near * least]
+            choices = list(pool.map(lambda fit: self._choice(*fit), near))
+        self.tried += choices
+        best = min(choices, key=lambda choice: choice.judged.mse)
+        for choice in sorted(choices, key=lambda choice: choice.size):
+            if choice is best or not self._worth(choice.judged, best.judged):
+                return choice
+        return best
+
+    def _worth(self, before: HeldOutErrors, after: HeldOutErrors) -> bool:
+        fall, error = gain(before, after)
+        return fall > max(self._settings.standard_errors * error, self._settings.least_share * before.mse)
+
+    def _fitted(self, core: CoreForm, forms: Mapping[str, Form], present: Choice | None) -> Hypothesis:
+        """Joint fit from the present values where a part stays, from its own starts where it is new."""
+        validation, terms = self._validation(core), TrialTerms(own_offset=self.offsets)
+        effects = [*(c for form in forms.values() for c in form), *core.curve]
+        held = _values(present.hypothesis) if present else {}
+        starts = [[held[c.label]] if c.label in held else [list(start) for start in c.starts] for c in effects]
+        values = [list(chosen) for chosen in itertools.product(*starts)]
+        if present is not None and present.core.label == core.label:
+            z = present.hypothesis.problem.retuned(present.hypothesis.q)
+            return validation.with_causes(effects, terms, z, values)
+        longer = replace(validation, evaluations=_FROM_AFAR * self._settings.evaluations)
+        cores = [np.array(start.core.values) for start in core.starts]
+        found = [longer.with_causes(effects, terms, z, values[:1]) for z in cores]
+        return min(found, key=lambda fit: fit.mse)
+
+    def _polished(self, choice: Choice) -> Choice:
+        validation = self._validation(choice.core)
+        return replace(choice, judged=validation.judge(validation.polished(choice.hypothesis)))
+
+    def _judged(self, core: CoreForm, forms: dict[str, Form], fit: Hypothesis) -> Choice:
+        self.tried.append(self._choice(core, forms, fit))
+        return self.tried[-1]
+
+    def _choice(self, core: CoreForm, forms: dict[str, Form], fit: Hypothesis) -> Choice:
+        return Choice(core, forms, self._validation(core).judge(fit))
+
+    def _validation(self, core: CoreForm) -> CrossValidation:
+        baseline = FreeCoreBaseline(core.starts[0], self._command)
+        return CrossValidation(baseline, self._runs, self._settings.evaluations)
+
+
+def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float) -> Candidate:
+    """The candidate from known values on; a delay may move by a sample of the search, and has no longer a store."""
+    candidate = replace(candidate, starts=(values,))
+    if candidate.effect != "delay":
+        return candidate
+    operator = Delay.at_rate(values[0] + 1 / SEARCH_HZ, dt_s)
+    free = (replace(candidate.free[0], upper=operator.samples * dt_s),)
+    return replace(candidate, operators=(operator,), free=free)
+
+
+def _values(hypothesis: Hypothesis) -> dict[str, list[float]]:
+    """Free values of each effect of a fit, by label."""
+    found = hypothesis.problem.effect_values(hypothesis.q)
+    return {c.label: list(v.values()) for c, v in zip(hypothesis.problem.effects, found, strict=True)}
+
+
+def _labels(core: CoreForm, forms: Mapping[str, Form]) -> tuple[str, ...]:
+    return (core.label, *(c.label for form in forms.values() for c in form))
+
+
+def _title(candidate: Candidate) -> str:
+    plain = candidate.variant in ("command", "output")
+    return candidate.effect.replace("_", " ") + ("" if plain else f" ({candidate.variant})")
+
+
+def free_numbers(form: Form) -> int:
+    """Free numbers of an alternative."""
+    return sum(len(c.free) for c in form)
