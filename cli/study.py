@@ -14,11 +14,10 @@ from hystmpc.studies.papers.settings import STAGES, StudySettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_resumable
 
-from .console import bar, errors, out
+from .console import errors
 from .study_control import control, rates
 from .study_identify import identify
-
-INTERRUPTED = 130
+from .study_jobs import completed, ended
 
 
 class Name(StrEnum):
@@ -108,18 +107,8 @@ def _run(settings: StudySettings, folder: Path, workers: int) -> None:
     if settings.left_out:
         errors.print(f"not in the catalogue, left out: {', '.join(settings.left_out)}", style="yellow")
     errors.print("making the trials and timing a few steps of every model ...")
-    ready = prepare(settings, folder)
-    minutes = ready.minutes(workers)
-    errors.print(f"{len(ready.costs)} of {len(ready.tasks)} jobs to do on {workers} cores: about {minutes} min")
-    try:
-        with bar(f"study {settings.study}", sum(ready.costs.values())) as show:
-            outcome = run_study(ready, workers, lambda done, total, note="": show(done, note, total=total))
-    except KeyboardInterrupt:
-        errors.print(f"interrupted: finished jobs are kept in {folder}, the same command goes on", style="yellow")
-        raise typer.Exit(INTERRUPTED) from None
-    for failed in outcome.failed:
-        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", highlight=False)
-    out.print(f"{len(outcome.done)} jobs done, {len(outcome.failed)} failed; report: {folder / 'report.html'}")
+    study = prepare(settings, folder)
+    ended(completed(study.ready, settings.study, workers, lambda progress: run_study(study, workers, progress)), folder)
 
 
 def _names(text: str | None) -> tuple[str, ...]:

@@ -5,17 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from hystmpc.studies.control.bars import ControlOutcome, verdicts
 from hystmpc.studies.control.report import bars_table
 from hystmpc.studies.control.settings import ControlSettings
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_resumable
 
-from .console import bar, errors, out, table
-
-INTERRUPTED = 130
+from .console import out, table
+from .study_jobs import completed, ended
 
 
 def control(changes: dict[str, Any], folder: Path, workers: int) -> None:
@@ -31,19 +28,9 @@ def control(changes: dict[str, Any], folder: Path, workers: int) -> None:
     settings = ControlSettings.of(**changes)
     require_resumable(folder)
     ready = prepare_control(settings, folder)
-    minutes = ready.minutes(workers)
-    errors.print(f"{len(ready.open)} of {len(ready.jobs)} jobs to do on {workers} cores: about {minutes} min")
-    try:
-        with bar("study control", sum(ready.costs[key] for key in ready.open)) as show:
-            outcome = run_control(ready, workers, lambda done, total, note="": show(done, note, total=total))
-    except KeyboardInterrupt:
-        errors.print(f"interrupted: finished jobs are kept in {folder}, the same command goes on", style="yellow")
-        raise typer.Exit(INTERRUPTED) from None
-    for failed in outcome.failed:
-        errors.print(f"failed: {failed.job.key}: {failed.message}", style="red", highlight=False)
+    outcome = completed(ready, settings.study, workers, lambda progress: run_control(ready, workers, progress))
     out.print(table("Bars", ("bar", "at most", "met by", "of", "worst", "verdict"), _bar_rows(outcome)))
-    done = len(outcome.results) - len(outcome.failed)
-    out.print(f"{done} jobs done, {len(outcome.failed)} failed; report: {folder / 'report.html'}")
+    ended(outcome, folder)
 
 
 def _bar_rows(outcome: ControlOutcome) -> list[list[str]]:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-from hystmpc.sim.jobs.runner import attempt, backend_for, resumed_folder, wall_minutes
+from hystmpc.sim.jobs.runner import attempt
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 
-from ..tables import other_study
+from ..ready import ReadyStudy, ready_study
 from .bars import BarVerdict, ControlOutcome, verdicts
 from .controllers import CONTROLLERS
 from .job import STAGES, ControlJob, ControlResult, control_jobs, fingerprint, result_files
@@ -36,61 +35,29 @@ _NETWORK_STEP_S: Mapping[str, Mapping[str, float]] = {
 _FAST_HZ, _LONG_HORIZON = 100.0, 3.0
 
 
-@dataclass(frozen=True, eq=False)
-class ControlStudy:
-    """The benchmark made ready: its folder is there, nothing has run yet."""
-
-    settings: ControlSettings
-    jobs: tuple[ControlJob, ...]
-    folder: RunFolder
-    costs: Mapping[str, float]
-    open: frozenset[str]
-
-    def minutes(self, workers: int) -> int:
-        """Estimated wall time of the jobs that are not done yet [min]."""
-        return wall_minutes({key: self.costs[key] for key in self.open}, workers)
-
-
-def prepare_control(settings: ControlSettings, out: Path | str) -> ControlStudy:
-    """Plan the jobs and open the folder.
-
-    Args:
-        out: a new or empty folder, or one in which the benchmark was begun; its finished jobs are kept.
-
-    Raises:
-        ConfigError: if the folder holds something else.
-        LogError: if a result is damaged.
-    """
-    jobs = control_jobs(settings)
-    plain, refusal = settings.model_dump(mode="json"), partial(other_study, settings.study)
-    folder = resumed_folder(Path(out), plain, settings.seed, refusal)
-    done = result_files(folder.path).kept(jobs, partial(fingerprint, settings=settings, folder=folder.path))
-    costs = expected_seconds(jobs, settings)
-    return ControlStudy(settings, jobs, folder, costs, frozenset(job.key for job in jobs if job.key not in done))
-
-
-def run_control(study: ControlStudy, workers: int = 1, progress: Progress | None = None) -> ControlOutcome:
-    """Do the open jobs and write report, tables and results.
-
-    Args:
-        study: made by `prepare_control`.
-        workers: processes, each on one thread; with 1 the jobs run in this process.
-        progress: see `ResultFiles.complete`.
-
-    Raises:
-        ConfigError: if worker processes died again and again.
-        LogError: if a result's file is damaged.
-        KeyboardInterrupt: if the user ended it; finished jobs are kept, the report is not written.
-    """
-    folder = study.folder.path
-    results = result_files(folder).complete(
-        [[job for job in study.jobs if job.stage == stage] for stage in STAGES],
-        partial(do_job, settings=study.settings, folder=folder),
-        partial(fingerprint, settings=study.settings, folder=folder),
-        backend_for(workers, where=str(folder)),
-        study.costs,
-        progress,
+def prepare_control(
+    settings: ControlSettings, out: Path | str
+) -> ReadyStudy[ControlSettings, ControlJob, ControlResult]:
+    """Plan the jobs and open the folder; see `ready_study`."""
+    return ready_study(
+        settings,
+        settings.study,
+        control_jobs(settings),
+        out,
+        result_files,
+        lambda job, folder: fingerprint(job, settings, folder),
+        lambda jobs: expected_seconds(jobs, settings),
     )
+
+
+def run_control(
+    study: ReadyStudy[ControlSettings, ControlJob, ControlResult], workers: int = 1, progress: Progress | None = None
+) -> ControlOutcome:
+    """Do the open jobs and write report, tables and results; see `ReadyStudy.complete` for arguments and errors."""
+    folder = study.folder.path
+    stages = [[job for job in study.jobs if job.stage == stage] for stage in STAGES]
+    do = partial(do_job, settings=study.settings, folder=folder)
+    results = study.complete(stages, do, workers, progress)
     outcome = ControlOutcome(study.settings, results, folder, study.folder.meta)
     page, tables = control_report(outcome)
     for table in tables:

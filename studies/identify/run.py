@@ -3,83 +3,48 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-from hystmpc.sim.jobs.runner import attempt, backend_for, resumed_folder, wall_minutes
+from hystmpc.sim.jobs.runner import attempt
 from hystmpc.trials.files import write_atomically
-from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 
-from ..tables import other_study
+from ..ready import ReadyStudy, ready_study
 from .bars import IdentifyOutcome, bars
 from .job import IdentifyJob, IdentifyResult, as_result, fingerprint, identify_jobs, plain, result_files, study_device
 from .report import identify_report
 from .settings import IdentifySettings
 
 # Processor seconds of a device on one core of a two-core x86-64 machine, from runs of the study itself.
-_DEVICE_S = {25.0: 30.0, 50.0: 45.0, 250.0: 120.0}
-_ROD = 1.5
+_DEVICE_S = {25.0: 30.0, 50.0: 45.0, 250.0: 140.0}
+_ROD = 3.0
 _QUICK_S = 5.0
 
 
-@dataclass(frozen=True, eq=False)
-class IdentifyStudy:
-    """The study made ready: its folder is there, nothing has run yet."""
-
-    settings: IdentifySettings
-    jobs: tuple[IdentifyJob, ...]
-    folder: RunFolder
-    costs: Mapping[str, float]
-    open: frozenset[str]
-
-    def minutes(self, workers: int) -> int:
-        """Estimated wall time of the jobs that are not done yet [min]."""
-        return wall_minutes({key: self.costs[key] for key in self.open}, workers)
-
-
-def prepare_identify(settings: IdentifySettings, out: Path | str) -> IdentifyStudy:
-    """Draw the devices and open the folder.
-
-    Args:
-        out: a new or empty folder, or one in which the study was begun; its finished jobs are kept.
-
-    Raises:
-        ConfigError: if the folder holds something else.
-        LogError: if a result is damaged.
-    """
-    jobs = identify_jobs(settings)
-    refusal = partial(other_study, settings.study)
-    folder = resumed_folder(Path(out), settings.model_dump(mode="json"), settings.seed, refusal)
-    done = result_files(folder.path).kept(jobs, partial(fingerprint, settings=settings))
-    costs = {job.key: _expected_s(job, settings) for job in jobs}
-    return IdentifyStudy(settings, jobs, folder, costs, frozenset(job.key for job in jobs if job.key not in done))
-
-
-def run_identify(study: IdentifyStudy, workers: int = 1, progress: Progress | None = None) -> IdentifyOutcome:
-    """Do the open jobs and write report, tables and results.
-
-    Args:
-        study: made by `prepare_identify`.
-        workers: processes, each on one thread; with 1 the jobs run in this process.
-        progress: see `ResultFiles.complete`.
-
-    Raises:
-        ConfigError: if worker processes died again and again.
-        LogError: if a result's file is damaged.
-        KeyboardInterrupt: if the user ended it; finished jobs are kept, the report is not written.
-    """
-    folder = study.folder.path
-    results = result_files(folder).complete(
-        [study.jobs],
-        partial(do_job, settings=study.settings, folder=folder),
-        partial(fingerprint, settings=study.settings),
-        backend_for(workers, where=str(folder)),
-        study.costs,
-        progress,
+def prepare_identify(
+    settings: IdentifySettings, out: Path | str
+) -> ReadyStudy[IdentifySettings, IdentifyJob, IdentifyResult]:
+    """Draw the devices and open the folder; see `ready_study`."""
+    return ready_study(
+        settings,
+        settings.study,
+        identify_jobs(settings),
+        out,
+        result_files,
+        lambda job, folder: fingerprint(job, settings),
+        lambda jobs: {job.key: _cost_s(job, settings) for job in jobs},
     )
+
+
+def run_identify(
+    study: ReadyStudy[IdentifySettings, IdentifyJob, IdentifyResult], workers: int = 1, progress: Progress | None = None
+) -> IdentifyOutcome:
+    """Do the open jobs and write report, tables and results; see `ReadyStudy.complete` for arguments and errors."""
+    folder = study.folder.path
+    do = partial(do_job, settings=study.settings, folder=folder)
+    results = study.complete([study.jobs], do, workers, progress)
     outcome = IdentifyOutcome(study.settings, results, folder, study.folder.meta)
     page, tables = identify_report(outcome)
     for table in tables:
@@ -108,7 +73,7 @@ def do_job(job: IdentifyJob, settings: IdentifySettings, folder: Path) -> Identi
     return result
 
 
-def _expected_s(job: IdentifyJob, settings: IdentifySettings) -> float:
+def _cost_s(job: IdentifyJob, settings: IdentifySettings) -> float:
     if settings.quick:
         return _QUICK_S
     rate = float(job.key.rsplit("-", 1)[1].removesuffix("hz"))

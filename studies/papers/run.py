@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from hystmpc.sim.jobs.runner import backend_for, resumed_folder, wall_minutes
 from hystmpc.trials.report import Report
-from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 
-from ..tables import StudyTable, other_study
+from ..ready import ReadyStudy, ready_study
+from ..tables import StudyTable
 from .job import Splits, TrainingTask, study_splits
 from .real import real_report, real_tasks
-from .result import StudyOutcome, result_files
+from .result import JobResult, StudyOutcome, result_files
 from .s1 import s1_report, s1_tasks
 from .s2_plan import s2_tasks
 from .s2_report import s2_report
@@ -36,69 +35,43 @@ _REPORTS: dict[str, Callable[[StudyOutcome], tuple[Report, list[StudyTable]]]] =
 
 @dataclass(frozen=True, eq=False)
 class PaperStudy:
-    """A study made ready: its folder is there, nothing is trained yet.
+    """A study made ready, and its trials."""
 
-    Attributes:
-        costs: expected seconds by key of the jobs that are not done yet.
-    """
-
-    settings: StudySettings
+    ready: ReadyStudy[StudySettings, TrainingTask, JobResult]
     splits: Splits
-    tasks: tuple[TrainingTask, ...]
-    folder: RunFolder
-    costs: Mapping[str, float]
-
-    def minutes(self, workers: int) -> int:
-        """Estimated wall time of the jobs that are not done yet [min]."""
-        return wall_minutes(self.costs, workers)
 
 
 def prepare(settings: StudySettings, out: Path | str) -> PaperStudy:
-    """Make or read the trials, plan the jobs, open the folder.
-
-    Args:
-        out: a new or empty folder, or one in which the same study was begun; its finished jobs are kept.
+    """Make or read the trials, plan the jobs, open the folder; see `ready_study`.
 
     Raises:
         ConfigError: if the folder holds something else, another study, or logs are wrong.
         LogError: if a log cannot be read, or a result is damaged.
     """
     splits = study_splits(settings)
-    tasks = _PLANS[settings.study](settings, splits)
-    folder = resumed_folder(
-        Path(out), settings.model_dump(mode="json"), settings.seed, partial(other_study, settings.study)
+    ready = ready_study(
+        settings,
+        settings.study,
+        _PLANS[settings.study](settings, splits),
+        out,
+        result_files,
+        lambda task, folder: task.fingerprint,
+        lambda tasks: estimated_seconds(tasks, timed=not settings.quick),
     )
-    kept = result_files(folder.path).kept(tasks, lambda task: task.fingerprint)
-    costs = estimated_seconds([task for task in tasks if task.key not in kept], timed=not settings.quick)
-    return PaperStudy(settings, splits, tasks, folder, costs)
+    return PaperStudy(ready, splits)
 
 
 def run_study(study: PaperStudy, workers: int = 1, progress: Progress | None = None) -> StudyOutcome:
-    """Do the open jobs and write report and tables.
-
-    Args:
-        study: made by `prepare`.
-        workers: processes, each on one thread; with 1 the jobs run in this process.
-        progress: see `ResultFiles.complete`.
+    """Do the open jobs and write report and tables; see `ReadyStudy.complete` for arguments and errors.
 
     Raises:
-        ConfigError: if worker processes died again and again.
-        LogError: if a result's file is damaged.
         ModelError: if a model's file is gone or damaged.
-        KeyboardInterrupt: if the user ended it; finished jobs are kept, the report is not written.
     """
-    folder = study.folder.path
-    results = result_files(folder).complete(
-        [study.tasks],
-        partial(do_job, folder=folder),
-        lambda task: task.fingerprint,
-        backend_for(workers, where=str(folder)),
-        study.costs,
-        progress,
-    )
-    outcome = StudyOutcome(study.settings, study.splits, results, folder, study.folder.meta)
-    page, tables = _REPORTS[study.settings.study](outcome)
+    ready, folder = study.ready, study.ready.folder.path
+    results = ready.complete([ready.jobs], partial(do_job, folder=folder), workers, progress)
+    outcome = StudyOutcome(ready.settings, study.splits, results, folder, ready.folder.meta)
+    page, tables = _REPORTS[ready.settings.study](outcome)
     for table in tables:
         table.save(folder)
-    study.folder.write_report(page.html())
+    ready.folder.write_report(page.html())
     return outcome

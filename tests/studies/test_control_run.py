@@ -48,7 +48,7 @@ def test_it_leaves_results_signals_tables_and_a_report(whole: tuple[Path, Contro
 def test_a_second_call_does_nothing_again(whole: tuple[Path, ControlOutcome]) -> None:
     folder, outcome = whole
     study = prepare_control(SETTINGS, folder)
-    assert study.open == frozenset()
+    assert study.costs == {}
     seen: list[str] = []
     again = run_control(study, progress=lambda done, total, note="": seen.append(note))
     assert seen == ["3 of 3 jobs "]
@@ -64,7 +64,7 @@ def test_an_interrupted_one_goes_on_to_the_same_figures(whole: tuple[Path, Contr
         run_control(prepare_control(SETTINGS, tmp_path / "run"), progress=stop)
     assert not (tmp_path / "run" / "report.html").exists()
     study = prepare_control(SETTINGS, tmp_path / "run")
-    assert len(study.open) == 1
+    assert len(study.costs) == 1
     again = run_control(study)
 
     def steady(outcome: ControlOutcome) -> list[list[object]]:

@@ -45,7 +45,7 @@ def test_it_leaves_results_models_tables_and_a_report(whole: tuple[Path, Identif
 def test_a_second_call_does_nothing_again(whole: tuple[Path, IdentifyOutcome]) -> None:
     folder, outcome = whole
     study = prepare_identify(SETTINGS, folder)
-    assert study.open == frozenset()
+    assert study.costs == {}
     assert run_identify(study).results == outcome.results
 
 

@@ -95,7 +95,9 @@ def test_resuming_skips_what_is_done(whole: tuple[Path, StudyOutcome]) -> None:
     folder, outcome = whole
     written = {path: path.stat().st_mtime_ns for path in (folder / "models").iterdir()}
     seen: list[str] = []
-    again = run_jobs(prepare(SETTINGS, folder).tasks, folder, progress=lambda done, total, note="": seen.append(note))
+    again = run_jobs(
+        prepare(SETTINGS, folder).ready.jobs, folder, progress=lambda done, total, note="": seen.append(note)
+    )
     assert seen == [f"{len(outcome.done)} of {len(outcome.done)} jobs "]
     assert again == outcome.results
     assert {path: path.stat().st_mtime_ns for path in (folder / "models").iterdir()} == written
