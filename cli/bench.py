@@ -12,7 +12,7 @@ import typer
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import require_vacant
 
-from .console import bar, errors, out, plain_console, table
+from .console import INTERRUPTED, bar, errors, out, plain_console, table
 from .options import BENCHMARK, Force, check_output
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from hystmpc.studies.performance.report import BenchReport
 
-INTERRUPTED = 130
 _WIDTH = 220  # of the table in a file
 _TEXT = ("measured", "against", "ratio", "goal", "note")
 

@@ -20,6 +20,9 @@ def plain_console(**options: Any) -> Console:
 out = plain_console()
 errors = plain_console(stderr=True)
 
+INTERRUPTED = 130
+"""Exit status of a command that the user ended."""
+
 
 class Bar:
     """A progress bar with time left and a changing note, on standard error."""

@@ -12,13 +12,12 @@ from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.run_folder import require_vacant
 
-from .console import bar, errors, out, table
+from .console import INTERRUPTED, bar, errors, out, table
 from .options import Layout, Logs
 
 if TYPE_CHECKING:
     from hystmpc.studies.blind.ablation import Ablated
 
-INTERRUPTED = 130
 
 gap = typer.Typer(no_args_is_help=True, help="The sim-to-real diagnosis put to the test.")
 blind = typer.Typer(no_args_is_help=True, help="Sealed cases with known causes: make, run, score.")

@@ -17,10 +17,9 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_resumable, require_vacant
 from hystmpc.trials.types import Progress
 
-from .console import bar, errors, out, table
+from .console import INTERRUPTED, bar, errors, out, table
 from .options import processes
 
-INTERRUPTED = 130
 DIFFERENT = 1
 
 _COLUMNS = ("controller", "RMSE", "max", "hold", "hold p-p", "step ms", "p99 ms", "beyond")

@@ -10,12 +10,10 @@ import typer
 
 from hystmpc.trials.types import Progress
 
-from .console import bar, errors, out
+from .console import INTERRUPTED, bar, errors, out
 
 if TYPE_CHECKING:
     from hystmpc.studies.ready import ReadyStudy
-
-INTERRUPTED = 130
 
 
 class Failure(Protocol):

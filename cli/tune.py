@@ -9,10 +9,9 @@ import typer
 
 from hystmpc.trials.run_folder import require_resumable
 
-from .console import bar, errors, out, table
+from .console import INTERRUPTED, bar, errors, out, table
 from .options import processes
 
-INTERRUPTED = 130
 _COLUMNS = ("settings", "objective", "mean error", "worst plant", "travel", "violations")
 
 
