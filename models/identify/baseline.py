@@ -20,6 +20,7 @@ from .free_run import StagedChain
 # Parameters of cores that are effects by another name: retuning leaves them at their nominal values.
 _EFFECTS_BY_ANOTHER_NAME = {"beta": "rate_dependence"}
 _LOOP_SAMPLES = 200
+_ROUGHNESS = 0.03  # share of the range over which a difference of slopes counts: 25 samples of 0.3 % of the angle
 _SLOW_S = 1.0  # sample time of that loop: slow enough for rate-dependent widths to vanish
 
 
@@ -31,6 +32,9 @@ class Baseline(ABC):
         nominal, lower, upper, scale: of z.
         effects: position in z of what retuning leaves alone, because it is an effect: {effect: {name: position}}.
         held: positions in z of what is chosen and never fitted.
+        roughness: rows (R, Z) [deg per unit of z] whose products with z count as errors of single samples: they tie
+            together what few samples determine (Eilers, Marx, Flexible smoothing with B-splines and penalties,
+            Statistical Science 11, 1996, with differences of first order).
     """
 
     chain: Chain
@@ -40,6 +44,7 @@ class Baseline(ABC):
     scale: Vec
     effects: Mapping[str, Mapping[str, int]]
     held: tuple[int, ...] = ()
+    roughness: Vec = np.empty((0, 0))
 
     @abstractmethod
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
@@ -132,6 +137,7 @@ class FreeCoreBaseline(Baseline):
         object.__setattr__(self, "effects", named)
         if isinstance(core, CurvedPlays):
             object.__setattr__(self, "held", tuple(range(len(slopes) + 1, values.size)))
+            object.__setattr__(self, "roughness", _ROUGHNESS * span * _differences(core, values.size))
 
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
         return np.clip(z, self.lower, self.upper), np.eye(z.size)
@@ -185,6 +191,13 @@ class ScaledBaseline(Baseline):
         """Read off the major loop over the command's range."""
         core = self.chain.core.with_values(self.core_values(z)[0].tolist())
         return _loop_quantities(Chain(core), self.command)
+
+
+def _differences(core: CurvedPlays, size: int) -> Vec:
+    """Rows (R, Z) that give the differences of neighbouring slopes of each curve."""
+    knots = core.pieces + 1
+    rows = [np.eye(size)[k + 1] - np.eye(size)[k] for k in range(len(core.slopes)) if (k + 1) % knots]
+    return np.array(rows)
 
 
 def _loop_quantities(chain: Chain, command: Range) -> Mapping[str, float]:

@@ -207,9 +207,10 @@ class _CondensedSearch:
         return triangle[:, -1], triangle[:, :-1]
 
     def _pull(self, square: Vec, q: Vec) -> Vec:
-        """What the distance from the start adds to the products of derivatives and errors."""
+        """What the distance from the start and roughness add to the products of derivatives and errors."""
         away = np.column_stack([np.eye(q.size), q - self._start])
-        return np.asarray(_HELD * np.max(np.diag(square)[:-1], initial=0.0) * away.T @ away)
+        rough = np.column_stack([self._problem.roughness, self._problem.roughness @ q])
+        return np.asarray(_HELD * np.max(np.diag(square)[:-1], initial=0.0) * away.T @ away + rough.T @ rough)
 
 
 def _triangle(square: Vec) -> Vec:

@@ -27,7 +27,7 @@ _REACHES = (0.3, 0.1, 0.8)  # of the command's range: the widest play at the sta
 _QUICKEST_S = 0.1  # relaxation time of the quick term of two; what is quicker is a lag
 _BENT = "pi, 6 plays"  # the core that is tried with a curve
 _CURVES = ("nonlinear_gain/output", "asymmetry/output", "asymmetry/directional", "slack/rounded", "contact/output")
-_CURVED = (5, 8)  # plays and pieces of the richest core
+_PLAYS, _FEW, _MANY = 5, 4, 8  # of the curved plays, and pieces of their curves
 _RADII = (0.02, 0.45)  # of the command's range: its narrowest and its widest play
 
 
@@ -148,11 +148,12 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
     for label in _CURVES:
         curve = known[label]
         made.append(replace(plain, label=f"{_BENT}, {label}", size=plain.size + len(curve.free), curve=(curve,)))
-    count, pieces = _CURVED
-    slopes, radii = (slope / (count + 1),) * ((pieces + 1) * (count + 1)), tuple(np.geomspace(*_RADII, count) * span)
-    bottom = offset + slope * float(command.min())
-    curved = CurvedPlays(slopes, bottom, radii, float(command.min()), float(command.max()), pieces)
-    size = len(slopes) + 1
-    gradual = replace(curved, turn=1)
-    made.append(CoreForm(f"curved_plays, {count} gradual plays of {pieces} pieces", (Chain(gradual),), size))
-    return (*made, CoreForm(f"curved_plays, {count} plays of {pieces} pieces", (Chain(curved),), size))
+    bottom, radii = offset + slope * float(command.min()), tuple(np.geomspace(*_RADII, _PLAYS) * span)
+
+    def curved(pieces: int, turn: int) -> CoreForm:
+        slopes = (slope / (_PLAYS + 1),) * ((pieces + 1) * (_PLAYS + 1))
+        core = CurvedPlays(slopes, bottom, radii, float(command.min()), float(command.max()), pieces, turn)
+        label = f"curved_plays, {_PLAYS}{' gradual' if turn else ''} plays of {pieces} pieces"
+        return CoreForm(label, (Chain(core),), len(slopes) + 1)
+
+    return (*made, curved(_FEW, 0), curved(_MANY, 1), curved(_MANY, 0))

@@ -175,6 +175,9 @@ class Problem:
             for freedom in c.free
         ]
         self.lower = self.scaled(np.array([*baseline.lower[self._active], *(f.lower for f, _ in self._freedoms)]))
+        self.roughness = np.zeros((len(baseline.roughness), self.size))  # rows (R, Q), as of the baseline
+        if len(baseline.roughness):
+            self.roughness[:, : self._z] = baseline.roughness[:, self._active] * baseline.scale[self._active]
         self.upper = self.scaled(np.array([*baseline.upper[self._active], *(f.upper for f, _ in self._freedoms)]))
 
     @property
