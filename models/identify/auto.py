@@ -94,6 +94,10 @@ def identify_auto(
         try:
             found = full.again(found)
             parameters = tuple(moved_rows(parameters, found))
+            # Half a sample of the search is no delay at this rate.
+            if (nothing := without_meaning(found, parameters)) and nothing[1] == "delay":
+                found = full.less(found, *nothing)
+                parameters = tuple(moved_rows([row for row in parameters if row.owner != "delay"], found))
         except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
             raise nothing_found("the fit at the full rate", interrupted=True) from None
     return AutoFit(found, rows, parameters, search.offsets, tuple(_advice(parameters)), search.interrupted)
