@@ -16,7 +16,7 @@ from hystmpc.trials.types import Vec
 _UNKNOWN = NoiseModel(sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=0.1, motion_sigma_deg_per_sqrt_unit=0.2)
 _PRIOR_SPREAD = math.log(4.0)  # standard deviation of the logarithm of each sigma about what is known of it
 _LEAST_SENSOR_DEG = 0.02  # a model of simulated trials without noise says nothing of a real sensor
-_SENSOR_FACTORS: Vec = 2.0 ** np.arange(-3.0, 3.1)  # of what is known
+_SENSOR_FACTORS: Vec = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # of what is known
 _DRIFT: Vec = 0.001 * 3.0 ** np.arange(8, dtype=np.float64)  # deg/sqrt(s), up to 2.2
 _MOTION: Vec = 0.0016 * 4.0 ** np.arange(7, dtype=np.float64)  # deg over the root of the range of commands
 _SWITCHING_S = 20.0  # mean time for which the model is as wrong as it is

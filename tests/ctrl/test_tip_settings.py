@@ -52,7 +52,7 @@ def test_from_config_reads_files_from_the_files_own_folder(tmp_path: Path) -> No
     ("data", "error", "text"),
     [
         ({"modell": "builtin:pi"}, ConfigError, "did you mean 'model'"),
-        ({"model": "builtin:pj"}, ModelError, "available: backlash, lstm, pi"),
+        ({"model": "builtin:pj"}, ModelError, "available: auto, backlash, lstm, pi"),
         ({"model": "builtin:pi", "controller": {"kind": "linearized_mpc"}}, ConfigError, "mean 'linearised_mpc'"),
         ({"model": "builtin:pi", "controller": {"horizon": 3}}, ConfigError, "no key 'kind'"),
         ({"model": "builtin:pi", "controller": {"kind": "pid", "gain": {}}}, ConfigError, "did you mean 'gains'"),
