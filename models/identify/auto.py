@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from hystmpc.trials.trial import Trial, resample
 from ..effects.catalogue import EFFECTS
 from .auto_search import SEARCH_HZ, AutoSearch, AutoSettings, Choice, PartRow, SearchProgress
 from .chain_fit import nothing_found
-from .part_intervals import moved_rows, widened_rows, without_meaning
+from .part_intervals import moved_row, widened_rows, without_meaning
 from .runs import Run, check_trial_set, runs_of
 from .uncertainty import ParameterRow
 
@@ -93,14 +93,23 @@ def identify_auto(
         full = AutoSearch(trials, _runs(trials, skip_first_flexure), settings, progress, search.offsets)
         try:
             found = full.again(found)
-            parameters = tuple(moved_rows(parameters, found))
-            # Half a sample of the search is no delay at this rate.
-            if (nothing := without_meaning(found, parameters)) and nothing[1] == "delay":
+            wide = {(row.owner, row.name): row for row in parameters}
+            parameters = _numbers_at(full, found, wide)
+            while nothing := without_meaning(found, parameters):
                 found = full.less(found, *nothing)
-                parameters = tuple(moved_rows([row for row in parameters if row.owner != "delay"], found))
+                parameters = _numbers_at(full, found, wide)
         except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
             raise nothing_found("the fit at the full rate", interrupted=True) from None
     return AutoFit(found, rows, parameters, search.offsets, tuple(_advice(parameters)), search.interrupted)
+
+
+def _numbers_at(
+    search: AutoSearch, found: Choice, wide: Mapping[tuple[str, str], ParameterRow]
+) -> tuple[ParameterRow, ...]:
+    """Numbers of a device at the full rate; those that the search at a lower rate knew have intervals as wide."""
+    rows = widened_rows(found, search.runs, search.tried, search.settings)
+    known = [(row, wide.get((row.owner, row.name))) for row in rows]
+    return tuple(row if before is None else moved_row(before, row.value, found) for row, before in known)
 
 
 def _runs(trials: Sequence[Trial], skip_first_flexure: bool) -> tuple[Run, ...]:

@@ -120,7 +120,7 @@ class AutoSearch:
         progress: SearchProgress,
         offsets: bool = False,
     ) -> None:
-        self._runs, self._settings, self._progress = tuple(runs), settings, progress
+        self.runs, self.settings, self._progress = tuple(runs), settings, progress
         scale = Scale.of(runs)
         self._cores, self._parts = core_forms(trials, scale), device_parts(scale)
         self._command = command_range(trials)
@@ -137,7 +137,7 @@ class AutoSearch:
         except KeyboardInterrupt:
             raise nothing_found("the first core", interrupted=True) from None
         try:
-            for _ in range(self._settings.rounds):
+            for _ in range(self.settings.rounds):
                 before = _labels(present.core, present.forms)
                 for part in self._parts:
                     present = self._simplest(
@@ -163,17 +163,21 @@ class AutoSearch:
         return choice if self.offsets else plain
 
     def again(self, choice: Choice) -> Choice:
-        """The same structure fitted to these trials, from the values of another rate."""
-        known = {c.label: c for part in self._parts for form in part.forms for c in form}
-        values = _values(choice.hypothesis)
-        forms = {
-            name: tuple(_near(known[c.label], tuple(values[c.label]), self._runs[0].dt_s) for c in form)
-            for name, form in choice.forms.items()
-        }
+        """The device of another rate fitted to these trials, its drive chosen anew: some are alike at few samples."""
+        dt_s, values = self.runs[0].dt_s, _values(choice.hypothesis)
+
+        def near(form: Form) -> Form:
+            return tuple(_near(c, tuple(values.get(c.label, c.starts[0])), dt_s) for c in form)
+
+        known = {_names(form): form for part in self._parts for form in part.forms}
+        forms = {name: near(known[_names(form)]) for name, form in choice.forms.items()}
         core = next(core for core in self._cores if core.label == choice.core.label)
         z = choice.hypothesis.problem.retuned(choice.hypothesis.q)
         core = replace(core, starts=(core.starts[0].with_values(z.tolist()),))
-        return self._polished(self._judged(core, forms, self._fitted(core, forms, None)))
+        present = self._judged(core, forms, self._fitted(core, forms, None))
+        drive = self._parts[0]
+        drives = [(core, present.forms | {drive.name: near(form)}) for form in drive.forms]
+        return self._polished(self._simplest(drives, present))
 
     def less(self, choice: Choice, part: str, effect: str) -> Choice:
         """The device with a part's next simpler alternative: with the effect if there is one, else without it."""
@@ -210,7 +214,7 @@ class AutoSearch:
 
     def _zeroed_anew(self) -> bool:
         """Whether trials have offsets of their own, seen with the richest core behind the commonest drive."""
-        if len(self._runs) < 2:
+        if len(self.runs) < 2:
             return False
         found = []
         for self.offsets in (False, True):
@@ -227,7 +231,7 @@ class AutoSearch:
         with ThreadPoolExecutor(_THREADS) as pool:  # free runs are compiled and let other threads run
             fits = list(pool.map(fitted, made))
             least = min(fit.mse for *_, fit in fits)
-            near = [fit for fit in fits if fit[2].mse < self._settings.near * least]
+            near = [fit for fit in fits if fit[2].mse < self.settings.near * least]
             choices = list(pool.map(lambda fit: self._choice(*fit), near))
         self.tried += choices
         best = min(choices, key=lambda choice: choice.judged.mse)
@@ -238,7 +242,7 @@ class AutoSearch:
 
     def _worth(self, before: HeldOutErrors, after: HeldOutErrors) -> bool:
         fall, error = gain(before, after)
-        return fall > max(self._settings.standard_errors * error, self._settings.least_share * before.mse)
+        return fall > max(self.settings.standard_errors * error, self.settings.least_share * before.mse)
 
     def _fitted(self, core: CoreForm, forms: Mapping[str, Form], present: Choice | None) -> Hypothesis:
         """Joint fit from the present values where a part stays, from its own starts where it is new."""
@@ -250,7 +254,7 @@ class AutoSearch:
         if present is not None and present.core.label == core.label:
             z = present.hypothesis.problem.retuned(present.hypothesis.q)
             return validation.with_causes(effects, terms, z, values)
-        longer = replace(validation, evaluations=_FROM_AFAR * self._settings.evaluations)
+        longer = replace(validation, evaluations=_FROM_AFAR * self.settings.evaluations)
         cores = [np.array(start.core.values) for start in core.starts]
         found = [longer.with_causes(effects, terms, z, values[:1]) for z in cores]
         return min(found, key=lambda fit: fit.mse)
@@ -268,7 +272,7 @@ class AutoSearch:
 
     def _validation(self, core: CoreForm) -> CrossValidation:
         baseline = FreeCoreBaseline(core.starts[0], self._command)
-        return CrossValidation(baseline, self._runs, self._settings.evaluations)
+        return CrossValidation(baseline, self.runs, self.settings.evaluations)
 
 
 def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float) -> Candidate:
@@ -285,6 +289,10 @@ def _values(hypothesis: Hypothesis) -> dict[str, list[float]]:
     """Free values of each effect of a fit, by label."""
     found = hypothesis.problem.effect_values(hypothesis.q)
     return {c.label: list(v.values()) for c, v in zip(hypothesis.problem.effects, found, strict=True)}
+
+
+def _names(form: Form) -> tuple[str, ...]:
+    return tuple(c.label for c in form)
 
 
 def _labels(core: CoreForm, forms: Mapping[str, Form]) -> tuple[str, ...]:

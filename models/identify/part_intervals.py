@@ -57,19 +57,15 @@ def _form_of(choice: Choice, row: ParameterRow) -> set[str]:
     return {c.label for form in every if any(c.effect == row.owner for c in form) for c in form}
 
 
-def moved_rows(rows: Sequence[ParameterRow], choice: Choice) -> Iterator[ParameterRow]:
-    """The numbers of a fit at another rate, their intervals as wide as they were, in logarithms where they are wide so.
+def moved_row(row: ParameterRow, value: float, choice: Choice) -> ParameterRow:
+    """A number with its value from a fit at another rate, the interval as wide as it was.
 
     A lag between samples that are held is half a sample early: at another rate the delay is another one.
     """
-    found = _numbers(choice.hypothesis, choice.hypothesis.q)
-    for row in rows:
-        value, (low, high) = found[(row.owner, row.name)], row.ci90
-        if _is_logarithmic(choice, row):
-            ends = (value * low / row.value, value * high / row.value)
-        else:
-            ends = (value + low - row.value, value + high - row.value)
-        yield replace(row, value=value, ci90=ends)
+    low, high = row.ci90
+    if _is_logarithmic(choice, row):
+        return replace(row, value=value, ci90=(value * low / row.value, value * high / row.value))
+    return replace(row, value=value, ci90=(value + low - row.value, value + high - row.value))
 
 
 def _is_logarithmic(choice: Choice, row: ParameterRow) -> bool:
