@@ -117,7 +117,7 @@ def test_who_knows_the_device_follows_it_closely() -> None:
     plant = DrawnPlant(replace(QUIET[1], noise_deg=0.1), 1)
     motion, controller = (
         fresh_motions(plant, quick=True)[0],
-        exact_controller(plant.device, LinearisedMpcSettings(), True),
+        exact_controller(plant.device, LinearisedMpcSettings()),
     )
     run = run_closed_loop(controller, plant, motion.trajectory)
     assert math.sqrt(np.mean(run.error_deg[motion.first(plant.dt) :] ** 2)) < 0.1
