@@ -186,7 +186,8 @@ class AutoSearch:
         whole, rest = {c.effect for c in present}, {c.label for c in present if c.effect != effect}
         simpler = [f for f in forms if {c.effect for c in f} == whole and free_numbers(f) < free_numbers(present)]
         without = [f for f in forms if {c.label for c in f} == rest]
-        left = choice.forms | {part: max([*without, *(simpler if len(present) == 1 else [])], key=free_numbers)}
+        open_forms: list[Form] = [*without, *(simpler if len(present) == 1 else [])]
+        left = choice.forms | {part: max(open_forms, key=free_numbers)}
         return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
 
     def bought(self, choice: Choice) -> Iterator[PartRow]:
