@@ -82,15 +82,15 @@ def identify_auto(
     found = search.run()
     parameters = tuple(widened_rows(found, runs, search.tried, settings))
     rows: tuple[PartRow, ...] = ()
+    last = search
     try:
         while not search.interrupted and (nothing := without_meaning(found, parameters)):
             found = search.less(found, *nothing)
             parameters = tuple(widened_rows(found, runs, search.tried, settings))
-        rows = () if search.interrupted else tuple(search.bought(found))
-    except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
+    except KeyboardInterrupt:
         search.interrupted = True
     if coarse is not trials:
-        full = AutoSearch(trials, _runs(trials, skip_first_flexure), settings, progress, search.offsets)
+        last = full = AutoSearch(trials, _runs(trials, skip_first_flexure), settings, progress, search.offsets)
         try:
             found = full.again(found)
             wide = {(row.owner, row.name): row for row in parameters}
@@ -100,6 +100,10 @@ def identify_auto(
                 parameters = _numbers_at(full, found, wide)
         except KeyboardInterrupt:  # a delay's store is sized for the rate of the search: that model must not be used
             raise nothing_found("the fit at the full rate", interrupted=True) from None
+    try:
+        rows = () if search.interrupted else tuple(last.bought(found))
+    except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
+        search.interrupted = True
     return AutoFit(found, rows, parameters, search.offsets, tuple(_advice(parameters)), search.interrupted)
 
 
