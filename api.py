@@ -200,6 +200,8 @@ def fit(
     validation: Logs = (),
     constancy_weight: float | None = None,
     plays: int | None = None,
+    drive: Path | str | None = None,
+    residual: str | None = None,
     skip_first_flexure: bool = False,
     limits: CommandLimits | None = None,
     seed: int = 1,
@@ -220,6 +222,8 @@ def fit(
         validation: trials that only judge, in place of held-out ones.
         constancy_weight: of a network's constant-in, constant-out term.
         plays: number of plays of a Prandtl-Ishlinskii model.
+        drive: what a network or a regression stands behind: `auto` to identify it, or a simulator that has it.
+        residual: with `auto`, network of what its operators leave, `lstm` or `gru`; kept only if it helps held out.
         skip_first_flexure: count each trial only from the command's first reversal on.
         limits: what the device may be sent; what the trials show where left out.
         seed: of everything drawn at random.
@@ -230,10 +234,10 @@ def fit(
         FitError: on an unknown kind or preset, unusable trials, a diverging fit, or a missing extra.
     """
     from hystmpc.models.contract.metadata import DeviceLimits, Range
-    from hystmpc.models.kinds.catalogue import kind_named
+    from hystmpc.models.kinds.catalogue import chosen_kind
     from hystmpc.models.kinds.kind import FitRequest
 
-    chosen = kind_named(kind)
+    chosen = chosen_kind(kind, None if drive is None else str(drive), residual)
     device = DeviceLimits(Range(lower=limits.lower, upper=limits.upper), limits.rate) if limits else DeviceLimits()
     judges = tuple(_directed(validation, preset, rate_hz, inverse)) if validation != () else ()
     request = FitRequest(

@@ -13,7 +13,7 @@ from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
 from hystmpc.models.evaluate import evaluate
 from hystmpc.models.identify.auto import AutoFit
-from hystmpc.models.kinds.catalogue import KINDS, kind_named
+from hystmpc.models.kinds.catalogue import KINDS, chosen_kind
 from hystmpc.models.kinds.kind import FitRequest, ModelKind
 from hystmpc.models.load import load_model
 from hystmpc.models.simulator import save_simulator
@@ -44,6 +44,13 @@ def fit(
     skip_first_flexure: SkipFirstFlexure = False,
     direction: Annotated[Direction, typer.Option(help="Command to angle, or the inverse map.")] = Direction.FORWARD,
     plays: Annotated[int | None, typer.Option(min=1, max=50, help="Plays of a pi (4) or drdpi (10).")] = None,
+    drive: Annotated[
+        str | None,
+        typer.Option(help="Drive before a network or kernel: auto, or a simulator (.yaml, builtin:NAME) that has it."),
+    ] = None,
+    residual: Annotated[
+        str | None, typer.Option(help="With auto: network of what is left, lstm or gru; kept only if it helps.")
+    ] = None,
     training: Annotated[str | None, typer.Option(help="Preset of the training: best, paper, ...")] = None,
     epochs: Annotated[int | None, typer.Option(min=1, help="Epochs (paper) or updates (best) of a network.")] = None,
     hold_out: Annotated[
@@ -62,7 +69,7 @@ def fit(
     force: Force = False,
 ) -> None:
     """Identify a model; Ctrl-C keeps the best so far."""
-    chosen = kind_named(kind)
+    chosen = chosen_kind(kind, drive, residual)
     kinds = (MODEL, SIMULATOR) if chosen.readable else (MODEL,)
     check_output("--out", path, kinds, files_read(logs, preset), force, of=chosen.name)
     request = FitRequest(

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from hystmpc.models.contract.metadata import ModelMetadata
-from hystmpc.models.inverse.drive import Drive, DrivenInverse
-from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
 from hystmpc.models.load import load_model
-from hystmpc.models.model import Inverse, InvertiblePredictor, LoadedModel, Predictor
-from hystmpc.models.prediction.actuated import ActuatedPredictor
-from hystmpc.models.prediction.build import predictor_and_inverse, predictor_for
+from hystmpc.models.model import Inverse, LoadedModel, Predictor
+from hystmpc.models.operators.dynamics import Lag
+from hystmpc.models.prediction.build import Known, known_pairs
 from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.trials.errors import ControllerError
 
@@ -74,24 +71,6 @@ def modelled_limits(settings: ModelledLimitsSettings | None, model: CommandLimit
     return limits
 
 
-Pair = tuple[Predictor, Inverse]
-
-
-@dataclass(frozen=True, eq=False)
-class Known:
-    """Predictors with inverses of the same memory.
-
-    Attributes:
-        predictive: of predictive controllers.
-        feedforward: of controllers that only invert: the same for a model that has an inverse and for an inverse map,
-            else the operator that stands in for it. Corrected by the network at every sample, as predictive controllers
-            want it for their first guess, that inverse would go back and forth across the dead band.
-    """
-
-    predictive: Pair
-    feedforward: Pair
-
-
 def known_model(model: LoadedModel, inverse: Path | None, lag_s: float) -> Known:
     """Predictors and inverses of a model.
 
@@ -104,10 +83,8 @@ def known_model(model: LoadedModel, inverse: Path | None, lag_s: float) -> Known
         ModelError: if the file of the inverse cannot be used.
         FitError: if no stand-in can be fitted.
     """
-    companion = _companion(model) if inverse is None else _given_inverse(inverse, model.metadata.dt_s)
-    predictive = predictor_and_inverse(model, companion)
-    alone = predictor_and_inverse(ChainModel(companion)) if isinstance(companion, Simulator) else predictive
-    return Known(_actuated(predictive, lag_s), _actuated(alone, lag_s))
+    known = known_pairs(model, None if inverse is None else _given_inverse(inverse, model.metadata.dt_s))
+    return known.behind((Lag(lag_s),), model.metadata) if lag_s else known
 
 
 def _given_inverse(file: Path, dt_s: float) -> Simulator | LoadedModel:
@@ -117,16 +94,3 @@ def _given_inverse(file: Path, dt_s: float) -> Simulator | LoadedModel:
         return given
     simulator = given.simulator.at_sample_time(dt_s)
     return ChainModel(simulator) if given.metadata.inverted else simulator
-
-
-def _companion(model: LoadedModel) -> Simulator | None:
-    """A backlash that stands in where the model has no inverse of its own."""
-    return None if isinstance(predictor_for(model), InvertiblePredictor) else surrogate_backlash(model)
-
-
-def _actuated(model: Pair, lag_s: float) -> Pair:
-    """The model behind an actuator of known lag; the model itself where that is zero."""
-    if lag_s == 0:
-        return model
-    predictor = ActuatedPredictor(model[0], lag_s)
-    return predictor, DrivenInverse(model[1], model[0], Drive(predictor.lag), sizes=(1, 0), front_first=False)

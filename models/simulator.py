@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -151,9 +152,24 @@ class Simulator:
         )
 
 
+def simulator_for(chain: Chain, facts: ModelMetadata, method: str) -> Simulator:
+    """A chain with the sample time, units, limits and ranges of another model."""
+    return Simulator(
+        chain=chain,
+        dt_s=facts.dt_s,
+        command_unit=facts.command_unit,
+        angle_unit=facts.angle_unit,
+        command_limits=facts.command_limits,
+        command_rate_per_s=facts.command_rate,
+        trained_command=facts.trained_command,
+        trained_angle_deg=facts.trained_angle,
+        trained_rate_per_s=facts.trained_rate,
+        identification=Identification(method=method),
+    )
+
+
 def save_simulator(simulator: Simulator, path: Path | str) -> Path:
     """Write a simulator file, whole or not at all."""
-    chain = simulator.chain
     content = {
         "format": FORMAT,
         "dt_s": simulator.dt_s,
@@ -164,11 +180,7 @@ def save_simulator(simulator: Simulator, path: Path | str) -> Path:
         "trained_command": simulator.trained_command.model_dump(),
         "trained_angle_deg": simulator.trained_angle_deg.model_dump(),
         "trained_rate_per_s": simulator.trained_rate_per_s,
-        "chain": {
-            "before": [operator_spec(operator) for operator in chain.before],
-            "core": operator_spec(chain.core),
-            "after": [operator_spec(operator) for operator in chain.after],
-        },
+        "chain": chain_spec(simulator.chain),
         "identification": simulator.identification.model_dump(mode="json", exclude_none=True),
     }
     return write_atomically(path, dump_yaml(content))
@@ -188,15 +200,33 @@ def load_simulator(path: Path | str) -> Simulator:
         file = SimulatorFile.parse(data, str(path))
     except ConfigError as error:
         raise ModelError(str(error)) from None
-    if "core" not in file.chain:
-        raise ModelError(f"{path}: chain has no 'core', got {', '.join(file.chain) or 'nothing'}")
-    chain = Chain(
-        operator_from(file.chain["core"], f"{path}: chain.core"),
-        _side(file.chain.get("before"), f"{path}: chain.before"),
-        _side(file.chain.get("after"), f"{path}: chain.after"),
-    )
+    chain = chain_from(file.chain, f"{path}: chain")
     names = [name for name in SimulatorFile.model_fields if name not in ("format", "chain")]
     return Simulator(chain=chain, **{name: getattr(file, name) for name in names})
+
+
+def chain_spec(chain: Chain) -> dict[Literal["before", "core", "after"], Any]:
+    """Plain data from which `chain_from` builds the same chain."""
+    return {
+        "before": [operator_spec(operator) for operator in chain.before],
+        "core": operator_spec(chain.core),
+        "after": [operator_spec(operator) for operator in chain.after],
+    }
+
+
+def chain_from(spec: Mapping[Literal["before", "core", "after"], Any], where: str) -> Chain:
+    """A chain from plain data.
+
+    Raises:
+        ModelError: if it has no core, or names what the catalogue of operators does not know.
+    """
+    if "core" not in spec:
+        raise ModelError(f"{where} has no 'core', got {', '.join(spec) or 'nothing'}")
+    return Chain(
+        operator_from(spec["core"], f"{where}.core"),
+        _side(spec.get("before"), f"{where}.before"),
+        _side(spec.get("after"), f"{where}.after"),
+    )
 
 
 def _side(specs: Any, where: str) -> tuple[Any, ...]:

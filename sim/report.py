@@ -14,10 +14,12 @@ from matplotlib.figure import Figure
 from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid
 from hystmpc.ctrl.feedback.inverse import InversePidControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings
+from hystmpc.models.inverse.drive import Drive
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Predictor
-from hystmpc.models.prediction.actuated import ActuatedPredictor
+from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.prediction.build import predictor_for
+from hystmpc.models.prediction.connected import SeriesPredictor
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.report import (
@@ -244,9 +246,10 @@ def _identified(result: StudyResult) -> Predictor:
     Raises:
         ModelError: if its file is not there any more.
     """
-    model = predictor_for(load_model(model_path(result.config.model), start="conditioned"))
+    opened = load_model(model_path(result.config.model), start="conditioned")
+    model = predictor_for(opened)
     lag = result.config.actuator_lag_s
-    return ActuatedPredictor(model, lag) if lag > 0 else model
+    return SeriesPredictor(Drive((Lag(lag),), opened.metadata), model) if lag > 0 else model
 
 
 def _loop_row(name: str, analysis: LoopAnalysis) -> tuple[object, ...]:

@@ -74,7 +74,7 @@ def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> 
         free = _compare(expected, _free_run(step, start, commands), f"{name} on its own, sample")
         single = _single_steps(reference, step, visited, commands, rng, name)
         worst[name] = np.maximum(free, single)
-    jacobian, kinks = _compare_jacobians(reference, function, visited, commands, model.dtype.name)
+    jacobian, kinks = _compare_jacobians(reference, function, visited, commands, _precision(model))
     return EquivalenceReport(
         steps=STEPS,
         batches=(1, BATCH),
@@ -86,6 +86,12 @@ def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> 
         jacobian_points=_JACOBIANS,
         kinks=kinks,
     )
+
+
+def _precision(model: OnnxModel) -> str:
+    """The least precise number type within: a network in single may be connected with operators in double."""
+    kinds = {weight.dtype.name for weight in model.initializers.values()} | {model.dtype.name}
+    return "float32" if "float32" in kinds else "float64"
 
 
 def _casadi_step(function: ca.Function) -> Step:

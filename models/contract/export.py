@@ -96,15 +96,20 @@ def export_onnx(bundle: ExportBundle, path: Path | str) -> EquivalenceReport:
 
 def model_bytes(bundle: ExportBundle) -> bytes:
     """The model file of a bundle."""
+    return graph_bytes(bundle.graph() if callable(bundle.graph) else bundle.graph, bundle.metadata)
+
+
+def graph_bytes(graph: onnx.GraphProto, facts: ModelMetadata) -> bytes:
+    """The model file of a graph and its facts."""
     import onnx.helper
 
     from .checks import IR_VERSION, OPSET
 
     proto = onnx.helper.make_model(
-        bundle.graph() if callable(bundle.graph) else bundle.graph,
+        graph,
         producer_name="hystmpc",
         opset_imports=[onnx.helper.make_opsetid("", OPSET)],
         ir_version=IR_VERSION,
     )
-    onnx.helper.set_model_props(proto, bundle.metadata.to_properties())
+    onnx.helper.set_model_props(proto, facts.to_properties())
     return proto.SerializeToString(deterministic=True)

@@ -99,6 +99,21 @@ class NoiseModel(Settings):
     motion_sigma_deg_per_sqrt_unit: Sigma
 
 
+class Connection(Settings):
+    """Operators in series or in parallel with the rest of a model's graph; their states stand before those of the rest.
+
+        series:    theta = rest(operators(u)),  a drive between command and travel
+        parallel:  theta = operators(u) + rest(u),  a device and a network of what its operators leave
+
+    Attributes:
+        way: `series` or `parallel`.
+        chain: the operators, as in a simulator file.
+    """
+
+    way: Literal["series", "parallel"]
+    chain: dict[Literal["before", "core", "after"], Any]
+
+
 class ModelMetadata(Settings):
     """The facts without which a model file is refused, and the bounds beyond which it is refused too.
 
@@ -120,12 +135,15 @@ class ModelMetadata(Settings):
         warmup_samples: samples of the first command, held and unscored, before the first output counts; at most 1e6.
         training_data_hash: fingerprint of the trials that the model was identified on.
         training: free facts (preset, seed, validation error, logs).
-        noise: what the model leaves unexplained of its trials; None where that was not found out. The one fact that a
-            file may lack.
+        noise: what the model leaves unexplained of its trials; None where that was not found out.
+        connections: operators that are connected with the model of kind `kind`, the outermost first.
+
+    A file may lack the last two.
     """
 
     format: str = FORMAT
     noise: NoiseModel | None = None  # not the last one: a file that is cut off lacks what follows
+    connections: tuple[Connection, ...] = ()
     kind: str = Field(min_length=1)
     dt_s: SampleTime
     command_unit: str = Field(min_length=1)
@@ -206,7 +224,8 @@ class ModelMetadata(Settings):
                 f"{where}: model format {fields['format']!r}, this version of hystmpc reads {FORMAT!r}; "
                 "export the model again"
             )
-        needed = [key for key in cls.model_fields if key != "noise"]  # defaults included: a file cut off lacks them
+        # fields with other defaults are needed too: a file that is cut off lacks them
+        needed = [key for key in cls.model_fields if key not in ("noise", "connections")]
         missing = [key for key in needed if key not in ours]
         if missing:
             raise ModelError(f"{where}: metadata lacks {', '.join(missing)}; the file is cut off or was edited")

@@ -29,7 +29,8 @@ _UNARY = {
     "assign": "Identity",
 }
 
-_INTERFACE = (("u", "state"), ("theta", "next_state"))
+INTERFACE = (("u", "state"), ("theta", "next_state"))
+"""Inputs and outputs of a step graph."""
 
 
 class _Writer:
@@ -133,7 +134,7 @@ def step_graph(function: Any, name: str) -> onnx.GraphProto:
         split = helper.make_node("Identity", ["state"], columns, name="split_state")
     program = operator_nodes(function, [columns, ["u"]])
     (theta,), following = program.outputs
-    following, spread = _columns(following, program.constants)
+    following, spread = as_columns(following, program.constants)
     last = [
         *spread,
         helper.make_node("Identity", [theta], ["theta"], name="theta"),
@@ -142,8 +143,8 @@ def step_graph(function: Any, name: str) -> onnx.GraphProto:
     return helper.make_graph(
         [split, *program.nodes, *last],
         name,
-        [_value("u", 1), _value("state", size)],
-        [_value("theta", 1), _value("next_state", size)],
+        [tensor("u", 1), tensor("state", size)],
+        [tensor("theta", 1), tensor("next_state", size)],
         initializer=[
             numpy_helper.from_array(np.full((1, 1), value), name=label) for label, value in program.constants.items()
         ],
@@ -173,19 +174,23 @@ def graph_of_nodes(
     """
     weights = [numpy_helper.from_array(np.array(value, np.float64), key) for key, value in numbers.items()]
     weights += [numpy_helper.from_array(np.array(value, np.int64), key) for key, value in indices.items()]
-    inputs, outputs = ([_value(one, 1), _value(state, state_size)] for one, state in _INTERFACE)
+    inputs, outputs = ([tensor(one, 1), tensor(state, state_size)] for one, state in INTERFACE)
     return helper.make_graph(nodes, name, inputs, outputs, initializer=weights)
 
 
-def _columns(names: list[str], constants: dict[str, float]) -> tuple[list[str], list[onnx.NodeProto]]:
+def as_columns(
+    names: list[str], constants: Mapping[str, float], prefix: str = ""
+) -> tuple[list[str], list[onnx.NodeProto]]:
     """The names with every number (1, 1) among them spread to a column (N, 1), and the nodes that do it."""
     nodes, spread = [], {name: f"{name}_column" for name in names if name in constants}
+    each = f"{prefix}each_row"
     if spread:
-        nodes.append(helper.make_node("LessOrEqual", ["u", "u"], ["each_row"], name="each_row"))
+        nodes.append(helper.make_node("LessOrEqual", ["u", "u"], [each], name=each))
     for name, column in spread.items():
-        nodes.append(helper.make_node("Where", ["each_row", name, name], [column], name=column))
+        nodes.append(helper.make_node("Where", [each, name, name], [column], name=column))
     return [spread.get(name, name) for name in names], nodes
 
 
-def _value(name: str, width: int) -> onnx.ValueInfoProto:
+def tensor(name: str, width: int) -> onnx.ValueInfoProto:
+    """An input or output (N, width) in double."""
     return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width])

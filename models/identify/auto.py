@@ -77,7 +77,7 @@ def identify_auto(
     settings = settings or AutoSettings()
     dt = check_trial_set(trials)
     coarse = _thinned(trials, dt)
-    runs = _runs(coarse, skip_first_flexure)
+    runs = runs_to_fit(coarse, skip_first_flexure)
     search = AutoSearch(coarse, runs, settings, progress)
     found = search.run()
     parameters = tuple(widened_rows(found, runs, search.tried, settings))
@@ -90,7 +90,7 @@ def identify_auto(
     except KeyboardInterrupt:
         search.interrupted = True
     if coarse is not trials:
-        last = full = AutoSearch(trials, _runs(trials, skip_first_flexure), settings, progress, search.offsets)
+        last = full = AutoSearch(trials, runs_to_fit(trials, skip_first_flexure), settings, progress, search.offsets)
         try:
             found = full.again(found)
             wide = {(row.owner, row.name): row for row in parameters}
@@ -116,7 +116,8 @@ def _numbers_at(
     return tuple(row if before is None else moved_row(before, row.value, found) for row, before in known)
 
 
-def _runs(trials: Sequence[Trial], skip_first_flexure: bool) -> tuple[Run, ...]:
+def runs_to_fit(trials: Sequence[Trial], skip_first_flexure: bool) -> tuple[Run, ...]:
+    """Trials as runs, each counted from the first reversal of its command on where the first flexure is skipped."""
     runs = runs_of(trials)
     if not skip_first_flexure:
         return runs

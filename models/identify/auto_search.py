@@ -20,7 +20,7 @@ from .chain_fit import nothing_found
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
 from .parts import CoreForm, Form, core_forms, device_parts
 from .problem import TrialTerms
-from .runs import Run, command_range
+from .runs import Blocks, Run, command_range
 
 SearchProgress = Callable[[float, float], None]
 """Told the share that is done, and the least error on held-out trials so far [deg]."""
@@ -51,6 +51,11 @@ class AutoSettings:
     rounds: int = 3
     evaluations: int = 12
     widening: float = 1.5
+
+    def worth(self, before: Blocks, after: Blocks) -> bool:
+        """Whether held-out errors fall by enough for a part to be added."""
+        fall, error = gain(before, after)
+        return fall > max(self.standard_errors * error, self.least_share * before.mse)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +164,7 @@ class AutoSearch:
             return choice
         self.offsets = False
         plain = self._judged(choice.core, choice.forms, self._fitted(choice.core, choice.forms, choice))
-        self.offsets = self._worth(plain.judged, choice.judged)
+        self.offsets = self.settings.worth(plain.judged, choice.judged)
         return choice if self.offsets else plain
 
     def again(self, choice: Choice) -> Choice:
@@ -223,7 +228,7 @@ class AutoSearch:
             forms = {**self._none(), self._parts[0].name: delay_and_lag}
             fit = self._fitted(self._cores[-1], forms, None)
             found.append(self._validation(self._cores[-1]).judge(fit))
-        return self._worth(found[0], found[1])
+        return self.settings.worth(found[0], found[1])
 
     def _simplest(self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice) -> Choice:
         def fitted(alternative: tuple[CoreForm, dict[str, Form]]) -> tuple[CoreForm, dict[str, Form], Hypothesis]:
@@ -237,13 +242,9 @@ class AutoSearch:
         self.tried += choices
         best = min(choices, key=lambda choice: choice.judged.mse)
         for choice in sorted(choices, key=lambda choice: choice.size):
-            if choice is best or not self._worth(choice.judged, best.judged):
+            if choice is best or not self.settings.worth(choice.judged, best.judged):
                 return choice
         return best
-
-    def _worth(self, before: HeldOutErrors, after: HeldOutErrors) -> bool:
-        fall, error = gain(before, after)
-        return fall > max(self.settings.standard_errors * error, self.settings.least_share * before.mse)
 
     def _fitted(self, core: CoreForm, forms: Mapping[str, Form], present: Choice | None) -> Hypothesis:
         """Joint fit from the present values where a part stays, from its own starts where it is new."""

@@ -127,7 +127,7 @@ class CrossValidation:
         return HeldOutErrors(held_out.energy, held_out.samples, held_out.run, hypothesis, errors, tuple(fold_q))
 
 
-def gain(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:
+def gain(before: Blocks, after: Blocks) -> tuple[float, float]:
     """Fall of the held-out mean square error and its standard error [deg^2], blocks paired within their runs."""
     difference = before.energy - after.energy
     total = before.samples.sum()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -11,12 +11,12 @@ import numpy as np
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
+from ..contract.metadata import InitialRule, ModelMetadata
 from ..kernels.numba_ import njit
 from ..model import Inverse, Predictor
-from ..operators.dynamics import Delay, Lag, RateLimit, Servo
+from ..operators.dynamics import Delay, Lag, RateLimit, Servo, stored
 from ..operators.operator import Operator
 from ..prediction.compiled import CompiledPredictor
-from ..simulator import Simulator
 
 DYNAMICS = (Delay, Lag, Servo, RateLimit)
 """Operators that are not inverted sample by sample: that would amplify every deviation."""
@@ -44,17 +44,23 @@ class Drive:
     """Dynamics of unit gain between an input and an output of the same unit.
 
     Args:
-        predictor: of the dynamics alone.
+        operators: in series, at least one.
+        facts: of the model whose command or angle they pass, for sample time and range.
+
+    Attributes:
+        predictor: of the dynamics alone; its state at rest is that of the input held for ever.
+        delay_samples: whole samples that pass before an input shows at all.
     """
 
-    def __init__(self, predictor: Predictor) -> None:
-        self.predictor = predictor
-
-    @classmethod
-    def of_operators(cls, operators: tuple[Operator, ...], simulator: Simulator) -> Drive:
-        """Drive of operators in series, at the sample time of a simulator."""
+    def __init__(self, operators: Sequence[Operator], facts: ModelMetadata) -> None:
+        operators = stored(operators, facts.dt_s)
         chain = Chain(operators[-1], before=operators[:-1])
-        return cls(CompiledPredictor.of_simulator(replace(simulator, chain=chain)))
+        at = [np.asarray(chain.rest(u, u, chain.values)).ravel() for u in (0.0, 1.0)]
+        rest = InitialRule(offset=tuple(at[0].tolist()), slope=tuple((at[1] - at[0]).tolist()))
+        own = {"kind": "drive", "initial": rest, "conditioned": rest, "warmup_samples": 0, "noise": None}
+        self.predictor = CompiledPredictor(chain.transition, chain.values, facts.model_copy(update=own))
+        self.size = chain.state_size
+        self.delay_samples = sum(int(o.delay_s / facts.dt_s + _WHOLE) for o in operators if isinstance(o, Delay))
 
     def held(self, state: Vec, u: float, horizon: int) -> Fit:
         """Outputs (H,) of an input held at `u`, and the first sample that another input would change."""
@@ -102,35 +108,21 @@ class DrivenInverse(Inverse):
     Args:
         inner: inverse of the model without the dynamics.
         predictor: of what `inner` inverts.
-        front: drive between command and travel; None for none.
-        back: dynamics between the inverted model's angle and the tip's; None for none.
-        sizes: entries of the states of front and back.
-        front_first: whether the front's state stands before the model's, else behind it.
-        delay_samples: whole samples before a command shows at all.
+        front: drive between command and travel; None for none. Its state stands before the model's.
+        back: dynamics between the inverted model's angle and the tip's; None for none. Its state stands behind.
     """
 
     def __init__(
-        self,
-        inner: Inverse,
-        predictor: Predictor,
-        front: Drive | None,
-        back: Drive | None = None,
-        sizes: tuple[int, int] = (0, 0),
-        front_first: bool = True,
-        delay_samples: int = 0,
+        self, inner: Inverse, predictor: Predictor, front: Drive | None = None, back: Drive | None = None
     ) -> None:
-        self.delay_samples = delay_samples
         self.inner, self.predictor, self.front, self.back = inner, predictor, front, back
-        self._sizes, self._front_first = sizes, front_first
+        self.delay_samples = sum(drive.delay_samples for drive in (front, back) if drive)
 
     def parts(self, state: Vec) -> DrivenParts:
         """The parts of the state (S,) of the whole model."""
-        ahead, behind = self._sizes
-        if self._front_first:
-            cut = state.size - behind
-            return DrivenParts(state[ahead:cut], state[:ahead], state[cut:])
-        cut = state.size - ahead
-        return DrivenParts(state[:cut], state[cut:], state[:0])
+        ahead = self.front.size if self.front else 0
+        cut = state.size - (self.back.size if self.back else 0)
+        return DrivenParts(state[ahead:cut], state[:ahead], state[cut:])
 
     def command(self, state: Vec, theta: float, u_last: float) -> float:
         return self.inner.command(self.parts(state).middle, theta, u_last)
@@ -150,16 +142,6 @@ def split(chain: Chain) -> Split:
     first = min((k for k, o in enumerate(chain.after) if isinstance(o, DYNAMICS)), default=len(chain.after))
     middle = Chain(chain.core, chain.before[last:], chain.after[:first])
     return Split(chain.before[:last], middle, chain.after[first:])
-
-
-def whole_delay(operators: tuple[Operator, ...], dt_s: float) -> int:
-    """Samples that pass before an input of operators in series shows at all."""
-    return sum(int(o.delay_s / dt_s + _WHOLE) for o in operators if isinstance(o, Delay))
-
-
-def states_of(operators: tuple[Operator, ...]) -> int:
-    """Entries of the state of operators in series."""
-    return sum(len(operator.states) for operator in operators)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -11,7 +11,7 @@ from ..evaluate import RunnableModel, free_run
 from ..identify.chain_kinds import backlash_starts
 from ..identify.least_squares import OperatorFitSettings, fit_chain
 from ..motions import probe_commands
-from ..simulator import Identification, Simulator
+from ..simulator import Simulator, simulator_for
 
 
 def surrogate_backlash(model: RunnableModel) -> Simulator:
@@ -28,14 +28,5 @@ def surrogate_backlash(model: RunnableModel) -> Simulator:
     t = np.arange(commands.size, dtype=np.float64) * facts.dt_s
     trial = Trial(t, commands, theta, units=Units(facts.command_unit), source="the model's own free run")
     fit = fit_chain(backlash_starts([trial]), [trial], OperatorFitSettings(skip_first_flexure=True))
-    return Simulator(
-        chain=Chain(fit.chain.core),
-        dt_s=facts.dt_s,
-        command_unit=facts.command_unit,
-        command_limits=facts.command_limits,
-        command_rate_per_s=facts.command_rate,
-        trained_command=facts.trained_command,
-        trained_angle_deg=facts.trained_angle,
-        trained_rate_per_s=facts.trained_rate,
-        identification=Identification(method=f"backlash fitted to the free run of a model of kind {facts.kind}"),
-    )
+    method = f"backlash fitted to the free run of a model of kind {facts.kind}"
+    return simulator_for(Chain(fit.chain.core), facts, method)

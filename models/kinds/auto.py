@@ -48,7 +48,7 @@ class AutoKind(ModelKind):
         bundle = simulator_bundle(simulator)
         return Identified(bundle, simulator, tuple(history), report, found.interrupted, found)
 
-    def steps(self, request: FitRequest) -> int | None:
+    def steps(self, request: FitRequest) -> int:
         del request
         return _STEPS
 

@@ -23,3 +23,31 @@ def kind_named(name: str) -> ModelKind:
     if name not in kinds:
         raise FitError(f"no kind of model {name!r}, {did_you_mean(name, kinds)}")
     return kinds[name]
+
+
+def chosen_kind(name: str, drive: str | None = None, residual: str | None = None) -> ModelKind:
+    """The kind of that name, or a combination with it.
+
+    Args:
+        name: see `kind_named`.
+        drive: `auto` or a simulator, a file or `builtin:NAME`: the kind stands behind its drive.
+        residual: with `auto`, kind of a network of what its operators leave.
+
+    Raises:
+        FitError: on an unknown kind, or one that cannot be combined so.
+        ModelError: if the simulator cannot be used.
+    """
+    kind = kind_named(name)
+    if drive is None and residual is None:
+        return kind
+    from ..load import model_path
+    from ..simulator import load_simulator
+    from .connected import DrivenKind, ResidualKind  # compiled code, which a list of kinds need not load
+
+    if drive is not None and residual is not None:
+        raise FitError("got a drive and a network of what operators leave, expected one of them")
+    if drive is not None:
+        return DrivenKind(kind, None if drive == AutoKind.name else load_simulator(model_path(drive)))
+    if name != AutoKind.name:
+        raise FitError(f"{name}: a network of what operators leave is trained with `auto` only")
+    return ResidualKind(str(residual))

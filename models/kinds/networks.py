@@ -74,6 +74,9 @@ _GATED_TRAINING = StreamTraining(
     updates=1600,
     teacher=TeacherSettings(model="play_kernel", runs=32, centred=True),
 )
+RESIDUAL = "residual"
+"""Preset of a network of what operators leave: there is no model of plays to learn from beside the trials."""
+
 _SINGLE = {"length": 1}  # a feed-forward network is scored on the last sample of its window
 
 NETWORK_PRESETS: Mapping[str, Mapping[str, NetworkSettings]] = MappingProxyType(
@@ -95,11 +98,21 @@ NETWORK_PRESETS: Mapping[str, Mapping[str, NetworkSettings]] = MappingProxyType(
         "lstm": _named(
             NetworkSettings(kind="lstm", network=GatedSettings(), learning_rate=0.01, training=_GATED_TRAINING),
             NetworkSettings(kind="lstm", preset="stacked", network=_LSTM),
+            NetworkSettings(
+                kind="lstm",
+                preset=RESIDUAL,
+                network=GatedSettings(),
+                learning_rate=0.01,
+                training=_GATED_TRAINING.model_copy(update={"teacher": None}),
+            ),
             _s2("lstm", _LSTM.model_copy(update=_PLAIN)),
             _s1("lstm", _LSTM.model_copy(update=_PLAIN)),
         ),
         "gru": _named(
             NetworkSettings(kind="gru", network=_GRU, training=StreamTraining(updates=3000)),
+            NetworkSettings(
+                kind="gru", preset=RESIDUAL, network=_GRU, training=StreamTraining(updates=1600, teacher=None)
+            ),
             _s2("gru", _GRU.model_copy(update=_PLAIN)),
             _s1("gru", _GRU.model_copy(update=_PLAIN)),
         ),
@@ -165,7 +178,7 @@ class NetworkKind(ModelKind):
         bundle = with_noise(bundle, unseen or trials, 0 if unseen else bundle.metadata.state_size)
         return Identified(bundle, None, history, report, found.interrupted)
 
-    def steps(self, request: FitRequest) -> int | None:
+    def steps(self, request: FitRequest) -> int:
         return network_settings(self.name, request).steps
 
     def estimate(self, trials: Sequence[Trial], request: FitRequest) -> float | None:

@@ -15,11 +15,10 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import LoopLog, run_loop
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
-from hystmpc.models.inverse.drive import Drive, DrivenInverse
 from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.operators import dynamics as operators
 from hystmpc.models.operators.hysteresis import Backlash
-from hystmpc.models.prediction.actuated import ActuatedPredictor
-from hystmpc.models.prediction.build import predictor_and_inverse
+from hystmpc.models.prediction.build import known_pairs
 from hystmpc.models.simulator import ChainModel, Identification, Simulator
 from hystmpc.trials.errors import ControllerError
 
@@ -44,11 +43,8 @@ def backlash(lag_s: float) -> tuple[Predictor, Inverse]:
         trained_rate_per_s=12.0,
         identification=Identification(method="chosen by hand"),
     )
-    predictor, inverse = predictor_and_inverse(ChainModel(simulator))
-    if lag_s == 0:
-        return predictor, inverse
-    actuated = ActuatedPredictor(predictor, lag_s)
-    return actuated, DrivenInverse(inverse, predictor, Drive(actuated.lag), sizes=(1, 0), front_first=False)
+    known = known_pairs(ChainModel(simulator))
+    return known.behind((operators.Lag(lag_s),), simulator.metadata()).predictive if lag_s else known.predictive
 
 
 def test_describing_function_is_that_of_control() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.inverse.drive import Drive, DrivenInverse, bounded_moves, first_acting, split, whole_delay
+from hystmpc.models.inverse.drive import Drive, DrivenInverse, bounded_moves, first_acting, split
 from hystmpc.models.inverse.follow import Bounds, follower_for
 from hystmpc.models.operators.dynamics import Delay, Lag, RateLimit, Servo
 from hystmpc.models.operators.operator import Operator
@@ -35,7 +35,7 @@ DRIVES: dict[str, tuple[Operator, ...]] = {
 
 def drive(name: str) -> tuple[Drive, np.ndarray]:
     """A drive and its state at rest at 2 mm."""
-    found = Drive.of_operators(DRIVES[name], simulator(Chain(BACKLASH)))
+    found = Drive(DRIVES[name], simulator(Chain(BACKLASH)).metadata())
     state = found.predictor.initial(2.0, 2.0)
     for _ in range(200):
         _, state = found.predictor.advance(state, 2.0)
@@ -84,7 +84,7 @@ def test_the_program_is_solved_as_scipy_solves_it(seed: int, reach: float, gain:
 def test_a_delay_is_seen_in_the_response() -> None:
     found, state = drive("delay and lag")
     held = found.held(state, 2.0, H)
-    assert held.first == whole_delay(DRIVES["delay and lag"], DT) == 2
+    assert held.first == found.delay_samples == 2
     np.testing.assert_allclose(held.outputs, 2.0)
     assert first_acting(np.zeros((H, H))) == 0 or first_acting(np.zeros((H, H))) == H
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hystmpc.models.inverse.drive import Drive, DrivenInverse
 from hystmpc.models.inverse.follow import Bounds, CompiledFollower, Follower, StepwiseFollower, follower_for
 from hystmpc.models.inverse.one_step import AccompaniedPredictor, CompanionInverse, CompiledInverse
 from hystmpc.models.model import Inverse, Predictor
-from hystmpc.models.prediction.actuated import ActuatedPredictor
+from hystmpc.models.operators.dynamics import Lag
+from hystmpc.models.prediction.build import Known
 from hystmpc.models.prediction.compiled import CompiledPredictor
 from hystmpc.models.prediction.recurrent import LstmPredictor
 
@@ -33,8 +33,7 @@ def pair(name: str, lag_s: float) -> tuple[Predictor, Inverse]:
         inverse = CompanionInverse(both, CompiledInverse(chain, BOUNDS.low, BOUNDS.high))
     if not lag_s:
         return predictor, inverse
-    lagged = ActuatedPredictor(predictor, lag_s)
-    return lagged, DrivenInverse(inverse, predictor, Drive(lagged.lag), sizes=(1, 0), front_first=False)
+    return Known.one(predictor, inverse).behind((Lag(lag_s),), simulator(CHAINS["backlash"]).metadata()).predictive
 
 
 def scenes(predictor: Predictor, follower: Follower, count: int = 12) -> list[tuple[np.ndarray, np.ndarray, float]]:

@@ -18,12 +18,13 @@ from hystmpc.trials.trial import Trial
 
 from .casadi_predictor import CasadiPredictor
 from .lstm_examples import DT, four_trials
-from .tiny_kinds import FORWARD, INVERSE, Example, example, tiny_presets, trials_of
+from .tiny_kinds import BEHIND, FORWARD, INVERSE, Example, example, kind_of, tiny_presets, trials_of
 
 pytest.importorskip("torch", reason="torch is an extra")
 pytestmark = pytest.mark.slow
 
 BOTH = [(k.name, d) for k in KINDS for d in (FORWARD, INVERSE) if d == FORWARD or k.invertible]
+BOTH += [(k.name + BEHIND, FORWARD) for k in KINDS if not k.readable]
 every_kind = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 every_model = pytest.mark.parametrize("case", BOTH, ids=lambda case: "-".join(case))
 
@@ -119,7 +120,7 @@ def differences(advance, state: np.ndarray, u: float, step: float) -> np.ndarray
 
 @every_model
 def test_evaluation_is_finite_and_a_hold_holds_within_the_range(case: tuple[str, str]) -> None:
-    one, kind = example(*case), kind_named(case[0])
+    one, kind = example(*case), kind_of(case[0])
     result = evaluate(one.model, one.trials[0])
     assert np.all(np.isfinite(result.theta))
     assert result.outside == 0.0

@@ -9,17 +9,21 @@ from pathlib import Path
 
 import pytest
 
+from hystmpc.models.chain import Chain
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.kinds import networks
 from hystmpc.models.kinds.catalogue import kind_named
-from hystmpc.models.kinds.kind import FitRequest, Identified
+from hystmpc.models.kinds.connected import DrivenKind
+from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.kinds.networks import NETWORK_PRESETS
 from hystmpc.models.networks.settings import FeedForwardSettings
+from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.train.settings import NetworkSettings, StreamTraining
 from hystmpc.trials.trial import Trial
 
 from .lstm_examples import four_trials
+from .zoo import BACKLASH, DT, simulator
 
 FORWARD, INVERSE = "forward", "inverse"
 STREAMS = StreamTraining(length=25, streams=4, updates=30, rounds_between_checks=1, averaging=0.5, teacher=None)
@@ -52,6 +56,16 @@ class Example:
     model: OnnxModel
 
 
+BEHIND = " behind a drive"
+DEVICE = simulator(Chain(BACKLASH, before=(Delay(1.5 * DT, 2), Lag(0.1))))
+
+
+def kind_of(name: str) -> ModelKind:
+    """The kind of that name, or that kind behind the drive of a device."""
+    plain = name.removesuffix(BEHIND)
+    return kind_named(name) if plain == name else DrivenKind(kind_named(plain), DEVICE)
+
+
 def trials_of(direction: str) -> list[Trial]:
     """Four trials, swapped for an inverse map."""
     return [t.swapped() for t in four_trials()] if direction == INVERSE else four_trials()
@@ -66,11 +80,11 @@ def folder() -> tempfile.TemporaryDirectory[str]:
 @lru_cache
 def example(name: str, direction: str) -> Example:
     """Identify once, whichever test asks first."""
-    kind, trials = kind_named(name), trials_of(direction)
+    kind, trials = kind_of(name), trials_of(direction)
     with pytest.MonkeyPatch.context() as patch:
         tiny_presets(patch)
         steps = 3 if kind.readable else 30  # an operator's count for each of its starts
         found = kind.fit(trials, replace(FitRequest(preset=kind.presets[0]), steps=steps))
-    path = Path(folder().name) / f"{name}_{direction}.onnx"
+    path = Path(folder().name) / f"{name}_{direction}.onnx".replace(" ", "_")
     export_onnx(found.bundle, path)
     return Example(trials, found, path, load_onnx(path))

@@ -1,0 +1,220 @@
+"""Operators connected with a model in one file: in series before it, or in parallel; and the file taken apart again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Literal, final
+
+import numpy as np
+
+from hystmpc.trials.errors import ModelError
+from hystmpc.trials.types import Vec
+
+from .chain import Chain
+from .contract.export import ExportBundle, graph_bytes
+from .contract.metadata import Connection, InitialRule, ModelMetadata
+from .model import LoadedModel, StepFunction
+from .motions import probe_commands
+from .simulator import ChainModel, Simulator, chain_from, chain_spec
+
+if TYPE_CHECKING:
+    import onnx
+
+    from .contract.load import OnnxModel
+
+
+@final
+class ConnectedStep(StepFunction):
+    """Step of operators in series or in parallel with a model; the state is [operators' state, model's state].
+
+    series:    theta = rest(v),            v = operators(u)
+    parallel:  theta = v + rest(u),        v = operators(u)
+    """
+
+    def __init__(self, operators: StepFunction, way: Literal["series", "parallel"], rest: StepFunction) -> None:
+        self._operators, self._in_series, self._rest = operators, way == "series", rest
+        self._cut = operators.state_size
+        self.state_size = self._cut + rest.state_size
+
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
+        v, moved = self._operators.advance(state[:, : self._cut], u)
+        theta, following = self._rest.advance(state[:, self._cut :], v if self._in_series else u)
+        return theta if self._in_series else v + theta, np.hstack([moved, following])
+
+    def jacobian(self, state: Vec, u: float) -> Vec:
+        """Chain rule: [theta, operators' next state, next state of the rest] by [their states, u]."""
+        cut, size = self._cut, self.state_size
+        first = self._operators.jacobian(state[:cut], u)
+        v = u
+        if self._in_series:
+            v = float(self._operators.advance(state[None, :cut], np.array([[u]]))[0][0, 0])
+        second = self._rest.jacobian(state[cut:], v)
+        whole = np.zeros((1 + size, size + 1))
+        whole[1 : 1 + cut, :cut], whole[1 : 1 + cut, -1] = first[1:, :-1], first[1:, -1]
+        rest = np.r_[0, 1 + cut : 1 + size]
+        whole[rest, cut:size] = second[:, :-1]
+        if self._in_series:
+            by_operators = np.outer(second[:, -1], first[0])
+            whole[rest, :cut], whole[rest, -1] = by_operators[:, :-1], by_operators[:, -1]
+        else:
+            whole[rest, -1] = second[:, -1]
+            whole[0, :cut] += first[0, :-1]
+            whole[0, -1] += first[0, -1]
+        return whole
+
+
+def connected_bundle(
+    operators: Simulator, way: Literal["series", "parallel"], rest: ExportBundle, facts: ModelMetadata
+) -> ExportBundle:
+    """A model with operators in series before it or in parallel, ready for export.
+
+    At rest the drive of a series stands at the lowest command, and the operators of a parallel connection show the
+    measured angle, so that the rest shows none.
+
+    Args:
+        operators: chain at the sample time of `rest`.
+        way: see `Connection`.
+        rest: the model.
+        facts: sample time, units, limits and ranges of the whole; all else follows from the parts.
+
+    Raises:
+        ExportError: if the parts do not fit each other.
+    """
+    own, step = ChainModel(operators), ConnectedStep(ChainModel(operators), way, rest.reference)
+    inner = rest.metadata
+    metadata = ModelMetadata.of(**dict(facts) | {
+        "kind": inner.kind,
+        "initial": _joint_rule(own.metadata.initial, inner.initial, way, facts),
+        "conditioned": _joint_rule(own.metadata.conditioned, inner.conditioned, way, facts),
+        "warmup_samples": own.metadata.warmup_samples + inner.warmup_samples,
+        "training": dict(inner.training),
+        "noise": inner.noise,
+        "connections": (Connection(way=way, chain=chain_spec(operators.chain)), *inner.connections),
+    })  # fmt: skip
+
+    def graph() -> onnx.GraphProto:
+        return _connected_graph(operators, way, rest.graph() if callable(rest.graph) else rest.graph, inner)
+
+    return ExportBundle(graph, metadata, step, probe_commands(metadata))
+
+
+def operators_of(facts: ModelMetadata) -> Chain:
+    """The operators of a model's outermost connection.
+
+    Raises:
+        ModelError: if they are unknown, or have as many states as the model or more.
+    """
+    chain = chain_from(facts.connections[0].chain, "connections[0].chain")
+    if chain.state_size >= facts.state_size:
+        raise ModelError(
+            f"connections[0]: its operators have {chain.state_size} states, expected less than the {facts.state_size} "
+            "of the model"
+        )
+    return chain
+
+
+def rest_of(model: LoadedModel) -> OnnxModel:
+    """The model without the operators of its outermost connection, as if it had a file of its own.
+
+    Raises:
+        ModelError: if the graph is not that of a connection.
+    """
+    from onnx import helper
+    from onnx.utils import Extractor
+
+    from .contract.load import OnnxModel
+    from .contract.onnx_nodes import INTERFACE
+
+    assert isinstance(model, OnnxModel)  # a simulator has no connections
+    facts, cut = model.metadata, operators_of(model.metadata).state_size
+    names = {f"{_rest(facts.connections[1:])}_{name}": name for pair in INTERFACE for name in pair}
+    try:
+        inputs, outputs = ([name for name, plain in names.items() if plain in pair] for pair in INTERFACE)
+        graph = Extractor(helper.make_model(model.graph)).extract_model(inputs, outputs).graph
+    except ValueError as error:
+        raise ModelError(f"{model.source}: connections[0] is not in the graph: {error}") from None
+    left = facts.model_copy(
+        update={
+            "connections": facts.connections[1:],
+            "initial": _rest_rule(facts.initial, cut),
+            "conditioned": _rest_rule(facts.conditioned, cut),
+        }
+    )
+    return OnnxModel(graph_bytes(_renamed(graph, names), left), model.source, model.start)
+
+
+def _joint_rule(operators: InitialRule, rest: InitialRule, way: str, facts: ModelMetadata) -> InitialRule:
+    if way == "parallel":
+        return InitialRule(
+            offset=(*operators.offset, *rest.offset), slope=(*operators.slope, *(0.0 for _ in rest.offset))
+        )
+    lowest = operators.state(np.array([[facts.command_limits.lower]]))[0]
+    return InitialRule(offset=(*lowest.tolist(), *rest.offset), slope=(*(0.0 for _ in operators.offset), *rest.slope))
+
+
+def _rest_rule(rule: InitialRule, cut: int) -> InitialRule:
+    return InitialRule(offset=rule.offset[cut:], slope=rule.slope[cut:])
+
+
+def _rest(connections: tuple[Connection, ...]) -> str:
+    """Beginning of the names of a rest's inputs and outputs: connections within it keep them apart."""
+    return f"rest{len(connections)}"
+
+
+def _connected_graph(operators: Simulator, way: str, rest: onnx.GraphProto, facts: ModelMetadata) -> onnx.GraphProto:
+    """Step graph in double; weights and tensors of the rest keep their names, but for its inputs and outputs."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    from .contract.onnx_nodes import INTERFACE, as_columns, operator_nodes, tensor
+
+    name, prefix = _rest(facts.connections), f"operators{len(facts.connections)}_"
+    own = operators.chain.state_size
+    columns = [f"{prefix}state_{i}" for i in range(own)]
+    program = operator_nodes(operators.chain.bound(operators.dt_s), [columns, ["u"]], prefix)
+    (answer, *following), spread = as_columns(program.outputs[0] + program.outputs[1], program.constants, prefix)
+    rest = _renamed(rest, {plain: f"{name}_{plain}" for pair in INTERFACE for plain in pair})
+    element = rest.input[0].type.tensor_type.elem_type
+
+    def cast(before: str, after: str, to: int) -> onnx.NodeProto:
+        return helper.make_node("Cast", [before], [after], name=after, to=to)
+
+    theta, state, sizes = f"{prefix}theta", f"{prefix}next_state", f"{prefix}sizes"
+    ends = ("Identity", [theta]) if way == "series" else ("Add", [answer, theta])
+    nodes = [
+        helper.make_node("Split", ["state", sizes], [*columns, f"{prefix}rest"], name=sizes, axis=1),
+        *program.nodes,
+        *spread,
+        cast(answer if way == "series" else "u", f"{name}_u", element),
+        cast(f"{prefix}rest", f"{name}_state", element),
+        *rest.node,
+        cast(f"{name}_theta", theta, TensorProto.DOUBLE),
+        cast(f"{name}_next_state", state, TensorProto.DOUBLE),
+        helper.make_node(*ends, ["theta"], name=f"{prefix}sum"),
+        helper.make_node("Concat", [*following, state], ["next_state"], name=f"{prefix}joint_state", axis=1),
+    ]  # fmt: skip
+    numbers = {label: np.full((1, 1), value) for label, value in program.constants.items()}
+    numbers[sizes] = np.array([1] * own + [facts.state_size], np.int64)
+    weights = [numpy_helper.from_array(value, label) for label, value in numbers.items()]
+    inputs, outputs = ([tensor(one, 1), tensor(all_, own + facts.state_size)] for one, all_ in INTERFACE)
+    return helper.make_graph(
+        nodes,
+        rest.name,
+        inputs,
+        outputs,
+        initializer=[*weights, *rest.initializer],
+        value_info=[*rest.value_info, *rest.input, *rest.output],
+    )
+
+
+def _renamed(graph: onnx.GraphProto, names: Mapping[str, str]) -> onnx.GraphProto:
+    """The graph with other names of some tensors."""
+    from onnx import GraphProto
+
+    copy = GraphProto()
+    copy.CopyFrom(graph)
+    for node in copy.node:
+        for tensors in (node.input, node.output):
+            tensors[:] = [names.get(name, name) for name in tensors]
+    for value in (*copy.input, *copy.output, *copy.value_info):
+        value.name = names.get(value.name, value.name)
+    return copy

@@ -1,0 +1,211 @@
+"""Kinds in combination: any kind behind the drive of a device, and a network beside the operators of one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal, final
+
+from hystmpc.trials.errors import FitError, did_you_mean
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from ..chain import Chain
+from ..connections import connected_bundle
+from ..contract.export import ExportBundle, model_bytes
+from ..contract.metadata import DeviceLimits
+from ..evaluate import free_run
+from ..identify.auto import AutoFit, runs_to_fit
+from ..identify.auto_search import AutoSettings
+from ..identify.cross_validation import CrossValidation
+from ..identify.methods import simulator_of
+from ..identify.runs import Blocks, blocks_of, facts_of
+from ..inverse.drive import Drive, split
+from ..model import FitProgress
+from ..simulator import ChainModel, Simulator
+from .auto import AutoKind
+from .kind import FitRequest, Identified, ModelKind
+from .networks import NETWORK_KINDS, RESIDUAL, NetworkKind
+
+
+@final
+class DrivenKind(ModelKind):
+    """A kind behind the drive of a device: theta = kind(v), v = drive(u).
+
+    The drive is that of a simulator, all up to its last lag, servo, delay or top speed; the kind is identified from the
+    travel v that the drive makes of the recorded commands.
+
+    Args:
+        kind: a network or a regression; `auto` gives operators a drive of their own.
+        device: a simulator with the drive; None to identify one from the same trials by `auto`.
+
+    Raises:
+        FitError: if the kind is one of operators.
+    """
+
+    def __init__(self, kind: ModelKind, device: Simulator | None = None) -> None:
+        if kind.readable:
+            raise FitError(f"{kind.name} and its drive are what `auto` identifies, expected a network or a regression")
+        self.name, self.title = kind.name, f"{kind.title} behind a drive"
+        self.presets, self.inverse_preset, self.recurrent = kind.presets, kind.inverse_preset, True
+        self.invertible = False
+        self._kind, self._device, self._auto = kind, device, AutoKind()
+
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        self.check(trials, request)
+        tell, device, parts = progress or _silent, self._device, None
+        if device is None:
+            before = self._auto.fit(trials, replace(request, preset=self._auto.presets[0], validation=()), tell)
+            device, parts = _identified(before), before.parts
+        done = 0 if self._device else self._auto.steps(request)
+
+        def told(step: int, rmse: float) -> None:
+            tell(done + step, rmse)
+
+        front, _ = _parted(device.at_sample_time(trials[0].dt))
+        if front is None:
+            found = self._kind.fit(trials, request, told)
+            return replace(found, parts=parts, report=f"no drive found; {found.report}")
+        drive = Drive(front.chain.operators, front.metadata())
+        travels, judges = ([behind(drive, trial) for trial in each] for each in (trials, request.validation))
+        found = self._kind.fit(travels, replace(request, validation=tuple(judges)), told)
+        bundle = _connected(front, "series", found.bundle, trials, request.limits)
+        words = " + ".join(operator.name for operator in front.chain.operators)
+        return replace(found, bundle=bundle, parts=parts, report=f"behind {words}: {found.report}")
+
+    def steps(self, request: FitRequest) -> int | None:
+        steps = self._kind.steps(request)
+        return None if steps is None else steps + (0 if self._device else self._auto.steps(request))
+
+
+@final
+class ResidualKind(ModelKind):
+    """The operators of a device and a network of what they leave, behind the drive of the device.
+
+        theta = core(v) + network(v),  v = drive(u)
+
+    Drive and core are those of `auto`. The network is kept only if it lowers the error on trials that neither the
+    operators nor the network saw, by the rule of `auto` for any other part: the search's first fold is left out, the
+    operators are those that were fitted without it, and a network is trained on what they leave of the others. The
+    network that is kept is then trained on what is left of all trials.
+
+    Args:
+        network: kind of the network, `lstm` or `gru`.
+
+    Raises:
+        FitError: on another kind.
+    """
+
+    def __init__(self, network: str) -> None:
+        kinds = {kind.name: kind for kind in NETWORK_KINDS if RESIDUAL in kind.presets}
+        if network not in kinds:
+            raise FitError(f"no network {network!r} of what operators leave, {did_you_mean(network, kinds)}")
+        self._network: NetworkKind = kinds[network]
+        self._auto = AutoKind()
+        self.name, self.title = f"auto with {network}", f"auto + {self._network.title}"
+        self.presets, self.invertible = self._auto.presets, False
+
+    def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
+        self.check(trials, request)
+        if len(trials) < 2:  # one to learn from, one to judge on
+            raise FitError(f"{self.name}: got {len(trials)} trial, expected 2 or more: the network is judged on one")
+        tell = progress or _silent
+        found = self._auto.fit(trials, request, tell)
+        if found.interrupted or found.parts is None:
+            return found
+        first = self._auto.steps(request)
+        part = replace(request, preset=RESIDUAL, hold_out=0)
+        each = self._network.steps(part)
+        before, after = self._judged(trials, found.parts, part, lambda k, rmse: tell(first + k, rmse))
+        change = f"{before.mse**0.5:.4f} -> {after.mse**0.5:.4f} {trials[0].units.angle} on trials left out"
+        if not AutoSettings().worth(before, after):
+            return replace(found, report=f"{found.report}; {self._network.name} not kept: {change}")
+        device = _identified(found)
+        rest = self._network.fit(
+            _left(trials, device, found.parts.offsets), part, lambda k, rmse: tell(first + each + k, rmse)
+        )
+        front, middle = _parted(device)
+        bundle = _connected(middle, "parallel", rest.bundle, trials, request.limits)
+        if front is not None:
+            bundle = _connected(front, "series", bundle, trials, request.limits)
+        history = (*found.history, *((first + each + k, rmse) for k, rmse in rest.history))
+        report = f"{found.report}; with {self._network.name} {change}"
+        return Identified(bundle, None, history, report, rest.interrupted, found.parts)
+
+    def steps(self, request: FitRequest) -> int | None:
+        return self._auto.steps(request) + 2 * self._network.steps(replace(request, preset=RESIDUAL))
+
+    def _judged(
+        self, trials: Sequence[Trial], parts: AutoFit, request: FitRequest, progress: FitProgress
+    ) -> tuple[Blocks, Blocks]:
+        """Errors on the trials of the first fold without and with a network, both identified from the others."""
+        from ..contract.load import OnnxModel  # onnxruntime is not loaded for operators
+
+        problem, judged = parts.choice.hypothesis.problem, parts.choice.judged
+        runs = runs_to_fit(trials, request.skip_first_flexure)
+        fold = CrossValidation(problem.baseline, runs).folds[0]
+        seen = [trial for k, trial in enumerate(trials) if k not in fold]
+        device = simulator_of(problem.fitted_chain(judged.fold_q[0]), seen, request.limits, "without the first fold")
+        found = self._network.fit(_left(seen, device, parts.offsets), request, progress)
+        network = OnnxModel(model_bytes(found.bundle), self._network.name)
+        unseen, runs = _left([trials[k] for k in fold], device, parts.offsets), tuple(runs[k] for k in fold)
+        alone = [trial.angle for trial in unseen]
+        both = [_centred(trial.angle - free_run(network, trial.command, 0.0), parts.offsets) for trial in unseen]
+        before, after = (
+            blocks_of([error[run.counts] for error, run in zip(errors, runs, strict=True)], runs)
+            for errors in (alone, both)
+        )
+        return before, after
+
+
+def behind(drive: Drive, trial: Trial) -> Trial:
+    """The trial with the travel behind a drive, which rested at its first command, in the command's place."""
+    predictor, u = drive.predictor, float(trial.command[0])
+    return replace(trial, command=predictor.rollout(predictor.initial(u, u), trial.command[None])[0])
+
+
+def _parted(device: Simulator) -> tuple[Simulator | None, Simulator]:
+    """The drive of a device, if it has one, and what is behind it."""
+    front, _, _ = split(device.chain)
+    behind_it = replace(device, chain=replace(device.chain, before=device.chain.before[len(front) :]))
+    if not front:
+        return None, behind_it
+    return replace(device, chain=Chain(front[-1], before=front[:-1])), behind_it
+
+
+def _left(trials: Sequence[Trial], device: Simulator, offsets: bool) -> list[Trial]:
+    """What a device leaves of trials, over the travel that its drive makes of the commands."""
+    front, middle = _parted(device)
+    drive, model = front and Drive(front.chain.operators, front.metadata()), ChainModel(middle)
+    travels = [behind(drive, trial) if drive else trial for trial in trials]
+    residuals = [travel.angle - model.run(travel.command, float(travel.angle[0])) for travel in travels]
+    return [replace(t, angle=_centred(r, offsets)) for t, r in zip(travels, residuals, strict=True)]
+
+
+def _centred(residual: Vec, offsets: bool) -> Vec:
+    """The residual less its mean where every trial has an offset of its own."""
+    return residual - residual.mean() if offsets else residual
+
+
+def _connected(
+    operators: Simulator,
+    way: Literal["series", "parallel"],
+    rest: ExportBundle,
+    trials: Sequence[Trial],
+    limits: DeviceLimits,
+) -> ExportBundle:
+    """The bundle of a connection, its ranges those of the recorded trials."""
+    own = rest.metadata
+    rules = own.initial, own.conditioned
+    return connected_bundle(
+        operators, way, rest, facts_of(own.kind, trials, limits, rules, own.warmup_samples, own.training)
+    )
+
+
+def _identified(found: Identified) -> Simulator:
+    assert found.simulator is not None  # `auto` is a kind of operators
+    return found.simulator
+
+
+def _silent(done: int, rmse: float) -> None:
+    del done, rmse

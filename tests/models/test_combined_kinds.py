@@ -1,0 +1,97 @@
+"""A kind behind a drive learns from the travel; a network of what operators leave is kept where it helps alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hystmpc.models.contract.export import model_bytes
+from hystmpc.models.contract.load import OnnxModel
+from hystmpc.models.evaluate import evaluate
+from hystmpc.models.kinds.catalogue import KINDS, chosen_kind, kind_named
+from hystmpc.models.kinds.connected import DrivenKind, ResidualKind, behind
+from hystmpc.models.kinds.kind import FitRequest
+from hystmpc.models.operators.dynamics import Delay, Lag
+from hystmpc.trials.errors import FitError
+from hystmpc.trials.trial import Trial
+
+from .test_auto import motions, recorded
+
+
+def request(kind: str, **changes: object) -> FitRequest:
+    return replace(FitRequest(preset=kind_named(kind).presets[0]), **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", [kind.name for kind in KINDS if kind.readable])
+def test_operators_have_a_drive_of_their_own(name: str) -> None:
+    with pytest.raises(FitError, match="expected a network or a regression"):
+        chosen_kind(name, drive="auto")
+
+
+def test_combinations_that_mean_nothing_are_refused() -> None:
+    for arguments, words in (
+        (("auto", "auto", "lstm"), "expected one of them"),
+        (("backlash", None, "lstm"), "trained with `auto` only"),
+        (("auto", None, "lstn"), "lstm"),
+        (("auto", None, "hb1"), "no network 'hb1'"),
+    ):
+        with pytest.raises(FitError, match=words):
+            chosen_kind(*arguments)
+    swapped = [trial.swapped() for trial in recorded()]
+    with pytest.raises(FitError, match="has no inverse map"):
+        chosen_kind("play_kernel", drive="auto").fit(swapped, request("play_kernel"))
+
+
+@pytest.mark.slow
+def test_an_identified_drive_halves_the_error_of_a_rate_independent_kernel() -> None:
+    """Under a lag and a delay, on a motion that was left out; the file is one model."""
+    trials = recorded(Delay(0.09, 8), Lag(0.15))
+    plain, driven = kind_named("play_kernel"), DrivenKind(kind_named("play_kernel"))
+    asked = request("play_kernel", preset="rate_independent")
+    errors = []
+    for kind in (plain, driven):
+        found = kind.fit(trials[:-1], asked)
+        model = OnnxModel(model_bytes(found.bundle), kind.title)
+        errors.append(evaluate(model, trials[-1]).errors.rmse_deg)
+    assert found.parts is not None
+    assert "delay + lag" in found.report
+    assert model.metadata.noise is not None
+    assert errors[1] < 0.5 * errors[0]
+
+
+def wavy(trials: list[Trial], amplitude_deg: float) -> list[Trial]:
+    """The same with an angle that goes up and down along the stroke, as no operator of the list does."""
+    return [replace(t, angle=t.angle + amplitude_deg * np.sin(2.5 * t.command)) for t in trials]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("amplitude_deg", "steps", "kept"), [(0.0, 30, False), (5.0, 400, True)], ids=["nothing left", "a wave left"]
+)
+def test_a_network_of_what_is_left_is_kept_where_it_helps_alone(amplitude_deg: float, steps: int, kept: bool) -> None:
+    pytest.importorskip("torch", reason="torch is an extra")
+    trials = wavy(recorded(Lag(0.15), commands=[*motions(1), *motions(2)[:3]]), amplitude_deg)
+    found = ResidualKind("gru").fit(trials, FitRequest(steps=steps))
+    assert [connection.way for connection in found.bundle.metadata.connections] == (["series", "parallel"] * kept)
+    assert ("not kept" in found.report) != kept
+    assert found.parts is not None
+    if kept:
+        model = OnnxModel(model_bytes(found.bundle))
+        held_out = recorded(Lag(0.15), commands=motions(3)[:2])
+        errors = [evaluate(model, trial).errors.rmse_deg for trial in wavy(held_out, amplitude_deg)]
+        assert max(errors) < found.parts.choice.rmse_deg  # of the operators alone
+
+
+@pytest.mark.slow
+def test_the_travel_starts_where_the_command_does() -> None:
+    from hystmpc.models.inverse.drive import Drive
+
+    from .tiny_kinds import DEVICE
+
+    trial = recorded()[0]
+    moved = behind(Drive(DEVICE.chain.before, DEVICE.metadata()), trial)
+    assert moved.command[0] == pytest.approx(trial.command[0])
+    np.testing.assert_array_equal(moved.angle, trial.angle)
+    assert np.ptp(moved.command) <= np.ptp(trial.command) + 1e-9
