@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.segments import first_flexure_end
@@ -18,6 +19,8 @@ from .chain_fit import nothing_found
 from .part_intervals import moved_row, widened_rows, without_meaning
 from .runs import Run, check_trial_set, runs_of
 from .uncertainty import ParameterRow
+
+_AGAIN = 0.1  # time of the fit at the full rate over that of the search, if both had the same rate
 
 MOTIONS_THAT_SEPARATE = {
     "fast": "fast steps and small sines of 2 to 4 Hz",
@@ -74,11 +77,18 @@ def identify_auto(
     Raises:
         FitError: on unusable trials, or an angle that falls with the command.
     """
-    settings = settings or AutoSettings()
-    dt = check_trial_set(trials)
-    coarse = _thinned(trials, dt)
+    with threadpool_limits(1, user_api="blas"):  # fits run side by side; more threads in each would only wait
+        return _identified(trials, settings or AutoSettings(), skip_first_flexure, progress)
+
+
+def _identified(
+    trials: Sequence[Trial], settings: AutoSettings, skip_first_flexure: bool, progress: SearchProgress
+) -> AutoFit:
+    coarse = _thinned(trials, check_trial_set(trials))
     runs = _runs(coarse, skip_first_flexure)
-    search = AutoSearch(coarse, runs, settings, progress)
+    again = 0.0 if coarse is trials else _AGAIN * sum(map(len, trials)) / sum(map(len, coarse))
+    share = 1 / (1 + again)  # of the whole time
+    search = AutoSearch(coarse, runs, settings, lambda done, rmse: progress(share * done, rmse))
     found = search.run()
     parameters = tuple(widened_rows(found, runs, search.tried, settings))
     rows: tuple[PartRow, ...] = ()
@@ -90,7 +100,13 @@ def identify_auto(
     except KeyboardInterrupt:
         search.interrupted = True
     if coarse is not trials:
-        last = full = AutoSearch(trials, _runs(trials, skip_first_flexure), settings, progress, search.offsets)
+        last = full = AutoSearch(
+            trials,
+            _runs(trials, skip_first_flexure),
+            settings,
+            lambda done, rmse: progress(share + (1 - share) * done, rmse),
+            search.offsets,
+        )
         try:
             found = full.again(found)
             wide = {(row.owner, row.name): row for row in parameters}

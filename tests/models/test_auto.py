@@ -110,17 +110,41 @@ def test_the_result_is_a_model_at_the_noise_floor_with_a_table_of_its_parts() ->
 
 
 @pytest.mark.slow
-def test_ctrl_c_keeps_the_best_so_far_and_before_the_first_look_says_so() -> None:
-    trials, calls = recorded(Lag(0.15)), []
+def test_ctrl_c_keeps_the_best_so_far() -> None:
+    trials, shares = recorded(Lag(0.15)), []
 
     def stop(share: float, rmse: float) -> None:
-        calls.append((share, rmse))
-        raise KeyboardInterrupt
+        shares.append(share)
+        if share > 0.2:  # the drive is chosen
+            raise KeyboardInterrupt
 
     search = AutoSearch(trials, runs_of(trials), AutoSettings(), stop)
     assert search.run().rmse_deg < 2.0
     assert search.interrupted
-    assert len(calls) == 1
+    assert sum(share > 0.2 for share in shares) == 1
+
+
+def denser(trials: list[Trial], times: int) -> list[Trial]:
+    """The trials at a higher rate, straight between their samples."""
+    grids = [np.arange(times * (len(trial) - 1) + 1) / times * trial.dt for trial in trials]
+    signals = [
+        [np.interp(grid, trial.t, v) for v in (trial.command, trial.angle)]
+        for grid, trial in zip(grids, trials, strict=True)
+    ]
+    return [Trial(grid, *both, source=trial.source) for grid, both, trial in zip(grids, signals, trials, strict=True)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [1, 4], ids=["25 Hz", "100 Hz"])
+def test_the_share_that_is_done_grows_in_small_steps_at_every_rate(times: int) -> None:
+    """Above 50 Hz the device is fitted again; that is told, too, as a part of the whole."""
+    shares: list[float] = []
+    identify_auto(denser(recorded(Lag(0.15)), times), progress=lambda share, rmse: shares.append(share))
+    assert shares == sorted(shares)
+    assert 0.0 < shares[0] < 0.05
+    assert shares[-1] <= 1.0
+    assert len(shares) > 30
+    assert times == 1 or sum(share > 0.8 for share in shares) > 5
 
 
 def test_an_angle_that_falls_with_the_command_is_refused() -> None:
