@@ -13,9 +13,11 @@ from hystmpc.trials.errors import LogError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial, resample
 
+from ..contract.metadata import NoiseModel
 from ..effects.catalogue import EFFECTS
 from .auto_search import SEARCH_HZ, AutoSearch, AutoSettings, Choice, PartRow, SearchProgress
 from .chain_fit import nothing_found
+from .estimation_noise import estimation_noise
 from .part_intervals import moved_row, widened_rows, without_meaning
 from .runs import Run, check_trial_set, runs_of
 from .uncertainty import ParameterRow
@@ -42,6 +44,7 @@ class AutoFit:
         rows: what each part bought.
         parameters: numbers of drive and creep, with intervals of 90 %.
         offsets: whether each trial had an offset of its own.
+        noise: what the device leaves unexplained of trials that its fit did not see; of one trial alone, of that one.
         advice: what these trials do not determine, and what to record for it.
         interrupted: stopped by the user; this is the best so far.
     """
@@ -50,6 +53,7 @@ class AutoFit:
     rows: tuple[PartRow, ...]
     parameters: tuple[ParameterRow, ...]
     offsets: bool
+    noise: NoiseModel
     advice: tuple[str, ...]
     interrupted: bool = False
 
@@ -120,7 +124,9 @@ def _identified(
         rows = () if search.interrupted else tuple(last.bought(found))
     except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
         search.interrupted = True
-    return AutoFit(found, rows, parameters, search.offsets, tuple(_advice(parameters)), search.interrupted)
+    fitted = 0 if len(trials) > 1 else found.hypothesis.problem.size
+    noise = estimation_noise(trials, last.left_out(found), fitted)
+    return AutoFit(found, rows, parameters, search.offsets, noise, tuple(_advice(parameters)), search.interrupted)
 
 
 def _numbers_at(

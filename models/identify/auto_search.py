@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..effects.effect import Candidate, Scale
 from ..operators.dynamics import Delay
@@ -221,6 +222,10 @@ class AutoSearch:
             rmse = self._judged(plain, choice.forms, self._fitted(plain, choice.forms, choice)).rmse_deg
         yield PartRow(_CORE, choice.core.label, rmse, choice.rmse_deg)
         yield PartRow("sensor zero", "of each trial" if self.offsets else "one", math.nan, choice.rmse_deg)
+
+    def left_out(self, choice: Choice) -> tuple[Vec, ...]:
+        """Measurement less free run of each trial, left out of the fit; see `CrossValidation.left_out`."""
+        return self._validation(choice.core).left_out(choice.judged)
 
     def _none(self) -> dict[str, Form]:
         return {part.name: () for part in self._parts}

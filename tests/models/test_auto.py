@@ -10,8 +10,10 @@ import pytest
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.auto import identify_auto
 from hystmpc.models.identify.auto_search import AutoSearch, AutoSettings
+from hystmpc.models.identify.baseline import FreeCoreBaseline
+from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.models.identify.free_run import StagedChain
-from hystmpc.models.identify.runs import runs_of
+from hystmpc.models.identify.runs import command_range, runs_of
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.operators.dynamics import Delay, Lag
@@ -91,6 +93,16 @@ def test_steps_of_three_values_give_both_time_constants_of_a_valve() -> None:
     assert found["lag.tau_down_s"][0] == pytest.approx(5.0, rel=0.2)
 
 
+def test_noise_is_taken_from_trials_that_the_fit_did_not_see() -> None:
+    """Of each trial the free run of the fit without it; what is judged is the same where no trial has an offset."""
+    trials = recorded()
+    validation = CrossValidation(FreeCoreBaseline(Chain(CORE), command_range(trials)), runs_of(trials))
+    judged = validation.judge(validation.retuned())
+    for left, error in zip(validation.left_out(judged), judged.errors, strict=True):
+        np.testing.assert_allclose(left, -error, atol=1e-9)
+    assert len(set(map(tuple, judged.fold_q))) == len(validation.folds)
+
+
 @pytest.mark.slow
 def test_trials_that_were_zeroed_anew_have_offsets_of_their_own() -> None:
     assert identify_auto(recorded(Lag(0.15), offsets_deg=2.0)).offsets
@@ -107,6 +119,8 @@ def test_the_result_is_a_model_at_the_noise_floor_with_a_table_of_its_parts() ->
     assert rows["creep"].form == "none"
     assert identified.parts.choice.rmse_deg < 1.15 * NOISE_DEG
     assert identified.simulator.chain.before[0].name == "delay"
+    assert identified.simulator.identification.noise == identified.parts.noise
+    assert identified.parts.noise.sensor_sigma_deg == pytest.approx(NOISE_DEG, rel=0.1)
 
 
 @pytest.mark.slow
