@@ -7,17 +7,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial, resample
 
+from ..contract.metadata import NoiseModel
 from ..effects.catalogue import EFFECTS
 from .auto_search import SEARCH_HZ, AutoSearch, AutoSettings, Choice, PartRow, SearchProgress
 from .chain_fit import nothing_found
+from .estimation_noise import estimation_noise
 from .part_intervals import moved_row, widened_rows, without_meaning
 from .runs import Run, check_trial_set, runs_of
 from .uncertainty import ParameterRow
+
+_AGAIN = 0.1  # time of the fit at the full rate over that of the search, if both had the same rate
 
 MOTIONS_THAT_SEPARATE = {
     "fast": "fast steps and small sines of 2 to 4 Hz",
@@ -39,6 +44,7 @@ class AutoFit:
         rows: what each part bought.
         parameters: numbers of drive and creep, with intervals of 90 %.
         offsets: whether each trial had an offset of its own.
+        noise: what the device leaves unexplained of trials that its fit did not see; of one trial alone, of that one.
         advice: what these trials do not determine, and what to record for it.
         interrupted: stopped by the user; this is the best so far.
     """
@@ -47,6 +53,7 @@ class AutoFit:
     rows: tuple[PartRow, ...]
     parameters: tuple[ParameterRow, ...]
     offsets: bool
+    noise: NoiseModel
     advice: tuple[str, ...]
     interrupted: bool = False
 
@@ -74,11 +81,18 @@ def identify_auto(
     Raises:
         FitError: on unusable trials, or an angle that falls with the command.
     """
-    settings = settings or AutoSettings()
-    dt = check_trial_set(trials)
-    coarse = _thinned(trials, dt)
+    with threadpool_limits(1, user_api="blas"):  # fits run side by side; more threads in each would only wait
+        return _identified(trials, settings or AutoSettings(), skip_first_flexure, progress)
+
+
+def _identified(
+    trials: Sequence[Trial], settings: AutoSettings, skip_first_flexure: bool, progress: SearchProgress
+) -> AutoFit:
+    coarse = _thinned(trials, check_trial_set(trials))
     runs = runs_to_fit(coarse, skip_first_flexure)
-    search = AutoSearch(coarse, runs, settings, progress)
+    again = 0.0 if coarse is trials else _AGAIN * sum(map(len, trials)) / sum(map(len, coarse))
+    share = 1 / (1 + again)  # of the whole time
+    search = AutoSearch(coarse, runs, settings, lambda done, rmse: progress(share * done, rmse))
     found = search.run()
     parameters = tuple(widened_rows(found, runs, search.tried, settings))
     rows: tuple[PartRow, ...] = ()
@@ -90,7 +104,13 @@ def identify_auto(
     except KeyboardInterrupt:
         search.interrupted = True
     if coarse is not trials:
-        last = full = AutoSearch(trials, runs_to_fit(trials, skip_first_flexure), settings, progress, search.offsets)
+        last = full = AutoSearch(
+            trials,
+            runs_to_fit(trials, skip_first_flexure),
+            settings,
+            lambda done, rmse: progress(share + (1 - share) * done, rmse),
+            search.offsets,
+        )
         try:
             found = full.again(found)
             wide = {(row.owner, row.name): row for row in parameters}
@@ -104,7 +124,9 @@ def identify_auto(
         rows = () if search.interrupted else tuple(last.bought(found))
     except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
         search.interrupted = True
-    return AutoFit(found, rows, parameters, search.offsets, tuple(_advice(parameters)), search.interrupted)
+    fitted = 0 if len(trials) > 1 else found.hypothesis.problem.size
+    noise = estimation_noise(trials, last.left_out(found), fitted)
+    return AutoFit(found, rows, parameters, search.offsets, noise, tuple(_advice(parameters)), search.interrupted)
 
 
 def _numbers_at(

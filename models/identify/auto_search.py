@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..effects.effect import Candidate, Scale
 from ..operators.dynamics import Delay
@@ -29,6 +30,9 @@ SEARCH_HZ = 50.0
 """The structure is searched on trials of at most this rate [Hz]."""
 
 _FROM_AFAR = 3  # times as many evaluations where a fit starts from a line instead of from a neighbour
+_CORE = "core"  # name of the part that every device has
+_NEXT_ROUND = 0.5  # time of a round over that of the round before
+_AT_LAST = 5  # fits that take as long as the last fit and the table of parts
 _THREADS = 2  # alternatives that are fitted side by side
 
 
@@ -129,7 +133,7 @@ class AutoSearch:
         scale = Scale.of(runs)
         self._cores, self._parts = core_forms(trials, scale), device_parts(scale)
         self._command = command_range(trials)
-        self._steps, self._done = (len(self._parts) + 1) * settings.rounds + 1, 0
+        self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in points from which fits start
         self.offsets, self.interrupted = offsets, False
         self.tried: list[Choice] = []
 
@@ -142,21 +146,34 @@ class AutoSearch:
         except KeyboardInterrupt:
             raise nothing_found("the first core", interrupted=True) from None
         try:
-            for _ in range(self.settings.rounds):
+            names = (*(part.name for part in self._parts), _CORE)
+            self._plan([a for n in names for a in self._alternatives(n, present)], present, self.settings.rounds)
+            # of each part: the device when it was chosen last, and what was tried
+            seen: dict[str, tuple[tuple[str, ...], list[Choice]]] = {}
+            for k in range(self.settings.rounds):
+                self._weight = _NEXT_ROUND**k
                 before = _labels(present.core, present.forms)
-                for part in self._parts:
-                    present = self._simplest(
-                        [(present.core, present.forms | {part.name: f}) for f in part.forms], present
-                    )
-                    self._tell()
-                present = self._simplest([(core, present.forms) for core in self._cores], present)
-                self._tell()
+                for name in names:
+                    device, tried = seen.get(name, ((), []))
+                    if device == _labels(present.core, present.forms):
+                        self.tried += tried  # again the same, which weighs in the intervals as often
+                        continue
+                    first = len(self.tried)
+                    present = self._simplest(self._alternatives(name, present), present)
+                    seen[name] = _labels(present.core, present.forms), self.tried[first:]
                 if _labels(present.core, present.forms) == before:
                     break
             return self._polished(self._with_one_zero(present))
         except KeyboardInterrupt:
             self.interrupted = True
             return present
+
+    def _alternatives(self, name: str, present: Choice) -> list[tuple[CoreForm, dict[str, Form]]]:
+        """The device with every form of one part."""
+        if name == _CORE:
+            return [(core, present.forms) for core in self._cores]
+        forms = next(part.forms for part in self._parts if part.name == name)
+        return [(present.core, present.forms | {name: form}) for form in forms]
 
     def _with_one_zero(self, choice: Choice) -> Choice:
         """The device with one offset for all trials, where offsets of their own are worth nothing any more."""
@@ -182,6 +199,7 @@ class AutoSearch:
         present = self._judged(core, forms, self._fitted(core, forms, None))
         drive = self._parts[0]
         drives = [(core, present.forms | {drive.name: near(form)}) for form in drive.forms]
+        self._plan(drives, present)
         return self._polished(self._simplest(drives, present))
 
     def less(self, choice: Choice, part: str, effect: str) -> Choice:
@@ -207,16 +225,26 @@ class AutoSearch:
         plain, rmse = self._cores[0], math.nan
         if choice.core.label != plain.label:
             rmse = self._judged(plain, choice.forms, self._fitted(plain, choice.forms, choice)).rmse_deg
-        yield PartRow("core", choice.core.label, rmse, choice.rmse_deg)
+        yield PartRow(_CORE, choice.core.label, rmse, choice.rmse_deg)
         yield PartRow("sensor zero", "of each trial" if self.offsets else "one", math.nan, choice.rmse_deg)
+
+    def left_out(self, choice: Choice) -> tuple[Vec, ...]:
+        """Measurement less free run of each trial, left out of the fit; see `CrossValidation.left_out`."""
+        return self._validation(choice.core).left_out(choice.judged)
 
     def _none(self) -> dict[str, Form]:
         return {part.name: () for part in self._parts}
 
-    def _tell(self) -> None:
+    def _plan(self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice, rounds: int = 1) -> None:
+        """Begin to count: at most so many rounds of these fits, then the last fit and the table of parts."""
+        points = sum(_points(*alternative, present) for alternative in made)
+        self._done, self._weight = 0.0, 1.0
+        self._planned = _AT_LAST + points * sum(_NEXT_ROUND**k for k in range(rounds))
+
+    def _tell(self, points: int) -> None:
+        self._done += self._weight * points
         best = min((choice.judged.mse for choice in self.tried), default=math.nan)
-        self._progress(self._done / self._steps, math.sqrt(best))
-        self._done += 1
+        self._progress(min(self._done / self._planned, 1.0), math.sqrt(best))
 
     def _zeroed_anew(self) -> bool:
         """Whether trials have offsets of their own, seen with the richest core behind the commonest drive."""
@@ -235,7 +263,10 @@ class AutoSearch:
             return (*alternative, self._fitted(*alternative, present))
 
         with ThreadPoolExecutor(_THREADS) as pool:  # free runs are compiled and let other threads run
-            fits = list(pool.map(fitted, made))
+            fits = []
+            for fit in pool.map(fitted, made):
+                fits.append(fit)
+                self._tell(_points(fit[0], fit[1], present))
             least = min(fit.mse for *_, fit in fits)
             near = [fit for fit in fits if fit[2].mse < self.settings.near * least]
             choices = list(pool.map(lambda fit: self._choice(*fit), near))
@@ -291,6 +322,14 @@ def _values(hypothesis: Hypothesis) -> dict[str, list[float]]:
     """Free values of each effect of a fit, by label."""
     found = hypothesis.problem.effect_values(hypothesis.q)
     return {c.label: list(v.values()) for c, v in zip(hypothesis.problem.effects, found, strict=True)}
+
+
+def _points(core: CoreForm, forms: Mapping[str, Form], present: Choice) -> int:
+    """Points from which an alternative is fitted, weighed by their evaluations; see `AutoSearch._fitted`."""
+    if core.label != present.core.label:
+        return _FROM_AFAR * len(core.starts)
+    held = _labels(present.core, present.forms)
+    return math.prod(len(c.starts) for form in forms.values() for c in form if c.label not in held)
 
 
 def _names(form: Form) -> tuple[str, ...]:

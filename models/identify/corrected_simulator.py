@@ -21,9 +21,10 @@ from ..operators.catalogue import operator_spec
 from ..operators.measurement import PeriodicDisturbance
 from ..operators.operator import Operator
 from ..operators.slow_changes import Drift, FirstFlexure
-from ..simulator import Identification, Residual, Simulator
+from ..simulator import Identification, Simulator
 from .baseline import Baseline
 from .cross_validation import Hypothesis
+from .estimation_noise import estimation_noise
 from .free_run import StagedChain
 from .methods import residual
 from .runs import Run, fingerprint
@@ -45,7 +46,8 @@ def corrected_simulator(
 
     A disturbance has the amplitude, the frequency and the phase of the last trial. What each trial has of its own
     (`trial_shift`) and a faulty sensor are not included, and what is carried from trial to trial begins anew; the
-    method says so. Residuals are those of the file as it stands, on the development trials, as `fit` stores them.
+    method says so. Residuals and noise are those of the file as it stands, on the development trials, as `fit` stores
+    them.
 
     Args:
         simulator: as given.
@@ -60,12 +62,15 @@ def corrected_simulator(
         chain = replace(chain, after=(*chain.after, disturbance))
     names, skip = {run.name for run in development}, simulator.identification.skip_first_flexure
     fitted = [(run, trial, log) for run, trial, log in zip(runs, trials, given, strict=True) if run.name in names]
+    compared = [_compared(chain, run, trial, skip) for run, trial, _ in fitted]
+    errors = [(trial.angle - theta)[start:] for trial, theta, start in compared]
     identification = Identification(
         method=f"{simulator.identification.method}; diagnosed: {chosen.label}{_remarks(chosen)}",
         seed=simulator.identification.seed,
         skip_first_flexure=skip,
         training_data_hash=fingerprint([log for *_, log in fitted]),
-        residuals=tuple(_residual(chain, run, trial, log, skip) for run, trial, log in fitted),
+        residuals=tuple(residual(log, *own) for (*_, log), own in zip(fitted, compared, strict=True)),
+        noise=estimation_noise([trial for trial, *_ in compared], errors, chosen.problem.size),
     )
     return replace(simulator, chain=chain, identification=identification).at_sample_time(simulator.dt_s)
 
@@ -129,13 +134,16 @@ def _remarks(chosen: Hypothesis) -> str:
     return "".join(f"; {text}" for text in said)
 
 
-def _residual(chain: Chain, run: Run, trial: Trial, given: Trial, skip_first_flexure: bool) -> Residual:
-    """Residual of the chain on a trial; it starts anew, at rest at the first command."""
+def _compared(chain: Chain, run: Run, trial: Trial, skip_first_flexure: bool) -> tuple[Trial, Vec, int]:
+    """A trial with its sensor's faults repaired, the chain's free run (T,), and the first sample that counts.
+
+    The chain starts anew, at rest at the first command.
+    """
     repaired = Trial(trial.t, trial.command, run.angle, units=trial.units, source=trial.source)
     state = settled(chain, float(trial.command[0]), float(run.angle[0]), -math.inf, 0.0)
     theta = StagedChain(chain).simulate(trial.command[:, None], trial.dt, state[:, None])[0][:, 0]
     moves = skip_first_flexure and segment(repaired).reversals.size
-    return residual(given, repaired, theta, first_flexure_end(repaired) if moves else 0)
+    return repaired, theta, first_flexure_end(repaired) if moves else 0
 
 
 def _placed(chosen: Hypothesis) -> list[tuple[Any, Operator]]:

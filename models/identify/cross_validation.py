@@ -126,6 +126,15 @@ class CrossValidation:
         held_out = blocks_of(errors, self.runs)
         return HeldOutErrors(held_out.energy, held_out.samples, held_out.run, hypothesis, errors, tuple(fold_q))
 
+    def left_out(self, judged: HeldOutErrors) -> tuple[Vec, ...]:
+        """Measurement less free run where it counts (C,) [deg], of every run with the fit that did not see it.
+
+        Nothing is taken off for what a trial has of its own. With one run, of the fit to it.
+        """
+        fits = {k: q for fold, q in zip(self.folds, judged.fold_q, strict=True) for k in fold}
+        angles = [judged.hypothesis.problem.angles(fits[k], run) for k, run in enumerate(self.runs)]
+        return tuple((run.angle - theta)[run.counts] for run, theta in zip(self.runs, angles, strict=True))
+
 
 def gain(before: Blocks, after: Blocks) -> tuple[float, float]:
     """Fall of the held-out mean square error and its standard error [deg^2], blocks paired within their runs."""

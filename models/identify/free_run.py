@@ -36,6 +36,20 @@ class _Held(NamedTuple):
     core: float
 
 
+class _Led(NamedTuple):
+    """One row held at a command, up to some operator.
+
+    Attributes:
+        state, slope: as of `_Held`, filled up to that operator.
+        signal, by_signal: what it hands on one sample later, and its derivative (P + 1,).
+    """
+
+    state: Vec
+    slope: Vec
+    signal: float
+    by_signal: Vec
+
+
 @final
 class StagedChain:
     """Compiled free runs of a chain, batched, with exact sensitivities to all parameters.
@@ -117,7 +131,8 @@ class StagedChain:
             values: parameters (P,); the chain's where left out.
         """
         p, at = self._rows(values, 1), angle
-        held, side = self._held(command, at, dt_s, p), 0.0
+        before = self._before_core(command, dt_s, p)
+        held, side = self._held(before, at, dt_s, p), 0.0
         beyond: _Held | None = None
         for _ in range(_ROUNDS):
             if abs(angle - held.shown) < _CLOSE:
@@ -125,37 +140,59 @@ class StagedChain:
             if abs(held.by_shown[-1]) < _FLAT:  # beyond what the core can hold: go on from the edge, a little within
                 past, side, beyond = side, float(np.sign(angle - held.shown)), beyond or held
                 at = held.core + side * _WITHIN
-                held = self._held(command, at, dt_s, p)
+                held = self._held(before, at, dt_s, p)
                 if side == past or abs(held.by_shown[-1]) < _FLAT:  # nothing within leads any further
                     held = beyond
                     break
             at += (angle - held.shown) / float(held.by_shown[-1])
-            held = self._held(command, at, dt_s, p)
+            held = self._held(before, at, dt_s, p)
         x, slope, by = held.state, held.slope, held.by_shown
         follows = slope[:, :-1]
         if abs(by[-1]) >= _FLAT:
             follows = follows - slope[:, -1:] * (by[:-1] / by[-1])[None]
         return x, np.ascontiguousarray(follows, dtype=np.float64)
 
-    def _held(self, command: float, core_angle: float, dt_s: float, p: Vec) -> _Held:
+    def _before_core(self, command: float, dt_s: float, p: Vec) -> _Led:
+        """What stands before the core, held at a command."""
         count = self.parameter_count + 1
-        x, slope = np.empty(self.state_size), np.zeros((self.state_size, count))
-        signal, moving, own_angle = np.array([command]), np.zeros((1, count)), core_angle
-        for k, (kernels, states, parameters) in enumerate(self._stages):
-            core = k == self._core
-            seen, by_seen = (core_angle, np.eye(count)[-1]) if core else (float(signal[0]), moving[0])
-            own, by_input, by_output = _stage_at_rest(kernels, float(signal[0]), seen, p[parameters, 0], x[states])
-            slope[states] = np.outer(by_input, moving[0]) + np.outer(by_output, by_seen)
-            slope[states, parameters] += own
-            kept = np.empty((kernels.kept[1], 1))
-            kernels.prepare_slopes(p[parameters], dt_s, kernels.constants[1], kept)
-            following, moved = np.empty(1), np.zeros((1, count))
-            kernels.differentiate(
-                x[states].copy(), slope[states].copy(), signal, moving, kept, parameters.start, count, following, moved
-            )
-            signal, moving = following, moved
-            own_angle = float(signal[0]) if core else own_angle
-        return _Held(x, slope, float(signal[0]), moving[0], own_angle)
+        led = _Led(np.empty(self.state_size), np.zeros((self.state_size, count)), command, np.zeros(count))
+        for k in range(self._core):
+            led = self._next_held(k, led, (led.signal, led.by_signal), dt_s, p)
+        return led
+
+    def _held(self, before: _Led, core_angle: float, dt_s: float, p: Vec) -> _Held:
+        """The whole row; what stands before the core does not depend on the core's angle, and is found once."""
+        led = _Led(before.state.copy(), before.slope.copy(), before.signal, before.by_signal)
+        told = np.zeros(self.parameter_count + 1)
+        told[-1] = 1.0
+        led = self._next_held(self._core, led, (core_angle, told), dt_s, p)
+        core = led.signal
+        for k in range(self._core + 1, len(self._stages)):
+            led = self._next_held(k, led, (led.signal, led.by_signal), dt_s, p)
+        return _Held(led.state, led.slope, led.signal, led.by_signal, core)
+
+    def _next_held(self, k: int, led: _Led, seen: tuple[float, Vec], dt_s: float, p: Vec) -> _Led:
+        """One operator further; it fills its own states, and starts at rest at what it sees (value and derivative)."""
+        kernels, states, parameters = self._stages[k]
+        x, slope, moving = led.state, led.slope, led.by_signal[None]
+        own, by_input, by_output = _stage_at_rest(kernels, led.signal, seen[0], p[parameters, 0], x[states])
+        slope[states] = by_input[:, None] * moving + by_output[:, None] * seen[1]
+        slope[states, parameters] += own
+        kept = np.empty((kernels.kept[1], 1))
+        kernels.prepare_slopes(p[parameters], dt_s, kernels.constants[1], kept)
+        following, moved = np.empty(1), np.zeros_like(moving)
+        kernels.differentiate(
+            x[states].copy(),
+            slope[states].copy(),
+            np.array([led.signal]),
+            moving,
+            kept,
+            parameters.start,
+            moving.shape[1],
+            following,
+            moved,
+        )
+        return _Led(x, slope, float(following[0]), moved[0])
 
     def differentiate(
         self, commands: Vec, dt_s: float, state: Vec, slope: Vec, values: Vec | None = None

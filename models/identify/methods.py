@@ -147,6 +147,7 @@ def simulator_of(
     method: str,
     seed: int = 0,
     skip_first_flexure: bool = False,
+    noise: NoiseModel | None = None,
 ) -> Simulator:
     """An identified chain with the facts of its trials; the residuals are found by running it.
 
@@ -157,6 +158,7 @@ def simulator_of(
         method: how, in words.
         seed: of what was drawn at random.
         skip_first_flexure: whether each trial counted from the first reversal of its command on.
+        noise: of trials that the fit did not see; where left out, that of these trials.
 
     Raises:
         FitError: on unusable trials, or a backlash whose lines cross within the trained range.
@@ -187,8 +189,9 @@ def simulator_of(
 
     model = ChainModel(build((), None))
     runs = [(trial, evaluate(model, trial, skip_first_flexure)) for trial in trials]
-    errors = [(trial.angle - run.theta)[run.start :] for trial, run in runs]
-    noise = None if model.metadata.inverted else estimation_noise(trials, errors, chain.values.size)
+    if noise is None and not model.metadata.inverted:
+        errors = [(trial.angle - run.theta)[run.start :] for trial, run in runs]
+        noise = estimation_noise(trials, errors, chain.values.size)
     return build(tuple(residual(trial, trial, run.theta, run.start) for trial, run in runs), noise)
 
 

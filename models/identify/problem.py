@@ -179,6 +179,7 @@ class Problem:
         if len(baseline.roughness):
             self.roughness[:, : self._z] = baseline.roughness[:, self._active] * baseline.scale[self._active]
         self.upper = self.scaled(np.array([*baseline.upper[self._active], *(f.upper for f, _ in self._freedoms)]))
+        self._last: tuple[Vec, Vec, Vec] | None = None
 
     @property
     def size(self) -> int:
@@ -261,7 +262,16 @@ class Problem:
         return self.terms.cross_fitted(run, theta[run.counts], (theta - run.angle)[run.counts], by_q[run.counts])
 
     def _values(self, q: Vec) -> tuple[Vec, Vec]:
-        """Parameters (P,) of the chain and their derivative by the unknowns (P, Q)."""
+        """Parameters (P,) of the chain and their derivative by the unknowns (P, Q); the last ones are kept.
+
+        A fit runs many trials at one point.
+        """
+        last = self._last
+        if last is None or not np.array_equal(q, last[0]):
+            self._last = last = (q.copy(), *self._values_at(q))
+        return last[1:]
+
+    def _values_at(self, q: Vec) -> tuple[Vec, Vec]:
         values = self.plain(q)
         p, slope = self.chain.values, np.zeros((len(self.chain.parameters), q.size))
         core, by_z = self.baseline.core_values(self.retuned(q))

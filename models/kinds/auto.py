@@ -43,7 +43,9 @@ class AutoKind(ModelKind):
         hypothesis = found.choice.hypothesis
         chain = hypothesis.problem.fitted_chain(hypothesis.q)
         words = f"auto: {hypothesis.label} + {found.choice.core.label}"
-        simulator = simulator_of(chain, trials, request.limits, words, request.seed, request.skip_first_flexure)
+        simulator = simulator_of(
+            chain, trials, request.limits, words, request.seed, request.skip_first_flexure, found.noise
+        )
         report = _report(found, trials[0].units.angle)
         bundle = simulator_bundle(simulator)
         return Identified(bundle, simulator, tuple(history), report, found.interrupted, found)

@@ -112,6 +112,8 @@ def test_the_corrected_simulator_holds_the_effect_and_its_own_residuals() -> Non
     residuals = evidence.fixed.identification.residuals
     assert [r.log for r in residuals] == [t.name for t in evidence.trials if t.role == "fit"]
     assert all(r.rmse_deg < 0.15 and r.fingerprint for r in residuals)
+    assert evidence.fixed.identification.noise is not None
+    assert evidence.fixed.identification.noise.sensor_sigma_deg == pytest.approx(0.05, rel=0.2)
 
 
 def test_the_result_has_the_fixed_form() -> None:

@@ -10,8 +10,10 @@ import pytest
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.auto import identify_auto
 from hystmpc.models.identify.auto_search import AutoSearch, AutoSettings
+from hystmpc.models.identify.baseline import FreeCoreBaseline
+from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.models.identify.free_run import StagedChain
-from hystmpc.models.identify.runs import runs_of
+from hystmpc.models.identify.runs import command_range, runs_of
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.operators.dynamics import Delay, Lag
@@ -91,6 +93,16 @@ def test_steps_of_three_values_give_both_time_constants_of_a_valve() -> None:
     assert found["lag.tau_down_s"][0] == pytest.approx(5.0, rel=0.2)
 
 
+def test_noise_is_taken_from_trials_that_the_fit_did_not_see() -> None:
+    """Of each trial the free run of the fit without it; what is judged is the same where no trial has an offset."""
+    trials = recorded()
+    validation = CrossValidation(FreeCoreBaseline(Chain(CORE), command_range(trials)), runs_of(trials))
+    judged = validation.judge(validation.retuned())
+    for left, error in zip(validation.left_out(judged), judged.errors, strict=True):
+        np.testing.assert_allclose(left, -error, atol=1e-9)
+    assert len(set(map(tuple, judged.fold_q))) == len(validation.folds)
+
+
 @pytest.mark.slow
 def test_trials_that_were_zeroed_anew_have_offsets_of_their_own() -> None:
     assert identify_auto(recorded(Lag(0.15), offsets_deg=2.0)).offsets
@@ -107,20 +119,46 @@ def test_the_result_is_a_model_at_the_noise_floor_with_a_table_of_its_parts() ->
     assert rows["creep"].form == "none"
     assert identified.parts.choice.rmse_deg < 1.15 * NOISE_DEG
     assert identified.simulator.chain.before[0].name == "delay"
+    assert identified.simulator.identification.noise == identified.parts.noise
+    assert identified.parts.noise.sensor_sigma_deg == pytest.approx(NOISE_DEG, rel=0.1)
 
 
 @pytest.mark.slow
-def test_ctrl_c_keeps_the_best_so_far_and_before_the_first_look_says_so() -> None:
-    trials, calls = recorded(Lag(0.15)), []
+def test_ctrl_c_keeps_the_best_so_far() -> None:
+    trials, shares = recorded(Lag(0.15)), []
 
     def stop(share: float, rmse: float) -> None:
-        calls.append((share, rmse))
-        raise KeyboardInterrupt
+        shares.append(share)
+        if share > 0.2:  # the drive is chosen
+            raise KeyboardInterrupt
 
     search = AutoSearch(trials, runs_of(trials), AutoSettings(), stop)
     assert search.run().rmse_deg < 2.0
     assert search.interrupted
-    assert len(calls) == 1
+    assert sum(share > 0.2 for share in shares) == 1
+
+
+def denser(trials: list[Trial], times: int) -> list[Trial]:
+    """The trials at a higher rate, straight between their samples."""
+    grids = [np.arange(times * (len(trial) - 1) + 1) / times * trial.dt for trial in trials]
+    signals = [
+        [np.interp(grid, trial.t, v) for v in (trial.command, trial.angle)]
+        for grid, trial in zip(grids, trials, strict=True)
+    ]
+    return [Trial(grid, *both, source=trial.source) for grid, both, trial in zip(grids, signals, trials, strict=True)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [1, 4], ids=["25 Hz", "100 Hz"])
+def test_the_share_that_is_done_grows_in_small_steps_at_every_rate(times: int) -> None:
+    """Above 50 Hz the device is fitted again; that is told, too, as a part of the whole."""
+    shares: list[float] = []
+    identify_auto(denser(recorded(Lag(0.15)), times), progress=lambda share, rmse: shares.append(share))
+    assert shares == sorted(shares)
+    assert 0.0 < shares[0] < 0.05
+    assert shares[-1] <= 1.0
+    assert len(shares) > 30
+    assert times == 1 or sum(share > 0.8 for share in shares) > 5
 
 
 def test_an_angle_that_falls_with_the_command_is_refused() -> None:
