@@ -72,12 +72,14 @@ class SamplingMpcSettings(PredictiveController, SamplingSettings):
         method: which of them.
         samples: plans per iteration N.
         iterations: times the distribution is moved per step.
-        sigma: largest standard deviation of the perturbations [mm or bar].
+        sigma: largest standard deviation of the perturbations [mm or bar]; null for 0.4 of the greatest move that the
+            rate limit allows in a sample.
         finest: smallest one as a share of `sigma`.
         temperature: of MPPI's weights exp(-(J - J_min) / lambda), with lambda = temperature (median J - J_min).
         elites: share of the samples that mean and deviation of CEM are fitted to, at least two plans.
         seed: of the random numbers.
-        noise: shape of the perturbations.
+        noise: shape of the perturbations, at the ends of the blocks of a preview of more than 20 samples; see
+            `SamplingSettings.blocks`.
     """
 
     def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:

@@ -105,6 +105,7 @@ class AdaptationSettings(Settings):
 
 _LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
 _ALIKE = 3  # blocks of one length
+_SIGMA_SHARE = 0.4  # of the greatest move of a sample: more would cross kinks of the model that the step must not see
 
 
 class PredictiveSettings(LawSettings):
@@ -152,10 +153,7 @@ class LinearisationSettings(PredictiveSettings):
         horizon = self.preview_samples(dt_s)
         if self.move_blocking is not None or self.horizon is not None or horizon <= _LEAST_SAMPLES:
             return self.move_blocking
-        lengths: list[int] = []
-        while sum(lengths) + (following := 2 ** (len(lengths) // _ALIKE)) <= horizon:
-            lengths.append(following)
-        return tuple(lengths)
+        return _doubling_blocks(horizon)
 
 
 # A noise is a matrix F (H, K): samples are F w with w standard normal (K,). Rows have unit norm, so that every sample
@@ -206,7 +204,7 @@ class SamplingSettings(PredictiveSettings):
     method: Literal["mppi", "cem"] = "mppi"
     samples: Count = 256
     iterations: Count = 1
-    sigma: Positive = 0.3
+    sigma: Positive | None = None
     finest: Annotated[float, Field(gt=0, le=1)] = 0.01
     temperature: Positive = 0.02
     elites: Annotated[float, Field(gt=0, le=0.5)] = 0.1
@@ -214,6 +212,26 @@ class SamplingSettings(PredictiveSettings):
     noise: Annotated[SplineNoiseSettings | ColouredNoiseSettings, Field(discriminator="kind")] = ColouredNoiseSettings(
         exponent=1.0
     )
+
+    def deviation(self, reach: float) -> float:
+        """Largest standard deviation of the perturbations, where a sample may move by `reach`, both [mm or bar]."""
+        return _SIGMA_SHARE * reach if self.sigma is None else self.sigma
+
+    def blocks(self, dt_s: float) -> tuple[int, ...]:
+        """Samples of each block of moves at sample time `dt_s` [s]: 1 up to a preview of 20 samples.
+
+        A longer preview has those of the linearised controller, so that the samples have few directions to explore.
+        """
+        horizon = self.preview_samples(dt_s)
+        return (1,) * horizon if horizon <= _LEAST_SAMPLES else _doubling_blocks(horizon)
+
+
+def _doubling_blocks(horizon: int) -> tuple[int, ...]:
+    """Blocks of 1, 2, 4, 8, ... samples, three of each length, as long as they fit the horizon."""
+    lengths: list[int] = []
+    while sum(lengths) + (following := 2 ** (len(lengths) // _ALIKE)) <= horizon:
+        lengths.append(following)
+    return tuple(lengths)
 
 
 def _unit_rows(factor: Mat) -> Mat:

@@ -241,10 +241,17 @@ class BlockedQp(PlanProgram):
         self.pattern = _pattern(rows, np.ones((horizon, count)) if self._soft else None)
 
     def data(self, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
-        plan, count = around.commands, self._starts.size
-        moves, off = moves_of(plan, problem.u_last), plan - problem.feedforward
         columns = np.empty(self._matrix.shape)
         block_columns(jacobian, self._matrix, self._starts, columns)
+        return self.blocked(problem, around, columns)
+
+    def blocked(self, problem: PlanningProblem, around: CommandPlan, columns: Mat) -> QpData:
+        """The program around the plan `around` with J M = `columns` (H, m) [deg per command unit].
+
+        A column is zero before its block starts; what stands there is not read.
+        """
+        plan, count = around.commands, self._starts.size
+        moves, off = moves_of(plan, problem.u_last), plan - problem.feedforward
         weighted = np.stack((self._doubled, self._doubled * (around.angles - problem.reference)))
         gradient, hessian = moves @ self._by_move + off @ self._by_command, np.empty(count * (count + 1) // 2)
         condense_blocked(columns, self._starts, weighted, self._constant, gradient, hessian)

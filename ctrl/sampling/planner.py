@@ -14,11 +14,12 @@ from hystmpc.trials.types import Mat, Vec
 
 from ..command import Stopwatch
 from ..limits import CommandLimits
-from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem, moves_of
+from ..linearised.daqp_ import DaqpOptions, DaqpSolver
+from ..linearised.program import BlockedQp, MoveBlocking
+from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
 from ..planning_settings import SamplingSettings, WeightsSettings
 
-_RANK = 1e-3  # singular values of the noise below this share of the greatest are none
-_DIRECTIONS = 20  # of the noise: the strongest; more would make a step's time grow with the square of the horizon
+_LEAST = 0.05  # of every direction in the noise, as a share of the strongest, so that the fit sees all of them
 _SMALL = 1e-12  # squared distance of a sample from the start below which it says nothing
 _RIDGE = 1e-6  # of the fit, as a share of its normal matrix's trace
 _PARTS = np.array([1.0, 0.5, 0.25])[:, None]
@@ -33,18 +34,26 @@ class SampleCounter:
 
 
 class SamplingPlanner(Planner[SampleCounter]):
-    """Smooth random plans, clipped into the limits before they are rolled out."""
+    """Smooth random plans in blocked moves, clipped into the limits before they are rolled out.
+
+        u = p + sigma M F w,  w standard normal
+
+    with p the plan around which they lie, M (H, m) of `MoveBlocking` and F (m, m) the noise at the ends of the blocks.
+    """
 
     def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
         self._predictor, self._limits, self._settings = predictor, limits, settings
-        horizon = settings.preview_samples(predictor.dt)
-        # the same distribution from as few normals as it has directions, and never more than the step is linear in
-        left, sizes, _ = np.linalg.svd(settings.noise.matrix(horizon), full_matrices=False)
-        count = min(np.count_nonzero(sizes > _RANK * sizes[0]), _DIRECTIONS)
-        basis = left[:, :count]
-        self._shape = np.ascontiguousarray((basis * sizes[:count]).T)
+        horizon, dt = settings.preview_samples(predictor.dt), predictor.dt
+        self._sigma = settings.deviation(limits.rate * dt)
+        blocking = MoveBlocking(settings.blocks(dt), horizon)
+        # the same distribution from as few normals as there are blocks
+        left, sizes, _ = np.linalg.svd(settings.noise.matrix(horizon)[blocking.ends])
+        strengths = np.full(len(left), _LEAST * sizes[0])
+        strengths[: sizes.size] = np.maximum(sizes, strengths[: sizes.size])
+        factor = left * strengths
+        self._shape = np.ascontiguousarray((blocking.matrix @ factor).T)
         self._cost = PlanCost(settings.weights, horizon)
-        self._polish = SampledGaussNewton(settings.weights, np.ascontiguousarray(basis))
+        self._polish = SampledGaussNewton(settings.weights, limits, blocking, factor, dt)
 
     def init(self) -> SampleCounter:
         return SampleCounter(0)
@@ -63,7 +72,7 @@ class SamplingPlanner(Planner[SampleCounter]):
 
     def _perturbations(self, generator: np.random.Generator) -> Mat:
         """Smooth noise of unit variance (N, H)."""
-        return generator.standard_normal((self._settings.samples, self._shape.shape[0])) @ self._shape
+        return generator.standard_normal((self._settings.samples, len(self._shape))) @ self._shape
 
     def _admissible(self, plans: Mat, problem: PlanningProblem) -> Mat:
         return self._limits.clip_plans(plans, problem.u_last, self._predictor.dt)
@@ -76,45 +85,45 @@ class SamplingPlanner(Planner[SampleCounter]):
 
 @final
 class SampledGaussNewton:
-    """A Gauss-Newton step whose Jacobian is fitted to the samples: no derivative of the model is asked for.
+    """A Gauss-Newton step within the limits, its Jacobian fitted to the samples: no derivative of the model is used.
 
-        theta_n - theta_0 ~ S z_n,  p_n - p_0 = B z_n,  B the orthonormal basis (H, K) of the noise
+        theta_n - theta_0 ~ S z_n,  F z_n = p_n - p_0 at the ends of the blocks,  F (m, m) the noise there
         S = argmin sum_n |theta_n - theta_0 - S z_n|^2 / |z_n|^4
-        z = argmin of the planning cost with theta_0 + S z and p_0 + B z
+        w = argmin of the planning cost with theta_0 + S F^-1 w and p_0 + M w, within the limits of `BlockedQp`
 
     The samples near the start count most; those further off give a slope where the play's own is zero.
     """
 
-    def __init__(self, weights: WeightsSettings, basis: Mat) -> None:
-        self._basis = basis
-        self._rate, self._effort = weights.rate, weights.effort
-        self._soft = weights.soft_limit if weights.limits_angle else 0.0
-        self._tracking = weights.over(basis.shape[0])
-        self._moves = np.diff(self._basis, axis=0, prepend=0.0)
-        self._constant = self._rate * self._moves.T @ self._moves + self._effort * self._basis.T @ self._basis
+    def __init__(
+        self, weights: WeightsSettings, limits: CommandLimits, blocking: MoveBlocking, factor: Mat, dt: float
+    ) -> None:
+        self._ends = blocking.ends
+        self._whitening = np.ascontiguousarray(np.linalg.inv(factor).T)
+        self._qp = BlockedQp(weights, limits, blocking, dt)
+        self._solver = DaqpSolver(self._qp.pattern, DaqpOptions())
 
     def plans(self, start: CommandPlan, plans: Mat, angles: Mat, problem: PlanningProblem) -> Mat:
-        """The step from `start`, its half and its quarter (3, H), from samples (N, H) and their angles (N, H)."""
-        slope = self._slope((plans - start.commands) @ self._basis, angles - start.angles)
-        low, high = problem.angle_limits
-        excess = np.maximum(start.angles - high, 0.0) - np.maximum(low - start.angles, 0.0)
-        weighted = slope.T * (self._tracking + self._soft * (excess != 0.0))
-        pull = slope.T @ (self._tracking * (start.angles - problem.reference) + self._soft * excess)
-        pull += self._rate * (moves_of(start.commands, problem.u_last) @ self._moves)
-        pull += self._effort * ((start.commands - problem.feedforward) @ self._basis)
-        step = np.linalg.solve(weighted @ slope + self._constant, -pull)
-        found: Mat = start.commands + _PARTS * (self._basis @ step)
+        """The step from `start`, its half and its quarter (3, H), from samples (N, H) and their angles (N, H).
+
+        There is none, shape (0, H), where the program cannot be solved.
+        """
+        slope = self._slope((plans - start.commands)[:, self._ends] @ self._whitening, angles - start.angles)
+        columns = np.ascontiguousarray((self._whitening @ slope).T)
+        solution = self._solver.solve(self._qp.blocked(problem, start, columns))
+        if not solution.usable:
+            return np.empty((0, start.commands.size))
+        found: Mat = start.commands + _PARTS * self._qp.deviation(solution.primal)
         return found
 
     @staticmethod
     def _slope(z: Mat, answers: Mat) -> Mat:
-        """S (H, K) from distances (N, K) and changes of the angles (N, H)."""
+        """S' (m, H) from distances (N, m) and changes of the angles (N, H)."""
         near = 1.0 / np.maximum(np.einsum("nk,nk->n", z, z), _SMALL)[:, None]
         z, answers = near * z, near * answers
         normal = z.T @ z
         # no sample may have moved at all: then the slope is zero
         normal[np.diag_indices_from(normal)] += _RIDGE * np.trace(normal) + np.finfo(np.float64).tiny
-        return np.asarray(np.linalg.solve(normal, z.T @ answers).T, dtype=np.float64)
+        return np.asarray(np.linalg.solve(normal, z.T @ answers), dtype=np.float64)
 
 
 @final
@@ -128,7 +137,7 @@ class PathIntegralPlanner(SamplingPlanner):
 
     def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
-        self._sigmas = settings.sigma * np.geomspace(1.0, settings.finest, settings.samples)[:, None]
+        self._sigmas = self._sigma * np.geomspace(1.0, settings.finest, settings.samples)[:, None]
 
     def _best(
         self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
@@ -194,7 +203,7 @@ class CrossEntropyPlanner(SamplingPlanner):
         self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
     ) -> CommandPlan:
         horizon = start.commands.size
-        search = _Search(start.commands, np.full(horizon, self._settings.sigma), np.empty((0, horizon)), start)
+        search = _Search(start.commands, np.full(horizon, self._sigma), np.empty((0, horizon)), start)
         for _ in range(self._settings.iterations):
             search = self._iterate(problem, search, generator, watch)
         last = self._cheapest(search.mean[None], problem)
@@ -216,7 +225,7 @@ class CrossEntropyPlanner(SamplingPlanner):
             raise PlanningError(f"none of {len(plans)} samples has a finite prediction")
         elites, first = plans[order], int(order[0])
         found = CommandPlan(plans[first], angles[first], float(costs[first]))
-        deviation = np.maximum(elites.std(axis=0), self._settings.finest * self._settings.sigma)
+        deviation = np.maximum(elites.std(axis=0), self._settings.finest * self._sigma)
         finite = np.isfinite(costs)
         polished = self._cheapest(self._polish.plans(search.best, plans[finite], angles[finite], problem), problem)
         best = min((search.best, found, polished), key=lambda plan: plan.cost)

@@ -175,7 +175,8 @@ def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threa
     jobs = [TimedCall(_SAMPLING, in_turn(instants, lambda _, i: controller.step(i.state, i.measured, i.reference)))]
     apart: list[float] = []
     if pytorch_mppi_.installed():
-        jobs += [_peer_job(subject, settings, wanted.sigma, k, instants, apart) for k in sorted({1, threads})]
+        sigma = wanted.deviation(subject.limits.rate * subject.metadata.dt_s)
+        jobs += [_peer_job(subject, settings, sigma, k, instants, apart) for k in sorted({1, threads})]
     times = clock.measure(jobs, threads)
     return [_sampling_compared(row.with_times(times.get(_SAMPLING), None), times, apart)]
 

@@ -19,6 +19,7 @@ from hystmpc.trials.errors import ConfigError, ControllerError
 
 from .plays import DT, LINEAR, PLAY, SOUND, Case, Faulty, not_a_number
 from .test_linearised import LIMITS, posed
+from .test_tracking import built, resting, scan, track
 
 H = 20
 WEIGHTS = WeightsSettings()
@@ -109,6 +110,42 @@ def test_many_iterations_find_the_optimum_of_a_linear_model(method: str) -> None
     planner = planner_for(LINEAR, "red", method, iterations=40)
     plan, _, _ = planner.improve(problem, start, planner.init(), Stopwatch())
     assert plan.cost <= optimum.cost + 0.05 * (start.cost - optimum.cost)
+
+
+@pytest.mark.parametrize("horizon", [20, 60])
+@pytest.mark.parametrize("seed", range(5))
+def test_one_iteration_finds_the_optimum_in_blocked_moves_of_a_linear_model(horizon: int, seed: int) -> None:
+    ours = SamplingMpcSettings(weights=WEIGHTS, horizon=horizon, seed=seed)
+    exact = LinearisedMpcSettings(weights=WEIGHTS, horizon=horizon, move_blocking=ours.blocks(DT))
+    problem, plan = posed(LINEAR, horizon, seed)
+    start = PlanCost(WEIGHTS, horizon).best(plan.commands[None], plan.angles[None], problem)
+    optimum, _, _ = LinearisedPlanner(LINEAR.predictor, exact, LIMITS).improve(problem, start, None, Stopwatch())
+    planner = PathIntegralPlanner(LINEAR.predictor, ours, LIMITS)
+    found, _, _ = planner.improve(problem, start, planner.init(), Stopwatch())
+    assert found.cost <= optimum.cost + 0.05 * (start.cost - optimum.cost)
+    np.testing.assert_allclose(LIMITS.clip_plans(found.commands, problem.u_last, DT), found.commands, atol=1e-12)
+
+
+@pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
+def test_a_scan_with_a_long_preview_is_followed_as_closely_as_by_the_linearised_controller(case: Case) -> None:
+    errors = []
+    blocks = SamplingMpcSettings(horizon=60).blocks(DT)
+    for kind, options in (("linearised_mpc", {"move_blocking": blocks}), ("sampling_mpc", {})):
+        controller = built(kind, case, horizon=60, **options)
+        _, error = track(controller, resting(case, noise_deg=0.1), scan, 8.0)
+        errors.append(float(np.sqrt(np.mean(error[50:] ** 2))))
+    assert errors[1] < 1.1 * errors[0]
+
+
+def test_a_long_preview_has_the_blocks_of_the_linearised_controller_and_a_short_one_has_none() -> None:
+    sampling, linearised = SamplingMpcSettings(), LinearisedMpcSettings()
+    assert sampling.blocks(0.004) == linearised.blocks(0.004)
+    assert sampling.blocks(0.04) == (1,) * 20
+
+
+def test_perturbations_follow_the_rate_limit_unless_they_are_given() -> None:
+    assert SamplingMpcSettings().deviation(0.1) == pytest.approx(0.04)
+    assert SamplingMpcSettings(sigma=0.3).deviation(0.1) == 0.3
 
 
 @pytest.mark.parametrize("method", METHODS)
