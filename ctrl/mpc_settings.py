@@ -72,7 +72,7 @@ class SamplingMpcSettings(PredictiveController, SamplingSettings):
         method: which of them.
         samples: plans per iteration N.
         iterations: times the distribution is moved per step.
-        sigma: largest standard deviation of the perturbations [mm or bar]; null for 0.4 of the greatest move that the
+        sigma: largest standard deviation of the perturbations [mm or bar]; null for a tenth of the greatest move that the
             rate limit allows in a sample.
         finest: smallest one as a share of `sigma`.
         temperature: of MPPI's weights exp(-(J - J_min) / lambda), with lambda = temperature (median J - J_min).

@@ -105,7 +105,7 @@ class AdaptationSettings(Settings):
 
 _LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
 _ALIKE = 3  # blocks of one length
-_SIGMA_SHARE = 0.4  # of the greatest move of a sample: more would cross kinks of the model that the step must not see
+_SIGMA_SHARE = 0.1  # of the greatest move of a sample: more would cross kinks of the model that the step must not see
 
 
 class PredictiveSettings(LawSettings):

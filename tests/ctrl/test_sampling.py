@@ -144,7 +144,7 @@ def test_a_long_preview_has_the_blocks_of_the_linearised_controller_and_a_short_
 
 
 def test_perturbations_follow_the_rate_limit_unless_they_are_given() -> None:
-    assert SamplingMpcSettings().deviation(0.1) == pytest.approx(0.04)
+    assert SamplingMpcSettings().deviation(0.1) == pytest.approx(0.01)
     assert SamplingMpcSettings(sigma=0.3).deviation(0.1) == 0.3
 
 
