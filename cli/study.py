@@ -51,12 +51,15 @@ def study(
         float | None, typer.Option(min=0.001, max=10.0, help="Share of the papers' epochs; s2 has 0.08, the others 1.")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Only prove that everything runs.")] = False,
-    loop_rates: Annotated[str | None, typer.Option("--rates", help="Of `control` [Hz], such as 25,250.")] = None,
+    loop_rates: Annotated[
+        str | None, typer.Option("--rates", help="Of `control` and `identify` [Hz], such as 25,250.")
+    ] = None,
     plants: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
     controllers: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
     motions: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
     devices: Annotated[int | None, typer.Option(min=1, help="Of `identify`: how many are drawn; else 60.")] = None,
     kind: Annotated[str | None, typer.Option(help="Of `identify`: kind of model, see `fit`; else auto.")] = None,
+    drive: Annotated[str | None, typer.Option(help="Of `identify`: auto for an identified drive before it.")] = None,
 ) -> None:
     """Do all jobs of a study and write its report.
 
@@ -66,7 +69,7 @@ def study(
     loop = {"rates_hz": rates(loop_rates), "plants": _names(plants), "controllers": _names(controllers)}
     loop["motions"] = _names(motions)
     modelling = {"kinds": kinds, "presets": presets, "directions": directions, "stages": stages}
-    drawn = {"devices": devices, "kind": kind}
+    drawn = {"devices": devices, "kind": kind, "drive": drive, "rates_hz": loop["rates_hz"]}
     _check_options(name, {"logs": logs, "epochs-scale": epochs_scale, **modelling}, loop, drawn)
     if name is Name.CONTROL:
         control(loop | {"seed": seed, "quick": quick}, folder, workers)

@@ -72,8 +72,8 @@ class SamplingMpcSettings(PredictiveController, SamplingSettings):
         method: which of them.
         samples: plans per iteration N.
         iterations: times the distribution is moved per step.
-        sigma: largest standard deviation of the perturbations [mm or bar]; null for a tenth of the greatest move that the
-            rate limit allows in a sample.
+        sigma: largest standard deviation of the perturbations [mm or bar]; null for a tenth of the greatest move that
+            the rate limit allows in a sample.
         finest: smallest one as a share of `sigma`.
         temperature: of MPPI's weights exp(-(J - J_min) / lambda), with lambda = temperature (median J - J_min).
         elites: share of the samples that mean and deviation of CEM are fitted to, at least two plans.

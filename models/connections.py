@@ -131,16 +131,20 @@ def rest_of(model: LoadedModel) -> OnnxModel:
     try:
         inputs, outputs = ([name for name, plain in names.items() if plain in pair] for pair in INTERFACE)
         graph = Extractor(helper.make_model(model.graph)).extract_model(inputs, outputs).graph
+        # weights that its nodes do not use are read by faster routes
+        known, ours = {weight.name for weight in graph.initializer}, _operators(facts.connections[1:])
+        left = [w for w in model.graph.initializer if w.name not in known and not w.name.startswith(ours)]
+        graph.initializer.extend(left)
     except ValueError as error:
         raise ModelError(f"{model.source}: connections[0] is not in the graph: {error}") from None
-    left = facts.model_copy(
+    own = facts.model_copy(
         update={
             "connections": facts.connections[1:],
             "initial": _rest_rule(facts.initial, cut),
             "conditioned": _rest_rule(facts.conditioned, cut),
         }
     )
-    return OnnxModel(graph_bytes(_renamed(graph, names), left), model.source, model.start)
+    return OnnxModel(graph_bytes(_renamed(graph, names), own), model.source, model.start)
 
 
 def _joint_rule(operators: InitialRule, rest: InitialRule, way: str, facts: ModelMetadata) -> InitialRule:
@@ -161,13 +165,18 @@ def _rest(connections: tuple[Connection, ...]) -> str:
     return f"rest{len(connections)}"
 
 
+def _operators(connections: tuple[Connection, ...]) -> str:
+    """Beginning of the names of what belongs to the operators that are connected with them."""
+    return f"operators{len(connections)}_"
+
+
 def _connected_graph(operators: Simulator, way: str, rest: onnx.GraphProto, facts: ModelMetadata) -> onnx.GraphProto:
     """Step graph in double; weights and tensors of the rest keep their names, but for its inputs and outputs."""
     from onnx import TensorProto, helper, numpy_helper
 
     from .contract.onnx_nodes import INTERFACE, as_columns, operator_nodes, tensor
 
-    name, prefix = _rest(facts.connections), f"operators{len(facts.connections)}_"
+    name, prefix = _rest(facts.connections), _operators(facts.connections)
     own = operators.chain.state_size
     columns = [f"{prefix}state_{i}" for i in range(own)]
     program = operator_nodes(operators.chain.bound(operators.dt_s), [columns, ["u"]], prefix)

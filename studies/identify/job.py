@@ -23,8 +23,8 @@ from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
-from hystmpc.models.kinds.catalogue import kind_named
-from hystmpc.models.kinds.kind import FitRequest, Identified
+from hystmpc.models.kinds.catalogue import chosen_kind, kind_named
+from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.simulator import save_simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.jobs.runner import ResultFiles, Status
@@ -83,7 +83,8 @@ class IdentifyResult:
 def identify_jobs(settings: IdentifySettings) -> tuple[IdentifyJob, ...]:
     """A job for each device."""
     drawn = draw_devices(settings.devices, settings.seed, settings.quick)
-    return tuple(IdentifyJob(device.number, device.key) for device in drawn)
+    rates = settings.rates_hz
+    return tuple(IdentifyJob(d.number, d.key) for d in drawn if not rates or d.rate_hz in rates)
 
 
 def fingerprint(job: IdentifyJob, settings: IdentifySettings) -> str:
@@ -149,10 +150,11 @@ def study_device(
     plant = DrawnPlant(device, device.seed)
     trials = recordings(plant, settings.quick)
     watch.lap("record")
-    identified = _identified(settings.kind, trials, device, settings.seed)
+    identified = _identified(chosen_kind(settings.kind, settings.drive), trials, device, settings.seed)
     model = _opened(identified, folder / "models" / f"{device.key}-{settings.kind}")
     watch.lap("identify")
-    rival = _opened(_identified(_RIVAL_MODEL, trials, device, settings.seed), folder / "models" / f"{device.key}-rival")
+    rivals = _identified(kind_named(_RIVAL_MODEL), trials, device, settings.seed)
+    rival = _opened(rivals, folder / "models" / f"{device.key}-rival")
     watch.lap("rival")
     plant = plant.reseeded(device.seed + _COMPARED)
     study = DeviceStudy(device, plant, fresh_motions(plant, settings.quick), model, rival)
@@ -185,9 +187,10 @@ def found_parts(identified: Identified) -> dict[str, Interval]:
     return found
 
 
-def _identified(kind: str, trials: Sequence[Trial], device: DrawnDevice, seed: int) -> Identified:
+def _identified(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice, seed: int) -> Identified:
     command = Range(lower=device.limits.lower, upper=device.limits.upper)
-    found = kind_named(kind).fit(trials, FitRequest(seed=seed, limits=DeviceLimits(command, device.rate_per_s)))
+    limits = DeviceLimits(command, device.rate_per_s)
+    found = kind.fit(trials, FitRequest(preset=kind.presets[0], seed=seed, limits=limits))
     if found.interrupted:
         raise KeyboardInterrupt
     return found

@@ -149,7 +149,7 @@ def _set_up(outcome: IdentifyOutcome) -> Iterator[Piece]:
     yield KeyValues(
         {
             "devices": f"{len(outcome.done)} done, {len(outcome.failed)} failed",
-            "model": settings.kind,
+            "model": settings.kind if settings.drive is None else f"{settings.kind} behind a drive ({settings.drive})",
             "evaluations of each search": settings.evaluations,
             "seed": settings.seed,
             "processor time of all devices": f"{sum(r.seconds for r in outcome.results) / 60:.1f} min",

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field
 
-from hystmpc.models.kinds.catalogue import kind_named
+from hystmpc.models.kinds.catalogue import chosen_kind
 from hystmpc.trials.config import Settings
 
 _QUICK: dict[str, Any] = {"devices": 4, "evaluations": 12}
@@ -19,6 +19,8 @@ class IdentifySettings(Settings):
         study: always `identify`.
         devices: how many are drawn.
         kind: of model that is identified, by name, see `hystmpc fit`.
+        drive: of a kind without one of its own: `auto` identifies the drive, see `hystmpc fit --drive`.
+        rates_hz: of the drawn devices, those of these sample rates are done [Hz]; all where it is empty.
         evaluations: closed-loop runs over all motions in the search of each PID's gains, about.
         seed: of the draw, the motions, the noise and the searches.
         quick: few motions and short ones at 25 Hz: proves that everything runs, and nothing else.
@@ -27,6 +29,8 @@ class IdentifySettings(Settings):
     study: Literal["identify"] = "identify"
     devices: Annotated[int, Field(ge=1, le=1000)] = 60
     kind: str = "auto"
+    drive: str | None = None
+    rates_hz: tuple[float, ...] = ()
     evaluations: Annotated[int, Field(ge=10)] = 300
     seed: Annotated[int, Field(ge=0)] = 1
     quick: bool = False
@@ -42,5 +46,5 @@ class IdentifySettings(Settings):
         data = dict(_QUICK) if changes.get("quick") else {}
         data |= {name: value for name, value in changes.items() if value is not None}
         settings = cls.parse(data, "study identify")
-        kind_named(settings.kind)
+        chosen_kind(settings.kind, settings.drive)
         return settings

@@ -13,6 +13,7 @@ from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate, free_run
 from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest, ModelKind
+from hystmpc.models.prediction.build import predictor_for
 from hystmpc.trials.errors import FitError, LogError, ModelError
 from hystmpc.trials.trial import Trial
 
@@ -135,6 +136,18 @@ def test_a_map_without_memory_has_none(kind: ModelKind) -> None:
     states = np.array([s for s, _ in visited(one, 8)])
     theta, _ = one.model.advance(states, np.full((len(states), 1), one.trials[0].command.mean()))
     assert (np.ptp(theta) > 1e-9) == kind.recurrent
+
+
+@pytest.mark.parametrize("name", [name for name, _ in BOTH if name.endswith(BEHIND)])
+def test_behind_a_drive_the_fast_route_is_the_file(name: str) -> None:
+    one = example(name, FORWARD)
+    predictor, model = predictor_for(one.model), one.model
+    state, plan = predictor.initial(45.0, 0.0), one.trials[0].command[20:40]
+    x, angles = state[None], []
+    for u in plan.tolist():
+        theta, x = model.advance(x, np.array([[u]]))
+        angles.append(float(theta[0, 0]))
+    np.testing.assert_allclose(predictor.rollout(state, plan[None])[0], angles, rtol=0, atol=1e-3)
 
 
 @every_model
