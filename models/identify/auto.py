@@ -132,10 +132,16 @@ def _identified(
 def _numbers_at(
     search: AutoSearch, found: Choice, wide: Mapping[tuple[str, str], ParameterRow]
 ) -> tuple[ParameterRow, ...]:
-    """Numbers of a device at the full rate; those that the search at a lower rate knew have intervals as wide."""
+    """Numbers of a device at the full rate, with intervals that hold those of the search at a lower rate, too."""
+
+    def joint(row: ParameterRow, before: ParameterRow | None) -> ParameterRow:
+        if before is None:
+            return row
+        ends = [*row.ci90, *moved_row(before, row.value, found).ci90]
+        return replace(row, ci90=(min(ends), max(ends)))
+
     rows = widened_rows(found, search.runs, search.tried, search.settings)
-    known = [(row, wide.get((row.owner, row.name))) for row in rows]
-    return tuple(row if before is None else moved_row(before, row.value, found) for row, before in known)
+    return tuple(joint(row, wide.get((row.owner, row.name))) for row in rows)
 
 
 def runs_to_fit(trials: Sequence[Trial], skip_first_flexure: bool) -> tuple[Run, ...]:

@@ -26,7 +26,8 @@ def widened_rows(
         half = k 1.645 sqrt(s^2 + j^2 + a^2)
 
     s: standard error of the fit (sandwich); j: that of a jackknife over the held-out folds; a: root mean square
-    difference to alternatives that do as well on held-out trials; k: `AutoSettings.widening`.
+    difference to alternatives with the same effect that do as well on held-out trials, such as a lag with a delay;
+    k: `AutoSettings.widening`.
 
     Source: Buckland, Burnham, Augustin, Model selection: an integral part of inference, Biometrics 53 (1997), eq. (3).
     """
@@ -52,9 +53,9 @@ def widened_rows(
 
 
 def _form_of(choice: Choice, row: ParameterRow) -> set[str]:
-    """Labels of the part that a number belongs to."""
+    """Label of the effect that a number belongs to, of the form that the device has of it."""
     every = [*choice.forms.values(), choice.core.curve]
-    return {c.label for form in every if any(c.effect == row.owner for c in form) for c in form}
+    return {c.label for form in every for c in form if c.effect == row.owner}
 
 
 def moved_row(row: ParameterRow, value: float, choice: Choice) -> ParameterRow:
@@ -73,23 +74,27 @@ def _is_logarithmic(choice: Choice, row: ParameterRow) -> bool:
     return any((c.effect, f.name) == (row.owner, row.name) and f.scale == 0 for c in effects for f in c.free)
 
 
+_NEARLY = 2.0  # times its lower bound: a lag up to there is none
+
+
 def without_meaning(choice: Choice, parameters: Sequence[ParameterRow]) -> tuple[str, str] | None:
     """A part and its effect of which a number may have the value at which it does nothing; None where there is none.
 
-    That is a share of creep or a delay whose interval holds zero, or a lag at its lower bound.
+    That is a share of creep or a delay whose interval holds zero, or a lag within twice its lower bound, which is far
+    less than a sample.
     """
     for name, form in choice.forms.items():
         for row in (row for row in parameters if row.owner in {c.effect for c in form}):
             low, high = row.ci90
             may_be_none = row.name.startswith(("share", "delay")) and low <= 0.0 <= high
-            if may_be_none or (row.owner == "lag" and _at_lower_bound(choice, row)):
+            if may_be_none or (row.owner == "lag" and _nearly_none(choice, row)):
                 return name, row.owner
     return None
 
 
-def _at_lower_bound(choice: Choice, row: ParameterRow) -> bool:
+def _nearly_none(choice: Choice, row: ParameterRow) -> bool:
     free = [f for c in choice.hypothesis.problem.effects for f in c.free if (c.effect, f.name) == (row.owner, row.name)]
-    return row.at_bound and row.name.startswith("tau") and any(row.value < 1.01 * f.lower for f in free)
+    return row.name.startswith("tau") and any(row.value < _NEARLY * f.lower for f in free)
 
 
 def _log(value: float) -> float:

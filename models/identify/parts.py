@@ -26,7 +26,8 @@ Form = tuple[Candidate, ...]
 _REACHES = (0.3, 0.1, 0.8)  # of the command's range: the widest play at the starts
 _QUICKEST_S = 0.1  # relaxation time of the quick term of two; what is quicker is a lag
 _BENT = "pi, 6 plays"  # the core that is tried with a curve
-_CURVES = ("nonlinear_gain/output", "asymmetry/output", "asymmetry/directional", "slack/rounded", "contact/output")
+_SLACK = "slack/rounded"  # also before gradual plays: the bladder of a muscle has to meet its braid first
+_CURVES = ("nonlinear_gain/output", "asymmetry/output", "asymmetry/directional", _SLACK, "contact/output")
 _PLAYS, _FEW, _MANY = 5, 4, 8  # of the curved plays, and pieces of their curves
 _RADII = (0.02, 0.45)  # of the command's range: its narrowest and its widest play
 
@@ -145,9 +146,12 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
     ]
     known = {c.label: c for c in candidates(scale, ())}
     plain = next(core for core in made if core.label == _BENT)
-    for label in _CURVES:
-        curve = known[label]
-        made.append(replace(plain, label=f"{_BENT}, {label}", size=plain.size + len(curve.free), curve=(curve,)))
+
+    def bent(core: CoreForm, curve: str) -> CoreForm:
+        free = known[curve].free
+        return replace(core, label=f"{core.label}, {curve}", size=core.size + len(free), curve=(known[curve],))
+
+    made += [bent(plain, curve) for curve in _CURVES]
     bottom, radii = offset + slope * float(command.min()), tuple(np.geomspace(*_RADII, _PLAYS) * span)
 
     def curved(pieces: int, turn: int) -> CoreForm:
@@ -156,4 +160,5 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
         label = f"curved_plays, {_PLAYS}{' gradual' if turn else ''} plays of {pieces} pieces"
         return CoreForm(label, (Chain(core),), len(slopes) + 1)
 
-    return (*made, curved(_FEW, 0), curved(_MANY, 1), curved(_MANY, 0))
+    gradual = curved(_MANY, 1)
+    return (*made, curved(_FEW, 0), gradual, bent(gradual, _SLACK), curved(_MANY, 0))
