@@ -1,7 +1,7 @@
 """Leave one trial out: how well a model, identified on all other trials, predicts a trial from its command alone.
 
     python benchmarks/leave_one_out.py LOG.csv ... [--kinds backlash lstm hb2] [--training best] [--folds 0 3]
-                                       [--inverse] [--set training.updates=4000 ...]
+                                       [--inverse] [--skip-first-flexure] [--set training.updates=4000 ...]
 
 Every fold identifies anew, exports through the numeric gate, loads the file and runs it freely over the trial that was
 left out. With few trials settings chosen by looking at this table are fitted to it: the numbers are then development
@@ -78,13 +78,15 @@ def network(settings: NetworkSettings) -> Fit:
     return fit
 
 
-def of_kind(name: str, training: str, changes: Sequence[str]) -> Fit:
-    """How a kind is identified; presets of networks may be changed."""
+def of_kind(name: str, training: str, changes: Sequence[str], skip: bool) -> Fit:
+    """How a kind is identified, the first flexure skipped or not; presets of networks may be changed."""
     kind = kind_named(name)
     preset = training if training in kind.presets else kind.presets[0]
     if name in NETWORK_PRESETS:
-        return network(overridden(NETWORK_PRESETS[name][preset], changes))
-    return lambda trials: kind.fit(trials, FitRequest(preset=preset, plays=10)).bundle
+        weight = ["first_flexure_weight=0.0"] if skip else []
+        return network(overridden(NETWORK_PRESETS[name][preset], [*weight, *changes]))
+    asked = FitRequest(preset=preset, plays=10, skip_first_flexure=skip)
+    return lambda trials: kind.fit(trials, asked).bundle
 
 
 def study(trials: Sequence[Trial], folds: Sequence[int], fits: dict[str, Fit], folder: Path) -> None:
@@ -116,13 +118,15 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", default=["backlash", "pi", "lstm"], choices=[k.name for k in KINDS])
     parser.add_argument("--training", default="best")
     parser.add_argument("--inverse", action="store_true", help="angle to command")
+    parser.add_argument("--skip-first-flexure", action="store_true", help="fit each trial from its first reversal on")
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE")
     parser.add_argument("--folds", nargs="*", type=int, help="numbers of the trials to leave out; all by default")
     given = parser.parse_args()
     trials = [resample(trial, given.rate_hz) for trial in read_trials(given.logs, given.layout)]
     if given.inverse:
         trials = [trial.swapped() for trial in trials]
-    fits = {f"{kind} ({given.training})": of_kind(kind, given.training, given.set) for kind in given.kinds}
+    skip = given.skip_first_flexure
+    fits = {f"{kind} ({given.training})": of_kind(kind, given.training, given.set, skip) for kind in given.kinds}
     with tempfile.TemporaryDirectory() as folder:
         study(trials, given.folds or range(len(trials)), fits, Path(folder))
 
