@@ -43,6 +43,7 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
     "linearised MPC, DAQP": {"kind": "linearised_mpc"},
     "sampling MPC, MPPI": {"kind": "sampling_mpc", "samples": 32},
     "sampling MPC, CEM": {"kind": "sampling_mpc", "samples": 32, "method": "cem"},
+    "linearised MPC, no sensor": {"kind": "linearised_mpc", "estimator": {"sensor": "none"}},
     "inverse": {"kind": "inverse"},
     "inverse + PID": {"kind": "inverse_pid"},
     "PID": {"kind": "pid"},

@@ -142,7 +142,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _estimator(
         "a start far from the model is accepted",
-        "if abs(y - angle) > self._settings.disturbance_limit_deg:",
+        "if abs(y - angle) > limit_deg:",
         "if math.isnan(y - angle):",
     ),
     _estimator(

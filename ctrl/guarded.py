@@ -130,6 +130,10 @@ class GuardedController(Generic[M]):
             estimate = after
         return replace(state, estimate=estimate, memory=self._law.init(last, estimate.command), due=last)
 
+    def sigma_deg(self, state: GuardedState[M]) -> float:
+        """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
+        return self._observer.sigma_deg(state.estimate)
+
     def stop(self, state: GuardedState[M], cause: str) -> GuardedState[M]:
         """The state after which every step stops: towards the safe command, or stay; only a new `init` releases it."""
         return replace(state, fallback=self._fallback.halt(cause))

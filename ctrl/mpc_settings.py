@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from hystmpc.models.model import Inverse, Predictor
 
-from .estimation.observer import Observer, OutputEstimator
+from .estimation.observer import Observer
 from .law import Law
 from .limits import CommandLimits
 from .planning_settings import AdaptationSettings, LinearisationSettings, PredictiveSettings, SamplingSettings
@@ -36,7 +36,7 @@ class PredictiveController(PredictiveSettings):
 
         if isinstance(predictor, LearnedPredictor):
             return LearningEstimator(predictor, self.estimator, self.adaptation or AdaptationSettings())
-        return OutputEstimator(predictor, self.estimator)
+        return self.estimator.observer(predictor)
 
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
         from .mpc import PredictiveLaw

@@ -121,6 +121,12 @@ class PredictiveSettings(LawSettings):
     weights: WeightsSettings = WeightsSettings()
     hold: HoldSettings = HoldSettings()
 
+    @model_validator(mode="after")
+    def _learns_from_a_sensor(self) -> PredictiveSettings:
+        if self.adaptation is not None and self.estimator.sensor == "none":
+            raise ValueError("got adaptation with estimator.sensor none, expected a sensor to learn from")
+        return self
+
     def preview_samples(self, dt_s: float) -> int:
         """Samples of the preview at sample time `dt_s` [s]."""
         return self.horizon or min(max(_LEAST_SAMPLES, round(_PREVIEW_S / dt_s)), _MOST_SAMPLES)

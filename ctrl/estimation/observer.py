@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from typing import Annotated, final
+from typing import Annotated, Literal, final
 
 from pydantic import Field
 
@@ -67,6 +67,10 @@ class Observer(ABC):
     def init(self, y: float, u: float) -> Estimate:
         """Estimate at rest with measured angle `y` [deg] and held command `u`; may raise what the model raises."""
 
+    def sigma_deg(self, estimate: Estimate) -> float:
+        """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
+        return math.sqrt(estimate.variance)
+
     @abstractmethod
     def correct(self, estimate: Estimate, y: float) -> Estimate:
         """Use measurement `y` [deg]; not-a-number and outliers leave the prediction as it is. Never raises."""
@@ -87,6 +91,7 @@ class EstimatorSettings(Settings):
     loop runs; see `NoiseBank`. One that is given is kept.
 
     Attributes:
+        sensor: `continuous`, or `none` for a device without an angle sensor, see `ModelAlone`.
         sensor_sigma_deg: standard deviation of the angle sensor [deg].
         drift_sigma_deg_per_sqrt_s: standard deviation of the disturbance's change over one second [deg / sqrt(s)].
         motion_sigma_deg_per_sqrt_unit: standard deviation of its change over one unit of command travel. What a model
@@ -97,6 +102,7 @@ class EstimatorSettings(Settings):
         disturbance_limit_deg: bound of the estimated disturbance [deg].
     """
 
+    sensor: Literal["continuous", "none"] = "continuous"
     sensor_sigma_deg: Positive | None = None
     drift_sigma_deg_per_sqrt_s: Positive | None = None
     motion_sigma_deg_per_sqrt_unit: NotNegative | None = None
@@ -104,6 +110,10 @@ class EstimatorSettings(Settings):
     outlier_deg: Positive = 15.0
     dead_band_gain_deg_per_unit: NotNegative = 0.0
     disturbance_limit_deg: Positive = 30.0
+
+    def observer(self, predictor: Predictor) -> Observer:
+        """The estimator that these settings describe."""
+        return OutputEstimator(predictor, self) if self.sensor == "continuous" else ModelAlone(predictor, self)
 
 
 @final
@@ -145,21 +155,12 @@ class OutputEstimator(Observer):
         """A device at rest: what the model cannot explain of `y` is the first disturbance.
 
         Raises:
-            ControllerError: if the model is not finite, or further from `y` than the disturbance may be.
+            ControllerError: as `rest_of_model`.
         """
-        angle, state = self._predictor.advance(self._predictor.initial(y, u), u)
-        if not (math.isfinite(angle) and math.isfinite(state.sum())):
-            raise ControllerError(f"estimator: the model answers {angle} deg to a rest at command {u}, expected finite")
-        if abs(y - angle) > self._settings.disturbance_limit_deg:
-            raise ControllerError(
-                f"estimator: got {y:.6g} deg at rest with command {u:.6g}, the model expects {angle:.6g} deg, "
-                f"accepted is a difference of {self._settings.disturbance_limit_deg:.6g} deg"
-            )
+        angle, state = rest_of_model(self._predictor, y, u, self._settings.disturbance_limit_deg)
         queue = self.delay_samples + 1
         bank, variance = self.bank.init(y - angle)
-        return Estimate(
-            state, u, (float(angle),) * queue, (True,) * queue, (0.0,) * queue, y - angle, variance, y, bank=bank
-        )
+        return Estimate(state, u, (angle,) * queue, (True,) * queue, (0.0,) * queue, y - angle, variance, y, bank=bank)
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:
         offset = usable_angle(y) - estimate.angles[0]
@@ -171,10 +172,8 @@ class OutputEstimator(Observer):
         return replace(estimate, bank=bank, disturbance=disturbance, variance=variance, measured=float(y), missing=0)
 
     def advance(self, estimate: Estimate, u: float) -> Estimate:
-        angle, state = self._predictor.advance(estimate.state, u)
-        if not (math.isfinite(angle) and math.isfinite(state.sum())):
-            raise ArithmeticError(f"the model answers {angle} deg to command {u:.6g}")
-        return self._shifted(estimate, u, float(angle), state)
+        angle, state = next_of_model(self._predictor, estimate.state, u)
+        return self._shifted(estimate, u, angle, state)
 
     def coast(self, estimate: Estimate, u: float) -> Estimate:
         return self._shifted(estimate, u, estimate.angles[-1], estimate.state, estimate.stalled + 1)
@@ -202,10 +201,62 @@ class OutputEstimator(Observer):
 
 
 @final
+class ModelAlone(Observer):
+    """A device without an angle sensor: the model, run on the commands really sent from a declared rest on.
+
+        theta_k = model(commands up to k-1-D)
+
+    The angle at which the device rests when the controller starts is declared (`TipController.reset`), or the first one
+    of a recording (`TipController.replay`). It says where the model starts; how far it is off that angle is not taken
+    for a disturbance, and what is measured afterwards is not looked at. The estimate does not fluctuate, so that holds
+    are as without noise. How far the model may be off is `sigma_deg`: the root mean square of the slow errors of its
+    free runs, where the model file says it (`NoiseModel`).
+    """
+
+    def __init__(self, predictor: Predictor, settings: EstimatorSettings) -> None:
+        self._predictor = predictor
+        self.delay_samples, self._limit = settings.delay_samples, settings.disturbance_limit_deg
+        known = predictor.noise
+        self._sigma = math.nan if known is None or known.model_sigma_deg is None else known.model_sigma_deg
+
+    def sigma_deg(self, estimate: Estimate) -> float:
+        del estimate
+        return self._sigma
+
+    def init(self, y: float, u: float) -> Estimate:
+        """A device that rests at the declared angle `y` [deg] under command `u`.
+
+        Raises:
+            ControllerError: as `rest_of_model`.
+        """
+        angle, state = rest_of_model(self._predictor, y, u, self._limit)
+        queue = self.delay_samples + 1
+        return Estimate(state, u, (angle,) * queue, (True,) * queue, (0.0,) * queue, 0.0, 0.0, angle)
+
+    def correct(self, estimate: Estimate, y: float) -> Estimate:
+        del y
+        return replace(estimate, measured=estimate.angles[0])
+
+    def advance(self, estimate: Estimate, u: float) -> Estimate:
+        angle, state = next_of_model(self._predictor, estimate.state, u)
+        moves = (*estimate.moves[1:], abs(u - estimate.command))
+        angles = (*estimate.angles[1:], angle)
+        return replace(estimate, state=state, command=u, angles=angles, moves=moves, stalled=0)
+
+    def coast(self, estimate: Estimate, u: float) -> Estimate:
+        angles = (*estimate.angles[1:], estimate.angles[-1])
+        return replace(estimate, command=u, angles=angles, stalled=estimate.stalled + 1)
+
+
+@final
 class WithoutModel(Observer):
     """The observer of a controller that has no model: keeps the last usable measurement."""
 
     delay_samples = 0
+
+    def sigma_deg(self, estimate: Estimate) -> float:
+        del estimate
+        return math.nan
 
     def init(self, y: float, u: float) -> Estimate:
         return Estimate(EMPTY, u, (), (), (), 0.0, 0.0, y)
@@ -221,6 +272,35 @@ class WithoutModel(Observer):
 
     def coast(self, estimate: Estimate, u: float) -> Estimate:
         return replace(estimate, command=u)
+
+
+def rest_of_model(predictor: Predictor, y: float, u: float, limit_deg: float) -> tuple[float, Vec]:
+    """Angle [deg] and state of a model one sample after a rest at the angle `y` [deg] under command `u`.
+
+    Raises:
+        ControllerError: if the model is not finite, or further from `y` than `limit_deg`.
+    """
+    angle, state = predictor.advance(predictor.initial(y, u), u)
+    if not (math.isfinite(angle) and math.isfinite(state.sum())):
+        raise ControllerError(f"estimator: the model answers {angle} deg to a rest at command {u}, expected finite")
+    if abs(y - angle) > limit_deg:
+        raise ControllerError(
+            f"estimator: got {y:.6g} deg at rest with command {u:.6g}, the model expects {angle:.6g} deg, "
+            f"accepted is a difference of {limit_deg:.6g} deg"
+        )
+    return float(angle), state
+
+
+def next_of_model(predictor: Predictor, state: Vec, u: float) -> tuple[float, Vec]:
+    """Angle [deg] and state of a model one sample later.
+
+    Raises:
+        ArithmeticError: if they are not finite.
+    """
+    angle, following = predictor.advance(state, u)
+    if not (math.isfinite(angle) and math.isfinite(following.sum())):
+        raise ArithmeticError(f"the model answers {angle} deg to command {u:.6g}")
+    return float(angle), following
 
 
 def usable_angle(y: object) -> float:

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
+from pydantic import model_validator
 
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
 from ..command import EMPTY, ControlInput, Source, Stopwatch
-from ..estimation.observer import EstimatorSettings, Observer, OutputEstimator
+from ..estimation.observer import EstimatorSettings, Observer
 from ..law import Law, LawSettings, Proposal
 from ..limits import CommandLimits, Count, NotNegative
 from .pid import Pid, PidMemory, PidSettings
@@ -131,7 +132,7 @@ class FeedforwardSettings(LawSettings):
     preview: Count = 20
 
     def observer(self, predictor: Predictor) -> Observer:
-        return OutputEstimator(predictor, self.estimator)
+        return self.estimator.observer(predictor)
 
     def feedforward(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> InverseFeedforward:
         """The inverse: over the preview for a model with lag or delay, else sample by sample."""
@@ -159,6 +160,14 @@ class InversePidControllerSettings(FeedforwardSettings):
 
     kind: Literal["inverse_pid"] = "inverse_pid"
     gains: PidSettings = PidSettings(kp_per_deg=0.01, ki_per_deg_s=0.2)
+
+    @model_validator(mode="after")
+    def _has_a_sensor(self) -> InversePidControllerSettings:
+        if self.estimator.sensor == "none":
+            raise ValueError(
+                "got estimator.sensor none, expected continuous for feedback; kind inverse needs no sensor"
+            )
+        return self
 
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
         feedforward = self.feedforward(predictor, inverse, limits)

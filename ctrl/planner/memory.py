@@ -114,7 +114,7 @@ def try_to_start(memory: Snapshot, controller: GuardedController[Any], y: object
     angle = usable_angle(y)
     after, reason = attempt(lambda: start_control(memory, controller, angle))
     if math.isnan(angle):
-        reason = "no usable measurement yet"
+        reason = "no usable measurement yet; reset(angle) declares the angle of rest"
     return after or replace(memory, command=Command(memory.command.u, Source.HOLD, f"not started: {reason}"))
 
 
@@ -215,11 +215,13 @@ class TipState:
 
     Attributes:
         time_s: end of the running sample: steps taken times the sample time.
-        measured_deg: last accepted measurement, made at the beginning of the running sample; NaN before the first.
+        measured_deg: last accepted measurement, made at the beginning of the running sample; NaN before the first. Of a
+            controller without a sensor the angle that the model says.
         predicted_deg: angle expected at the end of it, disturbance included; NaN without a model.
         reference_deg, reference_velocity_deg_s: what is wanted then.
         command: the command that is being held [mm or bar].
         disturbance_deg: by how much the device is off the model, as estimated.
+        sigma_deg: standard deviation of the error of the estimated angle; NaN where it is not known.
         source, status: of that command.
         done: whether the reference has come to its end.
         settled: done, and the measurement is within the tolerance.
@@ -233,6 +235,7 @@ class TipState:
     reference_velocity_deg_s: float
     command: float
     disturbance_deg: float
+    sigma_deg: float
     source: Source
     status: str
     done: bool
@@ -257,9 +260,9 @@ class TipPlan:
     reference_deg: Vec
 
 
-def tip_state(memory: Snapshot, dt: float, tolerance_deg: float) -> TipState:
+def tip_state(memory: Snapshot, controller: GuardedController[Any], tolerance_deg: float) -> TipState:
     """What a planner sees of a snapshot."""
-    now, command = memory.steps * dt, memory.command
+    now, command = memory.steps * controller.dt, memory.command
     motion, measured = memory.motion(now), memory.measured_deg
     done = memory.reference is not None and now >= memory.reference.end_s - _ROUNDING
     return TipState(
@@ -270,6 +273,7 @@ def tip_state(memory: Snapshot, dt: float, tolerance_deg: float) -> TipState:
         reference_velocity_deg_s=motion.velocity_deg_s,
         command=command.u,
         disturbance_deg=memory.disturbance_deg,
+        sigma_deg=math.nan if memory.control is None else controller.sigma_deg(memory.control),
         source=command.source,
         status=command.status,
         done=done,

@@ -178,7 +178,7 @@ class TipController:
 
     def state(self) -> TipState:
         """Where the controller is."""
-        return tip_state(self._memory, self.dt, self._settings.tolerance_deg)
+        return tip_state(self._memory, self._assembly.controller, self._settings.tolerance_deg)
 
     def plan(self) -> TipPlan:
         """What the last step means to do over its horizon."""

@@ -92,11 +92,14 @@ class NoiseModel(Settings):
         sensor_sigma_deg: standard deviation of v [deg].
         drift_sigma_deg_per_sqrt_s: of the change of d over one second [deg/sqrt(s)].
         motion_sigma_deg_per_sqrt_unit: of its change over one unit of command travel [deg/sqrt(command unit)].
+        model_sigma_deg: root mean square of the slow part of y - model about its mean over a free run [deg]: how far
+            the model is off where no sensor corrects it. None in older files.
     """
 
     sensor_sigma_deg: Annotated[float, Field(gt=0, le=1e6)]
     drift_sigma_deg_per_sqrt_s: Sigma
     motion_sigma_deg_per_sqrt_unit: Sigma
+    model_sigma_deg: Sigma | None = None
 
 
 class Connection(Settings):

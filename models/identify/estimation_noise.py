@@ -35,6 +35,9 @@ def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: 
     n (1 - rho) / (1 + rho) independent ones (Bartlett, J. Roy. Stat. Soc. 98, 1935). Drift and motion are enlarged by
     the square root of that factor, at most by 2. The sensor's noise stays: it is averaged over all samples.
 
+    What neighbours have in common is the slow error of the model, since the sensor's noise is white. About the mean of
+    each trial, which a declared rest takes off, model_sigma^2 = mean (r_k - r) (r_{k+1} - r), enlarged likewise.
+
     Args:
         trials: uniformly sampled at one rate.
         residuals: measurement less model, or the reverse, of the last samples of each trial (C,) [deg].
@@ -55,11 +58,15 @@ def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: 
     usual = max(float(np.mean(travel[travel > 0])) if np.any(travel > 0) else 1.0, 1e-12)
     drift, motion = _most_likely_ratios(joint, travel, usual)
     sensor = math.sqrt(max(walk_likelihood(joint, travel, drift, motion)[1], _LEAST_DEG**2))
-    more = _optimism(residuals, fitted) * sensor
+    factor = _optimism(residuals, fitted)
+    more = factor * sensor
+    around = [part - part.mean() for part in residuals]
+    slow = np.concatenate([part[1:] * part[:-1] for part in around])
     return NoiseModel(
         sensor_sigma_deg=sensor,
         drift_sigma_deg_per_sqrt_s=more * math.sqrt(drift / trials[0].dt),
         motion_sigma_deg_per_sqrt_unit=more * math.sqrt(motion),
+        model_sigma_deg=factor * math.sqrt(max(float(np.mean(slow)), 0.0)),
     )
 
 

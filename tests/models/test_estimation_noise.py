@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -130,3 +131,15 @@ def test_facts_out_of_bounds_are_refused() -> None:
     bad = known | {"hystmpc.noise": known["hystmpc.noise"].replace("0.1", "-0.1")}
     with pytest.raises(ModelError, match=r"noise\.sensor_sigma_deg"):
         ModelMetadata.from_properties(bad, "file")
+
+
+def test_the_slow_error_of_a_model_is_told_from_the_noise_of_the_sensor() -> None:
+    """A sine of .4 deg and an offset under white noise of .2 deg: the root mean square of the sine."""
+    t, random = np.arange(3000) * DT, np.random.default_rng(3)
+    trial = Trial(t, np.sin(t), np.zeros(t.size))
+    slow = 0.4 * np.sin(0.7 * t)
+    found = estimation_noise([trial], [slow + 0.1 + 0.2 * random.standard_normal(t.size)])
+    assert found.model_sigma_deg == pytest.approx(math.sqrt(np.mean(slow**2)), rel=0.1)
+    white = estimation_noise([trial], [0.2 * random.standard_normal(t.size)])
+    assert white.model_sigma_deg is not None
+    assert white.model_sigma_deg < 0.05
