@@ -40,13 +40,15 @@ class DrivenKind(ModelKind):
         device: a simulator with the drive; None to identify one from the same trials by `auto`.
 
     Raises:
-        FitError: if the kind is one of operators.
+        FitError: if the kind is one of operators, or the simulator has no drive.
     """
 
     def __init__(self, kind: ModelKind, device: Simulator | None = None) -> None:
         if kind.readable:
             raise FitError(f"{kind.name} and its drive are what `auto` identifies, expected a network or a regression")
-        self.name, self.title = kind.name, f"{kind.title} behind a drive"
+        self.name, self.title = f"{kind.name} behind a drive", f"{kind.title} behind a drive"
+        if device is not None and _parted(device)[0] is None:
+            raise FitError("the simulator has no drive, expected a lag, servo, delay or top speed on its command")
         self.presets, self.inverse_preset, self.recurrent = kind.presets, kind.inverse_preset, True
         self.invertible = False
         self._kind, self._device, self._auto = kind, device, AutoKind()

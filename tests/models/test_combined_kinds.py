@@ -39,8 +39,10 @@ def test_combinations_that_mean_nothing_are_refused() -> None:
     ):
         with pytest.raises(FitError, match=words):
             chosen_kind(*arguments)
+    with pytest.raises(FitError, match="the simulator has no drive"):
+        chosen_kind("play_kernel", drive="builtin:backlash")
     swapped = [trial.swapped() for trial in recorded()]
-    with pytest.raises(FitError, match="has no inverse map"):
+    with pytest.raises(FitError, match="behind a drive has no inverse map"):
         chosen_kind("play_kernel", drive="auto").fit(swapped, request("play_kernel"))
 
 
