@@ -37,7 +37,7 @@ def build_controller(
     predictor, inverse = settings.model_pair(predictor, inverse)
     fallback = FallbackChain(limits, settings.ladder, inverse if settings.falls_back_on_inverse else None)
     law, observer = settings.law(predictor, inverse, limits), settings.observer(predictor)
-    return GuardedController(law, observer, fallback, limits, predictor.dt, settings.ladder.max_missing_samples)
+    return GuardedController(law, observer, fallback, limits, predictor.dt, settings.bridged_samples(predictor.dt))
 
 
 def _narrowed(device: CommandLimits, wanted: LimitsSettings | None) -> CommandLimits:

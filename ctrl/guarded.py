@@ -134,6 +134,17 @@ class GuardedController(Generic[M]):
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
         return self._observer.sigma_deg(state.estimate)
 
+    def measure(self, state: GuardedState[M], y: float, age: float) -> GuardedState[M]:
+        """The state with a measurement `y` [deg] of `age` samples before the next step used at its own instant.
+
+        Raises:
+            ControllerError: if the estimator knows no late measurements, or not of that age; or the model fails.
+        """
+        estimate, fault = attempt(lambda: self._observer.correct_late(state.estimate, y, age))
+        if estimate is None:
+            raise ControllerError(fault.removeprefix("ControllerError: "))
+        return replace(state, estimate=estimate)
+
     def stop(self, state: GuardedState[M], cause: str) -> GuardedState[M]:
         """The state after which every step stops: towards the safe command, or stay; only a new `init` releases it."""
         return replace(state, fallback=self._fallback.halt(cause))

@@ -64,6 +64,11 @@ class LawSettings(Settings):
         """
         return predictor, inverse
 
+    def bridged_samples(self, dt_s: float) -> int:
+        """Consecutive samples without a usable measurement that are bridged by prediction at sample time `dt_s` [s]."""
+        del dt_s
+        return self.ladder.max_missing_samples
+
     @abstractmethod
     def observer(self, predictor: Predictor) -> Observer:
         """The estimator of state and disturbance."""

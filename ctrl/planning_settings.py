@@ -123,9 +123,12 @@ class PredictiveSettings(LawSettings):
 
     @model_validator(mode="after")
     def _learns_from_a_sensor(self) -> PredictiveSettings:
-        if self.adaptation is not None and self.estimator.sensor == "none":
-            raise ValueError("got adaptation with estimator.sensor none, expected a sensor to learn from")
+        if self.adaptation is not None and self.estimator.sensor != "continuous":
+            raise ValueError(f"got adaptation with estimator.sensor {self.estimator.sensor}, expected continuous")
         return self
+
+    def bridged_samples(self, dt_s: float) -> int:
+        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
 
     def preview_samples(self, dt_s: float) -> int:
         """Samples of the preview at sample time `dt_s` [s]."""

@@ -19,6 +19,9 @@ _LEAST_SENSOR_DEG = 0.02  # a model of simulated trials without noise says nothi
 _SENSOR_FACTORS: Vec = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # of what is known
 _DRIFT: Vec = 0.001 * 3.0 ** np.arange(8, dtype=np.float64)  # deg/sqrt(s), up to 2.2
 _MOTION: Vec = 0.0016 * 4.0 ** np.arange(7, dtype=np.float64)  # deg over the root of the range of commands
+_CLOSE = 0.95  # probability that a model is as close as its file says
+_HELD = 0.5  # of that distance: what a disturbance may be uncertain by, since the error of a model changes all the time
+_LEAST_MODEL_DEG = 0.01
 _SWITCHING_S = 20.0  # mean time for which the model is as wrong as it is
 _SENSOR_SHARE = 0.2  # of these changes are changes of the sensor too
 _MOST_GAIN = 0.5
@@ -62,9 +65,14 @@ class NoiseBank:
         given: sigmas set by hand.
         predictor: of the model, with what its file says about these sigmas.
         limit_deg: bound of the disturbance [deg].
+        model_sigma_deg: how far the model is usually off [deg], where few and noisy measurements come. Then it is taken
+            to be as close as that at first, with a probability of 0.95: the filters of the least drift and motion hold
+            half of it for the standard deviation of their disturbance, and the disturbance starts at zero.
     """
 
-    def __init__(self, given: Sigmas, predictor: Predictor, limit_deg: float) -> None:
+    def __init__(
+        self, given: Sigmas, predictor: Predictor, limit_deg: float, model_sigma_deg: float | None = None
+    ) -> None:
         low, high = predictor.command_range
         known = predictor.noise or _UNKNOWN
         usual = max(known.sensor_sigma_deg, _LEAST_SENSOR_DEG)
@@ -76,15 +84,22 @@ class NoiseBank:
         self._sensor, self._drift, self._motion = grid[0] ** 2, predictor.dt * grid[1] ** 2, grid[2] ** 2
         self._logs = np.log(np.maximum(grid**2, _TINY))
         self._by_sensor, self._by_model = by_sensor, np.outer(by_drift, by_motion).ravel()
+        if model_sigma_deg is not None:
+            self._by_model = (1.0 - _CLOSE) * self._by_model
+            self._by_model[0] += _CLOSE
         self._prior = np.outer(self._by_sensor, self._by_model).ravel()
         self._switching = predictor.dt / (predictor.dt + _SWITCHING_S)
         self._most = _MOST_GAIN if self._prior.size > 1 else 1.0
-        self._first = _FIRST * (given[0] or usual) ** 2
+        first, most = np.full(grid.shape[1], _FIRST * (given[0] or usual) ** 2), np.full(grid.shape[1], limit_deg**2)
+        if model_sigma_deg is not None:
+            close = (grid[1] == drift[0]) & (grid[2] == motion[0])
+            first[close] = most[close] = (_HELD * max(model_sigma_deg, _LEAST_MODEL_DEG)) ** 2
+        self._first, self._widest = first, most
 
     def init(self, disturbance: float) -> tuple[Vec, float]:
         """Rows disturbance, variance, weight (3, M) of a bank whose disturbance [deg] is a guess; its variance."""
-        count = self._prior.size
-        return np.array([np.full(count, disturbance), np.full(count, self._first), self._prior]), self._first
+        bank = np.array([np.full(self._prior.size, disturbance), self._first, self._prior])
+        return bank, float(self._prior @ self._first)
 
     def correct(self, bank: Vec, offset: float) -> tuple[Vec, float, float]:
         """The bank with a measurement `offset` = y - model [deg] used, its disturbance [deg] and variance [deg^2]."""
@@ -102,7 +117,7 @@ class NoiseBank:
             disturbance: of the bank [deg].
         """
         after = np.empty_like(bank)
-        variance = advance_filters(bank, self._drift, self._motion, travel, self._limit, disturbance, after)
+        variance = advance_filters(bank, self._drift, self._motion, travel, self._widest, disturbance, after)
         return after, float(variance)
 
     def found(self, bank: Vec) -> NoiseModel:
@@ -180,17 +195,17 @@ def correct_filters(
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance_filters(bank: Any, drift: Any, motion: Any, travel: float, limit: float, mean: float, after: Any) -> float:
+def advance_filters(bank: Any, drift: Any, motion: Any, travel: float, widest: Any, mean: float, after: Any) -> float:
     """Write the bank (3, M) one sample later; answers its variance about `mean` [deg^2].
 
     Args:
         drift, motion: variance of each filter's walk in a sample, and over one unit of travel (M,).
         travel: of the command [command unit].
-        limit: bound of the disturbance [deg].
+        widest: greatest variance of each filter's disturbance (M,) [deg^2].
     """
     for i in range(bank.shape[1]):
         after[0, i] = bank[0, i]
-        after[1, i] = min(bank[1, i] + drift[i] + motion[i] * travel, limit * limit)
+        after[1, i] = min(bank[1, i] + drift[i] + motion[i] * travel, widest[i])
         after[2, i] = bank[2, i]
     return float(mixed_variance(after, mean))
 

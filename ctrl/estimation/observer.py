@@ -41,6 +41,8 @@ class Estimate:
         covariance: of the errors of disturbance and learned weights, where weights are learned.
         features: what the weights are multiplied by, for each of the angles, where weights are learned.
         bank: filters of `NoiseBank`, of which disturbance and variance are the mixture (3, M).
+        past: corrected estimates of the last instants, the newest last; see `Frames`.
+        seen: measurements of this instant that were used or could not be, there [deg].
     """
 
     state: Vec
@@ -56,6 +58,8 @@ class Estimate:
     covariance: Vec = field(default_factory=lambda: EMPTY)
     features: tuple[Vec, ...] = ()
     bank: Vec = field(default_factory=lambda: EMPTY)
+    past: tuple[Estimate, ...] = ()
+    seen: tuple[float, ...] = ()
 
 
 class Observer(ABC):
@@ -75,6 +79,17 @@ class Observer(ABC):
     def correct(self, estimate: Estimate, y: float) -> Estimate:
         """Use measurement `y` [deg]; not-a-number and outliers leave the prediction as it is. Never raises."""
 
+    def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
+        """Use measurement `y` [deg] of `age` samples ago.
+
+        Raises:
+            ControllerError: if this observer knows no late measurements, or not of that age.
+        """
+        del estimate
+        raise ControllerError(
+            f"measure: got {y} deg of {age:.4g} samples ago, expected a controller with estimator.sensor intermittent"
+        )
+
     @abstractmethod
     def advance(self, estimate: Estimate, u: float) -> Estimate:
         """One sample later, `u` having been sent; may raise what the model raises."""
@@ -91,7 +106,11 @@ class EstimatorSettings(Settings):
     loop runs; see `NoiseBank`. One that is given is kept.
 
     Attributes:
-        sensor: `continuous`, or `none` for a device without an angle sensor, see `ModelAlone`.
+        sensor: `continuous`; `intermittent` for frames of an imaging system, now and then and late, see `Frames`;
+            `none` for a device without an angle sensor, see `ModelAlone`.
+        oldest_frame_s: age up to which an intermittent sensor's frame is used [s].
+        longest_gap_s: time without a usable frame that is bridged by prediction [s]; of a continuous sensor
+            `ladder.max_missing_samples` says it.
         sensor_sigma_deg: standard deviation of the angle sensor [deg].
         drift_sigma_deg_per_sqrt_s: standard deviation of the disturbance's change over one second [deg / sqrt(s)].
         motion_sigma_deg_per_sqrt_unit: standard deviation of its change over one unit of command travel. What a model
@@ -102,7 +121,9 @@ class EstimatorSettings(Settings):
         disturbance_limit_deg: bound of the estimated disturbance [deg].
     """
 
-    sensor: Literal["continuous", "none"] = "continuous"
+    sensor: Literal["continuous", "intermittent", "none"] = "continuous"
+    oldest_frame_s: Positive = 1.0
+    longest_gap_s: Positive = 2.0
     sensor_sigma_deg: Positive | None = None
     drift_sigma_deg_per_sqrt_s: Positive | None = None
     motion_sigma_deg_per_sqrt_unit: NotNegative | None = None
@@ -113,7 +134,16 @@ class EstimatorSettings(Settings):
 
     def observer(self, predictor: Predictor) -> Observer:
         """The estimator that these settings describe."""
-        return OutputEstimator(predictor, self) if self.sensor == "continuous" else ModelAlone(predictor, self)
+        if self.sensor == "none":
+            return ModelAlone(predictor, self)
+        found = OutputEstimator(predictor, self)
+        if self.sensor == "continuous":
+            return found
+        return Frames(found, math.ceil(self.oldest_frame_s / predictor.dt))
+
+    def bridged_samples(self, usual: int, dt_s: float) -> int:
+        """Samples without a usable measurement that are bridged at sample time `dt_s` [s]; `usual` of other sensors."""
+        return round(self.longest_gap_s / dt_s) if self.sensor == "intermittent" else usual
 
 
 @final
@@ -138,6 +168,8 @@ class OutputEstimator(Observer):
 
         self._predictor = predictor
         self._settings = settings
+        known = predictor.noise.model_sigma_deg if predictor.noise and settings.sensor == "intermittent" else None
+        self._trusts = known is not None
         self.bank = NoiseBank(
             (
                 settings.sensor_sigma_deg,
@@ -146,6 +178,7 @@ class OutputEstimator(Observer):
             ),
             predictor,
             settings.disturbance_limit_deg,
+            known,
         )
         low, high = predictor.command_range
         self._resolution = _RESOLUTION * abs(high - low)
@@ -154,13 +187,16 @@ class OutputEstimator(Observer):
     def init(self, y: float, u: float) -> Estimate:
         """A device at rest: what the model cannot explain of `y` is the first disturbance.
 
+        A frame of an intermittent sensor is noisy, and few follow: where the model file says how far the model is off,
+        the disturbance starts at zero.
+
         Raises:
             ControllerError: as `rest_of_model`.
         """
         angle, state = rest_of_model(self._predictor, y, u, self._settings.disturbance_limit_deg)
-        queue = self.delay_samples + 1
-        bank, variance = self.bank.init(y - angle)
-        return Estimate(state, u, (angle,) * queue, (True,) * queue, (0.0,) * queue, y - angle, variance, y, bank=bank)
+        queue, first = self.delay_samples + 1, 0.0 if self._trusts else y - angle
+        bank, variance = self.bank.init(first)
+        return Estimate(state, u, (angle,) * queue, (True,) * queue, (0.0,) * queue, first, variance, y, bank=bank)
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:
         offset = usable_angle(y) - estimate.angles[0]
@@ -198,6 +234,65 @@ class OutputEstimator(Observer):
             features=estimate.features,
             bank=bank,
         )
+
+
+@final
+class Frames(Observer):
+    """Another observer with a memory, so that a measurement is used at the instant at which it was taken.
+
+    A frame of age a lies between the instants k and k + 1, a = now - k - s. The model's own motion carries it to k,
+
+        y_k = y + theta_k - ((1 - s) theta_k + s theta_{k+1}),   0 <= s < 1
+
+    The estimate of that instant is corrected, and everything since is done again: the commands that were sent, and what
+    was measured meanwhile. The order in which frames arrive makes no difference.
+
+    Args:
+        inner: what corrects and advances.
+        samples: age of the oldest frame.
+    """
+
+    def __init__(self, inner: Observer, samples: int) -> None:
+        self._inner, self._samples, self.delay_samples = inner, samples, inner.delay_samples
+
+    def init(self, y: float, u: float) -> Estimate:
+        return self._inner.init(y, u)
+
+    def correct(self, estimate: Estimate, y: float) -> Estimate:
+        after = self._inner.correct(estimate, y)
+        missing = min(after.missing, estimate.missing) if estimate.seen else after.missing  # an instant counts once
+        return replace(after, missing=missing, seen=(*estimate.seen, usable_angle(y)))
+
+    def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
+        """Use a frame of `age` samples ago.
+
+        Raises:
+            ControllerError: if it is older than the memory, not of the past, or no usable angle.
+        """
+        known, oldest = (*estimate.past, estimate), len(estimate.past)
+        if not (0 <= age <= oldest and math.isfinite(usable_angle(y))):
+            raise ControllerError(
+                f"measure: got {y} deg of {age:.4g} samples ago, expected a finite angle of the last {oldest}"
+            )
+        back = math.ceil(age)
+        here = known[oldest - back]
+        carried = (back - age) * (here.angles[0] - known[min(oldest - back + 1, oldest)].angles[0])
+        present = replace(self.correct(here, y + carried), past=estimate.past[: oldest - back])
+        for after in known[oldest - back + 1 :]:
+            present = self.advance(present, after.command)
+            for seen in after.seen:
+                present = self.correct(present, seen)
+        return present
+
+    def advance(self, estimate: Estimate, u: float) -> Estimate:
+        return self._later(estimate, self._inner.advance(estimate, u))
+
+    def coast(self, estimate: Estimate, u: float) -> Estimate:
+        return self._later(estimate, self._inner.coast(estimate, u))
+
+    def _later(self, before: Estimate, after: Estimate) -> Estimate:
+        past = (*before.past, replace(before, past=()))[-self._samples :]
+        return replace(after, past=past, seen=())
 
 
 @final

@@ -131,6 +131,9 @@ class FeedforwardSettings(LawSettings):
     reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
     preview: Count = 20
 
+    def bridged_samples(self, dt_s: float) -> int:
+        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
+
     def observer(self, predictor: Predictor) -> Observer:
         return self.estimator.observer(predictor)
 

@@ -130,6 +130,28 @@ class TipController:
         with self._lock:
             return self._answer(measured_theta_deg, None, "another was set each time this one was evaluated")
 
+    def measure(self, theta_deg: float, taken_at_s: float) -> None:
+        """Use a frame of an intermittent sensor, taken in the past; between frames `step` gets NaN.
+
+        The estimate is corrected at the instant at which the frame was taken, and predicted forward from there. The
+        first frame starts the controller: the device rests then.
+
+        Args:
+            theta_deg: tip angle in the frame [deg].
+            taken_at_s: when it was taken, on the clock of `state().time_s` [s].
+
+        Raises:
+            ControllerError: if the angle or the time cannot be used, or the controller's sensor is not intermittent.
+        """
+        controller = self._assembly.controller
+        with self._lock:
+            memory = self._memory
+            if memory.control is None:
+                self._memory = start_control(memory, controller, theta_deg)
+                return
+            control = controller.measure(memory.control, theta_deg, memory.steps - taken_at_s / self.dt)
+            self._memory = replace(memory, control=control)
+
     def _answer(self, measured_theta_deg: float, wanted: Vec | None, fault: str) -> Command:
         """The command of this sample, remembered as sent; under the lock."""
         memory = self._memory

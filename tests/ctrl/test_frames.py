@@ -1,0 +1,131 @@
+"""Frames of an intermittent sensor are used at the instant at which they were taken, whenever they arrive."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystmpc.ctrl import Source
+from hystmpc.ctrl.config import parse_controller
+from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings, Observer
+from hystmpc.trials.errors import ConfigError, ControllerError
+
+from .plays import PLAY, SOUND, Case
+from .test_tip_controller import controller_for, plant_for
+
+FRAMES = {"estimator": {"sensor": "intermittent"}}
+COUNT = 24
+
+
+def observer(**changes: Any) -> Observer:
+    return EstimatorSettings.parse({"sensor": "intermittent", **changes}, "estimator").observer(PLAY.predictor)
+
+
+def led(found: Observer, angles: dict[int, float], late: dict[int, int]) -> Estimate:
+    """After COUNT samples of one motion; the angle of instant k is shown `late[k]` samples afterwards."""
+    commands = PLAY.u_rest + 1.5 * (1.0 - np.cos(np.linspace(0.0, 5.0, COUNT)))
+    estimate = found.init(PLAY.y_rest, PLAY.u_rest)
+    for now, u in enumerate(commands.tolist()):
+        for taken, wait in late.items():
+            if wait and taken + wait == now:
+                estimate = found.correct_late(estimate, angles[taken], wait)
+        shown = angles[now] if now in angles and not late.get(now) else math.nan
+        estimate = found.advance(found.correct(estimate, shown), u)
+    return estimate
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.dictionaries(st.integers(2, 12), st.tuples(st.floats(-2.0, 2.0), st.integers(0, 10)), max_size=5))
+def test_a_late_frame_leaves_what_it_would_have_left_on_time(frames: dict[int, tuple[float, int]]) -> None:
+    """Whatever their order of arrival, with as many others as there are."""
+    angles = {k: PLAY.y_rest + shift for k, (shift, _) in frames.items()}
+    on_time = led(observer(), angles, dict.fromkeys(angles, 0))
+    late = led(observer(), angles, {k: wait for k, (_, wait) in frames.items()})
+    for name in ("disturbance", "variance", "angles", "missing"):
+        np.testing.assert_allclose(getattr(late, name), getattr(on_time, name), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(late.bank, on_time.bank, rtol=1e-9, atol=1e-12)
+
+
+def test_between_two_samples_the_model_carries_the_frame() -> None:
+    """A frame that shows what the model says at its own instant changes no disturbance."""
+    found = observer()
+    estimate = found.init(PLAY.y_rest, PLAY.u_rest)
+    seen = [estimate.angles[0]]
+    for u in PLAY.u_rest + np.cumsum(np.full(8, 0.3)):
+        estimate = found.advance(found.correct(estimate, math.nan), float(u))
+        seen.append(estimate.angles[0])
+    for age in (0.0, 0.25, 1.0, 2.75, 4.0):
+        shown = float(np.interp(len(seen) - 1 - age, np.arange(len(seen)), seen))
+        assert found.correct_late(estimate, shown, age).disturbance == pytest.approx(estimate.disturbance, abs=1e-9)
+        assert found.correct_late(estimate, shown + 1.0, age).disturbance > estimate.disturbance + 0.1
+
+
+@pytest.mark.parametrize(("y", "age"), [(math.nan, 1.0), (math.inf, 1.0), (40.0, -0.5), (40.0, 4.5), (40.0, math.nan)])
+def test_what_cannot_be_used_is_refused(y: float, age: float) -> None:
+    found = observer()
+    estimate = found.init(PLAY.y_rest, PLAY.u_rest)
+    for _ in range(4):
+        estimate = found.advance(found.correct(estimate, math.nan), PLAY.u_rest)
+    with pytest.raises(ControllerError, match="expected a finite angle of the last 4"):
+        found.correct_late(estimate, y, age)
+
+
+def test_a_frame_older_than_the_memory_is_refused() -> None:
+    found = observer(oldest_frame_s=4 * PLAY.predictor.dt)
+    estimate = found.init(PLAY.y_rest, PLAY.u_rest)
+    for _ in range(20):
+        estimate = found.advance(found.correct(estimate, math.nan), PLAY.u_rest)
+    found.correct_late(estimate, PLAY.y_rest, 4.0)
+    with pytest.raises(ControllerError, match="expected a finite angle of the last 4"):
+        found.correct_late(estimate, PLAY.y_rest, 4.5)
+
+
+@pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
+@pytest.mark.parametrize("kind", ["linearised_mpc", "inverse_pid"])
+def test_late_frames_of_a_device_that_is_off_lead_it_to_the_target(case: Case, kind: str) -> None:
+    """Five frames a second, a fifth of a second late; the device is 3 deg off its model."""
+    tip, plant = controller_for(case, kind, **FRAMES), plant_for(case)
+    tip.measure(plant.reset(), 0.0)
+    tip.set_target(50.0)
+    every = round(0.2 / tip.dt)
+    true, pending = math.nan, []
+    for k in range(500):
+        true = plant.apply(tip.step(math.nan).u)
+        shown = true + (3.0 if k > 100 else 0.0)
+        if k % every == 0:
+            pending.append((k + every, shown, tip.state().time_s))
+        while pending and pending[0][0] <= k:
+            _, y, taken = pending.pop(0)
+            tip.measure(y, taken)
+    assert not tip.state().stopped
+    assert true + 3.0 == pytest.approx(50.0, abs=0.3)
+
+
+def test_gaps_are_bridged_as_long_as_the_settings_say() -> None:
+    tip, plant = (
+        controller_for(PLAY, "linearised_mpc", estimator={"sensor": "intermittent", "longest_gap_s": 2.0}),
+        plant_for(),
+    )
+    tip.measure(plant.reset(), 0.0)
+    tip.set_target(50.0)
+    sources = [tip.step(math.nan).source for _ in range(round(4.0 / tip.dt))]
+    bridged = round(2.0 / tip.dt)
+    assert set(sources[:bridged]) == {Source.MPC}
+    assert sources[bridged + 1] is Source.HOLD
+    assert sources[-1] is Source.STOP
+
+
+def test_other_sensors_know_no_frames_and_learning_wants_a_continuous_one() -> None:
+    for block in ({}, {"estimator": {"sensor": "none"}}):
+        tip = controller_for(PLAY, "linearised_mpc", **block)
+        tip.reset(PLAY.y_rest)
+        tip.step(PLAY.y_rest)
+        with pytest.raises(ControllerError, match="sensor intermittent"):
+            tip.measure(PLAY.y_rest, 0.0)
+    with pytest.raises(ConfigError, match="expected continuous"):
+        parse_controller({"kind": "linearised_mpc", "adaptation": {}, **FRAMES}, "controller")
