@@ -56,7 +56,8 @@ class OnnxModel(LoadedModel):
             weight.name: onnx.numpy_helper.to_array(weight) for weight in proto.graph.initializer
         }
         self.hash: str = hashlib.sha256(content).hexdigest()
-        self.source, self.start = source, start
+        self.source = source
+        self.start: Start = start
         self._run = open_session(content, self.state_size, self.dtype, source).run
 
     def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
