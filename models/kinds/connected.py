@@ -118,7 +118,12 @@ class ResidualKind(ModelKind):
         first = self._auto.steps(request)
         part = replace(request, preset=RESIDUAL, hold_out=0)
         each = self._network.steps(part)
-        before, after = self._judged(trials, found.parts, part, lambda k, rmse: tell(first + k, rmse))
+        try:
+            before, after = self._judged(trials, found.parts, part, lambda k, rmse: tell(first + k, rmse))
+        except (KeyboardInterrupt, FitError) as error:  # the device is found; only the network is missing
+            why = str(error) or "interrupted"
+            stopped = isinstance(error, KeyboardInterrupt)
+            return replace(found, interrupted=stopped, report=f"{found.report}; {self._network.name} not kept: {why}")
         change = f"{before.mse**0.5:.4f} -> {after.mse**0.5:.4f} {trials[0].units.angle} on trials left out"
         if not AutoSettings().worth(before, after):
             return replace(found, report=f"{found.report}; {self._network.name} not kept: {change}")
@@ -149,6 +154,8 @@ class ResidualKind(ModelKind):
         seen = [trial for k, trial in enumerate(trials) if k not in fold]
         device = simulator_of(problem.fitted_chain(judged.fold_q[0]), seen, request.limits, "without the first fold")
         found = self._network.fit(_left(seen, device, parts.offsets), request, progress)
+        if found.interrupted:
+            raise KeyboardInterrupt
         network = OnnxModel(model_bytes(found.bundle), self._network.name)
         unseen, runs = _left([trials[k] for k in fold], device, parts.offsets), tuple(runs[k] for k in fold)
         alone = [trial.angle for trial in unseen]

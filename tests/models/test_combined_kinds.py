@@ -100,6 +100,20 @@ def test_a_network_of_what_is_left_is_kept_where_it_helps_alone(
 
 
 @pytest.mark.slow
+def test_ctrl_c_during_the_network_keeps_the_device() -> None:
+    pytest.importorskip("torch", reason="torch is an extra")
+
+    def stop(done: int, rmse: float) -> None:
+        if done > 100:  # of `auto`, which is done by then
+            raise KeyboardInterrupt
+
+    found = ResidualKind("gru").fit(recorded(Lag(0.15)), FitRequest(steps=60), stop)
+    assert found.interrupted
+    assert found.simulator is not None
+    assert "gru not kept: interrupted" in found.report
+
+
+@pytest.mark.slow
 def test_the_travel_starts_where_the_command_does() -> None:
     from hystmpc.models.inverse.drive import Drive
 
