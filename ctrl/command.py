@@ -50,7 +50,7 @@ class Command:
         plan: planned commands over the horizon, shape (H,), empty where the controller does not plan.
         predicted: predicted tip angles [deg] at the ends of this and the next samples, disturbance included: as
             many as the plan has, up to the effect of `u` where there is no plan, none without a model.
-        disturbance: estimated output disturbance [deg].
+        disturbance: by how much the device is off the model as it was given [deg]: disturbance and learned part.
         timing: time per stage.
     """
 
@@ -76,6 +76,7 @@ class ControlInput:
     setpoint: float  # reference angle at the end of this sample [deg]
     reference: Vec  # reference angles at the ends of the samples that the next commands act in, shape (H,)
     remaining_plan: Vec  # what is left of the last good plan, up to H - 1 entries
+    distrust: float = 0.0  # error of the forecasts over that of none, see `Estimate`
 
 
 @final

@@ -167,7 +167,7 @@ class GuardedController(Generic[M]):
             status=self._status(level.status, estimate, fault),
             plan=level.plan,
             predicted=self._predicted(after, level),
-            disturbance=after.disturbance,
+            disturbance=after.departure,
             timing=Timing(watch.stages),
         )
         return command, GuardedState(after, decided.memory, decided.fallback, decided.due)
@@ -194,7 +194,9 @@ class GuardedController(Generic[M]):
             level, fallback = self._fallback.on_failure(fallback, given, reason)
             watch.lap("fallback")
             return level, replace(state, fallback=fallback)
-        level = Level(proposal.u, self._law.source, proposal.status, proposal.plan, proposal.predicted)
+        level = Level(
+            proposal.u, proposal.source or self._law.source, proposal.status, proposal.plan, proposal.predicted
+        )
         fallback = self._fallback.on_success(proposal.plan, proposal.predicted)
         return level, GuardedState(state.estimate, proposal.memory, fallback, state.due)
 
@@ -216,6 +218,7 @@ class GuardedController(Generic[M]):
             state=estimate.state,
             disturbance=estimate.disturbance,
             disturbance_sigma=math.sqrt(estimate.variance),
+            distrust=estimate.distrust,
             measured=estimate.measured,
             u_last=estimate.command,
             due=state.due,

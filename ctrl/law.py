@@ -20,13 +20,17 @@ M = TypeVar("M")
 
 @dataclass(frozen=True, eq=False)
 class Proposal(Generic[M]):
-    """A wanted command, the law's next memory, and the plan behind it (`predicted` without disturbance)."""
+    """A wanted command, the law's next memory, and the plan behind it (`predicted` without disturbance).
+
+    `source` is the level that the command comes from, None for that of the law.
+    """
 
     u: float
     memory: M
     plan: Vec = field(default_factory=lambda: EMPTY)
     predicted: Vec = field(default_factory=lambda: EMPTY)
     status: str = "ok"
+    source: Source | None = None
 
 
 class Law(ABC, Generic[M]):

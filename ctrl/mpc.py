@@ -14,9 +14,9 @@ from hystmpc.trials.types import Vec
 
 from .analysis import static_gain
 from .command import ControlInput, Source, Stopwatch
-from .estimation.learning import LearnedInverse
 from .fallback import attempt
 from .law import Law, Proposal
+from .learning.predictor import LearnedInverse
 from .limits import CommandLimits
 from .planning import (
     FOLLOWING,

@@ -10,7 +10,7 @@ from hystmpc.models.model import Inverse, Predictor
 from .estimation.observer import Observer
 from .law import Law
 from .limits import CommandLimits
-from .planning_settings import AdaptationSettings, LinearisationSettings, PredictiveSettings, SamplingSettings
+from .planning_settings import LinearisationSettings, PredictiveSettings, SamplingSettings
 
 if TYPE_CHECKING:
     from .planning import Planner
@@ -22,9 +22,9 @@ class PredictiveController(PredictiveSettings):
     """Builds the law and the observer; the planner is that of the subclass."""
 
     def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
-        if self.adaptation is None:
+        if self.adaptation is None or not self.learns:
             return predictor, inverse
-        from .estimation.learning import LearnedInverse, LearnedPredictor
+        from .learning.predictor import LearnedInverse, LearnedPredictor
 
         if isinstance(predictor, LearnedPredictor):
             return predictor, inverse
@@ -32,16 +32,20 @@ class PredictiveController(PredictiveSettings):
         return learned, LearnedInverse(learned, inverse)
 
     def observer(self, predictor: Predictor) -> Observer:
-        from .estimation.learning import LearnedPredictor, LearningEstimator
+        from .learning.estimator import LearningEstimator
+        from .learning.predictor import LearnedPredictor
 
         if isinstance(predictor, LearnedPredictor):
-            return LearningEstimator(predictor, self.estimator, self.adaptation or AdaptationSettings())
+            return LearningEstimator(predictor, self.estimator)
         return self.estimator.observer(predictor)
 
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
         from .mpc import PredictiveLaw
 
-        return PredictiveLaw(predictor, inverse, limits, self.planner(predictor, limits), self)
+        law = PredictiveLaw(predictor, inverse, limits, self.planner(predictor, limits), self)
+        if self.handover is None or not self.learns:
+            return law
+        return self.handover.law(law, (predictor, inverse), limits, self.estimator)
 
     @abstractmethod
     def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:

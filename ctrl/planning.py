@@ -14,7 +14,7 @@ from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
 from .command import Stopwatch
-from .estimation.learning import LearnedFollower, LearnedInverse
+from .learning.predictor import LearnedFollower, LearnedInverse
 from .limits import CommandLimits
 from .planning_settings import WeightsSettings
 

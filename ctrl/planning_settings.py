@@ -13,6 +13,7 @@ from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Mat, Vec
 
 from .estimation.observer import EstimatorSettings
+from .handover import HandoverSettings
 from .law import LawSettings
 from .limits import Count, NotNegative, Positive
 
@@ -81,26 +82,15 @@ class HoldSettings(Settings):
 
 
 class AdaptationSettings(Settings):
-    """Block `adaptation`: the shape of the learned part, see `LearnedPredictor`, and how fast its weights may change.
+    """Block `adaptation`: how fast what is learned on top of the model may change, see `LearnedPredictor`.
 
     Attributes:
-        plays: number of plays K beside the straight line.
-        widest_share: half-width of the widest, as a share of the command's range; the others divide it evenly.
-        lag_s: first-order lag between command and travel [s], 0 for none.
-        share_sigma: standard deviation of every weight of line and plays, their sum being given, as a share of the
-            model's static gain: how the answer is shared out between small and large plays.
-        slope_sigma: standard deviation of their sum, as the same share: error of the slope outside dead bands.
-        rate_sigma_s: standard deviation of the weight of the model's rate [s]: error of lag and delay.
-        walk_share: change over one unit of command travel, as a share of these.
+        sigma_share: standard deviation of the learned weights at first, as a share of the angle over the whole range.
+        walk_share: their change over one stroke of the command, as a share of this.
     """
 
-    plays: Annotated[int, Field(ge=0, le=20)] = 6
-    widest_share: Annotated[float, Field(gt=0, le=1)] = 0.2
-    lag_s: NotNegative = 0.0
-    share_sigma: NotNegative = 0.25
-    slope_sigma: NotNegative = 0.2
-    rate_sigma_s: NotNegative = 0.05
-    walk_share: NotNegative = 0.05
+    sigma_share: Positive = 0.4
+    walk_share: NotNegative = 0.01
 
 
 _LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
@@ -116,16 +106,23 @@ class PredictiveSettings(LawSettings):
     """
 
     estimator: EstimatorSettings = EstimatorSettings()
-    adaptation: AdaptationSettings | None = None
+    adaptation: AdaptationSettings | None = AdaptationSettings()
+    handover: HandoverSettings | None = HandoverSettings()
     horizon: Count | None = None
     weights: WeightsSettings = WeightsSettings()
     hold: HoldSettings = HoldSettings()
 
     @model_validator(mode="after")
     def _learns_from_a_sensor(self) -> PredictiveSettings:
-        if self.adaptation is not None and self.estimator.sensor != "continuous":
+        asked = "adaptation" in self.model_fields_set and self.adaptation is not None
+        if asked and self.estimator.sensor != "continuous":
             raise ValueError(f"got adaptation with estimator.sensor {self.estimator.sensor}, expected continuous")
         return self
+
+    @property
+    def learns(self) -> bool:
+        """Whether the controller learns on top of its model: by default, where it has a continuous sensor."""
+        return self.adaptation is not None and self.estimator.sensor == "continuous"
 
     def bridged_samples(self, dt_s: float) -> int:
         return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)

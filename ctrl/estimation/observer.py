@@ -38,8 +38,10 @@ class Estimate:
         measured: the last accepted measurement [deg].
         missing: number of samples since the last accepted measurement.
         stalled: number of samples since the model was last advanced; above zero it has failed.
-        covariance: of the errors of disturbance and learned weights, where weights are learned.
-        features: what the weights are multiplied by, for each of the angles, where weights are learned.
+        added: what is learned on top of the model, as part of the first of the angles [deg].
+        learning: memory of an observer that learns, see `LearningEstimator`.
+        distrust: mean square error of the best forecast of the last seconds over that of no forecast at all; 0 before
+            there was motion, and of an observer that does not judge its forecasts.
         bank: filters of `NoiseBank`, of which disturbance and variance are the mixture (3, M).
         past: corrected estimates of the last instants, the newest last; see `Frames`.
         seen: measurements of this instant that were used or could not be, there [deg].
@@ -55,11 +57,17 @@ class Estimate:
     measured: float
     missing: int = 0
     stalled: int = 0
-    covariance: Vec = field(default_factory=lambda: EMPTY)
-    features: tuple[Vec, ...] = ()
+    added: float = 0.0
+    learning: object = None
+    distrust: float = 0.0
     bank: Vec = field(default_factory=lambda: EMPTY)
     past: tuple[Estimate, ...] = ()
     seen: tuple[float, ...] = ()
+
+    @property
+    def departure(self) -> float:
+        """By how much the device is off the model as it was given [deg]: disturbance and learned part."""
+        return self.disturbance + self.added
 
 
 class Observer(ABC):
@@ -119,6 +127,7 @@ class EstimatorSettings(Settings):
         outlier_deg: measurements further than this from the prediction count as missing [deg].
         dead_band_gain_deg_per_unit: below this slope the model counts as inside the dead band.
         disturbance_limit_deg: bound of the estimated disturbance [deg].
+        rest_tolerance_deg: greatest difference between model and first measurement at which a controller starts [deg].
     """
 
     sensor: Literal["continuous", "intermittent", "none"] = "continuous"
@@ -130,7 +139,8 @@ class EstimatorSettings(Settings):
     delay_samples: Annotated[int, Field(ge=0)] = 0
     outlier_deg: Positive = 15.0
     dead_band_gain_deg_per_unit: NotNegative = 0.0
-    disturbance_limit_deg: Positive = 30.0
+    disturbance_limit_deg: Positive = 90.0
+    rest_tolerance_deg: Positive = 30.0
 
     def observer(self, predictor: Predictor) -> Observer:
         """The estimator that these settings describe."""
@@ -193,14 +203,15 @@ class OutputEstimator(Observer):
         Raises:
             ControllerError: as `rest_of_model`.
         """
-        angle, state = rest_of_model(self._predictor, y, u, self._settings.disturbance_limit_deg)
+        angle, state = rest_of_model(self._predictor, y, u, self._settings.rest_tolerance_deg)
         queue, first = self.delay_samples + 1, 0.0 if self._trusts else y - angle
         bank, variance = self.bank.init(first)
         return Estimate(state, u, (angle,) * queue, (True,) * queue, (0.0,) * queue, first, variance, y, bank=bank)
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:
-        offset = usable_angle(y) - estimate.angles[0]
-        if not abs(offset - estimate.disturbance) <= self._settings.outlier_deg:  # also where it is not a number
+        angle, far = usable_angle(y), self._settings.outlier_deg
+        offset = angle - estimate.angles[0]
+        if not (abs(offset - estimate.disturbance) <= far or abs(angle - estimate.measured) <= far):  # or not a number
             return replace(estimate, missing=estimate.missing + 1)
         if not estimate.responsive[0]:
             return replace(estimate, measured=float(y), missing=0)
@@ -230,8 +241,6 @@ class OutputEstimator(Observer):
             measured=estimate.measured,
             missing=estimate.missing,
             stalled=stalled,
-            covariance=estimate.covariance,
-            features=estimate.features,
             bank=bank,
         )
 
@@ -310,7 +319,7 @@ class ModelAlone(Observer):
 
     def __init__(self, predictor: Predictor, settings: EstimatorSettings) -> None:
         self._predictor = predictor
-        self.delay_samples, self._limit = settings.delay_samples, settings.disturbance_limit_deg
+        self.delay_samples, self._limit = settings.delay_samples, settings.rest_tolerance_deg
         known = predictor.noise
         self._sigma = math.nan if known is None or known.model_sigma_deg is None else known.model_sigma_deg
 
@@ -381,7 +390,7 @@ def rest_of_model(predictor: Predictor, y: float, u: float, limit_deg: float) ->
     if abs(y - angle) > limit_deg:
         raise ControllerError(
             f"estimator: got {y:.6g} deg at rest with command {u:.6g}, the model expects {angle:.6g} deg, "
-            f"accepted is a difference of {limit_deg:.6g} deg"
+            f"accepted is a difference of {limit_deg:.6g} deg (estimator.rest_tolerance_deg)"
         )
     return float(angle), state
 

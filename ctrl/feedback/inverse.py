@@ -107,6 +107,14 @@ class InversePid(Law[InversePidMemory]):
         state = self._predictor.initial(y, u)
         return InversePidMemory(self._feedforward.init(y, u), PidMemory(0.0, 0.0, y), state, u)
 
+    def taken_over(self, given: ControlInput) -> InversePidMemory:
+        """The memory with which it takes over from another law without a jump of the command."""
+        y, before = given.measured, self._feedforward.init(given.due, given.u_last)
+        alone = self._feedforward.propose(before, given, Stopwatch())
+        u_alone = self._limits.clip(alone.u, given.u_last, self._predictor.dt)
+        pid = self._pid.taken_over(given.due - y, y, given.u_last, u_alone)
+        return InversePidMemory(before, pid, given.state, given.u_last)
+
     def propose(self, memory: InversePidMemory, given: ControlInput, watch: Stopwatch) -> Proposal[InversePidMemory]:
         alone = replace(given, state=memory.state, u_last=memory.u)
         wanted = self._feedforward.propose(memory.feedforward, alone, watch)

@@ -79,6 +79,10 @@ class Pid:
         integral = memory.integral + self._dt * (gains.ki_per_deg_s * integrated + excess / gains.tracking_s)
         return u, PidMemory(min(max(integral, -self._span), self._span), speed, y)
 
+    def taken_over(self, error: float, y: float, u_last: float, feedforward: float) -> PidMemory:
+        """The memory with which the next command is `u_last`."""
+        return PidMemory(u_last - feedforward - self._gains.kp_per_deg * error, 0.0, y)
+
 
 @final
 class PidFeedback(Law[PidMemory]):
@@ -93,6 +97,11 @@ class PidFeedback(Law[PidMemory]):
 
     def init(self, y: float, u: float) -> PidMemory:
         return PidMemory(u - self._rest, 0.0, y)
+
+    def taken_over(self, given: ControlInput) -> PidMemory:
+        """The memory with which it takes over from another law without a jump of the command."""
+        y = given.measured
+        return self._pid.taken_over(given.setpoint - y, y, given.u_last, self._rest)
 
     def propose(self, memory: PidMemory, given: ControlInput, watch: Stopwatch) -> Proposal[PidMemory]:
         y = given.measured

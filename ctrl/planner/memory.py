@@ -65,7 +65,7 @@ class Snapshot:
     @property
     def disturbance_deg(self) -> float:
         """By how much the device is off the model, as estimated [deg]."""
-        return 0.0 if self.control is None else self.control.estimate.disturbance
+        return 0.0 if self.control is None else self.control.estimate.departure
 
     @property
     def measured_deg(self) -> float:

@@ -1,127 +1,260 @@
-"""Laws of the learned part: it is nothing at first, exact in its derivatives, and finds what the model leaves over."""
+"""Laws of learning on top of a model: nothing at first, exact derivatives, finds a changed device, fades when right."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import CONTROLLERS
-from hystmpc.ctrl.estimation.learning import LearnedInverse, LearnedPredictor, LearningEstimator
-from hystmpc.ctrl.estimation.observer import EstimatorSettings
+from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings
+from hystmpc.ctrl.learning.bank import DRIVES, FilterBank
+from hystmpc.ctrl.learning.basis import DELAYS, FEATURES, LAGS_S
+from hystmpc.ctrl.learning.estimator import Learning, LearningEstimator
+from hystmpc.ctrl.learning.predictor import LearnedInverse, LearnedPredictor
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planning_settings import AdaptationSettings
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
 
 from .plays import DT, SOUND, Backlash
 
 LIMITS = CommandLimits(0.0, 6.0, 10.0)
-RNG = np.random.default_rng(3)
-OPTIONS = EstimatorSettings(drift_sigma_deg_per_sqrt_s=0.05, dead_band_gain_deg_per_unit=0.0)
+OPTIONS = EstimatorSettings()
+SPAN = 6.0
 
 
-def learned(lag_s: float = 0.08) -> LearnedPredictor:
-    return LearnedPredictor(Backlash(), AdaptationSettings(plays=3, widest_share=0.2, lag_s=lag_s))
+def learned() -> LearnedPredictor:
+    return LearnedPredictor(Backlash(), AdaptationSettings())
 
 
-def moved(predictor: LearnedPredictor, weights: np.ndarray, seed: int = 0) -> np.ndarray:
-    """A state with a past, under some weights."""
-    state = predictor.with_weights(predictor.initial(30.0, 1.0), weights)
+def moved(predictor: LearnedPredictor, weights: Vec, lag: int, delay: int, seed: int = 0) -> Vec:
+    """A state with a past, under some weights and a drive."""
+    bank = predictor.filters(0)
+    state, model = bank.init(30.0, 1.0, 30.0), Backlash().initial(30.0, 1.0)
     for u in 1.0 + np.cumsum(np.random.default_rng(seed).normal(0.0, 0.15, 40)):
-        _, state = predictor.advance(state, float(np.clip(u, 0.0, 6.0)))
-    return state
+        _, model = Backlash().advance(model, float(np.clip(u, 0.0, 6.0)))
+        state = bank.advance(state, float(np.clip(u, 0.0, 6.0)))
+    z, best = state.z.copy(), lag * DELAYS + delay
+    z[best, 1:] = weights
+    return predictor.with_learned(model, replace(state, z=z, best=best, share=1.0))
 
 
-def plans(count: int, horizon: int) -> np.ndarray:
-    return np.clip(1.0 + np.cumsum(RNG.normal(0.0, 0.2, (count, horizon)), axis=1), 0.0, 6.0)
+def plans(count: int, horizon: int, seed: int = 3) -> Vec:
+    walk = np.cumsum(np.random.default_rng(seed).normal(0.0, 0.2, (count, horizon)), axis=1)
+    return np.clip(1.0 + walk, 0.0, 6.0)
 
 
-@pytest.mark.parametrize("lag_s", [0.0, 0.08])
-def test_without_weights_it_is_the_model(lag_s: float) -> None:
-    predictor = learned(lag_s)
-    state, trial = moved(predictor, np.zeros(predictor.size)), plans(4, 12)
+def some_weights(seed: int) -> Vec:
+    random = np.random.default_rng(seed)
+    return np.concatenate([random.normal(0.0, 0.3, 1), random.normal(0.0, 10.0, FEATURES)])
+
+
+drives = st.tuples(st.integers(0, LAGS_S.size - 1), st.integers(0, DELAYS - 1))
+
+
+@given(drives, st.integers(0, 100))
+def test_without_weights_it_is_the_model(drive: tuple[int, int], seed: int) -> None:
+    predictor, trial = learned(), plans(4, 12, seed)
+    state = moved(predictor, np.zeros(1 + FEATURES), *drive, seed)
     below = predictor.below(state)
     np.testing.assert_array_equal(predictor.rollout(state, trial), Backlash().rollout(below, trial))
-    np.testing.assert_array_equal(predictor.linearise(state, trial[0])[1], Backlash().linearise(below, trial[0])[1])
+    np.testing.assert_allclose(predictor.linearise(state, trial[0])[1], Backlash().linearise(below, trial[0])[1])
 
 
-def test_what_is_learned_is_the_whole_less_the_model() -> None:
+@given(drives, st.integers(0, 100))
+def test_a_roll_out_is_its_single_steps(drive: tuple[int, int], seed: int) -> None:
     predictor = learned()
-    state, trial = moved(predictor, np.array([1.0, -0.5, 2.0, 0.7, 0.03])), plans(4, 12)
-    model = predictor.model.rollout(predictor.below(state), trial)
-    np.testing.assert_array_equal(predictor.learned(state, trial), predictor.rollout(state, trial) - model)
-    assert np.ptp(predictor.learned(state, trial)) > 0.1
-
-
-@given(st.lists(st.floats(-3, 3), min_size=5, max_size=5), st.integers(0, 100))
-def test_a_roll_out_is_its_single_steps(weights: list[float], seed: int) -> None:
-    predictor = learned()
-    start, plan = moved(predictor, np.array(weights), seed), plans(1, 15)
+    start, plan = moved(predictor, some_weights(seed), *drive, seed), plans(1, 15, seed)
     state, single = start, []
     for u in plan[0]:
         angle, state = predictor.advance(state, float(u))
         single.append(angle)
-    np.testing.assert_allclose(predictor.rollout(start, plan)[0], single, atol=1e-10)
-    np.testing.assert_allclose(predictor.linearise(start, plan[0])[0], single, atol=1e-10)
+    np.testing.assert_allclose(predictor.rollout(start, plan)[0], single, atol=1e-9)
+    np.testing.assert_allclose(predictor.linearise(start, plan[0])[0], single, atol=1e-9)
 
 
-def test_the_jacobian_is_the_difference_quotient() -> None:
-    predictor, step = learned(), 1e-6
-    state, plan = moved(predictor, np.array([1.0, -0.5, 2.0, 0.7, 0.03])), plans(1, 12)[0]
+@given(drives, st.integers(0, 40))
+@settings(max_examples=40, deadline=None)
+def test_the_jacobian_is_the_difference_quotient(drive: tuple[int, int], seed: int) -> None:
+    predictor, step = learned(), 1e-7
+    state, plan = moved(predictor, some_weights(seed), *drive, seed), plans(1, 12, seed)[0]
     _, jacobian = predictor.linearise(state, plan)
     both = predictor.rollout(state, np.concatenate([plan + step * np.eye(12), plan - step * np.eye(12)]))
-    np.testing.assert_allclose(jacobian, ((both[:12] - both[12:]) / (2 * step)).T, atol=1e-4)
+    quotient = ((both[:12] - both[12:]) / (2 * step)).T
+    smooth = np.isclose(
+        (predictor.rollout(state, plan + step * np.eye(12)) - predictor.rollout(state, plan[None])).T / step,
+        quotient,
+        atol=1e-3,
+    )  # at a kink the two one-sided quotients differ
+    np.testing.assert_allclose(jacobian[smooth], quotient[smooth], atol=1e-3)
+    assert smooth.mean() > 0.7
 
 
-def test_it_finds_a_wider_loop_and_another_slope() -> None:
-    """A recording of other plays and slope: after one flexure the learned model foretells the next one."""
-    truth, predictor = learned(0.0), learned(0.0)
-    weights = np.array([0.8, 0.5, -0.9, 0.6, 0.0])
-    device = truth.with_weights(truth.initial(30.0, 0.0), weights)
-    estimator = LearningEstimator(predictor, OPTIONS, AdaptationSettings())
-    flexure = 3.0 - 3.0 * np.cos(np.linspace(0.0, 4.0 * math.pi, 250))
-    noise, y = np.random.default_rng(1), predictor.advance(device, 0.0)[0]
-    estimate, errors, plain = estimator.init(y, 0.0), [], []
-    state, offset = predictor.initial(y, 0.0), y - Backlash().advance(Backlash().initial(y, 0.0), 0.0)[0]
-    for u in flexure:
-        estimate = estimator.correct(estimate, y + 0.05 * noise.standard_normal())
-        estimate = estimator.advance(estimate, float(u))
-        y, device = truth.advance(device, float(u))
-        angle, state = predictor.advance(state, float(u))
-        errors.append(estimate.angles[-1] + estimate.disturbance - y)
-        plain.append(angle + offset - y)
-    late = slice(125, None)
-    assert np.sqrt(np.mean(np.square(errors[late]))) < 0.1
-    assert np.sqrt(np.mean(np.square(plain[late]))) > 0.5
-    assert np.all(np.linalg.eigvalsh(estimate.covariance) > -1e-9)
+class Device:
+    """y = gain (play of r on a first-order lag of the command d samples ago) + noise, what no model here is."""
+
+    def __init__(self, gain: float, play: float, lag_s: float, delay: int, seed: int = 0) -> None:
+        self.gain, self.play, self.share = gain, play, 1.0 if lag_s == 0 else -math.expm1(-DT / lag_s)
+        self.queue, self.v, self.p = [0.0] * (delay + 1), 0.0, -play
+        self.random = np.random.default_rng(seed)
+
+    @property
+    def true_deg(self) -> float:
+        return 25.0 + self.gain * (self.p + self.play)
+
+    def apply(self, u: float) -> float:
+        self.queue = [*self.queue[1:], u]
+        self.v += self.share * (self.queue[0] - self.v)
+        self.p = min(max(self.p, self.v - self.play), self.v + self.play)
+        return self.true_deg + 0.05 * float(self.random.standard_normal())
 
 
-def test_in_a_hold_nothing_is_forgotten() -> None:
-    estimator = LearningEstimator(learned(), OPTIONS, AdaptationSettings())
-    estimate = estimator.init(30.0, 1.0)
-    before = estimate.covariance[1:, 1:]
+CHANGED = {
+    "half the gain": (5.2, 0.4, 0.0, 0),
+    "twice the gain": (20.0, 0.4, 0.0, 0),
+    "three times the play": (10.3, 1.2, 0.0, 0),
+    "lag of 0.2 s": (10.3, 0.4, 0.2, 0),
+    "delay of 5 samples": (10.3, 0.4, 0.0, 5),
+    "all of it": (17.0, 0.8, 0.12, 3),
+}
+
+
+def recorded(device: Device, seconds: float = 14.0) -> tuple[Vec, Vec]:
+    """Two flexures and a sine: commands, and the angle measured when each was sent."""
+    up = np.linspace(0.0, 5.8, 90)
+    quick = np.linspace(0.0, 5.8, 30)
+    sine = 2.5 - 2.5 * np.cos(np.linspace(0.0, 10.0, round((seconds - 9.6) / DT)))
+    commands = np.concatenate([up, up[::-1], quick, quick[::-1], sine])
+    angles, y = [], device.apply(0.0)
+    for u in commands.tolist():
+        angles.append(y)
+        y = device.apply(u)
+    return commands, np.array(angles)
+
+
+def after(estimator: LearningEstimator, commands: Vec, angles: Vec) -> Estimate:
+    estimate = estimator.init(float(angles[0]), float(commands[0]))
+    for u, y in zip(commands.tolist(), angles.tolist(), strict=True):
+        estimate = estimator.advance(estimator.correct(estimate, y), u)
+    return estimate
+
+
+@pytest.mark.parametrize("name", CHANGED)
+def test_a_changed_device_is_foretold_after_two_flexures(name: str) -> None:
+    """A second of motion that was never seen: an error below half of the model's."""
+    device = Device(*CHANGED[name])
+    predictor = learned()
+    estimate = after(LearningEstimator(predictor, OPTIONS), *recorded(device))
+    assert isinstance(estimate.learning, Learning)
+    plan = float(estimate.command) + np.cumsum(np.concatenate([np.full(12, 0.12), np.full(13, -0.1)]))
+    foretold = predictor.rollout(estimate.state, plan[None])[0] + estimate.disturbance
+    model = estimate.learning.model
+    alone = Backlash().rollout(model.state, plan[None])[0] + model.disturbance
+    device.random = np.random.default_rng(9)
+    truth = []
+    for u in plan.tolist():
+        device.apply(u)
+        truth.append(device.true_deg)
+    learned_error, own_error = (float(np.sqrt(np.mean((found - truth) ** 2))) for found in (foretold, alone))
+    assert learned_error < 0.5 * own_error
+    assert estimate.learning.bank.share == 1.0
+
+
+def test_where_the_model_is_right_nothing_acts() -> None:
+    """The device is the model, with noise: the learned part keeps silent, and the estimate is the model's own."""
+    model, random = Backlash(), np.random.default_rng(4)
+    state, estimator = model.initial(28.98, 0.0), LearningEstimator(learned(), OPTIONS)
+    commands, _ = recorded(Device(10.0, 0.4, 0.0, 0))
+    y, shares, estimate = 28.98, [], estimator.init(28.98, 0.0)
+    for u in commands.tolist():
+        estimate = estimator.advance(estimator.correct(estimate, y + 0.1 * random.standard_normal()), u)
+        y, state = model.advance(state, u)
+        assert isinstance(estimate.learning, Learning)
+        shares.append(estimate.learning.bank.share)
+    assert np.mean(shares) < 0.05
+    assert estimate.distrust < 0.3
+
+
+def test_in_a_hold_no_weight_is_forgotten() -> None:
+    bank = FilterBank(DT, (0.0, 6.0), 62.0, 0.1, 0, AdaptationSettings())
+    state = bank.init(30.0, 1.0, 30.0)
+    before = state.covariance[:, 1:, 1:]
     for _ in range(200):
-        estimate = estimator.advance(estimator.correct(estimate, 30.0), 1.0)
-    np.testing.assert_allclose(estimate.covariance[1:, 1:], before, atol=1e-9)
+        state = bank.correct(bank.advance(state, 1.0), 30.0, 30.0, 0.0)
+    assert np.all(state.covariance[:, 1:, 1:] <= before + 1e-9)
+    assert np.max(np.abs(state.z[:, 1:])) < 1e-9
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.one_of(st.floats(-40.0, 120.0), st.sampled_from([math.nan, math.inf, 1e300, -1e4])), st.floats(0.0, 6.0)
+        ),
+        min_size=1,
+        max_size=80,
+    ),
+    st.integers(0, 2),
+)
+@settings(max_examples=30, deadline=None)
+def test_any_measurements_leave_everything_finite(seen: list[tuple[float, float]], delay: int) -> None:
+    estimator = LearningEstimator(learned(), OPTIONS.model_copy(update={"delay_samples": delay}))
+    estimate = estimator.init(30.0, 1.0)
+    for y, u in seen:
+        estimate = estimator.advance(estimator.correct(estimate, y), u)
+        assert isinstance(estimate.learning, Learning)
+        assert np.isfinite(estimate.learning.bank.z).all()
+        assert np.all(np.diagonal(estimate.learning.bank.covariance, axis1=1, axis2=2) > 0)
+        assert 0.0 <= estimate.learning.bank.share <= 1.0
+        assert math.isfinite(estimate.departure)
+        assert np.isfinite(estimate.state).all()
+
+
+@pytest.mark.slow
+def test_covariances_stay_sound_over_a_long_run() -> None:
+    """20,000 samples of all kinds of motion: no covariance loses its sign by rounding."""
+    bank, random = FilterBank(DT, (0.0, 6.0), 62.0, 0.02, 0, AdaptationSettings()), np.random.default_rng(5)
+    state, model = bank.init(29.0, 0.0, 29.0), Backlash()
+    below = model.initial(29.0, 0.0)
+    for k in range(20_000):
+        u = 3.0 + 2.9 * math.sin(0.02 * k * (1.0 + 0.3 * math.sin(1e-3 * k)))
+        angle, below = model.advance(below, u)
+        state = bank.correct(bank.advance(state, u), 1.1 * angle + 0.02 * random.standard_normal(), angle, 0.0)
+    least = min(float(np.linalg.eigvalsh(p)[0]) for p in state.covariance)
+    most = max(float(np.linalg.eigvalsh(p)[-1]) for p in state.covariance)
+    assert least > -1e-9 * most
 
 
 @pytest.mark.parametrize("y", [math.nan, math.inf, 1e9])
 def test_nonsense_is_missing(y: float) -> None:
-    estimator = LearningEstimator(learned(), OPTIONS.model_copy(update={"delay_samples": 2}), AdaptationSettings())
+    estimator = LearningEstimator(learned(), OPTIONS.model_copy(update={"delay_samples": 2}))
     estimate = estimator.advance(estimator.init(30.0, 1.0), 1.2)
     after = estimator.correct(estimate, y)
     assert after.missing == 1
     assert after.disturbance == estimate.disturbance
 
 
+def test_a_jump_is_an_outlier_at_rest_and_none_behind_a_fast_command() -> None:
+    estimator = LearningEstimator(learned(), OPTIONS)
+    rest = estimator.init(30.0, 1.0)
+    for _ in range(10):
+        rest = estimator.advance(estimator.correct(rest, 30.0), 1.0)
+    assert estimator.correct(rest, 60.0).missing == 1
+    fast = rest
+    for u in (1.4, 1.8, 2.2):
+        fast = estimator.advance(estimator.correct(fast, 30.0), u)
+    assert estimator.correct(fast, 60.0).missing == 0
+
+
 @pytest.mark.parametrize("kind", ["linearised_mpc", "sampling_mpc"])
 def test_the_loop_goes_on_alike_from_a_snapshot_and_keeps_limits(kind: str) -> None:
     case = SOUND[0]
-    settings = CONTROLLERS[kind].parse({"kind": kind, "adaptation": {"lag_s": 0.05}, "horizon": 10})
+    settings = CONTROLLERS[kind].parse({"kind": kind, "horizon": 10})
     controller = build_controller(settings, case.predictor, case.inverse, LIMITS)
     random, y = np.random.default_rng(0), case.y_rest
     state, answers = controller.init(case.y_rest, case.u_rest), []
@@ -140,18 +273,65 @@ def test_the_loop_goes_on_alike_from_a_snapshot_and_keeps_limits(kind: str) -> N
     assert controller.step(state, y, wanted)[0].u == answers[30]
 
 
-def test_a_pair_is_wrapped_once_and_only_where_asked() -> None:
+def followed(device: Device, settings: dict[str, object], prepare: bool) -> float:
+    """Root mean square of the true error on a motion with holds, the device taken up behind two flexures or at rest."""
+    parsed = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", **settings})
     case = SOUND[0]
-    asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", "adaptation": {}})
+    controller = build_controller(parsed, case.predictor, case.inverse, LIMITS)
+    if prepare:
+        commands, angles = recorded(device)
+        state = controller.replay(commands, angles)
+        y = device.true_deg
+    else:
+        y = device.apply(0.0)
+        state = controller.init(y, 0.0)
+    errors, ahead = [], np.arange(1, controller.horizon + 1)
+    middle = 25.0 + 2.0 * device.gain * device.play + 14.0  # within reach from above and from below
+    for k in range(500):
+        t = DT * (k + ahead)
+        wanted = middle + 6.0 * np.clip(np.sin(0.8 * t) * 2.0, -1.0, 1.0)
+        command, state = controller.step(state, y, wanted)
+        y = device.apply(command.u)
+        if k >= 75:
+            errors.append(device.true_deg - wanted[0])
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+@pytest.mark.parametrize("prepare", [False, True], ids=["from rest", "prepared"])
+@pytest.mark.parametrize("name", CHANGED)
+def test_learning_never_destabilises_a_changed_device(name: str, prepare: bool) -> None:
+    off = followed(Device(*CHANGED[name]), {"adaptation": None}, prepare)
+    on = followed(Device(*CHANGED[name]), {}, prepare)
+    assert on < 1.1 * off
+    if prepare:
+        assert on < 0.9 * off
+
+
+@pytest.mark.parametrize("name", ["half the gain", "three times the play", "delay of 5 samples", "all of it"])
+def test_behind_two_flexures_learning_halves_the_error(name: str) -> None:
+    off = followed(Device(*CHANGED[name]), {"adaptation": None}, True)
+    assert followed(Device(*CHANGED[name]), {}, True) < 0.5 * off
+
+
+def test_a_pair_is_wrapped_once_and_only_where_it_learns() -> None:
+    case = SOUND[0]
+    asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc"})
     pair = asked.model_pair(case.predictor, case.inverse)
     assert isinstance(pair[1], LearnedInverse)
     assert asked.model_pair(*pair) == pair
-    plain = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc"})
-    assert plain.model_pair(case.predictor, case.inverse) == (case.predictor, case.inverse)
+    for block in ({"adaptation": None}, {"estimator": {"sensor": "none"}}):
+        plain = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", **block})
+        assert plain.model_pair(case.predictor, case.inverse) == (case.predictor, case.inverse)
 
 
-def test_options_out_of_bounds_are_refused() -> None:
-    with pytest.raises(ConfigError, match="widest_share"):
-        AdaptationSettings.parse({"widest_share": 0.0})
+def test_the_grid_has_a_drive_for_every_lag_and_delay() -> None:
+    assert LAGS_S.size * DELAYS == DRIVES
+    assert LAGS_S[-1] >= 0.2
+    assert DELAYS - 1 >= 5
+
+
+def test_settings_refuse_nonsense() -> None:
+    with pytest.raises(ConfigError, match="sigma_share"):
+        AdaptationSettings.parse({"sigma_share": 0.0})
     with pytest.raises(ConfigError, match="walk_share"):
         AdaptationSettings.parse({"walk_share": -1.0})

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.ctrl.estimation.learning import LearnedPredictor, LearningEstimator
 from hystmpc.ctrl.estimation.noise import NoiseBank
 from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings, Observer, OutputEstimator
+from hystmpc.ctrl.learning.estimator import LearningEstimator
+from hystmpc.ctrl.learning.predictor import LearnedPredictor
 from hystmpc.ctrl.planning_settings import AdaptationSettings
 from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.trials.types import Vec
@@ -157,9 +158,7 @@ def test_any_measurement_leaves_the_estimate_finite_and_the_sigmas_in_bounds(
 ) -> None:
     estimator: Observer
     if learns:
-        estimator = LearningEstimator(
-            LearnedPredictor(case.predictor, AdaptationSettings()), AUTO, AdaptationSettings()
-        )
+        estimator = LearningEstimator(LearnedPredictor(case.predictor, AdaptationSettings()), AUTO)
     else:
         estimator = OutputEstimator(case.predictor, EstimatorSettings(delay_samples=1))
     bank = NoiseBank((None, None, None), case.predictor, AUTO.disturbance_limit_deg)
@@ -182,9 +181,7 @@ def test_any_measurement_leaves_the_estimate_finite_and_the_sigmas_in_bounds(
 def test_an_estimate_is_a_snapshot(learns: bool) -> None:
     """From a stored estimate the future is the same to the last bit, whatever has been done in between."""
     predictor = LearnedPredictor(Backlash(), AdaptationSettings())
-    estimator = (
-        LearningEstimator(predictor, AUTO, AdaptationSettings()) if learns else OutputEstimator(Backlash(), AUTO)
-    )
+    estimator = LearningEstimator(predictor, AUTO) if learns else OutputEstimator(Backlash(), AUTO)
     commands, offsets = walk(4.0, 0.15, 0.1, 0.5)
     stored = run(estimator, 1.0 + np.abs(commands), offsets)[-1]
     bank = stored.bank.copy()

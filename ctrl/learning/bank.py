@@ -1,0 +1,311 @@
+"""A bank of Kalman filters, one for each drive of a grid: they learn weights, and their forecasts are judged."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+
+from hystmpc.models.kernels.numba_ import njit
+from hystmpc.trials.types import Vec
+
+from ..planning_settings import AdaptationSettings
+from .basis import (
+    DELAYS,
+    FEATURES,
+    LAGS_S,
+    MEMORY,
+    SHARES,
+    advance_memory,
+    creep_shares,
+    features,
+    first_memory,
+    lag_shares,
+)
+
+DRIVES = LAGS_S.size * DELAYS
+_SIZE = FEATURES + 2  # of z: offset, w_c, weights
+_MODEL, _NOTHING = DRIVES, DRIVES + 1  # rows of the scores beside the drives
+_BLOCK_S, _LEAST_BLOCK = 0.24, 3
+_KEPT = 0.8  # of a score, from block to block
+_BETTER = 0.8  # share of the present score at which another drive is taken
+_LEAST_GAIN, _FULL_GAIN = (
+    0.2,
+    0.3,
+)  # of the model's score: from which on the learned part acts, and until it acts in full
+_MOVING = 2.0  # variances of the filters by which an angle has to move in a block that counts
+_SENSOR, _LEAST_SENSOR_DEG = 2.0, 0.05  # the basis is not exact: its noise is taken for more than the sensor's
+_OFFSET_DEG, _GAIN, _DRIFT = 10.0, 1.0, 0.3  # standard deviations of offset, w_c; and of a drift [deg/sqrt(s)]
+_RECENT = 0.8  # of the errors that handover is judged by, from block to block
+_WORST = 1.2  # error of a block that counts as the worst: one bad block says little
+_FLOOR = 0.5  # standard deviations of the sensor: no model has to foretell better
+
+
+@dataclass(frozen=True, eq=False)
+class BankState:
+    """A snapshot of the bank; H drives, lag by lag and within a lag delay by delay.
+
+    Attributes:
+        history: memory behind each lag of the grid, of this and the last samples, the newest first (M, L, MEMORY).
+        queue: commands of the last samples as shares of the range, the newest first (DELAYS,).
+        start: v0, side, m_0.
+        z: offset [deg], w_c and weights [deg] of every drive (H, K).
+        covariance: of their errors (H, K, K).
+        frozen: z at the beginning of the block of forecasts (H, K).
+        references: at that moment the model's own disturbance and the measured angle [deg].
+        sums: squared errors of the forecasts in this block (H + 2,): drives, model alone, last angle held [deg^2].
+        scores: means of these over the past blocks with motion (H + 2,) [deg^2].
+        distrust: error of the better forecast, of model or best drive, over that of none (root mean squares); at most
+            1.2 in each block, smoothed over the last blocks with motion; 0 at first.
+        count: samples in this block.
+        blocks: blocks with motion so far.
+        best: the drive with the best forecasts.
+        share: how far the learned part acts, 0 to 1.
+    """
+
+    history: Vec
+    queue: Vec
+    start: Vec
+    z: Vec
+    covariance: Vec
+    frozen: Vec
+    references: tuple[float, float]
+    sums: Vec
+    scores: Vec
+    distrust: float
+    count: int
+    blocks: int
+    best: int
+    share: float
+
+    @property
+    def lag(self) -> int:
+        """Of the best drive, in the grid of lags."""
+        return self.best // DELAYS
+
+    @property
+    def delay(self) -> int:
+        """Of the best drive [samples]."""
+        return self.best % DELAYS
+
+    @property
+    def offset(self) -> float:
+        """By how much the device is off the learned model of the best drive [deg]."""
+        return float(self.z[self.best, 0])
+
+    @property
+    def weights(self) -> Vec:
+        """w_c and the weights of the best drive (1 + FEATURES,), as far as they act."""
+        return np.asarray(self.share * self.z[self.best, 1:])
+
+
+@final
+class FilterBank:
+    """Kalman filters of z = (d, w_c, w) for every drive of the grid, and what their forecasts are worth.
+
+        y_k = m_k + h_k' z_k + v_k,   h = (1, m - m_0, f),   var(v) = r
+        s = h' P h + r,  z <- z + P h (y - m - h' z) / s,  P <- P - P h h' P / s,  P <- P + Q
+
+    Q lets the offset drift, and the weights walk with the travel of the command only: in a hold nothing is forgotten.
+    Every 0.24 s all z are frozen, and until the next time each drive foretells the angles from the commands alone. The
+    model with its own disturbance does too, and so does the last angle. The mean squares of the errors, over the blocks
+    in which the angle moved, are the scores. The drive with the best score is used. It acts with the share
+
+        s = (1 - (score + e) / (score of the model + e) - 0.2) / 0.3, within 0 and 1,   e = (sensor / 2)^2
+
+    so that it has to foretell clearly better than the model, and fades where it does not.
+
+    Args:
+        dt: sample time [s].
+        command_range: ends of the commands [mm or bar].
+        scale: angle over the whole range [deg].
+        sensor_deg: standard deviation of the sensor [deg].
+        delay: samples of delay that the estimator takes care of.
+        settings: of the weights.
+    """
+
+    def __init__(
+        self,
+        dt: float,
+        command_range: tuple[float, float],
+        scale: float,
+        sensor_deg: float,
+        delay: int,
+        settings: AdaptationSettings,
+    ) -> None:
+        self.dt, self._low, self._span = dt, command_range[0], command_range[1] - command_range[0]
+        self._scale = scale
+        self.lags, self.creeps = lag_shares(dt), creep_shares(dt)
+        self._delay, self._block = delay, max(round(_BLOCK_S / dt), _LEAST_BLOCK)
+        self._noise = (_SENSOR * max(sensor_deg, _LEAST_SENSOR_DEG)) ** 2
+        self._floor = (_FLOOR * max(sensor_deg, _LEAST_SENSOR_DEG)) ** 2
+        self._prior = np.concatenate([[_OFFSET_DEG, _GAIN], settings.sigma_share * scale * SHARES]) ** 2
+        self._growth = np.concatenate([[_DRIFT**2 * dt], np.zeros(_SIZE - 1)])
+        self._walk = np.concatenate([[0.0], settings.walk_share**2 * self._prior[1:]])
+
+    def share_of_range(self, u: Vec | float) -> Any:
+        """Commands as shares of the range."""
+        return (u - self._low) / self._span
+
+    def init(self, angle: float, u: float, y: float) -> BankState:
+        """At rest under the command u, the model at `angle` and the measurement at `y` [deg]."""
+        v = float(self.share_of_range(u))
+        side = 1.0 if v < 0.5 else -1.0  # a device that rests near one end of its command has come from the other side
+        z = np.zeros((DRIVES, _SIZE))
+        z[:, 0] = y - angle
+        return BankState(
+            history=np.broadcast_to(first_memory(v, side), (DELAYS + 1 + self._delay, LAGS_S.size, MEMORY)).copy(),
+            queue=np.full(DELAYS, v),
+            start=np.array([v, side, angle]),
+            z=z,
+            covariance=np.broadcast_to(np.diag(self._prior), (DRIVES, _SIZE, _SIZE)).copy(),
+            frozen=z,
+            references=(y - angle, y),
+            sums=np.zeros(DRIVES + 2),
+            scores=np.zeros(DRIVES + 2),
+            distrust=0.0,
+            count=0,
+            blocks=0,
+            best=0,
+            share=0.0,
+        )
+
+    def reach(self, state: BankState) -> float:
+        """How far the angle may have moved under the last commands [deg]: twice what the mean slope says."""
+        return float(2.0 * self._scale * np.ptp(state.queue))
+
+    def advance(self, state: BankState, u: float) -> BankState:
+        """One sample later under the command u."""
+        history = np.empty_like(state.history)
+        queue = np.empty_like(state.queue)
+        advance_history(
+            state.history, state.queue, float(self.share_of_range(u)), self.lags, self.creeps, history, queue
+        )
+        return replace(state, history=history, queue=queue)
+
+    def correct(self, state: BankState, y: float, angle: float, disturbance: float) -> BankState:
+        """With a measurement used.
+
+        Args:
+            y: measured [deg].
+            angle: of the model at that instant [deg].
+            disturbance: the model's own, before this measurement is used [deg].
+        """
+        z, covariance, sums = state.z.copy(), state.covariance.copy(), state.sums.copy()
+        travel = abs(float(state.history[self._delay, 0, 0] - state.history[self._delay + 1, 0, 0]))
+        correct_filters(
+            z,
+            covariance,
+            state.frozen,
+            state.history,
+            self._delay,
+            state.start,
+            y,
+            angle,
+            self._noise,
+            self._prior,
+            self._growth,
+            self._walk,
+            travel,
+            1.0 / self.dt,
+            sums,
+        )
+        own, last = state.references
+        sums[_MODEL] += (y - angle - own) ** 2
+        sums[_NOTHING] += (y - last) ** 2
+        after = replace(state, z=z, covariance=covariance, sums=sums, count=state.count + 1)
+        if after.count < self._block:
+            return after
+        judged = self._judged(after, sums / after.count)
+        return replace(judged, sums=np.zeros(DRIVES + 2), count=0, frozen=z, references=(disturbance, y))
+
+    def _judged(self, state: BankState, means: Vec) -> BankState:
+        """With the mean square errors (H + 2,) of a block of forecasts [deg^2]."""
+        if means[_NOTHING] <= _MOVING * self._noise:
+            return state
+        kept = min(_KEPT, state.blocks / (state.blocks + 1.0))
+        scores, best = kept * state.scores + (1.0 - kept) * means, state.best
+        first = int(np.argmin(scores[:DRIVES]))
+        best = first if scores[first] < _BETTER * scores[best] else best
+        gained = 1.0 - (float(scores[best]) + self._floor) / (float(scores[_MODEL]) + self._floor)
+        off = min(math.sqrt(min(means[_MODEL], means[best]) / means[_NOTHING]), _WORST)
+        return replace(
+            state,
+            scores=scores,
+            distrust=_RECENT * state.distrust + (1.0 - _RECENT) * off,
+            blocks=state.blocks + 1,
+            best=best,
+            share=min(max((gained - _LEAST_GAIN) / _FULL_GAIN, 0.0), 1.0),
+        )
+
+    def shown(self, state: BankState, back: int) -> Vec:
+        """Features (FEATURES,) of the best drive, `back` samples ago."""
+        out = np.empty(FEATURES)
+        at = state.delay + back
+        memory = state.history[at, state.lag]
+        before = state.history[at + 1, state.lag, 0] if at + 1 < len(state.history) else memory[0]
+        features(memory, float(before), float(state.start[0]), float(state.start[1]), 1.0 / self.dt, out)
+        return out
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def advance_history(before: Any, commands: Any, x: float, lags: Any, creeps: Any, history: Any, queue: Any) -> None:
+    """History and queue one sample later under the command x, a share of the range."""
+    history[1:] = before[:-1]
+    queue[1:] = commands[:-1]
+    queue[0] = x
+    for t in range(lags.size):
+        history[0, t] = before[0, t]
+        advance_memory(history[0, t], x, lags[t], creeps)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def correct_filters(
+    z: Any,
+    covariance: Any,
+    frozen: Any,
+    history: Any,
+    delay: int,
+    start: Any,
+    y: float,
+    angle: float,
+    noise: float,
+    prior: Any,
+    growth: Any,
+    walk: Any,
+    travel: float,
+    pace: float,
+    sums: Any,
+) -> None:
+    """One measurement for every drive: z (H, K), covariance (H, K, K) and sums of forecast errors, in place."""
+    size = z.shape[1]
+    h, spread, f = np.empty(size), np.empty(size), np.empty(size - 2)
+    for n in range(z.shape[0]):
+        lag, at = n // DELAYS, n % DELAYS + delay
+        features(history[at, lag], history[at + 1, lag, 0], start[0], start[1], pace, f)
+        h[0], h[1], h[2:] = 1.0, angle - start[2], f
+        error, forecast, variance = y - angle, y - angle, noise
+        p = covariance[n]
+        for a in range(size):
+            error -= h[a] * z[n, a]
+            forecast -= h[a] * frozen[n, a]
+            total = 0.0
+            for b in range(size):
+                total += p[a, b] * h[b]
+            spread[a] = total
+            variance += h[a] * total
+        sums[n] += forecast * forecast
+        if not (noise <= variance < np.inf and abs(error) < np.inf):  # rounding has eaten the covariance
+            p[:] = 0.0
+            for a in range(size):
+                p[a, a] = prior[a]
+            continue
+        for a in range(size):
+            share = spread[a] / variance
+            z[n, a] += share * error
+            for b in range(size):
+                p[a, b] -= share * spread[b]
+        for a in range(size):
+            p[a, a] = min(p[a, a] + growth[a] + walk[a] * travel, max(prior[a], p[a, a]))

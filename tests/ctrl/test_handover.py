@@ -1,0 +1,119 @@
+"""Laws of the handover: no jump of the command, and feedback where the forecasts are worthless."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.command import Source, Stopwatch
+from hystmpc.ctrl.config import CONTROLLERS
+from hystmpc.ctrl.feedback.pid import PidSettings
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.handover import HandoverLaw, HandoverSettings
+from hystmpc.ctrl.limits import CommandLimits
+
+from .plays import DT, SOUND, Backlash
+
+LIMITS = CommandLimits(0.0, 6.0, 10.0)
+GAINS = {"kp_per_deg": 0.02, "ki_per_deg_s": 0.15}
+
+
+def controller(**handover: object) -> GuardedController[object]:
+    case = SOUND[0]
+    asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", "handover": {"pid": GAINS, **handover}})
+    return build_controller(asked, case.predictor, case.inverse, LIMITS)
+
+
+@given(
+    distrusts=st.lists(st.floats(0.0, 1.2), min_size=1, max_size=25),
+    wanted=st.floats(30.0, 80.0),
+    drift=st.floats(-0.5, 0.5),
+)
+@settings(max_examples=40, deadline=None)
+def test_at_a_handover_to_feedback_the_command_has_no_jump(distrusts: list[float], wanted: float, drift: float) -> None:
+    """Whatever the distrust does, limits hold, and the first command of a law that takes over is the last one sent."""
+    loop, y = controller(), 40.0
+    law = loop.law
+    assert isinstance(law, HandoverLaw)
+    state = loop.init(y, 1.5)
+    for distrust in distrusts:
+        state = replace(state, estimate=replace(state.estimate, distrust=distrust))
+        before, level = state.estimate.command, state.memory.level
+        reference = wanted + drift * np.arange(loop.horizon)
+        command, state = loop.step(replace(state), y, reference)
+        assert LIMITS.lower <= command.u <= LIMITS.upper
+        assert abs(command.u - before) <= LIMITS.rate * DT + 1e-12
+        if state.memory.level != level and state.memory.level != "mpc":
+            assert command.u == pytest.approx(before, abs=1e-9)
+        y += 0.3 * float(np.tanh(command.u - before))
+
+
+@pytest.mark.parametrize(
+    ("distrust", "level", "source"),
+    [(0.1, "mpc", Source.MPC), (1.0, "inverse_pid", Source.CONTROLLER), (1.15, "pid", Source.CONTROLLER)],
+)
+def test_the_level_follows_the_forecasts_and_stands_in_the_log(distrust: float, level: str, source: Source) -> None:
+    loop = controller()
+    state = loop.init(40.0, 1.5)
+    law = loop.law
+    assert isinstance(law, HandoverLaw)
+    state = replace(state, estimate=replace(state.estimate, distrust=distrust))
+    # the estimator keeps its own figure, so the law is asked directly
+    given_ = loop._input(state, np.full(loop.horizon, 45.0))
+    proposal = law.propose(state.memory, given_, Stopwatch())
+    assert proposal.memory.level == level
+    assert proposal.source == source
+    assert ("forecasts" in proposal.status) == (level != "mpc")
+
+
+def test_a_better_level_takes_over_only_where_forecasts_are_twice_as_good() -> None:
+    law = controller().law
+    assert isinstance(law, HandoverLaw)
+    thresholds = HandoverSettings()
+    assert law._level("pid", 0.9 * thresholds.pid_above) == "pid"
+    assert law._level("pid", 0.4 * thresholds.inverse_pid_above) == "mpc"
+    assert law._level("mpc", 0.9 * thresholds.inverse_pid_above) == "mpc"
+
+
+class Stranger:
+    """A device that no model here foretells: its angle answers the other way for a while, at random times."""
+
+    def __init__(self, seed: int) -> None:
+        self.random, self.y, self.way, self.u = np.random.default_rng(seed), 45.0, 1.0, 2.0
+
+    def apply(self, u: float) -> float:
+        if self.random.random() < 0.05:
+            self.way = -self.way
+        self.y += 0.2 * ((45.0 + 4.0 * self.way * (u - 2.0)) - self.y)
+        return self.y + 0.05 * float(self.random.standard_normal())
+
+
+def test_worthless_forecasts_end_in_feedback_within_limits() -> None:
+    loop, device = controller(), Stranger(3)
+    state, y, last, levels = loop.init(45.0, 2.0), 45.0, 2.0, []
+    for k in range(1500):
+        wanted = 45.0 + 4.0 * np.sin(0.15 * (k + np.arange(1, loop.horizon + 1)))
+        command, state = loop.step(state, y, wanted)
+        assert abs(command.u - last) <= LIMITS.rate * DT + 1e-12
+        y, last = device.apply(command.u), command.u
+        levels.append(state.memory.level)
+    assert {"inverse_pid", "pid"} & set(levels)
+
+
+def test_gains_that_nobody_gave_follow_from_the_static_gain() -> None:
+    gains = HandoverSettings().gains(Backlash())
+    assert gains.ki_per_deg_s == pytest.approx(1.5 / 10.4, rel=0.05)
+    given_ = PidSettings(kp_per_deg=0.5)
+    assert HandoverSettings(pid=given_).gains(Backlash()) == given_
+
+
+def test_without_learning_there_is_no_handover() -> None:
+    case = SOUND[0]
+    for block in ({"adaptation": None}, {"handover": None}, {"estimator": {"sensor": "none"}}):
+        asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", **block})
+        assert not isinstance(build_controller(asked, case.predictor, case.inverse, LIMITS).law, HandoverLaw)
