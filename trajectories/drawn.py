@@ -74,13 +74,13 @@ def drawn_motions(
     limits = MotionLimits(velocity_deg_s=min(_USUAL_DEG_S, speed_deg_s))
     start = float(random.uniform(low, high))
     steps = PointToPoint(start, targets.tolist(), holds.tolist(), limits)
-    motions = [_approached("point_to_point", rest_deg, start, steps, limits)]
+    motions = [approached("point_to_point", rest_deg, start, steps, limits)]
     for name, hz in scans_hz.items():
         low, high = _range(random, reachable_deg)
         amplitude = min(0.5 * (high - low), speed_deg_s / (2 * np.pi * hz))
         centre = 0.5 * (low + high)
         scan = SinusoidScan(centre - amplitude, centre, amplitude, hz, max(float(round(scan_s * hz)), 1.0))
-        motions.append(_approached(name, rest_deg, centre - amplitude, scan, limits))
+        motions.append(approached(name, rest_deg, centre - amplitude, scan, limits))
     return tuple(motions)
 
 
@@ -91,6 +91,17 @@ def _range(random: np.random.Generator, reachable: tuple[float, float]) -> tuple
     return low, low + width
 
 
-def _approached(name: str, rest: float, start: float, motion: Trajectory, limits: MotionLimits) -> CountedMotion:
-    approach = PointToPoint(rest, (start,), (_APPROACH_HOLD_S,), limits)
+def approached(
+    name: str, rest_deg: float, start_deg: float, motion: Trajectory, limits: MotionLimits | None = None
+) -> CountedMotion:
+    """A motion behind a move from rest to its start and a hold there.
+
+    Args:
+        rest_deg, start_deg: ends of the move [deg].
+        limits: of the move; None for the defaults of MotionLimits.
+
+    Raises:
+        TrajectoryError: if an angle is not finite.
+    """
+    approach = PointToPoint(rest_deg, (start_deg,), (_APPROACH_HOLD_S,), limits or MotionLimits())
     return CountedMotion(name, Chain((approach, motion)), approach.duration_s)
