@@ -129,11 +129,11 @@ class UnexplainedPlant(ComputedPlant):
         inner, disturbance, before = state
         angle, after = self._model.advance(inner, u)
         if self._noise is not None:
-            disturbance = _walked(disturbance, abs(u - before), self.dt, self._noise, random.standard_normal())
+            disturbance = walked(disturbance, abs(u - before), self.dt, self._noise, random.standard_normal())
         return angle + disturbance, (after, disturbance, u)
 
 
-def _walked(disturbance: float, travel: float, dt_s: float, noise: NoiseModel, drawn: float) -> float:
+def walked(disturbance: float, travel: float, dt_s: float, noise: NoiseModel, drawn: float) -> float:
     """The disturbance one sample later."""
     drift, motion = noise.drift_sigma_deg_per_sqrt_s, noise.motion_sigma_deg_per_sqrt_unit
     q = ROUGHNESS**2 * (drift**2 * dt_s + motion**2 * travel)
