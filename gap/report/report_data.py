@@ -126,12 +126,12 @@ class Evidence:
         explainable_share: share of the structural gap that a flexible model can explain; None where not estimated.
         proposal: motion to record next; None where nothing is open.
         cannot_show: what these trials cannot show, a sentence each.
-        nominal: the simulator as given; None of a network.
         fixed: the corrected simulator, where it can be written as one.
-        curves: closed loops before and after the correction; none where they were not simulated.
         files: further files of the diagnosis by name.
         seed: of everything drawn at random.
         seconds: time of each step of the procedure.
+        nominal: the simulator as given; None of a network.
+        curves: closed loops before and after the correction; none where they were not simulated.
     """
 
     diagnosis: Diagnosis
@@ -147,11 +147,11 @@ class Evidence:
     proposal: MotionProposal | None = None
     cannot_show: tuple[str, ...] = ()
     fixed: Simulator | None = None
-    nominal: Simulator | None = None
-    curves: tuple[TrackingCurve, ...] = ()
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     seed: int = 1
     seconds: Mapping[str, float] = field(default_factory=dict)
+    nominal: Simulator | None = None
+    curves: tuple[TrackingCurve, ...] = ()
 
     @property
     def final(self) -> tuple[TrialEvidence, ...]:

@@ -60,10 +60,11 @@ def tracking_sentence(diagnosis: Diagnosis) -> str:
     if found.why_not:
         return f"How far the closed-loop tracking error falls cannot be said: {found.why_not}."
     before, after = (_deg_of(v, ends) for v, ends in _errors(found))
-    if abs(found.fall_deg) < _NO_FALL * found.before_deg:
+    floor = diagnosis.gap.floor_rmse_deg
+    if abs(found.fall_deg) < max(_NO_FALL * found.before_deg, floor if math.isfinite(floor) else 0.0):
         return (
             f"No fall of the closed-loop tracking error is expected: {before} RMS with the simulator as given, {after} "
-            "with the corrected one."
+            f"with the corrected one; the floor is {_deg(floor)}."
         )
     change = "fall" if found.fall_deg > 0 else "rise"
     return (

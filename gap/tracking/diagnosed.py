@@ -33,10 +33,10 @@ def with_tracking(evidence: Evidence, progress: Progress | None = None) -> Evide
     simulator with its effects has them, and within half of the greatest speed there.
 
     Args:
-        progress: called once, as the step begins.
+        progress: called as the step begins and as it ends.
     """
-    if progress is not None:
-        progress(98, 100, "closed loop before and after")
+    told = progress or _untold
+    told(98, 100, "closed loop before and after")
     curves: tuple[TrackingCurve, ...] = ()
     why_not = _why_not(evidence)
     found = TrackingGap(why_not=why_not)
@@ -47,7 +47,12 @@ def with_tracking(evidence: Evidence, progress: Progress | None = None) -> Evide
             found, curves = expected_tracking(evidence.nominal, evidence.fixed, motions, seeds=seeds)
         except HystmpcError as error:
             found = TrackingGap(why_not=f"the closed loop could not be simulated ({error})")
+    told(100, 100, evidence.diagnosis.verdict)
     return replace(evidence, diagnosis=replace(evidence.diagnosis, tracking=found), curves=curves)
+
+
+def _untold(done: float, total: float, note: str = "", /) -> None:
+    """No progress is shown."""
 
 
 def covered_motions(trials: Sequence[TrialEvidence], fixed: Simulator, seed: int) -> tuple[CountedMotion, ...]:

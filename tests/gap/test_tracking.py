@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from hystmpc.gap.diagnosis import FORMAT, MotionTracking, TrackingGap, Verdict
 from hystmpc.gap.report.folder import diagnosis_json
+from hystmpc.gap.report.page import diagnosis_report
 from hystmpc.gap.report.report_data import Evidence
 from hystmpc.gap.report.words import tracking_sentence
 from hystmpc.gap.tracking.diagnosed import covered_motions, with_tracking
@@ -34,8 +35,10 @@ from hystmpc.trajectories.drawn import approached
 from hystmpc.trajectories.point_to_point import PointToPoint
 from hystmpc.trials.config import dump_yaml, load_settings
 from hystmpc.trials.errors import GapError, LogError
+from hystmpc.trials.report import Heading, Paragraph, Plot, Table
 from hystmpc.trials.run_folder import RunFolder
 
+from ..cli.test_verbs import run
 from ..models.zoo import CHAINS, simulator
 from ..rig.test_processes import RUN, SIMULATED
 from ..sim.small import MOVE
@@ -264,8 +267,7 @@ def bench_run(folder: Path, lost: int = 0, noise_deg: float = 0.1) -> MeasuredRu
     noise = np.random.default_rng(1).normal(0, noise_deg, n)
     angle[1:][wanted] = track[:-1][wanted] + 0.5 + noise[1:][wanted]
     angle[1:60] += 20.0  # what does not count
-    run = RunFolder.create(folder, settings)
-    run.write_log(
+    RunFolder.create(folder, settings).write_log(
         {
             "time_s": settings.dt_s * np.arange(n),
             "command_mm": np.zeros(n),
@@ -288,3 +290,29 @@ def test_at_a_bench_the_way_to_the_start_does_not_count_and_noise_is_taken_off(t
 def test_a_run_that_was_stopped_is_not_compared(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="a run that was stopped is not compared"):
         bench_run(tmp_path / "run", lost=10)
+
+
+@pytest.mark.slow
+def test_the_page_of_a_diagnosis_shows_both_loops() -> None:
+    pieces = diagnosis_report(tracked()).pieces
+    start = next(k for k, piece in enumerate(pieces) if piece == Heading("Tracking in closed loop"))
+    said, table, plot = pieces[start + 1 : start + 4]
+    assert said == Paragraph(tracking_sentence(tracked().diagnosis))
+    assert isinstance(table, Table)
+    assert [row[0] for row in table.rows] == ["point to point", "scan", "all motions"]
+    assert isinstance(plot, Plot)
+
+
+@pytest.mark.slow
+def test_report_prints_the_fall_and_shows_it_on_the_page(
+    runs: dict[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--before", runs["before"], "--diagnosis", runs["diagnosis"]]
+    code, out, err = run(capsys, "report", runs["after"], *arguments)
+    assert code == 0, err
+    assert "the measured fall is within 30 % of it" in " ".join(out.split())
+    page = (runs["after"] / "report.html").read_text()
+    assert "Fall of the tracking error" in page
+    code, out, err = run(capsys, "report", runs["after"], "--before", runs["other"])
+    assert code == 2
+    assert [line for line in err.splitlines() if line.startswith("error: ")] == err.splitlines()
