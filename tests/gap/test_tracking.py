@@ -126,7 +126,7 @@ def test_a_diagnosis_says_it_in_words_and_in_json() -> None:
     found = diagnosis.tracking
     assert found is not None
     assert found.fall_deg > 0
-    assert "is expected to fall from" in tracking_sentence(diagnosis)
+    assert "is expected to fall by" in tracking_sentence(diagnosis)
     told = json.loads(diagnosis_json(diagnosis))["tracking"]
     motions = tuple(MotionTracking(**motion) for motion in told.pop("motions"))
     ranges = {key: tuple(told.pop(key)) for key in ("before_range_deg", "after_range_deg")}
