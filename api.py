@@ -348,21 +348,22 @@ def diagnose(
     """
     from hystmpc.gap import diagnose as gap
     from hystmpc.gap.report.folder import require_free, save_diagnosis
+    from hystmpc.gap.tracking.diagnosed import with_tracking
     from hystmpc.models.simulator import ChainModel
 
     if out is not None:
         require_free(out)
     opened, recorded = _opened(simulator), read_trials(trials, preset)
     nominal = opened.simulator if isinstance(opened, ChainModel) else opened
-    if out is None:
-        return gap.diagnose(recorded, nominal, seed=seed, without=without, only=only, progress=progress)
     findings = gap.investigate(recorded, nominal, seed=seed, without=without, only=only, progress=progress)
-    diagnosis, evidence = gap.conclude(findings, progress)
+    evidence = with_tracking(gap.conclude(findings, progress)[1], progress)
+    if out is None:
+        return evidence.diagnosis
     logs = [trial.source for trial in recorded]
     settings = {"logs": logs, "sim": str(simulator), "preset": str(preset), "seed": seed, "without": list(without)}
     files = (simulator,) if isinstance(simulator, Path | str) else ()
     save_diagnosis(evidence, out, settings, models=files)
-    return diagnosis
+    return evidence.diagnosis
 
 
 def simulate(

@@ -79,11 +79,12 @@ def _diagnosed(
     simulator = _simulator(sim)
     trials = _recorded(files, preset)
     from hystmpc.gap.diagnose import conclude, investigate  # compiles: kept out of the way of refusals
+    from hystmpc.gap.tracking.diagnosed import with_tracking
 
     with bar("diagnose") as show:
         told = _progress(show)
         findings = investigate(trials, simulator, seed=seed, without=without, progress=told, say=_say)
-        diagnosis, evidence = conclude(findings, told)
+        evidence = with_tracking(conclude(findings, told)[1], told)
         show(100, "writing the report", total=100)
         settings = {
             "logs": [str(file) for file in files],
@@ -93,15 +94,16 @@ def _diagnosed(
             "without": list(without),
         }
         save_diagnosis(replace(evidence, simulator=sim.name), folder, settings, models=(sim,))
-    return diagnosis
+    return evidence.diagnosis
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """The verdict in words, then the sizes of the gap, the effects and what to record next."""
-    from hystmpc.gap.report.words import closed_sentence, headline, in_words, percent
+    from hystmpc.gap.report.words import closed_sentence, headline, in_words, percent, tracking_sentence
 
-    for line in (headline(diagnosis), diagnosis.reason, closed_sentence(diagnosis)):
-        out.print(line, highlight=False)
+    for line in (headline(diagnosis), diagnosis.reason, closed_sentence(diagnosis), tracking_sentence(diagnosis)):
+        if line:
+            out.print(line, highlight=False)
     if diagnosis.ranking:
         found = {effect.name: effect for effect in diagnosis.effects}
         rows = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Set
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,19 +13,30 @@ from hystmpc.trials.run_folder import RunFolder
 
 from .console import out
 
+if TYPE_CHECKING:
+    from hystmpc.trials.report import Piece
+
 
 def report(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder of `simulate`, `demo`, `run` or `record`.")],
+    before: Annotated[
+        list[Path] | None, typer.Option("--before", help="Earlier run on the same reference; repeatable.")
+    ] = None,
+    diagnosis: Annotated[
+        Path | None, typer.Option("--diagnosis", help="Folder of `diagnose`: the fall that it lets expect.")
+    ] = None,
 ) -> None:
     """Write report.html of a run folder again.
 
-    Of an experiment it says what is due: nothing, `fit` or `diagnose`.
+    Of an experiment it says what is due: nothing, `fit` or `diagnose`. With an earlier run it says how far the tracking
+    error fell, and with a diagnosis how far it was expected to fall on this reference.
     """
     keys = _settings_of(run)
+    more = _fall(run, before or [], diagnosis)
     if {"transport", "sensor", "reference"} <= keys:
         from hystmpc.rig.commission.review_page import review_run
 
-        out.print(f"review: {review_run(run).advice}", soft_wrap=True)
+        out.print(f"review: {review_run(run, more).advice}", soft_wrap=True)
         out.print(f"report: {run / 'report.html'}", soft_wrap=True)
     elif {"transport", "sensor", "excitations"} <= keys:
         from hystmpc.rig.recording.report import write_report
@@ -34,7 +45,19 @@ def report(
     else:
         from hystmpc.sim.report import report_from_folder
 
-        out.print(f"report: {report_from_folder(run)}")
+        out.print(f"report: {report_from_folder(run, more)}")
+
+
+def _fall(run: Path, before: list[Path], diagnosis: Path | None) -> tuple[Piece, ...]:
+    """Print how far the error fell; returns it for the page."""
+    if not before and diagnosis is None:
+        return ()
+    from hystmpc.gap.tracking.fall import fall_lines, fall_pieces, tracking_falls
+
+    falls = tracking_falls(run, before, diagnosis)
+    for line in fall_lines(falls):
+        out.print(line, soft_wrap=True, highlight=False)
+    return fall_pieces(falls)
 
 
 def _settings_of(run: Path) -> Set[str]:

@@ -32,36 +32,7 @@ if TYPE_CHECKING:
 
 LIBRARY = DIAGNOSABLE
 DEFAULT_SETTINGS = DiagnosisSettings()
-_STEPS = 100  # of the progress
-
-
-def diagnose(
-    trials: Sequence[Trial],
-    simulator: Simulator | LoadedModel,
-    *,
-    seed: int = 0,
-    without: Sequence[str] = (),
-    only: Sequence[str] | None = None,
-    progress: Progress | None = None,
-) -> Diagnosis:
-    """Find where a simulator departs from its device, which effects cause it and how far they close the gap.
-
-    Args:
-        trials: of one device, in recording order.
-        simulator: a chain of operators or an exported model.
-        seed: of every resampling.
-        without: effects left out of the library.
-        only: the library itself; all effects where left out.
-        progress: called with steps done, steps in all and the present step.
-
-    Raises:
-        GapError: on unusable trials (`check_trials`), or an unknown effect.
-        ModelError: if the simulator is an inverse map.
-    """
-    findings = investigate(trials, simulator, seed=seed, without=without, only=only, progress=progress)
-    diagnosis = _diagnosis(findings, next_step(findings))
-    (progress or _no_progress)(_STEPS, _STEPS, diagnosis.verdict)
-    return diagnosis
+_STEPS, _CONCLUDED = 100, 97  # of the progress
 
 
 def investigate(
@@ -75,9 +46,21 @@ def investigate(
     settings: DiagnosisSettings = DEFAULT_SETTINGS,
     say: Callable[[str], None] | None = None,
 ) -> Findings:
-    """All steps up to the verdict; see `diagnose`.
+    """All steps up to the verdict: where a simulator departs from its device, which effects cause it, how far they
+    close the gap.
 
-    Before the long part `say` is called with a line on each trial that is left out and on the expected duration.
+    Args:
+        trials: of one device, in recording order.
+        simulator: a chain of operators or an exported model.
+        seed: of every resampling.
+        without: effects left out of the library.
+        only: the library itself; all effects where left out.
+        progress: called with steps done, steps in all and the present step.
+        say: called before the long part with a line on each trial that is left out and on the expected duration.
+
+    Raises:
+        GapError: on unusable trials (`check_trials`), or an unknown effect.
+        ModelError: if the simulator is an inverse map.
     """
     left_out = _left_out(without, only)
     progress = progress or _no_progress
@@ -120,7 +103,7 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
     findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
     diagnosis = _diagnosis(findings, proposal)
     evidence = report_data(findings, diagnosis, proposal)
-    (progress or _no_progress)(_STEPS, _STEPS, diagnosis.verdict)
+    (progress or _no_progress)(_CONCLUDED, _STEPS, diagnosis.verdict)
     return diagnosis, evidence
 
 

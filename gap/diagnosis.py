@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -99,6 +100,42 @@ class NextMotion:
 
 
 @dataclass(frozen=True)
+class MotionTracking:
+    """Expected RMS tracking error along one motion, before and after the correction [deg]."""
+
+    name: str
+    before_deg: float
+    after_deg: float
+
+
+@dataclass(frozen=True)
+class TrackingGap:
+    """How far the closed-loop tracking error is expected to fall with the corrected simulator as the model.
+
+    All errors are RMS, true angle less reference, simulated on the corrected simulator with its noise.
+
+    Attributes:
+        before_deg, after_deg: with the simulator as given, and with the corrected one, over all motions; not-a-number
+            where it cannot be said.
+        before_range_deg, after_range_deg: least and greatest value over several seeds of the noise.
+        motions: each motion's.
+        why_not: why it cannot be said, in one sentence; empty where it can.
+    """
+
+    before_deg: float = math.nan
+    after_deg: float = math.nan
+    before_range_deg: Interval = (math.nan, math.nan)
+    after_range_deg: Interval = (math.nan, math.nan)
+    motions: tuple[MotionTracking, ...] = ()
+    why_not: str = ""
+
+    @property
+    def fall_deg(self) -> float:
+        """By how much the error falls; negative where it rises."""
+        return self.before_deg - self.after_deg
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """Where the gap lies, which effects cause it, how far it shrinks, and what to record next.
 
@@ -113,6 +150,7 @@ class Diagnosis:
         where: share of the residual by part of the motion.
         notes: faults and shortcomings of the trials, a sentence each.
         next_motion: the motion to record next; None where nothing is open.
+        tracking: fall of the closed-loop tracking error; None where it was not asked for.
     """
 
     verdict: Verdict
@@ -125,6 +163,7 @@ class Diagnosis:
     where: Mapping[str, Place]
     notes: tuple[str, ...] = ()
     next_motion: NextMotion | None = None
+    tracking: TrackingGap | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The fixed form `hystmpc-diagnosis/1`: plain dicts, lists, numbers and strings."""

@@ -128,10 +128,10 @@ def _stage_times(results: Sequence[Result]) -> list[tuple[str, str, Any]]:
     return rows
 
 
-def study_report(result: StudyResult) -> Report:
-    """The page of a study."""
+def study_report(result: StudyResult, more: Sequence[Piece] = ()) -> Report:
+    """The page of a study; `more` is shown before everything else."""
     colour = colours(result.controllers)
-    pieces: list[Piece] = [*_summary(result), *_set_up(result)]
+    pieces: list[Piece] = [*more, *_summary(result), *_set_up(result)]
     for motion in result.motions:
         runs = result.of_motion(motion)
         pieces += [
@@ -148,14 +148,17 @@ def study_report(result: StudyResult) -> Report:
     return Report("Closed loop in simulation", tuple(pieces), subtitle)
 
 
-def report_from_folder(path: Path | str) -> Path:
+def report_from_folder(path: Path | str, more: Sequence[Piece] = ()) -> Path:
     """Write `report.html` of a simulation's run folder anew, from nothing but the folder.
+
+    Args:
+        more: shown before everything else.
 
     Raises:
         LogError: if it holds no run of a simulation.
         ConfigError: if its settings are not those of a simulation.
     """
-    return write_atomically(Path(path) / "report.html", study_report(load_results(path)).html())
+    return write_atomically(Path(path) / "report.html", study_report(load_results(path), more).html())
 
 
 def _summary(result: StudyResult) -> Iterator[Piece]:

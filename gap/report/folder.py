@@ -22,8 +22,8 @@ from ..diagnosis import FORMAT, Diagnosis
 from ..next.motion_design import MOTION_FILE, write_motion
 from .report_data import STAGES, Evidence
 
-DIAGNOSIS_FILE, FIXED_FILE = "diagnosis.json", "sim.fixed.yaml"
-_SOMETIMES = (FIXED_FILE, MOTION_FILE, "log.mcap")
+DIAGNOSIS_FILE, FIXED_FILE, GIVEN_FILE = "diagnosis.json", "sim.fixed.yaml", "sim.given.yaml"
+_SOMETIMES = (FIXED_FILE, GIVEN_FILE, MOTION_FILE, "log.mcap")
 _GAP_S = 1.0  # between trials in one log
 
 
@@ -92,8 +92,9 @@ def diagnosis_json(diagnosis: Diagnosis) -> str:
 def _write(evidence: Evidence, run: RunFolder) -> None:
     write_atomically(run.path / DIAGNOSIS_FILE, diagnosis_json(evidence.diagnosis))
     run.write_log(_log(evidence))
-    if evidence.fixed is not None:
-        save_simulator(evidence.fixed, run.path / FIXED_FILE)
+    for simulator, name in ((evidence.fixed, FIXED_FILE), (evidence.nominal, GIVEN_FILE)):
+        if simulator is not None:
+            save_simulator(simulator, run.path / name)
     if evidence.proposal is not None:
         write_motion(run.path / MOTION_FILE, evidence.proposal, evidence.command_unit)
     for name, content in evidence.files.items():

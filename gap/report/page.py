@@ -29,9 +29,11 @@ from .tables import (
     made_by,
     parameters_table,
     retuned_table,
+    tracking_table,
     trials_table,
 )
-from .words import choices, closed_sentence, floor_words, headline, in_words, next_sentence, percent
+from .tracking_figure import tracking_figure
+from .words import choices, closed_sentence, floor_words, headline, in_words, next_sentence, percent, tracking_sentence
 
 MOST_HEAT, MOST_LOOPS, MOST_TIMES = 6, 6, 3
 
@@ -43,7 +45,14 @@ def write_report(evidence: Evidence, folder: Path | str) -> Path:
 
 def diagnosis_report(evidence: Evidence) -> Report:
     """The page of a diagnosis, whatever its verdict."""
-    pieces = (*_verdict(evidence), *_which(evidence), *_where(evidence), *_next(evidence), *_behind(evidence))
+    pieces = (
+        *_verdict(evidence),
+        *_closed_loop(evidence),
+        *_which(evidence),
+        *_where(evidence),
+        *_next(evidence),
+        *_behind(evidence),
+    )
     subtitle = f"simulator {evidence.simulator}, {len(evidence.trials)} logs"
     return Report("Sim-to-real gap", pieces, subtitle)
 
@@ -60,6 +69,22 @@ def _verdict(evidence: Evidence) -> Iterator[Piece]:
         + floor_words(diagnosis.gap)
         + (f" {left_out} further {evidence.measured_on} are in the table below." if left_out > 0 else ""),
     )
+
+
+def _closed_loop(evidence: Evidence) -> Iterator[Piece]:
+    found = evidence.diagnosis.tracking
+    if found is None:
+        return
+    yield Heading("Tracking in closed loop")
+    yield Paragraph(tracking_sentence(evidence.diagnosis))
+    if found.motions:
+        yield tracking_table(found)
+    if evidence.curves:
+        yield Plot(
+            tracking_figure(evidence.curves),
+            "Simulated on the corrected simulator with the noise of its file. Before: the controller's model is "
+            "the simulator as given. After: it is the corrected one. Grey: the approach, which does not count.",
+        )
 
 
 def _which(evidence: Evidence) -> Iterator[Piece]:

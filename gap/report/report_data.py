@@ -92,6 +92,24 @@ class CandidateRow:
 
 
 @dataclass(frozen=True, eq=False)
+class TrackingCurve:
+    """One motion in closed loop, (N,) each, under the first seed of the noise.
+
+    Attributes:
+        t: end of the sample [s].
+        reference_deg, before_deg, after_deg: wanted angle, and the true angle before and after the correction [deg].
+        first: first sample that counts.
+    """
+
+    name: str
+    t: Vec
+    reference_deg: Vec
+    before_deg: Vec
+    after_deg: Vec
+    first: int
+
+
+@dataclass(frozen=True, eq=False)
 class Evidence:
     """Everything that the report shows.
 
@@ -112,6 +130,8 @@ class Evidence:
         files: further files of the diagnosis by name.
         seed: of everything drawn at random.
         seconds: time of each step of the procedure.
+        nominal: the simulator as given; None of a network.
+        curves: closed loops before and after the correction; none where they were not simulated.
     """
 
     diagnosis: Diagnosis
@@ -130,6 +150,8 @@ class Evidence:
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     seed: int = 1
     seconds: Mapping[str, float] = field(default_factory=dict)
+    nominal: Simulator | None = None
+    curves: tuple[TrackingCurve, ...] = ()
 
     @property
     def final(self) -> tuple[TrialEvidence, ...]:
@@ -171,6 +193,7 @@ def report_data(findings: Findings, diagnosis: Diagnosis, proposal: MotionPropos
         proposal=proposal,
         cannot_show=tuple(_sentence(row) for row in rows if not row.separable and not row.one_class),
         fixed=_fixed(findings),
+        nominal=simulator if isinstance(simulator, Simulator) else None,
         files={} if isinstance(simulator, Simulator) else _network_effects(findings),
         seed=findings.seed,
         seconds=findings.seconds,

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from hystmpc.trials.report import KeyValues, Paragraph, Piece, Table
 
+from ..diagnosis import TrackingGap
 from .figure_style import LABEL
 from .report_data import STAGES, CandidateRow, Evidence, TrialEvidence
 from .words import in_words, percent
@@ -44,6 +45,17 @@ def candidates_table(evidence: Evidence) -> Table:
         [_candidate(row) for row in evidence.candidates],
         "Each effect alone with the baseline refitted, on the trials to select by; gain: retuned RMSE less this one.",
     )
+
+
+def tracking_table(found: TrackingGap) -> Table:
+    """Expected closed-loop errors of every motion and over all of them."""
+    rows = [(in_words(m.name), m.before_deg, m.after_deg, m.before_deg - m.after_deg) for m in found.motions]
+    rows.append(("all motions", found.before_deg, found.after_deg, found.fall_deg))
+    caption = (
+        "RMS of the true angle less the reference. Over seeds of the noise: "
+        f"before {_interval(found.before_range_deg)}, after {_interval(found.after_range_deg)} deg."
+    )
+    return Table(("motion", "before [deg]", "after [deg]", "fall [deg]"), rows, caption)
 
 
 def trials_table(evidence: Evidence) -> Table:

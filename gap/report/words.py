@@ -5,8 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ..diagnosis import Diagnosis, Gap
+from hystmpc.models.identify.uncertainty import Interval
+
+from ..diagnosis import Diagnosis, Gap, TrackingGap
 from ..next.motion_design import MotionProposal
+
+_NO_FALL, _HIDDEN = 0.05, 0.3  # of the error: less is no fall; the same where the fall is below the floor
 
 
 def headline(diagnosis: Diagnosis) -> str:
@@ -46,6 +50,36 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
         f"{text} The effects close {percent(gap.closed_share)}{interval} of what retuning leaves above the floor; "
         f"{percent(gap.unexplained_share)} stays unexplained."
     )
+
+
+def tracking_sentence(diagnosis: Diagnosis) -> str:
+    """The closed-loop tracking error now and with the corrected simulator; empty where it was not asked for."""
+    found = diagnosis.tracking
+    if found is None:
+        return ""
+    if found.why_not:
+        return f"How far the closed-loop tracking error falls cannot be said: {found.why_not}."
+    before, after = (_deg_of(v, ends) for v, ends in _errors(found))
+    floor = diagnosis.gap.floor_rmse_deg
+    least = _HIDDEN if abs(found.fall_deg) < floor else _NO_FALL
+    if abs(found.fall_deg) < least * found.before_deg or found.fall_deg == 0:
+        return (
+            f"No fall of the closed-loop tracking error is expected: {before} RMS with the simulator as given, {after} "
+            f"with the corrected one; the floor is {_deg(floor)}."
+        )
+    change = "fall" if found.fall_deg > 0 else "rise"
+    return (
+        f"The closed-loop tracking error is expected to {change} by {percent(abs(found.fall_deg) / found.before_deg)}, "
+        f"from {before} RMS to {after}, where the predictive controller gets the corrected simulator as its model."
+    )
+
+
+def _errors(found: TrackingGap) -> tuple[tuple[float, Interval], tuple[float, Interval]]:
+    return (found.before_deg, found.before_range_deg), (found.after_deg, found.after_range_deg)
+
+
+def _deg_of(value: float, ends: Interval) -> str:
+    return f"{_deg(value)} ({ends[0]:.3g} to {ends[1]:.3g})" if ends[1] > ends[0] else _deg(value)
 
 
 def floor_words(gap: Gap) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,13 @@ from ..recording.report import Log, causes, numbers, thinned, timing_table, trac
 from .review import TRIAL_FILE, Review, ReviewedRun, compare_with_model, review
 
 
-def review_run(folder: Path) -> Review:
+def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
     """Judge a run folder, write `trial.csv` (for `fit` and `diagnose`) and `report.html`.
 
     A run that is too short to be judged gets a report all the same.
+
+    Args:
+        more: shown behind the advice.
 
     Raises:
         LogError: if the folder holds no readable run.
@@ -44,15 +47,18 @@ def review_run(folder: Path) -> Review:
         write_csv(trial, folder / TRIAL_FILE)
     except (LogError, TrajectoryError) as error:
         verdict = Review(f"not judged: {error}", *(math.nan,) * 6)
-    write_page(run, settings, found, verdict)
+    write_page(run, settings, found, verdict, more)
     return verdict
 
 
-def write_page(run: RunFolder, settings: RunSettings, found: ReviewedRun | None, verdict: Review) -> Path:
+def write_page(
+    run: RunFolder, settings: RunSettings, found: ReviewedRun | None, verdict: Review, more: Sequence[Piece] = ()
+) -> Path:
     """Write the page.
 
     Args:
         found: samples; None where there are too few.
+        more: shown behind the advice.
 
     Raises:
         LogError: if the log cannot be read.
@@ -67,7 +73,7 @@ def write_page(run: RunFolder, settings: RunSettings, found: ReviewedRun | None,
     elif outcome.get("cause"):
         pieces.append(Paragraph(f"Stopped: {outcome['cause']}. The stop is latched until a reset."))
     log = run.log()
-    pieces += [Heading("Run"), KeyValues(_figures(settings, verdict, log, timing))]
+    pieces += [*more, Heading("Run"), KeyValues(_figures(settings, verdict, log, timing))]
     if found is not None:
         pieces += [
             Heading("Tracking"),

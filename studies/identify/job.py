@@ -31,13 +31,14 @@ from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.sim.plants.computed import ComputedPlant
 from hystmpc.sim.study import Knowledge, knowledge
 from hystmpc.sim.tune_pid import PidLike, searched_gains
+from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.trial import Trial
 
 from . import kernels
 from .device import DrawnDevice, DrawnPlant, draw_devices
 from .exact import exact_controller
 from .kernels import PidNumbers
-from .motions import CountedMotion, fresh_motions, recordings
+from .motions import fresh_motions, recordings
 from .scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, scores
 from .settings import IdentifySettings
 

@@ -15,9 +15,8 @@ from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.sim.results import holds, violations
 from hystmpc.sim.study import Knowledge
+from hystmpc.trajectories.drawn import CountedMotion
 from hystmpc.trials.types import Vec
-
-from .motions import CountedMotion
 
 AS_IDENTIFIED_NOISE_DEG = 0.15
 SETTLED_S = 1.0

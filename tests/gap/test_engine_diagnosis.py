@@ -122,7 +122,7 @@ def test_the_result_has_the_fixed_form() -> None:
     assert read["format"] == "hystmpc-diagnosis/1"
     for key, kind in KEYS.items():
         assert isinstance(read[key], kind), key
-    assert set(read) == set(KEYS) | {"reason", "notes", "next_motion"}
+    assert set(read) == set(KEYS) | {"reason", "notes", "next_motion", "tracking"}
     (effect,) = read["effects"]
     assert set(effect) == EFFECT | {"parameters"}
     assert all(isinstance(effect[name], float) for name in EFFECT - {"name", "closed_ci90"})
