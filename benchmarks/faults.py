@@ -146,7 +146,7 @@ class Injector:
         return y + 0.15 * float(self.random.standard_normal())
 
     def frame(self, y: float) -> None:
-        """About every fourth sample a frame of the device at `y` [deg], or what a broken imaging system makes of one."""
+        """About every fourth sample a frame of the device at `y` [deg], or of a broken imaging system."""
         if self.random.random() > 0.25:
             return
         now_s, fate = self.tip.state().time_s, self.random.random()

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, model_validator
 
-from hystmpc.ctrl.config import CONTROLLERS, AnyControllerSettings, ControllerSettings
+from hystmpc.ctrl.config import CONTROLLERS, ControllerSettings, sensor_fault, told_of_sensor
 from hystmpc.ctrl.frames import AnySensorSettings, ContinuousSensorSettings, SimulatedSensor
 from hystmpc.ctrl.limits import ModelledLimitsSettings
 from hystmpc.models.effects.place import EffectError, effect_from
@@ -162,41 +162,21 @@ class SimulationConfig(Settings):
             sensor: AnySensorSettings = _SENSORS.validate_python(data.get("sensor", {"kind": "continuous"}))
         except ValidationError:  # the field itself says what is wrong
             return data
-        return {**data, "controllers": {name: _told(block, sensor) for name, block in data["controllers"].items()}}
+        told = sensor.told()
+        return {
+            **data,
+            "controllers": {name: told_of_sensor(block, told) for name, block in data["controllers"].items()},
+        }
 
     @model_validator(mode="after")
     def _controllers_fit_the_sensor(self) -> Self:
         for name, settings in self.controllers.items():
-            wanted = settings.estimator.sensor
-            if wanted not in _SERVED[self.sensor.kind]:
-                raise MisplacedError(
-                    f"controllers.{name}.estimator.sensor: got {wanted}, expected "
-                    f"{' or '.join(_SERVED[self.sensor.kind])}: the sensor of this study is {self.sensor.kind}",
-                    ("controllers", name, "estimator"),
-                )
+            if fault := sensor_fault(settings, self.sensor.kind):
+                raise MisplacedError(f"controllers.{name}.{fault}", ("controllers", name, "estimator"))
         return self
 
 
 _SENSORS: TypeAdapter[AnySensorSettings] = TypeAdapter(SimulatedSensor)
-_SERVED = {
-    "continuous": ("continuous", "intermittent", "none"),
-    "intermittent": ("intermittent", "none"),
-    "none": ("none",),
-}
-
-
-def _told(block: Any, sensor: AnySensorSettings) -> Any:
-    """The block of a controller, with what the sensor says of itself where the block does not say it."""
-    ready = isinstance(block, AnyControllerSettings)
-    data = {**block.model_dump(exclude_unset=True), "kind": block.kind} if ready else block
-    told = sensor.told()
-    if not told or not isinstance(data, Mapping) or str(data.get("kind")) not in CONTROLLERS:
-        return block
-    own = data.get("estimator", {})
-    if not isinstance(own, Mapping):
-        return block
-    known = type(CONTROLLERS[str(data["kind"])]().estimator).model_fields
-    return {**data, "estimator": {**{key: value for key, value in told.items() if key in known}, **own}}
 
 
 def load_simulation(path: Path | str, overrides: Iterable[str] = ()) -> SimulationConfig:

@@ -84,7 +84,11 @@ def test_controllers_are_told_of_the_sensor_where_they_do_not_say_something_else
     ("sensor", "block", "text"),
     [
         ({"kind": "none"}, {"kind": "pid"}, "got sensor none, expected continuous or intermittent"),
-        ({"kind": "none"}, {"kind": "inverse", "estimator": {"sensor": "continuous"}}, "got continuous, expected none"),
+        (
+            {"kind": "none"},
+            {"kind": "inverse", "estimator": {"sensor": "continuous"}},
+            "got continuous, expected none",
+        ),
         (CAMERA, {"kind": "inverse", "estimator": {"sensor": "continuous"}}, "expected intermittent or none"),
         (CAMERA, {"kind": "linearised_mpc", "adaptation": {}}, "expected continuous"),
         ({**CAMERA, "rate_hz": 500}, {"kind": "pid"}, "less than or equal to 100"),
