@@ -183,7 +183,7 @@ class Tracking(Phase):
         if self._held_samples:
             self._tip.set_reference(self._wanted)  # it begins now
             self._held_samples = 0
-        now_s = self._tip.state().time_s
+        now_s = self._tip.dt * self._tip.snapshot().steps
         for angle, taken_s in [*self._early, *((frame.angle_deg, now_s - frame.age_s) for frame in now.frames)]:
             with suppress(ControllerError):  # older than what the controller remembers
                 self._tip.measure(angle, taken_s)
