@@ -2,7 +2,8 @@
 
     python benchmarks/faults.py [--steps 1000000] [--seed 0]
 
-Faults of the measurement: not a number, infinite, no number at all, outlier, stale, missing for a while. Of the
+Faults of the measurement: not a number, infinite, no number at all, outlier, stale, missing for a while. Of frames:
+late, out of order, of the future, far too old, taken at no time at all; a frame that is refused is no exception. Of the
 planner: targets out of reach, references that make no sense, functions that raise, stops, resets. Of model and solver:
 exceptions, predictions and Jacobians that are not finite or too large for the quadratic program. Of time: samples in
 which no step is taken, the device holding its command. Faults come alone, in bursts and together. The device knows
@@ -15,6 +16,7 @@ import argparse
 import math
 import sys
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
@@ -34,19 +36,28 @@ from hystmpc.models.model import Inverse, Predictor
 from hystmpc.models.prediction.build import predictor_and_inverse
 from hystmpc.models.simulator import load_simulator
 from hystmpc.sim.plants.simulated import Effects, SimulatedPlant
-from hystmpc.trials.errors import HystmpcError
+from hystmpc.trials.errors import ControllerError, HystmpcError
 from hystmpc.trials.types import Vec
 
 LADDER = {"stop_after_failures": 10, "max_missing_samples": 5, "safe_command": 0.0}
+_FRAMES = {"sensor": "intermittent", "oldest_frame_s": 0.6, "longest_gap_s": 1.0}
+_NONE = {"sensor": "none"}
 CONTROLLERS: dict[str, dict[str, Any]] = {
     "linearised MPC, OSQP": {"kind": "linearised_mpc", "solver": "osqp", "weights": {"angle_upper_deg": 80.0}},
     "linearised MPC, DAQP": {"kind": "linearised_mpc"},
     "sampling MPC, MPPI": {"kind": "sampling_mpc", "samples": 32},
     "sampling MPC, CEM": {"kind": "sampling_mpc", "samples": 32, "method": "cem"},
-    "linearised MPC, no sensor": {"kind": "linearised_mpc", "estimator": {"sensor": "none"}},
+    "linearised MPC, frames": {"kind": "linearised_mpc", "estimator": _FRAMES},
+    "linearised MPC, no sensor": {"kind": "linearised_mpc", "estimator": _NONE},
+    "sampling MPC, frames": {"kind": "sampling_mpc", "samples": 32, "estimator": _FRAMES},
+    "sampling MPC, no sensor": {"kind": "sampling_mpc", "samples": 32, "estimator": _NONE},
     "inverse": {"kind": "inverse"},
+    "inverse, frames": {"kind": "inverse", "estimator": _FRAMES},
+    "inverse, no sensor": {"kind": "inverse", "estimator": _NONE},
     "inverse + PID": {"kind": "inverse_pid"},
+    "inverse + PID, frames": {"kind": "inverse_pid", "estimator": _FRAMES},
     "PID": {"kind": "pid"},
+    "PID, frames": {"kind": "pid", "estimator": _FRAMES},
 }
 _ROUNDING = 1e-9
 _EPISODE = 200  # steps between rests
@@ -134,6 +145,19 @@ class Injector:
         self.stale = y
         return y + 0.15 * float(self.random.standard_normal())
 
+    def frame(self, y: float) -> None:
+        """About every fourth sample a frame of the device at `y` [deg], or of a broken imaging system."""
+        if self.random.random() > 0.25:
+            return
+        now_s, fate = self.tip.state().time_s, self.random.random()
+        taken_s = now_s - float(self.random.uniform(0.0, 0.5))
+        if fate < 0.05:
+            taken_s = (math.nan, math.inf, -math.inf, 1e300)[self.random.integers(4)]
+        elif fate < 0.15:
+            taken_s = now_s + float(self.random.uniform(-3.0, 1.0))
+        with suppress(ControllerError):
+            self.tip.measure(self.measurement(y), taken_s)
+
     def planner(self) -> None:
         """What the planner does before this step."""
         fate = self.random.random()
@@ -212,7 +236,11 @@ def inject(settings: dict[str, Any], steps: int, seed: int) -> Tally:
             elif not tip.state().stopped:
                 faults.planner()
             faults.model_and_solver()
-            measured = faults.measurement(y)
+            if settings.get("estimator") is _FRAMES:
+                faults.frame(y)
+                measured = math.nan if faults.random.random() < 0.98 else faults.measurement(y)
+            else:
+                measured = faults.measurement(y)
             started = perf_counter()
             command = tip.step(measured)
             tally.seconds += perf_counter() - started

@@ -5,6 +5,7 @@ from __future__ import annotations
 from mutant import Mutant, Mutated, mutated_file  # isort: skip
 
 _intake = mutated_file("rig", "safety/intake.py", "test_parts.py", "test_intake.py", "test_loop.py")
+_frames = mutated_file("rig", "safety/intake.py", "test_sensor_kinds.py")
 _followed = mutated_file("rig", "safety/plausibility.py", "test_drive_following.py")
 _order = mutated_file("rig", "transports/sessions.py", "test_parts.py", "test_udp.py")
 _units = mutated_file("rig", "transports/transport.py", "test_units.py")
@@ -32,8 +33,8 @@ _at_bench = Mutated("cli", "cli/at_bench.py", ("tests/rig/test_bench.py",))
 MUTANTS: tuple[Mutant, ...] = (
     _intake(
         "the age of a reading is not judged",
-        "if self._age_s(reading, now_ns) > self._settings.age_limit_s:",
-        "if self._age_s(reading, now_ns) > 1e9:",
+        "fresh = age_s <= settings.age_limit_s",
+        "fresh = age_s <= 1e9",
     ),
     _intake(
         "the time of flight does not count as age",
@@ -71,7 +72,21 @@ MUTANTS: tuple[Mutant, ...] = (
         "self._repeats >= count and self._travel >= settings.frozen_travel",
         "self._repeats >= count",
     ),
-    _intake("a dead sensor does not stop the run", "silent_s > self._settings.dead_after_s", "silent_s > 1e9"),
+    _frames("a frame is as old as its message", "age_s += settings.latency_s", "age_s += 0.0 * settings.latency_s"),
+    _frames("a frame is never too old", "if age_s > settings.oldest_frame_s else", "if age_s > 1e9 else"),
+    _frames("a frame shown again is a new one", "return self._shown != before", "return True"),
+    _frames(
+        "an overtaken frame is the measure of the next",
+        "if taken_ns < self._accepted_ns and math.isfinite(self._angle):",
+        "if math.isnan(reading.angle_deg):",
+    ),
+    _frames(
+        "a frame is judged with the present command",
+        "return self._watch.judge(angle, then, seen_ns)",
+        "return self._watch.judge(angle, self._command, seen_ns)",
+    ),
+    _frames("a silent device without a sensor is commanded on", "(wants_angle or self._tells)", "wants_angle"),
+    _intake("a dead sensor does not stop the run", "silent_s > self._settings.silence_s", "silent_s > 1e9"),
     _followed(
         "a device that does not follow never stops the run",
         "self._off_ns = now_ns if self._off_ns is None else self._off_ns",
@@ -319,7 +334,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _connect(
         "a device beyond the limits is accepted", "if not low - slack <= held <= high + slack:", "if held < -1e9:"
     ),
-    _connect("a device of another controller is accepted", "seen += listens and sensor", "seen += sensor"),
+    _connect("a device of another controller is accepted", "seen += listens and (inside", "seen += (inside"),
     _connect(
         "another start command is accepted",
         "if wanted is not None and abs(held - wanted)",

@@ -71,6 +71,7 @@ class ControlInput:
     disturbance: float  # estimated output disturbance [deg]
     disturbance_sigma: float  # standard deviation of its error [deg]
     measured: float  # last accepted measurement [deg]
+    age: float  # of it [samples], 0 for one of now
     u_last: float  # the command really sent last [mm or bar]
     due: float  # reference angle now [deg]
     setpoint: float  # reference angle at the end of this sample [deg]

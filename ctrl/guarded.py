@@ -18,6 +18,8 @@ from .fallback import FallbackChain, FallbackState, Level, attempt
 from .law import Law, Proposal
 from .limits import CommandLimits
 
+_ROUNDING = 1e-6  # of a sample
+
 M = TypeVar("M")
 N = TypeVar("N")
 
@@ -140,6 +142,7 @@ class GuardedController(Generic[M]):
         Raises:
             ControllerError: if the estimator knows no late measurements, or not of that age; or the model fails.
         """
+        age = 0.0 if -_ROUNDING < age < 0.0 else age
         estimate, fault = attempt(lambda: self._observer.correct_late(state.estimate, y, age))
         if estimate is None:
             raise ControllerError(fault.removeprefix("ControllerError: "))
@@ -220,6 +223,7 @@ class GuardedController(Generic[M]):
             disturbance_sigma=math.sqrt(estimate.variance),
             distrust=estimate.distrust,
             measured=estimate.measured,
+            age=estimate.age,
             u_last=estimate.command,
             due=state.due,
             setpoint=float(wanted[0]),

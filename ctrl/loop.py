@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -13,6 +15,7 @@ from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
 from .command import Command
+from .frames import Frame, Viewer
 
 S = TypeVar("S")
 
@@ -44,6 +47,14 @@ class Controller(Protocol[S]):
         """
         ...
 
+    def measure(self, state: S, y: float, age: float) -> S:
+        """The state with a frame of `age` samples before the next step that shows `y` [deg].
+
+        Raises:
+            ControllerError: if the frame cannot be used.
+        """
+        ...
+
 
 class Plant(Protocol):
     """A device, simulated or real; the only place where state may be hidden."""
@@ -72,7 +83,7 @@ class LoopSample:
 
     time_s: float  # end of the sample
     reference_deg: float  # wanted angle
-    measured_deg: float  # measured angle
+    measured_deg: float  # measured angle; NaN where no frame has come
     command: Command  # what was sent at the beginning of the sample
 
 
@@ -82,7 +93,8 @@ class LoopLog:
 
     Attributes:
         time_s: end of the sample.
-        reference_deg, measured_deg, predicted_deg: wanted, measured, predicted angle; NaN without a prediction.
+        reference_deg, measured_deg, predicted_deg: wanted, measured, predicted angle; NaN where no frame of an
+            intermittent sensor has come, and without a prediction.
         command: command sent.
         disturbance_deg: estimated output disturbance.
         source, status: of every command.
@@ -115,6 +127,7 @@ def run_loop(
     *,
     u_start: float = 0.0,
     on_sample: Callable[[LoopSample], None] | None = None,
+    viewer: Viewer | None = None,
 ) -> LoopLog:
     """Run `steps` samples as fast as they come and leave the plant stopped, whatever happens.
 
@@ -125,6 +138,7 @@ def run_loop(
         reference: preview (H,) [deg] from the end of sample k on, for k = 0, 1, ...
         u_start: the command that the plant holds after its reset.
         on_sample: called after every sample, for progress and live logs.
+        viewer: the sensor, where it is not the plant's own: steps get NaN, and frames that have arrived are measured.
 
     Raises:
         ControllerError: if the sample times of controller and plant differ.
@@ -136,12 +150,15 @@ def run_loop(
     with threadpool_limits(limits=1):  # a second BLAS thread only adds latency to matrices this small
         try:
             y = plant.reset()
+            y = y if viewer is None else viewer.start()
             state = controller.init(y, u_start)
             for k in range(steps):
                 preview = reference(k)
                 command, state = controller.step(state, y, preview)
-                y = plant.apply(command.u)
-                samples.append(LoopSample((k + 1) * plant.dt, float(preview[0]), y, command))
+                y = shown = plant.apply(command.u)
+                if viewer is not None:
+                    y, (shown, state) = math.nan, _viewed(controller, state, k + 1, viewer.arrived((k + 1) * plant.dt))
+                samples.append(LoopSample((k + 1) * plant.dt, float(preview[0]), shown, command))
                 if on_sample is not None:
                     on_sample(samples[-1])
         except KeyboardInterrupt:
@@ -149,6 +166,20 @@ def run_loop(
         finally:
             plant.stop()
     return _log(samples, interrupted)
+
+
+def _viewed(controller: Controller[S], state: S, k: int, frames: Sequence[Frame]) -> tuple[float, S]:
+    """The angle of the frame taken last among those that are used [deg], NaN where there is none, and the state then.
+
+    A frame that the controller cannot use, since it is too old or wants no frames, changes nothing.
+    """
+    shown, newest_s = math.nan, -math.inf
+    for frame in frames:
+        with suppress(ControllerError):
+            state = controller.measure(state, frame.angle_deg, k - frame.taken_s / controller.dt)
+            if frame.taken_s > newest_s:
+                shown, newest_s = frame.angle_deg, frame.taken_s
+    return shown, state
 
 
 def _log(samples: list[LoopSample], interrupted: bool) -> LoopLog:

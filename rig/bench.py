@@ -116,7 +116,7 @@ def _loop(
     ramps, dt_s, safe, sensor = settings.ramps, settings.dt_s, settings.safe_command, settings.sensor
     limits, overshoot = settings.limits.build(), settings.overshoot
     span = limits.upper - limits.lower
-    tolerance = sensor.held_tolerance or _TOLERANCE * span
+    tolerance, silence_s = sensor.held_tolerance or _TOLERANCE * span, max(sensor.dead_after_s, sensor.silence_s)
 
     way = partial(stop_commands, safe=safe, ramps=ramps, overshoot=overshoot, dt_s=dt_s)
 
@@ -127,11 +127,13 @@ def _loop(
     gate = Gate(limits, dt_s)
     if not contact.tells:
         gate.anchor(contact.held)
-    anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), sensor.dead_after_s)
+    anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), silence_s)
     with control_process(settings.realtime) as notes:
         for text in notes:
             note(text)
-        watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg)
+        watch = None
+        if sensor.kind != "none":
+            watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg)
         intake = Intake(sensor, clock.now_ns(), watch)
         loop = ControlLoop(
             clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, settings.sensor.dead_after_s
@@ -201,10 +203,11 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
             wait.
     """
     sensor, held, seen, angle, received = settings.sensor, math.nan, 0, math.nan, clock.now_ns()
+    plausible = sensor.kind == "none"
     enough = 1 if settings.transport.in_process else _ENOUGH
     deadline = clock.now_ns() + round(1e9 * settings.connect_timeout_s)
     listens, greeted = True, 0
-    while seen < enough:
+    while seen < enough or not plausible:
         if flag.cause:
             raise ConfigError(f"{settings.name}: {flag.cause} before the device answered; nothing was sent")
         if clock.now_ns() > deadline:
@@ -213,10 +216,13 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
                     f"{settings.name}: the device listens to another controller, expected that one to have ended"
                 )
             got = "no angle" if math.isnan(angle) else f"angle {angle:.3f} deg"
+            wanted = f"expected one within {sensor.lower_deg} to {sensor.upper_deg} deg"
+            if sensor.kind == "none":
+                got, wanted = "nothing", "expected to be told what it holds"
             rejected = "".join(f"; {cause}, {n} times" for cause, n in transport.counters.items())
             raise ConfigError(
                 f"{settings.name}: got {got} from {settings.transport.place} within {settings.connect_timeout_s:g} s"
-                f"{rejected}, expected one within {sensor.lower_deg} to {sensor.upper_deg} deg; is the device on?"
+                f"{rejected}, {wanted}; is the device on?"
             )
         try:
             reading = transport.read()
@@ -225,11 +231,14 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
         if reading is None:
             clock.wait_until(clock.now_ns() + _PAUSE_NS)
             continue
-        angle, held, received, listens = reading.angle_deg, reading.held, reading.received_ns, reading.listens
+        held, received, listens = reading.held, reading.received_ns, reading.listens
+        angle = reading.angle_deg if sensor.kind == "continuous" or math.isfinite(reading.angle_deg) else angle
         if not listens and received - greeted > _GREET_NS:
             greeted = received
             transport.greet()
-        seen += listens and sensor.lower_deg <= angle <= sensor.upper_deg
+        inside = sensor.lower_deg <= angle <= sensor.upper_deg
+        plausible = plausible or inside
+        seen += listens and (inside or sensor.kind != "continuous")
     return DeviceContact(_start(settings, held), math.isfinite(held), received)
 
 

@@ -6,16 +6,18 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from hystmpc.ctrl.config import sensor_fault, told_of_sensor
 from hystmpc.ctrl.limits import LimitsSettings, ModelledLimitsSettings, NotNegative, Positive
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
 from hystmpc.trials.config import Settings, load_settings
 
 from .commission.excitation import Excitation, MotionFileSettings
-from .commission.phases import PrepareStep
+from .commission.phases import PrepareStep, PretensionSettings
 from .realtime import RealtimeSettings
 from .safety.intake import SensorSettings
 from .safety.plausibility import PlausibilitySettings
@@ -81,6 +83,8 @@ class BenchSettings(Settings):
         for name, value in wanted.items():
             if value is not None and not low <= value <= high:
                 raise ValueError(f"got {name} {value}, expected it within limits {low} to {high}")
+        if self.sensor.kind == "none" and any(isinstance(step, PretensionSettings) for step in self.prepare):
+            raise ValueError("got prepare step pretension_check with sensor.kind none, expected steps without an angle")
         if self.ramps.velocity_per_s > self.limits.rate_per_s:
             raise ValueError(
                 f"got ramps.velocity_per_s {self.ramps.velocity_per_s}, expected at most limits.rate_per_s "
@@ -136,12 +140,37 @@ class RunSettings(BenchSettings):
     review: ReviewSettings = ReviewSettings()
     drill: DrillSettings | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _controller_is_told(cls, data: Any) -> Any:
+        tip = data.get("controller") if isinstance(data, Mapping) else None
+        if not isinstance(tip, Mapping) or not isinstance(data.get("sensor"), Mapping):
+            return data
+        try:
+            told = SensorSettings.model_validate(data["sensor"]).told()
+        except ValidationError:  # the field itself says what is wrong
+            return data
+        law = told_of_sensor(tip.get("controller", {"kind": LinearisedMpcSettings().kind}), told)
+        return {**data, "controller": {**tip, "controller": law}} if told else data
+
+    @model_validator(mode="after")
+    def _controller_fits_the_sensor(self) -> RunSettings:
+        if fault := sensor_fault(self.controller.controller, self.sensor.kind):
+            raise ValueError(f"controller.controller.{fault}")
+        return self
+
 
 class RecordSettings(BenchSettings):
     """Recordings for identification: `hystmpc record`. Every excitation becomes one trial."""
 
     excitations: Mapping[Name, Excitation] = Field(min_length=1)
     settle_s: NotNegative = 1.0
+
+    @model_validator(mode="after")
+    def _measures(self) -> RecordSettings:
+        if self.sensor.kind == "none":
+            raise ValueError("got sensor.kind none, expected continuous or intermittent: a trial holds angles")
+        return self
 
 
 def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:

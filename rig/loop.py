@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
-from .commission.phases import Decision, Past, Phase, PhaseInput, SafeStop
+from .commission.phases import REMEMBERED, Decision, Past, Phase, PhaseInput, SafeStop, place_frames
 from .histogram import Timings
 from .realtime import Clock
 from .recording.sample import Sample, Sink
@@ -48,7 +48,6 @@ class RunOutcome:
 _S = 1e-9
 _READINGS = 64  # taken at most in one sample; a flood must not cost the deadline
 _PILED_UP = 100_000
-_REMEMBERED = 200_000  # samples of preparation that a controller can be told of
 
 # Cause to the phase that leads to the safe command; no cause at the regular end.
 ToSafe = Callable[[str], SafeStop]
@@ -90,8 +89,8 @@ class ControlLoop:
         self.faults: Counter[str] = Counter()
         self._phase: Phase | None = None
         self._rest: deque[Phase] = deque()
-        self._past_u: deque[float] = deque(maxlen=_REMEMBERED)
-        self._past_y: deque[float] = deque(maxlen=_REMEMBERED)
+        self._past_u: deque[float] = deque(maxlen=REMEMBERED)
+        self._past_y: deque[float] = deque(maxlen=REMEMBERED)
         self._start_ns = self._woke_ns = self._boot_ns = 0
         self._sequence = self._skipped = self._waited = self._commands = self._unsent = self._refused = 0
         self._late = False
@@ -137,7 +136,8 @@ class ControlLoop:
         if not sure:
             return self._wait(woke, deadline, seen, stop)
         skipped = self._skipped + (self._waited if self._commands else 0)
-        now = PhaseInput(seen.angle_deg, self._gate.last, self._late, skipped, seen.held, self._gate.velocity)
+        velocity = self._gate.velocity
+        now = PhaseInput(seen.angle_deg, self._gate.last, self._late, skipped, seen.held, velocity, seen.frames)
         if self._waited and isinstance(self._phase, SafeStop):
             self._phase.begin(now, Past([], []))  # the way out starts where the device was found
         self._waited = 0
@@ -147,8 +147,7 @@ class ControlLoop:
         u = self._gate.admissible(decision.u, self._clock.now_ns())
         sent = self._send(u)
         held = self._gate.last
-        self._past_u.append(held)
-        self._past_y.append(seen.angle_deg)
+        self._remember(held, seen)
         faults = seen.faults if sent else (*seen.faults, "command-not-sent")
         self._conclude(woke, deadline, seen, decision, held, faults)
         if not decision.finished:
@@ -166,8 +165,7 @@ class ControlLoop:
         over = self._anchor.given_up or (stop if not self._commands else "")
         held = seen.held if math.isfinite(seen.held) else self._gate.last
         if math.isfinite(held):
-            self._past_u.append(held)
-            self._past_y.append(seen.angle_deg)
+            self._remember(held, seen)
         try:
             self._transport.greet()
         except Exception:  # noqa: BLE001 - as a command that did not leave
@@ -183,6 +181,12 @@ class ControlLoop:
         if over not in self._cause:
             self._cause = f"{self._cause}; {over}"
         return False
+
+    def _remember(self, held: float, seen: Seen) -> None:
+        """Keep the sample for a controller that takes over."""
+        self._past_u.append(held)
+        self._past_y.append(math.nan if seen.frames else seen.angle_deg)
+        place_frames(self._past_y, seen.frames, _S * self._dt_ns)
 
     def _conclude(
         self, woke: int, deadline: int, seen: Seen, decision: Decision, u: float, faults: tuple[str, ...]
@@ -319,4 +323,5 @@ class ControlLoop:
             missed=self._late,
             faults=faults,
             sequence=self._sequence,
+            taken_s=_S * (woke - self._start_ns) - seen.age_s if math.isfinite(seen.angle_deg) else math.nan,
         )

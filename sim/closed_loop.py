@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hystmpc.ctrl.frames import AnySensorSettings, ContinuousSensorSettings, Viewer
 from hystmpc.ctrl.loop import Controller, LoopLog, LoopSample, run_loop
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.types import Vec
@@ -43,8 +44,14 @@ def run_closed_loop(
     plant: ComputedPlant,
     motion: Trajectory,
     on_sample: Callable[[LoopSample], None] | None = None,
+    sensor: AnySensorSettings | None = None,
 ) -> ClosedLoopRun:
     """Follow a motion once from the plant's rest, as fast as it computes.
+
+    Args:
+        sensor: what the controller sees; the plant's own angle in every sample where left out. The frames of an imaging
+            system show the true angle with their own noise, drawn from the plant's seed; without a sensor the true
+            angle of the rest is declared.
 
     Raises:
         ControllerError: if controller and plant differ in sample time, or the controller cannot start from the rest.
@@ -57,5 +64,9 @@ def run_closed_loop(
         if on_sample is not None:
             on_sample(sample)
 
-    log = run_loop(controller, plant, preview.at, preview.steps, u_start=plant.rest_command, on_sample=note)
+    viewer = None
+    if not (sensor is None or isinstance(sensor, ContinuousSensorSettings)):
+        viewer = Viewer(sensor, plant.seed, lambda: plant.true_angle)
+    rest = plant.rest_command
+    log = run_loop(controller, plant, preview.at, preview.steps, u_start=rest, on_sample=note, viewer=viewer)
     return ClosedLoopRun(log, np.array(angles), plant.rest_command, plant.dt, plant.command_unit)

@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, model_validator
 
-from hystmpc.ctrl.config import CONTROLLERS, ControllerSettings
+from hystmpc.ctrl.config import CONTROLLERS, ControllerSettings, sensor_fault, told_of_sensor
+from hystmpc.ctrl.frames import AnySensorSettings, ContinuousSensorSettings, SimulatedSensor
 from hystmpc.ctrl.limits import ModelledLimitsSettings
 from hystmpc.models.effects.place import EffectError, effect_from
 from hystmpc.models.load import model_path
@@ -129,6 +130,9 @@ class SimulationConfig(Settings):
             predictive controllers take their first guess from it. For networks, which have no inverse of their own;
             where left out, a backlash fitted to the network's free run. Or an inverse map (.onnx, or .yaml for
             an operator), which is asked for the command and runs beside the model.
+        sensor: what controllers see of the angle: the plant's own sensor in every sample, frames of an imaging system,
+            or nothing. What it says of frames and noise stands in the block `estimator` of every controller that does
+            not say something else.
         limits: hard limits of command and rate; those of the model where left out. Wider ones are refused unless
             `limits.beyond_model` is true.
         tune_pid: search the gains of every `pid` and `inverse_pid` on this plant and these motions first; where left
@@ -141,12 +145,38 @@ class SimulationConfig(Settings):
     model: str
     inverse: str | None = None
     actuator_lag_s: NotNegative = 0.0
+    sensor: SimulatedSensor = ContinuousSensorSettings()
     motions: dict[Name, Motion] = Field(min_length=1)
     controllers: dict[Name, Annotated[ControllerSettings, BeforeValidator(_known_controller)]] = Field(min_length=1)
     limits: ModelledLimitsSettings | None = None
     tune_pid: TuningSettings | None = None
     tuned: tuple[Name, ...] = ()
     seed: Annotated[int, Field(ge=0)] = 0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _controllers_are_told(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping) or not isinstance(data.get("controllers"), Mapping):
+            return data
+        try:
+            sensor: AnySensorSettings = _SENSORS.validate_python(data.get("sensor", {"kind": "continuous"}))
+        except ValidationError:  # the field itself says what is wrong
+            return data
+        told = sensor.told()
+        return {
+            **data,
+            "controllers": {name: told_of_sensor(block, told) for name, block in data["controllers"].items()},
+        }
+
+    @model_validator(mode="after")
+    def _controllers_fit_the_sensor(self) -> Self:
+        for name, settings in self.controllers.items():
+            if fault := sensor_fault(settings, self.sensor.kind):
+                raise MisplacedError(f"controllers.{name}.{fault}", ("controllers", name, "estimator"))
+        return self
+
+
+_SENSORS: TypeAdapter[AnySensorSettings] = TypeAdapter(SimulatedSensor)
 
 
 def load_simulation(path: Path | str, overrides: Iterable[str] = ()) -> SimulationConfig:

@@ -187,6 +187,8 @@ def _set_up(result: StudyResult) -> Iterator[Piece]:
         "sample time": f"{result.results[0].run.dt:g} s",
         "seed": config.seed,
     }
+    if config.sensor.kind != "continuous":
+        rows["angle sensor"] = ", ".join(f"{name} {value}" for name, value in config.sensor.model_dump().items())
     if limits is not None:
         rows["command limits"] = f"{limits.lower:g} to {limits.upper:g} {unit}, {limits.rate_per_s:.4g} {unit}/s"
     if result.meta:
@@ -228,6 +230,9 @@ def _stability(result: StudyResult) -> Iterator[Piece]:
     if not with_gains:
         return
     yield Heading("Limit cycles of the PID loops")
+    if config.sensor.kind != "continuous":
+        yield Paragraph(f"Not analysed: the sensor is {config.sensor.kind}, expected continuous.")
+        return
     try:
         model = _identified(result)
     except ModelError as error:

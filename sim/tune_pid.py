@@ -142,7 +142,8 @@ def _point(settings: PidLike) -> Vec:
 
 def _mean_square(study: Study, settings: AnyControllerSettings) -> float:
     controller = study.controller(settings)
-    runs = [run_closed_loop(controller, study.plant, motion) for motion in study.motions.values()]
+    sensor = study.config.sensor
+    runs = [run_closed_loop(controller, study.plant, motion, sensor=sensor) for motion in study.motions.values()]
     if any(run.log.interrupted for run in runs):
         raise KeyboardInterrupt  # the loop ends quietly; the search must not go on with half a run
     return float(np.mean([np.mean(run.error_deg**2) for run in runs]))

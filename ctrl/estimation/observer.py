@@ -45,6 +45,7 @@ class Estimate:
         bank: filters of `NoiseBank`, of which disturbance and variance are the mixture (3, M).
         past: corrected estimates of the last instants, the newest last; see `Frames`.
         seen: measurements of this instant that were used or could not be, there [deg].
+        since: share of a sample by which the last accepted measurement is younger than `missing` samples.
     """
 
     state: Vec
@@ -63,6 +64,12 @@ class Estimate:
     bank: Vec = field(default_factory=lambda: EMPTY)
     past: tuple[Estimate, ...] = ()
     seen: tuple[float, ...] = ()
+    since: float = 0.0
+
+    @property
+    def age(self) -> float:
+        """Age of the last accepted measurement [samples]."""
+        return self.missing - self.since
 
     @property
     def departure(self) -> float:
@@ -107,18 +114,37 @@ class Observer(ABC):
         """One sample later where `advance` failed: the model state stands still. Never raises."""
 
 
-class EstimatorSettings(Settings):
+class SensorKindSettings(Settings):
+    """Block `estimator` of a controller that estimates nothing: how its measurements come.
+
+    Attributes:
+        sensor: `continuous`; `intermittent` for frames of an imaging system, now and then and late, see `Frames` and
+            `LastFrame`; `none` for a device without an angle sensor, see `ModelAlone`.
+        oldest_frame_s: age up to which an intermittent sensor's frame is used [s].
+        longest_gap_s: time without a usable frame that is bridged [s]; of a continuous sensor
+            `ladder.max_missing_samples` says it.
+    """
+
+    sensor: Literal["continuous", "intermittent", "none"] = "continuous"
+    oldest_frame_s: Positive = 1.0
+    longest_gap_s: Positive = 2.0
+
+    def bridged_samples(self, usual: int, dt_s: float) -> int:
+        """Samples without a usable measurement that are bridged at sample time `dt_s` [s]; `usual` of other sensors."""
+        return round(self.longest_gap_s / dt_s) if self.sensor == "intermittent" else usual
+
+    def oldest_samples(self, dt_s: float) -> int:
+        """Age of the oldest frame that is used, in whole samples of `dt_s` [s]; 0 of other sensors."""
+        return math.ceil(self.oldest_frame_s / dt_s) if self.sensor == "intermittent" else 0
+
+
+class EstimatorSettings(SensorKindSettings):
     """Block `estimator`: what is assumed about sensor, device and model.
 
     A sigma that is left out starts at what the model file says of it, or at a usual value, and is corrected while the
     loop runs; see `NoiseBank`. One that is given is kept.
 
     Attributes:
-        sensor: `continuous`; `intermittent` for frames of an imaging system, now and then and late, see `Frames`;
-            `none` for a device without an angle sensor, see `ModelAlone`.
-        oldest_frame_s: age up to which an intermittent sensor's frame is used [s].
-        longest_gap_s: time without a usable frame that is bridged by prediction [s]; of a continuous sensor
-            `ladder.max_missing_samples` says it.
         sensor_sigma_deg: standard deviation of the angle sensor [deg].
         drift_sigma_deg_per_sqrt_s: standard deviation of the disturbance's change over one second [deg / sqrt(s)].
         motion_sigma_deg_per_sqrt_unit: standard deviation of its change over one unit of command travel. What a model
@@ -130,9 +156,6 @@ class EstimatorSettings(Settings):
         rest_tolerance_deg: greatest difference between model and first measurement at which a controller starts [deg].
     """
 
-    sensor: Literal["continuous", "intermittent", "none"] = "continuous"
-    oldest_frame_s: Positive = 1.0
-    longest_gap_s: Positive = 2.0
     sensor_sigma_deg: Positive | None = None
     drift_sigma_deg_per_sqrt_s: Positive | None = None
     motion_sigma_deg_per_sqrt_unit: NotNegative | None = None
@@ -149,11 +172,7 @@ class EstimatorSettings(Settings):
         found = OutputEstimator(predictor, self)
         if self.sensor == "continuous":
             return found
-        return Frames(found, math.ceil(self.oldest_frame_s / predictor.dt))
-
-    def bridged_samples(self, usual: int, dt_s: float) -> int:
-        """Samples without a usable measurement that are bridged at sample time `dt_s` [s]; `usual` of other sensors."""
-        return round(self.longest_gap_s / dt_s) if self.sensor == "intermittent" else usual
+        return Frames(found, self.oldest_samples(predictor.dt))
 
 
 @final
@@ -265,7 +284,7 @@ class Frames(Observer):
         self._inner, self._samples, self.delay_samples = inner, samples, inner.delay_samples
 
     def init(self, y: float, u: float) -> Estimate:
-        return self._inner.init(y, u)
+        return replace(self._inner.init(y, u), seen=(float(y),))
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:
         after = self._inner.correct(estimate, y)
@@ -376,6 +395,55 @@ class WithoutModel(Observer):
 
     def coast(self, estimate: Estimate, u: float) -> Estimate:
         return replace(estimate, command=u)
+
+
+@final
+class LastFrame(Observer):
+    """The observer of a controller without a model whose measurements are frames: keeps the one taken last.
+
+    A frame that arrives after one that was taken later changes nothing, so the order of arrival makes no difference.
+
+    Args:
+        samples: age of the oldest frame that is used.
+    """
+
+    delay_samples = 0
+
+    def __init__(self, samples: int) -> None:
+        self._samples = samples
+
+    def sigma_deg(self, estimate: Estimate) -> float:
+        del estimate
+        return math.nan
+
+    def init(self, y: float, u: float) -> Estimate:
+        return Estimate(EMPTY, u, (), (), (), 0.0, 0.0, y)
+
+    def correct(self, estimate: Estimate, y: float) -> Estimate:
+        angle = usable_angle(y)
+        return estimate if math.isnan(angle) else replace(estimate, measured=angle, missing=0, since=0.0)
+
+    def correct_late(self, estimate: Estimate, y: float, age: float) -> Estimate:
+        """Use a frame of `age` samples ago.
+
+        Raises:
+            ControllerError: if it is too old, not of the past, or no usable angle.
+        """
+        angle = usable_angle(y)
+        if not (0 <= age <= self._samples and math.isfinite(angle)):
+            raise ControllerError(
+                f"measure: got {y} deg of {age:.4g} samples ago, expected a finite angle of the last {self._samples}"
+            )
+        if age >= estimate.age:
+            return estimate
+        whole = math.ceil(age)
+        return replace(estimate, measured=angle, missing=whole, since=whole - age)
+
+    def advance(self, estimate: Estimate, u: float) -> Estimate:
+        return replace(estimate, command=u, missing=estimate.missing + 1)
+
+    def coast(self, estimate: Estimate, u: float) -> Estimate:
+        return self.advance(estimate, u)
 
 
 def rest_of_model(predictor: Predictor, y: float, u: float, limit_deg: float) -> tuple[float, Vec]:

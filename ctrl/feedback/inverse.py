@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import field_validator
 
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
@@ -18,7 +18,7 @@ from ..command import EMPTY, ControlInput, Source, Stopwatch
 from ..estimation.observer import EstimatorSettings, Observer
 from ..law import Law, LawSettings, Proposal
 from ..limits import CommandLimits, Count, NotNegative
-from .pid import Pid, PidMemory, PidSettings
+from .pid import Pid, PidMemory, PidSettings, is_new, needs_sensor
 
 if TYPE_CHECKING:
     from ..linearised.feasible_inverse import FeasibleInverse
@@ -79,28 +79,41 @@ class InverseFeedforward(Law[FeedforwardMemory]):
 
 @dataclass(frozen=True, eq=False)
 class InversePidMemory:
-    """The memories of both parts, and the model state (S,) under the feedforward command alone."""
+    """The memories of both parts, and the model state (S,) under the feedforward command alone.
+
+    Attributes:
+        dues: angles that were due at the last instants, the newest last [deg].
+        error: of the last measurement [deg].
+    """
 
     feedforward: FeedforwardMemory
     pid: PidMemory
     state: Vec
     u: float
+    dues: tuple[float, ...] = ()
+    error: float = 0.0
 
 
 @final
 class InversePid(Law[InversePidMemory]):
     """u = inverse(x_ff, theta_ref) + PID(theta_due - y).
 
-    The feedback compares the measurement with the angle that was due at that instant, so that a perfect
-    feedforward leaves it nothing to do. The inverse remembers its own commands x_ff, not the sum: otherwise it
-    would take every correction for an error of its own and go back across the dead band to undo it.
+    The feedback compares the measurement with the angle that was due when it was taken, so that a perfect
+    feedforward leaves it nothing to do; without a new measurement the error stays. The inverse remembers its own
+    commands x_ff, not the sum: otherwise it would take every correction for an error of its own and go back across the
+    dead band to undo it.
+
+    Args:
+        oldest: age of the oldest measurement [samples].
     """
 
     source = Source.CONTROLLER
 
-    def __init__(self, feedforward: InverseFeedforward, pid: Pid, predictor: Predictor, limits: CommandLimits) -> None:
+    def __init__(
+        self, feedforward: InverseFeedforward, pid: Pid, predictor: Predictor, limits: CommandLimits, oldest: int = 0
+    ) -> None:
         self.horizon = feedforward.horizon
-        self._feedforward, self._pid = feedforward, pid
+        self._feedforward, self._pid, self._kept = feedforward, pid, oldest + 1
         self._predictor, self._limits = predictor, limits
 
     def init(self, y: float, u: float) -> InversePidMemory:
@@ -121,10 +134,12 @@ class InversePid(Law[InversePidMemory]):
         u_alone = self._limits.clip(wanted.u, memory.u, self._predictor.dt)
         _, state = self._predictor.advance(memory.state, u_alone)
         watch.lap("inverse")
-        y = given.measured
-        u, pid = self._pid.correct(memory.pid, given.due - y, y, given.u_last, u_alone)
+        dues, error = (*memory.dues, given.due)[-self._kept :], memory.error
+        if is_new(memory.pid, given):
+            error = dues[-1 - min(round(given.age), len(dues) - 1)] - given.measured
+        u, pid = self._pid.correct(memory.pid, error, given, u_alone)
         watch.lap("pid")
-        return Proposal(u, InversePidMemory(wanted.memory, pid, state, u_alone))
+        return Proposal(u, InversePidMemory(wanted.memory, pid, state, u_alone, dues, error))
 
 
 class FeedforwardSettings(LawSettings):
@@ -172,14 +187,9 @@ class InversePidControllerSettings(FeedforwardSettings):
     kind: Literal["inverse_pid"] = "inverse_pid"
     gains: PidSettings = PidSettings(kp_per_deg=0.01, ki_per_deg_s=0.2)
 
-    @model_validator(mode="after")
-    def _has_a_sensor(self) -> InversePidControllerSettings:
-        if self.estimator.sensor == "none":
-            raise ValueError(
-                "got estimator.sensor none, expected continuous for feedback; kind inverse needs no sensor"
-            )
-        return self
+    _measures = field_validator("estimator")(needs_sensor)
 
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
         feedforward = self.feedforward(predictor, inverse, limits)
-        return InversePid(feedforward, Pid(self.gains, limits, predictor.dt), predictor, limits)
+        pid, oldest = Pid(self.gains, limits, predictor.dt), self.estimator.oldest_samples(predictor.dt)
+        return InversePid(feedforward, pid, predictor, limits, oldest)

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, final
+from typing import ClassVar, Literal, TypeVar, final
+
+from pydantic import field_validator
 
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ControllerError
 
 from ..command import ControlInput, Source, Stopwatch
-from ..estimation.observer import Observer, WithoutModel
+from ..estimation.observer import LastFrame, Observer, SensorKindSettings, WithoutModel
 from ..law import Law, LawSettings, Proposal
 from ..limits import CommandLimits, NotNegative, Positive
+
+S = TypeVar("S", bound=SensorKindSettings)
 
 
 class PidSettings(Settings):
@@ -37,18 +41,20 @@ class PidSettings(Settings):
 
 @dataclass(frozen=True)
 class PidMemory:
-    """Integral part [command unit], filtered angular speed [deg/s], last angle [deg]."""
+    """Integral part [command unit], filtered angular speed [deg/s], last angle [deg] and its age [samples]."""
 
     integral: float
     speed: float
     angle: float
+    age: float = 0.0
 
 
 @final
 class Pid:
     """u = kp e + I - kd dy/dt with I' = ki e + (u_limited - u) / tracking_s.
 
-    One dead zone, one filter, one anti-windup; stateless, so that `PidFeedback` and `InversePid` share it.
+    One dead zone, one filter, one anti-windup; stateless, so that `PidFeedback` and `InversePid` share it. The slope
+    dy/dt is that between two measurements, over the time between them; in samples without a new one it stays.
 
     Raises:
         ControllerError: if `tracking_s` is shorter than the sample time.
@@ -58,26 +64,34 @@ class Pid:
         if gains.tracking_s < dt:
             raise ControllerError(f"pid: got tracking_s {gains.tracking_s}, expected at least the sample time {dt} s")
         self._gains, self._limits, self._dt = gains, limits, dt
-        self._filter = dt / (gains.filter_s + dt)
         self._span = limits.upper - limits.lower
 
     def correct(
-        self, memory: PidMemory, error: float, y: float, u_last: float, feedforward: float
+        self, memory: PidMemory, error: float, given: ControlInput, feedforward: float
     ) -> tuple[float, PidMemory]:
         """Command and next memory.
 
         Args:
             error: wanted minus measured angle [deg].
-            u_last: the command really sent last.
+            given: measured angle, its age, and the command really sent last.
             feedforward: added to the feedback.
         """
-        gains = self._gains
-        speed = memory.speed + self._filter * ((y - memory.angle) / self._dt - memory.speed)
+        gains, y, u_last = self._gains, given.measured, given.u_last
+        new, speed, age = is_new(memory, given), memory.speed, memory.age + 1.0
+        if new:
+            elapsed = self._dt * max(age - given.age, 1.0)
+            speed += elapsed / (gains.filter_s + elapsed) * ((y - memory.angle) / elapsed - speed)
         u = feedforward + gains.kp_per_deg * error + memory.integral - gains.kd_s_per_deg * speed
         excess = self._limits.clip(u, u_last, self._dt) - u
         integrated = error if abs(error) > gains.dead_zone_deg else 0.0
         integral = memory.integral + self._dt * (gains.ki_per_deg_s * integrated + excess / gains.tracking_s)
-        return u, PidMemory(min(max(integral, -self._span), self._span), speed, y)
+        seen = (y, given.age) if new else (memory.angle, age)
+        return u, PidMemory(min(max(integral, -self._span), self._span), speed, *seen)
+
+
+def is_new(memory: PidMemory, given: ControlInput) -> bool:
+    """Whether the measurement was taken after the one that the memory holds."""
+    return given.age < memory.age + 1.0
 
     def taken_over(self, error: float, y: float, u_last: float, feedforward: float) -> PidMemory:
         """The memory with which the next command is `u_last`."""
@@ -104,23 +118,44 @@ class PidFeedback(Law[PidMemory]):
         return self._pid.taken_over(given.setpoint - y, y, given.u_last, self._rest)
 
     def propose(self, memory: PidMemory, given: ControlInput, watch: Stopwatch) -> Proposal[PidMemory]:
-        y = given.measured
-        u, memory = self._pid.correct(memory, given.setpoint - y, y, given.u_last, self._rest)
+        u, memory = self._pid.correct(memory, given.setpoint - given.measured, given, self._rest)
         watch.lap("pid")
         return Proposal(u, memory)
 
 
+def needs_sensor(estimator: S) -> S:
+    """The block `estimator` of a controller with feedback.
+
+    Raises:
+        ValueError: if it says that there is no sensor.
+    """
+    if estimator.sensor == "none":
+        raise ValueError("got sensor none, expected continuous or intermittent: feedback wants one, inverse does not")
+    return estimator
+
+
 class PidControllerSettings(LawSettings):
-    """PID feedback, without a model."""
+    """PID feedback, without a model.
+
+    Attributes:
+        estimator: how the measurements come; between the frames of an intermittent sensor the one taken last counts.
+    """
 
     falls_back_on_inverse: ClassVar[bool] = False
 
     kind: Literal["pid"] = "pid"
     gains: PidSettings = PidSettings()
+    estimator: SensorKindSettings = SensorKindSettings()
+
+    _measures = field_validator("estimator")(needs_sensor)
+
+    def bridged_samples(self, dt_s: float) -> int:
+        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
 
     def observer(self, predictor: Predictor) -> Observer:
-        del predictor
-        return WithoutModel()
+        if self.estimator.sensor == "continuous":
+            return WithoutModel()
+        return LastFrame(self.estimator.oldest_samples(predictor.dt))
 
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[PidMemory]:
         del inverse

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from threading import Thread
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from hystmpc.ctrl.build import modelled_limits
 from hystmpc.ctrl.command import Command, ControlInput, Source, Stopwatch
+from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.law import Law, Proposal
 from hystmpc.ctrl.planner.assembly import Assembly, assemble
@@ -21,15 +23,16 @@ from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.trajectories.ruckig_ import PiecewiseCubic
 from hystmpc.trajectories.trajectory import Trajectory
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, ControllerError
 from hystmpc.trials.types import Vec
 
 from ..bench import BenchResult, Note, run_bench
 from ..config import RunSettings
 from ..recording.sample import Sink
+from ..safety.intake import SensorSettings
 from ..safety.plausibility import ModelWatch
 from ..transports.transport import PlantFactory
-from .phases import Decision, Past, Phase, PhaseInput
+from .phases import REMEMBERED, Decision, Past, Phase, PhaseInput
 
 # From the measured angle [deg] to the trajectory that starts there.
 LeadIn = Callable[[float], Trajectory]
@@ -84,10 +87,10 @@ def tracking_phase(settings: RunSettings) -> Tracking:
 
     drill = settings.drill
     fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)
-    estimator = getattr(tip_settings.controller, "estimator", None)
-    limit = math.inf if estimator is None else estimator.disturbance_limit_deg
+    estimator = tip_settings.controller.estimator
+    limit = estimator.disturbance_limit_deg if isinstance(estimator, EstimatorSettings) else math.inf
     watch = ModelWatch(settings.plausibility, limit, settings.dt_s)
-    return Tracking(tip, law_of_it, lead_in, watch, fails)
+    return Tracking(tip, law_of_it, lead_in, watch, fails, settings.sensor)
 
 
 def _fits(settings: RunSettings, assembly: Assembly) -> None:
@@ -130,9 +133,14 @@ class Tracking(Phase):
     it is done beside the loop while the command is held. A sample that follows a missed deadline is answered from
     the fallbacks (shifted plan, inverse, hold); samples in which nothing was sent are told to the controller as holds.
 
+    A frame of an intermittent sensor is told with the time at which it was taken. Then, and without a sensor, the
+    samples that the hand-over takes are told as holds too, since an old frame belongs before them, and the model has
+    nothing else to go by.
+
     Args:
         lead_in: measured angle to the reference to follow.
         drill_s: from when until when the law is made to fail, as an exercise [s]; None for never.
+        sensor: of the bench; continuous where left out.
     """
 
     name = "track"
@@ -144,8 +152,12 @@ class Tracking(Phase):
         lead_in: LeadIn,
         watch: ModelWatch,
         drill_s: tuple[float, float] | None = None,
+        sensor: SensorSettings | None = None,
     ) -> None:
         self._tip, self._law, self._lead_in, self._watch, self._drill = tip, law, lead_in, watch, drill_s
+        self._kind, self._rest_deg = ("continuous", None) if sensor is None else (sensor.kind, sensor.rest_deg)
+        self._held_samples = 0
+        self._early: list[tuple[float, float]] = []
         self._reference: Trajectory | None = None
         self._worker: Thread | None = None
         self._past: Past | None = None
@@ -164,35 +176,57 @@ class Tracking(Phase):
             return Decision(now.held, "hold", "hand-over to the controller")
         if self._failure is not None:
             raise self._failure
-        for _ in range(now.skipped):
+        for _ in range(now.skipped + self._held_samples):
             self._skip = True
             self._tip.step(math.nan)
         self._skip = False
+        if self._held_samples:
+            self._tip.set_reference(self._wanted)  # it begins now
+            self._held_samples = 0
+        now_s = self._tip.dt * self._tip.snapshot().steps
+        for angle, taken_s in [*self._early, *((frame.angle_deg, now_s - frame.age_s) for frame in now.frames)]:
+            with suppress(ControllerError):  # older than what the controller remembers
+                self._tip.measure(angle, taken_s)
+        self._early.clear()
         self._law.refusal = self._refusal(now)
-        command = self._tip.step(now.angle_deg)
+        command = self._tip.step(now.angle_deg if self._kind == "continuous" else math.nan)
         self._k += 1 + now.skipped
         return self._decision(command)
 
     def _waits(self, now: PhaseInput) -> bool:
-        """Whether the hand-over lasts; it starts with the first usable angle."""
+        """Whether the hand-over lasts; it starts with the first usable angle, without a sensor at once."""
         past = self._past
         if past is not None:
-            past.commands.append(now.held)
-            past.angles_deg.append(now.angle_deg)
-            if math.isfinite(now.angle_deg):
+            past.keep(now, self._tip.dt)
+            if math.isfinite(now.angle_deg) or self._kind == "none":
                 self._past = None
                 self._worker = Thread(target=self._hand_over, args=(past,), name="hand-over", daemon=True)
                 self._worker.start()
             return True
-        return self._worker is not None and self._worker.is_alive()
+        waits = self._worker is not None and self._worker.is_alive()
+        if waits and self._kind != "continuous":
+            now_s = self._tip.dt * (self._held_samples + now.skipped)
+            self._early += [(frame.angle_deg, now_s - frame.age_s) for frame in now.frames]
+            self._held_samples += 1 + now.skipped
+        return waits
 
     def _hand_over(self, past: Past) -> None:
         try:
+            if self._rest_deg is not None:
+                self._declare(past, self._rest_deg)
             self._tip.replay(past.commands, past.angles_deg)
-            self._reference = self._lead_in(past.angles_deg[-1])
+            angle = past.angles_deg[-1] if self._kind == "continuous" else present_angle(self._tip)
+            self._reference = self._lead_in(angle)
             self._tip.set_reference(self._wanted)
         except Exception as error:  # noqa: BLE001 - raised again in the loop, which stops safely
             self._failure = error
+
+    @staticmethod
+    def _declare(past: Past, rest_deg: float) -> None:
+        """Put the declared angle at the rest before preparation, which has to be remembered from its beginning."""
+        if len(past.commands) >= REMEMBERED:
+            raise ConfigError(f"sensor.rest_deg: got {len(past.commands)} samples since the rest, expected fewer")
+        past.angles_deg[:] = [rest_deg, *([math.nan] * (len(past.commands) - 1))]
 
     def _wanted(self, t: Vec) -> Vec:
         """The preview; refused for samples in which nothing was sent, so that the controller holds."""
@@ -228,6 +262,14 @@ class Tracking(Phase):
             finished=t >= reference.duration_s,
             fault=f"controller {command.status}" if stopped else self._watch.judge(command.disturbance),
         )
+
+
+def present_angle(tip: TipController) -> float:
+    """Where the tip is now, as the controller estimates it [deg]: the last angle of one without a model."""
+    control = tip.snapshot().control
+    assert control is not None
+    estimate = control.estimate
+    return estimate.angles[0] + estimate.disturbance if estimate.angles else estimate.measured
 
 
 class NoTimeError(Exception):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, MutableSequence, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, Protocol, final
 
@@ -13,6 +13,7 @@ from hystmpc.ctrl.limits import Count, NotNegative, Positive
 from hystmpc.trials.config import Settings
 from hystmpc.trials.types import Vec
 
+from ..safety.intake import SeenFrame
 from ..safety.ramp import RampSettings, ramp_commands, way_commands
 
 
@@ -26,6 +27,7 @@ class PhaseInput:
     skipped: int = 0  # whole samples since the previous one in which nothing was sent and the device held `held`
     told: float = math.nan  # the command that the device says it holds, NaN where it does not tell
     velocity: float = 0.0  # of the command between the last two samples; 0 where the device was found at rest [unit/s]
+    frames: tuple[SeenFrame, ...] = ()  # of an intermittent sensor, accepted since the last sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +59,22 @@ class Past:
 
     commands: list[float]
     angles_deg: list[float]
+
+    def keep(self, now: PhaseInput, dt_s: float) -> None:
+        """Append a sample; frames go to the samples in which they were taken, or to the first one."""
+        self.commands.append(now.held)
+        self.angles_deg.append(math.nan if now.frames else now.angle_deg)
+        place_frames(self.angles_deg, now.frames, dt_s)
+
+
+REMEMBERED = 200_000
+"""Samples of preparation that a controller can be told of."""
+
+
+def place_frames(angles: MutableSequence[float], frames: Sequence[SeenFrame], dt_s: float) -> None:
+    """Put frames into the samples in which they were taken; the last of `angles` belongs to now."""
+    for frame in frames:
+        angles[max(-1 - round(frame.age_s / dt_s), -len(angles))] = frame.angle_deg
 
 
 class Phase(Protocol):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -11,8 +12,10 @@ from typing import final
 
 import numpy as np
 
-from hystmpc.trials.csv_files import write_csv
+from hystmpc.trials.csv_files import format_table, write_csv
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
@@ -32,14 +35,18 @@ class Recorded(Phase):
     """A phase that plays commands (N,) and keeps what was sent and measured.
 
     An angle belongs to the end of its sample: it is read at the beginning of the next one, so one sample more is
-    spent at the last command.
+    spent at the last command. A frame belongs to the sample at whose end it was taken, and `late` samples more are
+    spent there until those of the last ones have come.
 
     Args:
         commands: to play, from the command held on (N,).
+        dt_s: sample time [s].
+        late: age of the oldest frame [samples]; None for a continuous sensor.
     """
 
-    def __init__(self, name: str, commands: Vec) -> None:
+    def __init__(self, name: str, commands: Vec, dt_s: float, late: int | None = None) -> None:
         self.name = name
+        self._dt, self._late = dt_s, late
         self._commands = commands.tolist()
         self.sent = [math.nan] * commands.size
         self.angles_deg = [math.nan] * commands.size
@@ -54,20 +61,40 @@ class Recorded(Phase):
         """The next command; keeps the angle that the last one has led to."""
         k = self._k
         self._skipped += now.skipped
-        if k:
-            self.sent[k - 1], self.angles_deg[k - 1] = now.held, now.angle_deg
+        count = len(self._commands)
+        if 0 < k <= count:
+            self.sent[k - 1] = now.held
+            self.angles_deg[k - 1] = now.angle_deg if self._late is None else math.nan
             self.times[k - 1] = k + self._skipped
-        u = self._commands[min(k, len(self._commands) - 1)]
+        for frame in now.frames:
+            taken = k + self._skipped - frame.age_s / self._dt
+            if (place := bisect_right(self.times, taken + 0.5, hi=min(k, count)) - 1) >= 0:
+                self.angles_deg[place] = frame.angle_deg
+        u = self._commands[min(k, count - 1)]
         self._k += 1
-        return Decision(u, self.name, finished=k >= len(self._commands))
+        return Decision(u, self.name, finished=k >= count + (self._late or 0))
 
-    def trial(self, dt_s: float, unit: str) -> Trial | None:
-        """What was recorded, samples without an angle left out; None with fewer than two."""
+    def write(self, folder: Path, unit: str) -> Path | None:
+        """Write what was recorded; None, and nothing is written, with fewer than two angles.
+
+        Samples without an angle are left out; between frames they stay, with an empty cell: the commands count.
+        """
         t, u, y = (np.array(values) for values in (self.times, self.sent, self.angles_deg))
-        usable = np.isfinite(t) & np.isfinite(y)
-        if np.count_nonzero(usable) < _LEAST:
+        done, seen = np.isfinite(t), np.isfinite(t) & np.isfinite(y)
+        if np.count_nonzero(seen) < _LEAST:
             return None
-        return Trial(dt_s * t[usable], u[usable], y[usable], units=Units(command=unit), source=self.name)
+        file = folder / f"{self.name}.csv"
+        if self._late is None:
+            trial = Trial(self._dt * t[seen], u[seen], y[seen], units=Units(command=unit), source=self.name)
+            return write_csv(trial, file)
+        angles = [repr(angle) if math.isfinite(angle) else "" for angle in y[done].tolist()]
+        columns = {CANONICAL.time: self._dt * t[done], f"command_{unit}": u[done], CANONICAL.angle: angles}
+        return write_atomically(file, format_table(columns))
+
+    @property
+    def whole(self) -> bool:
+        """Whether it was played to its end."""
+        return math.isfinite(self.times[-1])
 
 
 @dataclass(frozen=True)
@@ -95,6 +122,8 @@ def record(
     """
     phases: list[Phase] = []
     recorded: list[Recorded] = []
+    sensor = settings.sensor
+    late = math.ceil(sensor.oldest_frame_s / settings.dt_s) if sensor.kind == "intermittent" else None
     for name, excitation in settings.excitations.items():
         if excitation.unit not in (None, settings.command_unit):
             raise ConfigError(
@@ -103,17 +132,15 @@ def record(
         commands = excitation.commands(settings.rate_hz, settings.ramps)
         _within(settings, name, commands)
         way = partial(_approach, settings, float(commands[0]))
-        recorded.append(Recorded(name, commands))
+        recorded.append(Recorded(name, commands, settings.dt_s, late))
         phases += [CommandMotion("approach", way), recorded[-1]]
     bench = run_bench(settings, lambda: phases, sink, plants, folder=folder, note=note)
     written, cut = [], None
     for phase in recorded:
-        trial = phase.trial(settings.dt_s, settings.command_unit)
-        if trial is None:
+        file = phase.write(folder / ("trials" if phase.whole else "partial"), settings.command_unit)
+        if file is None:
             continue
-        whole = math.isfinite(phase.times[-1])
-        file = write_csv(trial, folder / ("trials" if whole else "partial") / f"{phase.name}.csv")
-        if whole:
+        if phase.whole:
             written.append(file)
         else:
             cut = file

@@ -17,6 +17,7 @@ from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.types import Vec
 
 from ..config import RunSettings
+from ..recording.csv_log import TAKEN
 
 TRIAL_FILE = "trial.csv"
 _LEAST = 10  # samples that can be judged
@@ -82,8 +83,9 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
         raise LogError(f"{run.path}: {sequence.size} samples, expected at least {_LEAST} to be judged")
     command = _numbers(log, CANONICAL.command_column(list(log)))
     follows = np.flatnonzero(np.diff(sequence) == 1)  # rows whose end is the next row's beginning
-    free = _free_run(settings, command, sequence, _numbers(log, "angle_deg"))
-    measured = _numbers(log, "angle_deg")[follows + 1]
+    angle = _angles_when_taken(log)
+    free = _free_run(settings, command, sequence, angle)
+    measured = angle[follows + 1]
     sources = [str(text) for text in log["source"]]
     past = max((k for k, name in enumerate(sources) if name in _PREPARATION), default=-1)
     return ReviewedRun(
@@ -122,6 +124,19 @@ def review(found: ReviewedRun, due_above_deg: float) -> Review:
         gain=gain,
         corrected_deg=corrected,
     )
+
+
+def _angles_when_taken(log: Mapping[str, Column]) -> Vec:
+    """Angles (N,) [deg] in the rows of the times at which they were taken; NaN in all others."""
+    angle = _numbers(log, "angle_deg")
+    if TAKEN not in log:
+        return angle
+    time, taken = _numbers(log, "time_s"), _numbers(log, TAKEN)
+    seen = np.flatnonzero(np.isfinite(angle))
+    placed = np.full_like(angle, np.nan)
+    when = np.where(np.isfinite(taken), taken, time)[seen]
+    placed[np.searchsorted(0.5 * (time[1:] + time[:-1]), when)] = angle[seen]
+    return placed
 
 
 def _free_run(settings: RunSettings, command: Vec, sequence: NDArray[np.int64], angle: Vec) -> Vec:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from hystmpc.ctrl.frames import ContinuousSensorSettings, SimulatedSensor
 from hystmpc.ctrl.limits import LimitsSettings, NotNegative, Positive
 from hystmpc.trials.config import Settings
 
@@ -83,6 +84,9 @@ class DeviceSettings(Settings):
         rate_hz: samples per second.
         command_unit: of the plant.
         plant: `simulator` and effects as in a simulation file, or `device: tendon | muscle | rod`.
+        sensor: the plant's angle in every message; frames of an imaging system, in messages of their own, stamped with
+            the time at which they were taken; or none. A message without an angle has not-a-number in its place and
+            says what the device holds, in every sample.
         limits: what the drive can do; commands beyond are clipped and counted.
         wire: units on the wire.
         link: how it is reached.
@@ -97,6 +101,7 @@ class DeviceSettings(Settings):
     rate_hz: float = Field(ge=1, le=500)
     command_unit: Literal["mm", "bar"]
     plant: dict[str, Any]
+    sensor: SimulatedSensor = ContinuousSensorSettings()
     limits: LimitsSettings
     wire: WireUnits = WireUnits()
     link: Annotated[UdpListenSettings | DdsSettings, Field(discriminator="kind")]

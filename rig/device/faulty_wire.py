@@ -99,7 +99,7 @@ class FaultyReadings:
     def put(self, message: Outgoing, t_s: float) -> None:
         """Take a reading that is measured at `t_s` [s] after the first command."""
         self._line.put(message, t_s)
-        if not any(f.fault in _STANDING for f in self._line.active(t_s)):
+        if math.isfinite(message.angle) and not any(f.fault in _STANDING for f in self._line.active(t_s)):
             self._last = message.angle
 
     def due(self, t_s: float) -> list[Outgoing]:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TextIO, final
 
+from hystmpc.ctrl.frames import ContinuousSensorSettings, Imaging, ImagingSettings
 from hystmpc.ctrl.loop import Plant
 from hystmpc.trials.errors import ConfigError
 
@@ -88,6 +89,11 @@ class SimulatedDevice:
         self._deaf = False
         self._samples = self._commands = self._beyond = self._bites = self._unheard = 0
         self._angle = plant.reset()
+        sensor = settings.sensor
+        self._imaging: Imaging | None = None
+        if isinstance(sensor, ImagingSettings):
+            self._imaging = Imaging.at_rest(sensor, settings.seed, self._angle)
+        self._sent = 0
 
     def serve(self, flag: StopFlag, duration_s: float = math.inf) -> ServerCounts:
         """Compute and send until the flag is set or the time is over."""
@@ -112,13 +118,26 @@ class SimulatedDevice:
         self._held = self._limits.clip(self._target, self._held, self._dt)
         self._angle = self._plant.apply(self._held)
         since = t_s - self._first if math.isfinite(self._first) else -1.0
-        raw = self._conversion.raw_angle(self._angle), self._conversion.raw_command(self._held)
-        self._wire.put(Outgoing(*raw, self._samples, time.monotonic_ns(), not self._deaf), since)
+        held, now_ns = self._conversion.raw_command(self._held), time.monotonic_ns()
+        for angle, taken_s in self._shown(t_s):
+            stamp_ns = now_ns - round(1e9 * (t_s - taken_s))
+            raw = self._conversion.raw_angle(angle)
+            self._wire.put(Outgoing(raw, held, self._sent, stamp_ns, not self._deaf), since)
+            self._sent += 1
         for message in self._wire.due(since):
             self._link.send(message)
         if self._log is not None:
             self._log.write(f"{time.monotonic_ns()},{t_s:.6f},{received!r},{self._held!r},{self._angle!r}\n")
         self._samples += 1
+
+    def _shown(self, t_s: float) -> list[tuple[float, float]]:
+        """Angles [deg] of the messages of this sample and when they were taken [s]; one without an angle at least."""
+        if isinstance(self._settings.sensor, ContinuousSensorSettings):
+            return [(self._angle, t_s)]
+        if self._imaging is None:
+            return [(math.nan, t_s)]
+        frames, self._imaging = self._imaging.later(t_s, self._angle)
+        return [*((frame.angle_deg, frame.taken_s) for frame in frames), (math.nan, t_s)]
 
     def _receive(self) -> float:
         """The newest command of this sample that is taken, NaN where there is none."""

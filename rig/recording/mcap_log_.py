@@ -9,7 +9,7 @@ from typing import IO, Any, cast, final
 
 from mcap.writer import Writer
 
-from .csv_log import GrowingFile, one_line, stage_column
+from .csv_log import TAKEN, GrowingFile, one_line, stage_column
 from .sample import Sample
 
 TIP, TIMING, EVENTS = "/tip", "/timing", "/events"
@@ -36,7 +36,7 @@ class McapLog:
         self._command = command
         self._writer = Writer(cast(IO[bytes], self._file), chunk_size=_CHUNK_BYTES)
         self._writer.start(profile="", library="hystmpc")
-        tip = ("time_s", command, "angle_deg", "reference_deg", "predicted_deg")
+        tip = ("time_s", command, "angle_deg", TAKEN, "reference_deg", "predicted_deg")
         self._tip = self._channel(TIP, "hystmpc.Tip", {name: ["number", "null"] for name in tip})
         timing = {"period_s": ["number", "null"], "lateness_s": ["number", "null"], "missed": ["boolean"]}
         self._timing = self._channel(TIMING, "hystmpc.Timing", timing)
@@ -54,6 +54,7 @@ class McapLog:
             "time_s": _number(sample.t_s),
             self._command: _number(sample.command),
             "angle_deg": _number(sample.measured_deg),
+            TAKEN: _number(sample.taken_s),
             "reference_deg": _number(sample.reference_deg),
             "predicted_deg": _number(sample.predicted_deg),
         }

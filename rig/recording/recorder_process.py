@@ -70,7 +70,8 @@ def _plain(s: Sample) -> tuple[object, ...]:
     stages = tuple((str(name), float(spent)) for name, spent in s.stages_s)
     chosen = float(s.command), str(s.source), str(s.status), float(s.predicted_deg), stages
     timing = float(s.period_s), float(s.lateness_s), bool(s.missed)
-    return (float(s.t_s), int(s.wall_ns), *angles, *chosen, *timing, tuple(map(str, s.faults)), int(s.sequence))
+    rest = tuple(map(str, s.faults)), int(s.sequence), float(s.taken_s)
+    return (float(s.t_s), int(s.wall_ns), *angles, *chosen, *timing, *rest)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Protocol, final
@@ -27,6 +28,7 @@ class Sample:
         missed: whether the command was sent after the end of the sample.
         faults: names of the faults seen in this sample.
         sequence: number of the sample, counted from 0.
+        taken_s: when the measured angle was taken, on the clock of `t_s`: earlier for a frame; NaN without one [s].
     """
 
     t_s: float
@@ -43,6 +45,7 @@ class Sample:
     missed: bool
     faults: tuple[str, ...]
     sequence: int
+    taken_s: float = math.nan
 
 
 class Sink(Protocol):

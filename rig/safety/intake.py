@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import final
+from typing import Annotated, Any, Literal, final
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
+from hystmpc.ctrl.estimation.observer import ANGLE_BOUND_DEG
 from hystmpc.ctrl.limits import Count, Positive
 from hystmpc.trials.config import Settings
 
@@ -21,13 +23,21 @@ _FORGET = 0.02  # share of an excess by which the least time of flight follows u
 
 
 class SensorSettings(Settings):
-    """Block `sensor`: what a plausible angle is, and when the sensor counts as dead.
+    """Block `sensor`: how angles come, what a plausible one is, and when the sensor counts as dead.
 
     Attributes:
-        lower_deg, upper_deg: plausible range.
+        kind: `continuous`, an angle in every message; `intermittent`, frames of an imaging system: a message with a new
+            angle is a frame, any other only says what the device holds; `none`, no angle is looked at.
+        rest_deg: angle at which the device rests when a run begins; for kind none, which has nothing else to start at.
+        latency_s: least time from the exposure of a frame to its arrival, which cannot be measured [s]; what a frame
+            takes longer than the fastest one is.
+        oldest_frame_s: a frame that is older at its use is stale [s]; `age_limit_s` is of all other messages.
+        longest_gap_s: time without an accepted frame after which the run is stopped safely [s].
+        lower_deg, upper_deg: plausible range; not needed for kind none.
         rate_limit_deg_s: greatest plausible change, counted from the last accepted angle.
         age_limit_s: an angle that is older at its use is stale.
-        dead_after_s: time without an accepted angle after which the run is stopped safely.
+        dead_after_s: time without an accepted angle after which the run is stopped safely; for kind none, time without
+            a message of a device that has said what it holds.
         frozen_samples: an angle repeated to the last bit that often while the command moves means a frozen sensor;
             null for sensors so coarse that they do that.
         frozen_travel: how far the command has to travel meanwhile, in its unit.
@@ -35,8 +45,13 @@ class SensorSettings(Settings):
             in the command's unit; null does not look. See `DriveFollowing`.
     """
 
-    lower_deg: float
-    upper_deg: float
+    kind: Literal["continuous", "intermittent", "none"] = "continuous"
+    rest_deg: Annotated[float, Field(ge=-ANGLE_BOUND_DEG, le=ANGLE_BOUND_DEG)] | None = None
+    latency_s: Annotated[float, Field(ge=0, le=2)] = 0.0
+    oldest_frame_s: Positive = 1.0
+    longest_gap_s: Positive = 2.0
+    lower_deg: float = -ANGLE_BOUND_DEG
+    upper_deg: float = ANGLE_BOUND_DEG
     rate_limit_deg_s: Positive = 500.0
     age_limit_s: Positive = 0.1
     dead_after_s: Positive = 0.5
@@ -46,11 +61,46 @@ class SensorSettings(Settings):
 
     @model_validator(mode="after")
     def _ordered(self) -> SensorSettings:
+        missing = [name for name in ("lower_deg", "upper_deg") if name not in self.model_fields_set]
+        if missing and self.kind != "none":
+            raise ValueError(f"got no {' and no '.join(missing)}, expected the plausible range of the angle [deg]")
         if not self.lower_deg < self.upper_deg:
             raise ValueError(f"got lower_deg {self.lower_deg} and upper_deg {self.upper_deg}, expected lower < upper")
         if self.dead_after_s < self.age_limit_s:
             raise ValueError(f"got dead_after_s {self.dead_after_s}, expected at least age_limit_s {self.age_limit_s}")
         return self
+
+    @model_validator(mode="after")
+    def _of_its_kind(self) -> SensorSettings:
+        if self.kind == "none" and self.rest_deg is None:
+            raise ValueError("got no rest_deg, expected the angle at which the device rests [deg] for kind none")
+        if self.kind != "none" and self.rest_deg is not None:
+            raise ValueError(f"got rest_deg {self.rest_deg} for kind {self.kind}, expected it for kind none alone")
+        if not self.latency_s < self.oldest_frame_s <= self.longest_gap_s:
+            raise ValueError(
+                f"got latency_s {self.latency_s}, oldest_frame_s {self.oldest_frame_s} and longest_gap_s "
+                f"{self.longest_gap_s}, expected latency < oldest frame <= longest gap"
+            )
+        return self
+
+    @property
+    def silence_s(self) -> float:
+        """Time of silence after which the run is stopped safely [s]."""
+        return self.longest_gap_s if self.kind == "intermittent" else self.dead_after_s
+
+    def told(self) -> Mapping[str, Any]:
+        """What a controller's block `estimator` should say of this sensor."""
+        if self.kind != "intermittent":
+            return {} if self.kind == "continuous" else {"sensor": "none"}
+        return {"sensor": self.kind, "oldest_frame_s": self.oldest_frame_s, "longest_gap_s": self.longest_gap_s}
+
+
+@dataclass(frozen=True, slots=True)
+class SeenFrame:
+    """The angle of a frame [deg], and how long ago it was taken [s]."""
+
+    angle_deg: float
+    age_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +114,8 @@ class Seen:
         held: the command that the device holds, told by a new reading that is not stale, whatever its angle; NaN where
             there is none or the device does not listen to this session.
         follows: whether the device holds what it was sent lately; True where it does not tell.
+        frames: accepted in this sample, in the order of arrival; none of a continuous sensor.
+        age_s: of `angle_deg`: 0 of a continuous sensor, which shows the present [s].
     """
 
     angle_deg: float
@@ -71,6 +123,8 @@ class Seen:
     dead: str
     held: float = math.nan
     follows: bool = True
+    frames: tuple[SeenFrame, ...] = ()
+    age_s: float = 0.0
 
 
 @final
@@ -81,6 +135,10 @@ class Intake:
     less the least such difference seen. That needs no common clock, finds packets that queued on the way, and sees a
     sender's clock that jumps back as age, which is the safe side.
 
+    The excess of a frame is that over other frames, since a frame is under way for longer than a message that only says
+    what the device holds, and its age is `latency_s` more. It is compared with the frame taken before it, and with the
+    command of the moment at which it was taken.
+
     Args:
         start_ns: monotonic time from which silence counts [ns].
         watch: compares commanded with measured motion; None does not.
@@ -89,11 +147,14 @@ class Intake:
     def __init__(self, settings: SensorSettings, start_ns: int, watch: MotionWatch | None = None) -> None:
         self._settings, self._order, self._watch = settings, Order(), watch
         self._accepted_ns, self._angle = start_ns, math.nan
-        self._flight_ns: float | None = None
+        self._flight_ns: dict[bool, float] = {}
         self._repeats, self._travel, self._command = 0, 0.0, math.nan
         self._followed = DriveFollowing(settings.held_tolerance, settings.dead_after_s)
         self._dead = ""
         self._held = math.nan
+        self._tells = False
+        self._shown: tuple[int, float] | None = None
+        self._past: deque[tuple[int, float]] = deque()
         self.counts: Counter[str] = Counter()
 
     def judge(self, readings: list[Reading], now_ns: int, command: float) -> Seen:
@@ -105,60 +166,84 @@ class Intake:
             command: the command sent last; its travel tells a frozen sensor from a resting one. NaN before the first.
         """
         faults: list[str] = []
+        frames: list[SeenFrame] = []
         angle = self._held = math.nan
+        seen_ns, continuous = now_ns, self._settings.kind == "continuous"
         self._travel += abs(command - self._command) if math.isfinite(command - self._command) else 0.0
         self._command = command
+        self._remember(command, now_ns)
         for reading in readings:
-            fault = self._fault(reading, now_ns)
+            fault, taken_ns = self._judged(reading, now_ns)
             if fault:
                 faults.append(fault)
-            else:
-                angle = self._accept(reading)
-        if math.isnan(angle) and not faults:
+            elif taken_ns is not None:
+                if not continuous:
+                    frames.append(SeenFrame(reading.angle_deg, _S * (now_ns - taken_ns)))
+                if self._accept(reading, taken_ns):
+                    angle, seen_ns = reading.angle_deg, now_ns if continuous else taken_ns
+        if continuous and math.isnan(angle) and not faults:
             faults.append("no-angle")
         follows, stray = self._followed.judge(self._held, command, now_ns)
         if not follows:
             faults.append("not-followed")
-        self._dead = self._dead or stray or ("" if self._watch is None else self._watch.judge(angle, command, now_ns))
-        silent_s = _S * (now_ns - self._accepted_ns)
-        if not self._dead and silent_s > self._settings.dead_after_s:
-            self._dead = f"sensor dead: no plausible angle for {silent_s:.2f} s ({', '.join(sorted(set(faults)))})"
+        self._dead = self._dead or stray or self._implausible_motion(angle, seen_ns) or self._silence(now_ns, faults)
         self.counts.update(faults)
-        return Seen(angle, tuple(dict.fromkeys(faults)), self._dead, self._held, follows)
+        age_s = _S * (now_ns - seen_ns)
+        return Seen(angle, tuple(dict.fromkeys(faults)), self._dead, self._held, follows, tuple(frames), age_s)
 
     @property
     def lost(self) -> int:
         """Measurements that were sent and never came."""
         return self._order.lost
 
-    def _fault(self, reading: Reading, now_ns: int) -> str:
+    def _judged(self, reading: Reading, now_ns: int) -> tuple[str, int | None]:
+        """Why it is rejected, empty where it is not; and when its angle was taken [ns], None where it shows none."""
         verdict = self._order.judge(reading.session, reading.sequence)
         if verdict == REPLAYED:
-            return verdict
+            return verdict, None
         if verdict != NEW:
             self._dead = self._dead or "the device was restarted: what it holds now is not known"
-            return "device-restarted"
-        if self._age_s(reading, now_ns) > self._settings.age_limit_s:
-            return "stale"
-        self._held = reading.held if reading.listens else math.nan
-        return self._implausible(reading)
+            return "device-restarted", None
+        settings, frame = self._settings, self._is_frame(reading)
+        age_s = self._age_s(reading, now_ns, frame)
+        fresh = age_s <= settings.age_limit_s
+        if not (fresh or frame):
+            return "stale", None
+        if fresh:
+            self._held = reading.held if reading.listens else math.nan
+            self._tells = self._tells or math.isfinite(reading.held)
+        if frame:
+            age_s += settings.latency_s
+            taken_ns = now_ns - round(age_s / _S)
+            return "stale" if age_s > settings.oldest_frame_s else self._implausible(reading, taken_ns), taken_ns
+        if settings.kind == "continuous":
+            return self._implausible(reading, reading.received_ns), reading.received_ns
+        if settings.kind == "none":
+            self._accepted_ns = reading.received_ns
+        return "", None
 
-    def _age_s(self, reading: Reading, now_ns: int) -> float:
+    def _is_frame(self, reading: Reading) -> bool:
+        """Whether it shows a frame, and not the one before once more."""
+        if self._settings.kind != "intermittent" or not math.isfinite(reading.angle_deg):
+            return False
+        before, self._shown = self._shown, (reading.sent_ns, reading.angle_deg)
+        return self._shown != before
+
+    def _age_s(self, reading: Reading, now_ns: int, frame: bool) -> float:
         flight = float(reading.received_ns - reading.sent_ns)
-        least = self._flight_ns
-        self._flight_ns = least = flight if least is None or flight < least else least
+        least = self._flight_ns[frame] = min(flight, self._flight_ns.get(frame, flight))
         excess = flight - least
         if _S * excess <= self._settings.age_limit_s:
-            self._flight_ns = least + _FORGET * excess
+            self._flight_ns[frame] = least + _FORGET * excess
         return _S * (now_ns - reading.received_ns + excess)
 
-    def _implausible(self, reading: Reading) -> str:
+    def _implausible(self, reading: Reading, taken_ns: int) -> str:
         settings, angle = self._settings, reading.angle_deg
         if not math.isfinite(angle):
             return "not-a-number"
         if not settings.lower_deg <= angle <= settings.upper_deg:
             return "out-of-range"
-        elapsed_s = max(_S * (reading.received_ns - self._accepted_ns), 1e-3)
+        elapsed_s = max(_S * abs(taken_ns - self._accepted_ns), 1e-3)
         if abs(angle - self._angle) > settings.rate_limit_deg_s * elapsed_s:
             return "jump"
         if angle != self._angle:
@@ -169,6 +254,32 @@ class Intake:
         frozen = count is not None and self._repeats >= count and self._travel >= settings.frozen_travel
         return "frozen" if frozen else ""
 
-    def _accept(self, reading: Reading) -> float:
-        self._accepted_ns, self._angle = reading.received_ns, reading.angle_deg
-        return reading.angle_deg
+    def _accept(self, reading: Reading, taken_ns: int) -> bool:
+        """Whether it is the angle taken last; one that was overtaken is no measure for the next."""
+        if taken_ns < self._accepted_ns and math.isfinite(self._angle):
+            return False
+        self._accepted_ns, self._angle = taken_ns, reading.angle_deg
+        return True
+
+    def _implausible_motion(self, angle: float, seen_ns: int) -> str:
+        if self._watch is None or math.isnan(angle):
+            return ""
+        then = next((u for at_ns, u in self._past if at_ns >= seen_ns), self._command)
+        return self._watch.judge(angle, then, seen_ns)
+
+    def _remember(self, command: float, now_ns: int) -> None:
+        """Keep the commands that a frame still to come may belong to; each was in force until `now_ns`."""
+        if self._settings.kind != "intermittent":
+            return
+        self._past.append((now_ns, command))
+        while self._past[0][0] < now_ns - self._settings.oldest_frame_s / _S:
+            self._past.popleft()
+
+    def _silence(self, now_ns: int, faults: list[str]) -> str:
+        """Why the run has to stop for want of an angle, or of any word where none is wanted."""
+        silent_s, wants_angle = _S * (now_ns - self._accepted_ns), self._settings.kind != "none"
+        if not (silent_s > self._settings.silence_s and (wants_angle or self._tells)):
+            return ""
+        if not wants_angle:
+            return f"device silent: no word of what it holds for {silent_s:.2f} s"
+        return f"sensor dead: no plausible angle for {silent_s:.2f} s ({', '.join(sorted(set(faults)))})"

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, final
 
 import numpy as np
 from pydantic import Field
 
+from hystmpc.ctrl.frames import (
+    AnySensorSettings,
+    ContinuousSensorSettings,
+    Frame,
+    Imaging,
+    ImagingSettings,
+    SimulatedSensor,
+)
 from hystmpc.ctrl.loop import Plant
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.run_folder import RunFolder
@@ -24,32 +34,61 @@ class SimulatedTransport(Transport):
 
     Args:
         held: the command that the plant holds after its reset.
+        sensor: what is shown of its angle; a first frame shows the rest.
+        seed: of the frames.
 
     Raises:
         ConfigError: if the plant has another sample time.
     """
 
-    def __init__(self, plant: Plant, dt_s: float, held: float, now_ns: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        dt_s: float,
+        held: float,
+        now_ns: Callable[[], int],
+        sensor: AnySensorSettings | None = None,
+        seed: int = 0,
+    ) -> None:
         if abs(plant.dt - dt_s) > 1e-9 * dt_s:
             raise ConfigError(f"simulated device: got a plant at {plant.dt} s, expected the loop's {dt_s} s")
         self._plant, self._held, self._now, self._dt_ns = plant, held, now_ns, round(1e9 * dt_s)
         self._angle, self._sequence = plant.reset(), 0
         self._read_ns: int | None = None
+        self._continuous = sensor is None or isinstance(sensor, ContinuousSensorSettings)
+        self._time_s, self._imaging, self._frames = 0.0, None, deque[Frame]()
+        if isinstance(sensor, ImagingSettings):
+            self._imaging = Imaging.at_rest(sensor, seed, self._angle)
+            self._frames.append(replace(self._imaging.newest, arrives_s=sensor.latency_s))
 
     @property
     def counters(self) -> Mapping[str, int]:
         return {}
 
     def read(self) -> Reading | None:
-        """The angle at the end of the last sample: once after every command, and once a sample without one."""
+        """The angle at the end of the last sample: once after every command, and once a sample without one.
+
+        Before it come the frames of the sample; where the sensor is not continuous, there is no angle then.
+        """
         now = self._now()
+        if self._frames:
+            frame = self._frames.popleft()
+            self._sequence += 1
+            come_ns = now - round(1e9 * max(self._time_s - frame.arrives_s, 0.0))
+            sent_ns = come_ns - round(1e9 * (frame.arrives_s - frame.taken_s))
+            return Reading(frame.angle_deg, self._sequence, 0, sent_ns, come_ns, self._held)
         if self._read_ns is not None and now - self._read_ns < self._dt_ns // 2:
             return None
         self._read_ns, self._sequence = now, self._sequence + 1
-        return Reading(self._angle, self._sequence, 0, now, now, self._held)
+        angle = self._angle if self._continuous else math.nan
+        return Reading(angle, self._sequence, 0, now, now, self._held)
 
     def write(self, command: float) -> None:
         self._angle, self._held, self._read_ns = self._plant.apply(command), command, None
+        self._time_s += self._plant.dt
+        if self._imaging is not None:
+            frames, self._imaging = self._imaging.later(self._time_s, self._angle)
+            self._frames.extend(frames)
 
     def greet(self) -> None:
         """Nothing to do: it always listens."""
@@ -103,12 +142,13 @@ def recorded_plant(run: RunFolder, dt_s: float) -> tuple[RecordedPlant, float]:
 
 
 class SimulatedSettings(TransportBase):
-    """`kind: simulated`: a device computed in this process; `plant` as in a simulation file."""
+    """`kind: simulated`: a device computed in this process; `plant` and `sensor` as in a simulation file."""
 
     in_process: ClassVar[bool] = True
 
     kind: Literal["simulated"]
     plant: dict[str, Any]
+    sensor: SimulatedSensor = ContinuousSensorSettings()
     seed: int = Field(default=0, ge=0)
 
     @property
@@ -117,7 +157,7 @@ class SimulatedSettings(TransportBase):
 
     def open(self, run: RunContext) -> Transport:
         plant, held = run.plants(self, run.dt_s)
-        return SimulatedTransport(plant, run.dt_s, held, run.now_ns)
+        return SimulatedTransport(plant, run.dt_s, held, run.now_ns, self.sensor, self.seed)
 
 
 class ReplaySettings(TransportBase):

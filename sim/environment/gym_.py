@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from hystmpc.ctrl.frames import AnySensorSettings, ContinuousSensorSettings, Imaging, ImagingSettings, NoSensorSettings
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trials.errors import ConfigError, did_you_mean
@@ -45,6 +46,7 @@ class EnvironmentState:
     Attributes:
         random: of the environment, for the seeds of coming resets.
         y: angle measured last [deg].
+        imaging: of an intermittent sensor, None for another.
     """
 
     plant: ComputedPlant
@@ -54,6 +56,7 @@ class EnvironmentState:
     u: float
     y: float
     disturbance: Disturbance
+    imaging: Imaging | None = None
 
 
 @final
@@ -63,7 +66,8 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     Action (1,): the command, -1 and 1 being its limits; the rate limit is kept by the environment. Observation
     (2 + H,): measured angle [deg], command sent last, reference at the ends of the next H samples [deg]. Reward:
     -(theta - r)^2 - w (u_k - u_{k-1})^2 with the true angle theta at the end of the sample. An episode is truncated at
-    the end of its motion and never terminated.
+    the end of its motion and never terminated. Between the frames of an intermittent sensor the measured angle is that
+    of the frame taken last; without a sensor it is that of the rest.
 
     `reset` takes `options={"motion": NAME}`; else the motion is drawn. `info` has `error_deg`, `true_angle_deg`,
     `reference_deg` and `command`.
@@ -73,6 +77,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         preview: H, samples at least 1.
         rate_weight: w [deg^2 per squared command unit].
         disturbance: see `disturb`.
+        sensor: what is measured; the plant's own angle in every sample where left out.
 
     Raises:
         ConfigError: if there is no motion or no preview.
@@ -88,12 +93,14 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         preview: int = 10,
         rate_weight: float = 0.0,
         disturbance: Disturbance | None = None,
+        sensor: AnySensorSettings | None = None,
     ) -> None:
         if not motions or preview < 1:
             raise ConfigError(f"environment: got {len(motions)} motions and a preview of {preview}, expected 1 or more")
         self._plant, self._limits, self._rate_weight = plant.copied(), limits, rate_weight
         self._tables = {name: PreviewTable(motion, plant.dt, preview) for name, motion in motions.items()}
-        self._disturbance = disturbance or Disturbance()
+        self._disturbance, self._sensor = disturbance or Disturbance(), sensor or ContinuousSensorSettings()
+        self._imaging: Imaging | None = None
         self._motion, self._k = next(iter(self._tables)), 0
         self._u, self._y = plant.rest_command, plant.true_angle
         angles = np.full(1 + preview, _ANGLE_DEG)
@@ -114,7 +121,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             HystmpcError: what `load_simulation` and `prepare` raise.
         """
         study = prepare(config if isinstance(config, SimulationConfig) else load_simulation(config))
-        return cls(study.plant, study.motions, study.limits, **options)
+        return cls(study.plant, study.motions, study.limits, sensor=study.config.sensor, **options)
 
     @property
     def dt(self) -> float:
@@ -136,7 +143,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             raise ConfigError(f"environment: no motion {wanted!r}, {did_you_mean(str(wanted), names)}")
         self._plant = self._plant.reseeded(int(self.np_random.integers(2**31)))
         self._motion, self._k, self._u = wanted, 0, self._plant.rest_command
-        self._y = self._plant.reset() + self._beside()
+        self._y, self._imaging = self._first(self._plant.reset() + self._beside())
         return self._observation(), self._info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -147,7 +154,7 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         slip = self._disturbance.command
         y = self._plant.apply(u if slip is None else u + slip(self._k * self.dt))
         self._u, self._k = u, self._k + 1
-        self._y = y + self._beside()
+        self._y = self._seen(y + self._beside())
         info = self._info()
         reward = -(info["error_deg"] ** 2) - self._rate_weight * (u - before) ** 2
         return self._observation(), float(reward), False, self._k >= self._tables[self._motion].steps, info
@@ -159,7 +166,9 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def get_state(self) -> EnvironmentState:
         """The whole state, to be put back as often as wanted, in this environment or an equal one."""
         plant, random = self._plant.copied(), deepcopy(self.np_random)
-        return EnvironmentState(plant, random, self._motion, self._k, self._u, self._y, self._disturbance)
+        return EnvironmentState(
+            plant, random, self._motion, self._k, self._u, self._y, self._disturbance, self._imaging
+        )
 
     def set_state(self, state: EnvironmentState) -> NDArray[np.float32]:
         """Put a state back and return its observation; the noise to come is that which was to come then.
@@ -172,13 +181,30 @@ class HysteresisEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._plant = state.plant.copied()
         self._np_random = deepcopy(state.random)
         self._motion, self._k, self._u, self._y = state.motion, state.k, state.u, state.y
-        self._disturbance = state.disturbance
+        self._disturbance, self._imaging = state.disturbance, state.imaging
         return self._observation()
 
     def _beside(self) -> float:
         """Disturbance of the angle now [deg]."""
         load = self._disturbance.angle_deg
         return 0.0 if load is None else load(self._k * self.dt)
+
+    def _first(self, measured: float) -> tuple[float, Imaging | None]:
+        """What is seen of the rest [deg], and the imaging system where there is one."""
+        true = self._plant.true_angle + self._beside()
+        if isinstance(self._sensor, ImagingSettings):
+            imaging = Imaging.at_rest(self._sensor, self._plant.seed, true)
+            return imaging.newest.angle_deg, imaging
+        return (true if isinstance(self._sensor, NoSensorSettings) else measured), None
+
+    def _seen(self, measured: float) -> float:
+        """The angle seen last at the end of the sample [deg]."""
+        if isinstance(self._sensor, ContinuousSensorSettings):
+            return measured
+        if self._imaging is None:
+            return self._y
+        _, self._imaging = self._imaging.later(self._k * self.dt, self._plant.true_angle + self._beside())
+        return self._imaging.newest.angle_deg
 
     def _observation(self) -> NDArray[np.float32]:
         seen = np.concatenate([[self._y, self._u], self._tables[self._motion].at(self._k)])

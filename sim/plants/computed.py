@@ -66,6 +66,11 @@ class ComputedPlant(ABC):
         return self._dt
 
     @property
+    def seed(self) -> int:
+        """Of everything random in it."""
+        return self._seed
+
+    @property
     def true_angle(self) -> float:
         """Tip angle without noise and quantisation [deg]: what metrics are made of, and no controller sees."""
         return self._angle

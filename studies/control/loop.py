@@ -115,6 +115,9 @@ class RehearsedController(Controller[State]):
     def step(self, state: State, y: float, reference: Vec) -> tuple[Command, State]:
         return self._controller.step(state, y, reference)
 
+    def measure(self, state: State, y: float, age: float) -> State:
+        return self._controller.measure(state, y, age)
+
 
 def run_along(
     job: ControlJob, settings: ControlSettings, folder: Path

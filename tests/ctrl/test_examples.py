@@ -57,7 +57,7 @@ def test_ipopt_with_the_same_model_file_finds_the_same_commands(model: str, step
 @pytest.mark.slow
 def test_faults_neither_raise_nor_leave_the_limits() -> None:
     faults = script("benchmarks/faults.py")
-    tallies = faults.run(2400, seed=3)
+    tallies = faults.run(300 * len(faults.CONTROLLERS), seed=3)
     for name, tally in tallies.items():
         assert (name, tally.exceptions, tally.violations) == (name, 0, 0), tally.first_exception
         assert tally.steps == 300

@@ -110,8 +110,8 @@ def test_with_a_sensor_the_uncertainty_is_that_of_the_estimate() -> None:
 
 @pytest.mark.parametrize(
     "block",
-    [{"kind": "inverse_pid", **NONE}, {"kind": "linearised_mpc", "adaptation": {}, **NONE}],
-    ids=["pid", "learn"],
+    [{"kind": "pid", **NONE}, {"kind": "inverse_pid", **NONE}, {"kind": "linearised_mpc", "adaptation": {}, **NONE}],
+    ids=["pid", "inverse_pid", "learn"],
 )
 def test_what_needs_a_sensor_refuses_to_be_without(block: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match="sensor"):

@@ -30,5 +30,6 @@ def sample(k: int, rate_hz: float = 100.0, **changes: Any) -> Sample:
         missed=False,
         faults=(),
         sequence=k,
+        taken_s=t,
     )
     return replace(plain, **changes)

@@ -62,6 +62,7 @@ COLUMNS = {
     "time_s": "t_s",
     "command_mm": "command",
     "angle_deg": "measured_deg",
+    "angle_taken_s": "taken_s",
     "reference_deg": "reference_deg",
     "predicted_deg": "predicted_deg",
     "period_s": "period_s",

@@ -21,7 +21,7 @@ from hystmpc.sim.study import prepare
 from hystmpc.trajectories import PreviewTable
 from hystmpc.trials.errors import ConfigError
 
-from .small import MOVE, SCAN, study_data
+from .small import MOVE, SCAN, study, study_data
 
 gym_ = pytest.importorskip("hystmpc.sim.environment.gym_", reason="gymnasium is an extra")
 
@@ -145,3 +145,20 @@ def test_a_public_sampler_tracks_on_it() -> None:
     ENV.reset(seed=1, options={"motion": "scan"})
     idle = [dict(info)["error_deg"] for *_, info in played(ENV, [-1.0] * steps)]
     assert error < 0.5 * float(np.sqrt(np.mean(np.square(idle))))
+
+
+def test_an_environment_shows_the_frame_taken_last_and_can_be_rewound() -> None:
+    env = gym_.HysteresisEnv.from_config(
+        study(sensor={"kind": "intermittent", "latency_s": 0.2, "jitter_s": 0.05, "noise_deg": 0.2})
+    )
+    env.reset(seed=1)
+    up = np.array([0.2], dtype=np.float32)
+    shown = [float(env.step(up)[0][0]) for _ in range(30)]
+    assert len(set(shown)) <= 7
+    state = env.get_state()
+    coming = [float(env.step(up)[0][0]) for _ in range(15)]
+    env.set_state(state)
+    assert [float(env.step(up)[0][0]) for _ in range(15)] == coming
+    blind = gym_.HysteresisEnv.from_config(study(controllers={"inverse": {"kind": "inverse"}}, sensor={"kind": "none"}))
+    rest = float(blind.reset(seed=1)[0][0])
+    assert {float(blind.step(up)[0][0]) for _ in range(10)} == {rest}
