@@ -40,6 +40,7 @@ _SENSOR, _LEAST_SENSOR_DEG = 2.0, 0.05  # the basis is not exact: its noise is t
 _OFFSET_DEG, _GAIN, _DRIFT = 10.0, 1.0, 0.3  # standard deviations of offset, w_c; and of a drift [deg/sqrt(s)]
 _RECENT = 0.8  # of the errors that handover is judged by, from block to block
 _WORST = 1.2  # error of a block that counts as the worst: one bad block says little
+_SURPRISE = 9.0  # variances of an error in a hold, from which on it is an offset that has jumped
 _FLOOR = 0.5  # standard deviations of the sensor: no model has to foretell better
 
 
@@ -108,7 +109,8 @@ class FilterBank:
         y_k = m_k + h_k' z_k + v_k,   h = (1, m - m_0, f),   var(v) = r
         s = h' P h + r,  z <- z + P h (y - m - h' z) / s,  P <- P - P h h' P / s,  P <- P + Q
 
-    Q lets the offset drift, and the weights walk with the travel of the command only: in a hold nothing is forgotten.
+    Q lets the offset drift, and the weights walk with the travel of the command only: in a hold nothing is forgotten,
+    and an error of more than three standard deviations is an offset that has jumped.
     Every 0.24 s all z are frozen, and until the next time each drive foretells the angles from the commands alone. The
     model with its own disturbance does too, and so does the last angle. The mean squares of the errors, over the blocks
     in which the angle moved, are the scores. The drive with the best score is used. It acts with the share
@@ -302,6 +304,11 @@ def correct_filters(
             for a in range(size):
                 p[a, a] = prior[a]
             continue
+        if travel == 0.0 and error * error > _SURPRISE * variance:  # nothing moves: no weight can have changed
+            p[0, 0] += error * error
+            for a in range(size):
+                spread[a] += error * error * (a == 0)
+            variance += error * error
         for a in range(size):
             share = spread[a] / variance
             z[n, a] += share * error
