@@ -52,8 +52,11 @@ def run_experiment(
     return run_bench(settings, lambda: phase, sink, plants, folder=folder, note=note)
 
 
-def tracking_phase(settings: RunSettings) -> Tracking:
+def tracking_phase(settings: RunSettings, beside: bool = True) -> Tracking:
     """The controller of an experiment, compiled and warm, as a phase.
+
+    Args:
+        beside: whether the hand-over goes on beside the loop, see `Tracking`.
 
     Raises:
         ConfigError: if model and bench differ in rate or unit, or the controller's limits go beyond the bench's.
@@ -87,7 +90,7 @@ def tracking_phase(settings: RunSettings) -> Tracking:
     estimator = getattr(tip_settings.controller, "estimator", None)
     limit = math.inf if estimator is None else estimator.disturbance_limit_deg
     watch = ModelWatch(settings.plausibility, limit, settings.dt_s)
-    return Tracking(tip, law_of_it, lead_in, watch, fails)
+    return Tracking(tip, law_of_it, lead_in, watch, fails, beside)
 
 
 def _fits(settings: RunSettings, assembly: Assembly) -> None:
@@ -133,6 +136,8 @@ class Tracking(Phase):
     Args:
         lead_in: measured angle to the reference to follow.
         drill_s: from when until when the law is made to fail, as an exercise [s]; None for never.
+        beside: whether the hand-over goes on beside the loop; False where a sample takes no time, so that each run of a
+            computed device is the same.
     """
 
     name = "track"
@@ -144,7 +149,9 @@ class Tracking(Phase):
         lead_in: LeadIn,
         watch: ModelWatch,
         drill_s: tuple[float, float] | None = None,
+        beside: bool = True,
     ) -> None:
+        self._beside = beside
         self._tip, self._law, self._lead_in, self._watch, self._drill = tip, law, lead_in, watch, drill_s
         self._reference: Trajectory | None = None
         self._worker: Thread | None = None
@@ -183,6 +190,8 @@ class Tracking(Phase):
                 self._past = None
                 self._worker = Thread(target=self._hand_over, args=(past,), name="hand-over", daemon=True)
                 self._worker.start()
+                if not self._beside:
+                    self._worker.join()
             return True
         return self._worker is not None and self._worker.is_alive()
 
