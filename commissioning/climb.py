@@ -47,9 +47,9 @@ class Climbed:
 class Climb(Phase):
     """Goes from the command held towards `end` in ramps with rests, and back; stops short of the angle's limits.
 
-    A step is taken only with a usable angle. It is made smaller where the steepest slope seen so far, times 1.5, would
-    lead beyond the limits. An angle beyond them on the way turns the motion back at once; the farthest command counts
-    that was rested at before.
+    A step is taken only with a usable angle. The first one is a quarter; each is made smaller where the steepest slope
+    seen so far, times 1.5, would lead beyond the limits. An angle beyond them on the way turns the motion back at once;
+    the farthest command counts that was rested at before.
 
     Args:
         bench: rate, ramps and hard limits.
@@ -119,6 +119,8 @@ class Climb(Phase):
     def _next_step(self, angle: float) -> float:
         """How far to go: a whole step, less where that might lead beyond the limits, 0 where little is left."""
         whole, left = (self._end - self._start) / self._steps, self._end - self._at
+        if self._at == self._start:
+            return _LEAST_STEP * whole  # nothing is known of the slope yet
         step = whole if abs(left) > 1.2 * abs(whole) else left
         move = _CAUTION * self._slope * step
         room = max(self._limits[1] - angle if move > 0 else angle - self._limits[0], 0.0)
@@ -141,7 +143,7 @@ class Climb(Phase):
 def climb_seconds(bench: BenchSettings, end: float, steps: int) -> float:
     """How long a climb to `end` takes, and the way back [s]."""
     safe = bench.safe_command
-    stops = [*np.linspace(safe, end, steps + 1).tolist(), safe]
+    stops = [*np.linspace(safe, end, steps + 2).tolist(), safe]
     return way_commands(safe, stops, [HOLD_S] * len(stops), bench.ramps, bench.dt_s).size * bench.dt_s
 
 

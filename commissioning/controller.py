@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from hystmpc.ctrl.feedback.pid import PidControllerSettings
 from hystmpc.ctrl.planner.settings import TipSettings, read_settings
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.simulator import load_simulator
-from hystmpc.sim.config import SimulationConfig
+from hystmpc.sim.config import SimulationConfig, TuningSettings
 from hystmpc.sim.plants.simulated import SimulatedPlant
 from hystmpc.sim.study import Study, prepare
 from hystmpc.sim.tune_pid import PidLike, PidTuning, tuned_gains
@@ -70,9 +70,8 @@ def make_controllers(
         def told(done: float, of: float, note: str = "", before: int = before, share: int = shares[name]) -> None:
             progress(before + share * done / of, total, f"gains {note}".strip())
 
-        changes = {"tune_pid": study.config.tune_pid.model_copy(update={"evaluations": shares[name]})}  # type: ignore[union-attr]
-        config = study.config.model_copy(update=changes)
-        found[name] = tuned_gains(Study(**{**vars(study), "config": config}), start, told)
+        config = study.config.model_copy(update={"tune_pid": TuningSettings(evaluations=shares[name])})
+        found[name] = tuned_gains(replace(study, config=config), start, told)
         before += shares[name]
     gains = {name: tuned.settings.gains.model_dump() for name, tuned in found.items()}
     tolerance = max(_TOLERANCE_DEG, _TOLERANCE_SIGMAS * sigma_deg)

@@ -48,7 +48,7 @@ class DeviceStoppedError(HystmpcError):
     """
 
     def __init__(self, result: BenchResult, settings: BenchSettings) -> None:
-        super().__init__(f"stopped: {result.outcome.cause}")
+        super().__init__(f"stopped: {result.outcome.cause}; latched until a reset")
         self.result, self.settings = result, settings
 
 
@@ -76,7 +76,7 @@ class Track:
 
     def save(self, path: Path) -> Path:
         """Write it, whole or not at all."""
-        columns = {
+        columns: dict[str, Sequence[str] | Vec] = {
             "time_s": self.t,
             "reference_deg": self.reference_deg,
             "angle_deg": self.measured_deg,

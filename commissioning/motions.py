@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hystmpc.ctrl.planner.settings import TargetMotionSettings
-from hystmpc.rig.commission.phases import PhaseInput, PrepareStep
+from hystmpc.rig.commission.phases import Past, PhaseInput, PrepareStep
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.safety.ramp import ramp_commands
 from hystmpc.trajectories.config import LimitsSettings, MotionSettings, PointToPointSettings, SinusoidScanSettings
@@ -74,9 +74,9 @@ def recordings(bench: BenchSettings, share: float, seed: int) -> dict[str, Vec]:
     for name, motion in identification_motions(stroke, limits.rate, random, share):
         moves = motion(dt * np.arange(round(motion.duration_s / dt) + 1, dtype=np.float64))
         asked = start - moves if mirrored else start + moves
-        parts = [_rest(safe, dt), _line(safe, start, limits.rate, dt), asked]
-        parts += [_line(float(asked[-1]), safe, limits.rate, dt), _rest(safe, dt)]
-        found[name] = limits.clip_plans(np.concatenate(parts), safe, dt)
+        there = np.concatenate([_rest(safe, dt), _line(safe, start, limits.rate, dt), asked])
+        played = limits.clip_plans(there, safe, dt)
+        found[name] = np.concatenate([played, _line(float(played[-1]), safe, limits.rate, dt), _rest(safe, dt)])
     return found
 
 
@@ -189,8 +189,6 @@ def _walk(step: PrepareStep, bench: BenchSettings, held: float) -> tuple[float, 
     """The command after a step of preparation, and its samples; a check of the angle is taken to be passed."""
     phase = step.phase(bench.ramps, bench.dt_s)
     low, high = getattr(step, "least_move_deg", 0.0), getattr(step, "most_move_deg", 0.0)
-    from hystmpc.rig.commission.phases import Past
-
     phase.begin(PhaseInput(0.0, held), Past([], []))
     samples, moved = 0, 0.5 * (low + high)
     while True:
@@ -232,7 +230,11 @@ def _drawn(reached: Reached, motion_s: float, random: np.random.Generator) -> It
     yield (
         "point_to_point",
         PointToPointSettings(
-            kind="point_to_point", start_deg=angles[0], targets_deg=angles[1:], holds_s=[rest_s] * moves, limits=limits
+            kind="point_to_point",
+            start_deg=angles[0],
+            targets_deg=tuple(angles[1:]),
+            holds_s=(rest_s,) * moves,
+            limits=limits,
         ),
     )
     for name, hz in SCANS_HZ.items():

@@ -18,6 +18,7 @@ from hystmpc.sim.jobs.runner import alone_in, resumed_folder
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.read import expand_logs, read_trials
+from hystmpc.trials.run_folder import require_vacant
 from hystmpc.trials.types import Progress
 
 from .climb import Climb, Climbed, dash
@@ -38,7 +39,7 @@ from .identify import (
 from .motions import CONTROLLERS, SCANS_HZ, Budget, budget, directions, recordings
 from .plants import plants_in
 from .stages import NAMES, Figure, StageStore, differing, fingerprint
-from .verify import Tracks, Verified, judge, track_all
+from .verify import Tracks, Verified, judge, load_tracks, track_all
 
 RANGE, RECORD, CHECK, FIT, DIAGNOSE, CONTROLLER, VERIFY = NAMES
 REPORT_FILE = "report.html"
@@ -238,8 +239,6 @@ def _begun(out: Path | str, plain: Mapping[str, Any], seed: int) -> Path:
 
     folder = Path(out)
     if not (folder / "meta.json").exists():
-        from hystmpc.trials.run_folder import require_vacant
-
         require_vacant(folder)
     return resumed_folder(folder, plain, seed, refusal).path
 
@@ -282,8 +281,6 @@ def _on_device(settings: CommissionSettings, device: Device, root: Path, planned
 
     verified, _ = known.store.complete(VERIFY, Verified, verify)
     if not tracks:
-        from .verify import load_tracks
-
         tracks.update(load_tracks(root / VERIFY))
     bar.before_s += seconds
     bar(0.0, "report")

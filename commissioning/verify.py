@@ -136,15 +136,28 @@ def judge(tracks: Tracks, limits: CommandLimits, dt_s: float, sigma_deg: float, 
     gains = np.concatenate([_gains(t[PID], t[MPC], dt_s) for t in tracks.values()])
     mean, error = float(np.mean(gains)), float(np.std(gains, ddof=1)) / math.sqrt(gains.size)
     verified = mean > _ERRORS * error and mean > _LEAST_GAIN * pid.rms_deg**2
-    figures = f"RMS of measured less wanted angle {mpc.rms_deg:.3f} deg, PID {pid.rms_deg:.3f} deg"
-    noise = f"the sensor's noise alone is {sigma_deg:.3f} deg"
+    figures = (
+        f"RMS of measured less wanted angle {mpc.rms_deg:.3f} deg, PID {pid.rms_deg:.3f} deg, inverse alone "
+        f"{scores['inverse'].rms_deg:.3f} deg; the sensor's noise alone is {sigma_deg:.3f} deg"
+    )
     if verified:
-        factor = f"{pid.rms_deg / mpc.rms_deg:.1f} times less than the PID tuned on the model"
-        steps = [f"use {TIP_FILE}: hystmpc.TipController.from_config"]
-        return Verified(True, f"Verified: {figures}, {factor}; {noise}.", tuple(steps), sigma_deg, scores)
+        steps = _verified_steps(scores)
+        return Verified(True, f"Verified: better than the PID tuned on the model. {figures}.", steps, sigma_deg, scores)
     why, steps = _reasons(scores, mean, error, sigma_deg, model_sigma_deg)
-    text = f"Not better than the PID: {figures}; {noise}. {why}"
-    return Verified(False, text, steps, sigma_deg, scores)
+    return Verified(False, f"Not better than the PID. {figures}. {why}", steps, sigma_deg, scores)
+
+
+def _verified_steps(scores: Mapping[str, Scored]) -> tuple[str, ...]:
+    """What to do with a controller that is verified."""
+    steps = [f"use {TIP_FILE}: hystmpc.TipController.from_config, or `controller:` of `hystmpc run`"]
+    if scores["inverse"].rms_deg <= scores[MPC].rms_deg:
+        steps.append(
+            "the inverse alone is as good on these references: it has no feedback, so that it errs as soon as the "
+            "device changes; the predictive controller does not"
+        )
+    if scores[MPC].beyond:
+        steps.append("commands beyond the limits were counted: tell us, this must not happen")
+    return tuple(steps)
 
 
 def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> Scored:
