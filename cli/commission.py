@@ -41,15 +41,12 @@ def commission(
     """
     from hystmpc.commissioning.config import load_commission
 
-    if config is None and not logs:
-        raise ConfigError("commission: lacks CONFIG, expected a bench file, or --logs with recordings")
+    _check(config, logs, overrides, folder, dry_run)
     settings = None if config is None else load_commission(config, overrides or ())
     if settings is not None and not logs:
         _print_plan(settings)
-    if dry_run:
+    if dry_run or folder is None:
         return
-    if folder is None:
-        raise ConfigError("commission: lacks --out, expected a folder")
     try:
         with bar("commission") as show:
 
@@ -61,6 +58,18 @@ def commission(
         errors.print(f"interrupted: complete stages are kept in {folder}, the same command goes on", style="yellow")
         raise typer.Exit(INTERRUPTED) from None
     _print_end(made)
+
+
+def _check(
+    config: Path | None, logs: list[Path] | None, overrides: list[str] | None, folder: Path | None, dry_run: bool
+) -> None:
+    """Refuse a call that lacks something, or says something that would do nothing."""
+    if config is None and not logs:
+        raise ConfigError("commission: lacks CONFIG, expected a bench file, or --logs with recordings")
+    if config is None and overrides:
+        raise ConfigError("commission: --set does nothing without CONFIG, expected a bench file")
+    if folder is None and not dry_run:
+        raise ConfigError("commission: lacks --out, expected a folder")
 
 
 def _done(

@@ -117,7 +117,11 @@ class Device(Protocol):
         ...
 
     def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
-        """Play commands (N,) that start at the safe command, and record them."""
+        """Play commands (N,) that start at the safe command, and record them.
+
+        Raises:
+            LogError: if no angle has come.
+        """
         ...
 
     def track(self, name: str, tip: TipSettings, reference: MotionSettings, bench: BenchSettings) -> Track:
@@ -133,15 +137,19 @@ class SimulatedClock(Clock):
         self._ns = 1_000_000_000
 
     def now_ns(self) -> int:
+        """Time [ns]."""
         return self._ns
 
     def boot_ns(self) -> int:
+        """The same [ns]."""
         return self._ns
 
     def wall_ns(self) -> int:
+        """The same [ns]: it has no date."""
         return self._ns
 
     def wait_until(self, deadline_ns: int) -> None:
+        """The deadline is now."""
         self._ns = max(self._ns, deadline_ns)
 
 

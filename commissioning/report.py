@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hystmpc.models.evaluate import evaluate
@@ -27,12 +28,14 @@ from hystmpc.trials.report import (
 )
 
 from .controller import TIP_FILE, ControllerMade
+from .device import Track
 from .identify import Checked, Diagnosed, Fitted, Subject, uniform_trials
 from .motions import CONTROLLERS
 from .verify import MPC, PID, TITLES, Tracks, Verified
 
 _COLOURS = {MPC: MEASURED, "inverse": MODEL, PID: COMMAND}
-_SHOWN = "point_to_point"
+SHOWN = ("point_to_point", "fast_scan")
+"""References in the figure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,24 +70,40 @@ def write_report(story: Story, path: Path) -> Path:
     return Report(f"Commissioning of {story.subject.name}", tuple(_pieces(story)), story.fitted.report).save(path)
 
 
-def before_and_after(tracks: Tracks, motion: str = _SHOWN, width: float = 8.0, height: float = 4.2) -> Figure:
-    """Reference and measured angle of each controller over time, and their errors; the first reference if `motion` is
-    not among them."""
-    runs = tracks.get(motion) or next(iter(tracks.values()))
+def before_and_after(
+    tracks: Tracks, unit: str, motions: tuple[str, ...] = SHOWN, width: float = 9.0, height: float = 5.2
+) -> Figure:
+    """Angle, error and command of each controller over time, a column a reference.
+
+    Args:
+        unit: of the command.
+        motions: to show; those of the tracks where none of them is among these.
+    """
+    names = [name for name in motions if name in tracks] or list(tracks)[:2]
     with new_figure(width, height) as figure:
-        angle, error = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-        first = runs[MPC]
-        angle.plot(first.t, first.reference_deg, color=REFERENCE, lw=2.5, label="reference")
-        for name in reversed(CONTROLLERS):
-            run = runs[name]
-            rms = float(np.sqrt(np.nanmean(run.error_deg**2)))
-            angle.plot(run.t, run.measured_deg, color=_COLOURS[name], lw=1.0, label=TITLES[name])
-            error.plot(run.t, run.error_deg, color=_COLOURS[name], lw=0.9, label=f"RMS {rms:.2f} deg")
-        angle.set_ylabel("tip angle [deg]")
-        error.set(xlabel="time [s]", ylabel="error [deg]")
-        for axes in (angle, error):
-            axes.legend(ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+        grid = figure.subplots(3, len(names), sharex="col", height_ratios=(2, 1.3, 1.3), squeeze=False)
+        for column, name in zip(grid.T, names, strict=True):
+            _column(column, name, tracks[name])
+        for axes, text in zip(grid[:, 0], ("tip angle [deg]", "error [deg]", f"command [{unit}]"), strict=True):
+            axes.set_ylabel(text)
+        figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=4)
     return figure
+
+
+def _column(column: Sequence[Axes], name: str, runs: Mapping[str, Track]) -> None:
+    """One reference: angles, errors, commands."""
+    angle, error, command = column
+    first = runs[MPC]
+    angle.plot(first.t, first.reference_deg, color=REFERENCE, lw=2.5, label="reference")
+    for controller in reversed(CONTROLLERS):
+        run, colour = runs[controller], _COLOURS[controller]
+        rms = float(np.sqrt(np.nanmean(run.error_deg**2)))
+        angle.plot(run.t, run.measured_deg, color=colour, lw=1.0, label=TITLES[controller])
+        error.plot(run.t, run.error_deg, color=colour, lw=0.9, label=f"{rms:.2f} deg RMS")
+        command.plot(run.t, run.command, color=colour, lw=0.9)
+    angle.set_title(name.replace("_", " "))
+    error.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
+    command.set_xlabel("time [s]")
 
 
 def _pieces(story: Story) -> Iterator[Piece]:
@@ -101,9 +120,9 @@ def _pieces(story: Story) -> Iterator[Piece]:
     if story.tracks is not None and verified is not None:
         yield Heading("Before and after")
         yield Plot(
-            before_and_after(story.tracks),
-            "Measured angle on a fresh reference with the PID and the inverse alone, and with the controller that "
-            "was made; errors are measured less wanted angle.",
+            before_and_after(story.tracks, subject.command_unit),
+            "Fresh references with the PID and the inverse alone, and with the controller that was made; the error is "
+            "measured less wanted angle, the sensor's noise included.",
         )
         yield _scores(verified)
     yield from _device(story)
@@ -190,6 +209,6 @@ def _corrected(story: Story) -> bool:
     return story.diagnosed is not None and story.diagnosed.corrected
 
 
-def _gains(gains: object, rmse_deg: float) -> str:
-    numbers = ", ".join(f"{name} {value:.4g}" for name, value in dict(gains).items())  # type: ignore[call-overload]
+def _gains(gains: Mapping[str, float], rmse_deg: float) -> str:
+    numbers = ", ".join(f"{name} {value:.4g}" for name, value in gains.items())
     return f"{numbers}; {rmse_deg:.3f} deg on the model"

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from hystmpc.commissioning import controller, identify, motions
-from hystmpc.commissioning.config import CommissionSettings
+from hystmpc.commissioning import controller, identify, motions, run
+from hystmpc.commissioning.config import CommissionBlock, CommissionSettings
 from hystmpc.commissioning.device import BenchDevice, Device
 from hystmpc.commissioning.plants import plants_in
 from hystmpc.commissioning.run import Commissioned, commission_device
@@ -34,7 +35,7 @@ BENCH: dict[str, Any] = {
     "sensor": {"lower_deg": 0, "upper_deg": 120},
     "transport": {"kind": "simulated", "plant": {"simulator": "builtin:tendon-catheter", "noise_deg": 0.1}},
     "commission": {
-        "minutes": 1.5,
+        "minutes": 2.0,
         "diagnose": False,
         "tune_evaluations": 24,
         "range_steps": 5,
@@ -43,12 +44,13 @@ BENCH: dict[str, Any] = {
 }
 
 
-@pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+def make_quick(patch: pytest.MonkeyPatch) -> None:
     """Short recordings, a quick kind of model, short tuning motions: the order of things stays the same."""
-    monkeypatch.setattr(motions, "_LEAST_SHARE", 0.05)
-    monkeypatch.setattr(identify, "_KIND", "pi")
-    monkeypatch.setattr(controller, "_TUNED_S", 2.0)
+    patch.setattr(motions, "_LEAST_SHARE", 0.05)
+    patch.setattr(identify, "_KIND", "pi")
+    patch.setattr(controller, "_TUNED_S", 2.0)
+    patch.setattr(motions, "SCANS_HZ", {"fast_scan": 0.6})
+    patch.setattr(run, "CommissionBlock", partial(CommissionBlock, diagnose=False, tune_evaluations=24))
 
 
 def settings(folder: Path, **changes: Any) -> CommissionSettings:
