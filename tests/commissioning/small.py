@@ -111,8 +111,7 @@ def commissioned(
 
 
 def within(sent: list[float], bench: CommissionSettings) -> bool:
-    """Whether commands lie within the limits on value and rate; a reset of a computed device is one of its own."""
+    """Whether commands lie within the limits on value and rate."""
     limits = bench.limits.build()
-    return all(limits.lower - 1e-9 <= u <= limits.upper + 1e-9 for u in sent) and all(
-        abs(b - a) <= limits.rate * bench.dt_s + 1e-9 for a, b in pairwise(sent)
-    )
+    inside = all(limits.lower - 1e-9 <= u <= limits.upper + 1e-9 for u in sent)
+    return inside and all(abs(b - a) <= limits.rate * bench.dt_s + 1e-9 for a, b in pairwise(sent))
