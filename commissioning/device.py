@@ -195,20 +195,15 @@ class BenchDevice(Device):
         self._plants, self._folder, self._views, self._note = plants, folder, views, note
         self._tick = tick
         self.in_real_time = not settings.transport.in_process
-        self._prepared = ""
+        self._prepared, self._moved = "", False
         self.used_s = _used(folder)
 
     def explore(self, name: str, phase: Phase, bench: BenchSettings) -> None:
-        self._perform(name, lambda: [phase], bench)
+        self._perform(name, phase, bench)
 
     def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
         recorded = Recorded(name.rpartition("/")[2], commands)
-        start, rest_s = float(commands[0]), bench.dt_s
-
-        def approach(held: float) -> Vec:
-            return way_commands(held, [start], [rest_s], bench.ramps, bench.dt_s)
-
-        self._perform(name, lambda: [CommandMotion("approach", approach), recorded], bench)
+        self._perform(name, recorded, bench)
         trial = recorded.trial(bench.dt_s, bench.command_unit)
         if trial is None:
             raise LogError(f"{name}: got no angle, expected a recording")
@@ -218,10 +213,18 @@ class BenchDevice(Device):
         plain = {key: getattr(bench, key) for key in BenchSettings.model_fields} | {"limits": bench.limits.model_dump()}
         run = RunSettings.parse(plain | {"controller": tip, "reference": reference.model_dump()}, name)
         phase = tracking_phase(run, beside=self.in_real_time)
-        samples = self._perform(name, lambda: [phase], bench)
+        samples = self._perform(name, phase, bench)
         return track_of(samples, reference.build().duration_s, bench.dt_s)
 
-    def _perform(self, name: str, phases: Callable[[], Sequence[Phase]], bench: BenchSettings) -> tuple[Sample, ...]:
+    def _perform(self, name: str, phase: Phase, bench: BenchSettings) -> tuple[Sample, ...]:
+        """One run: preparation where it is due, the way to the safe command, the phase, the way back."""
+
+        def approach(held: float) -> Vec:
+            return way_commands(held, [bench.safe_command], [bench.dt_s], bench.ramps, bench.dt_s)
+
+        def phases() -> list[Phase]:
+            return [CommandMotion("approach", approach), phase]
+
         kept, stage = Kept(), name.partition("/")[0]
         settings = self._of_motion(name, stage, bench)
         folder = _free(self._folder / stage / "runs", name.rpartition("/")[2]) if self.in_real_time else None
@@ -246,7 +249,7 @@ class BenchDevice(Device):
                 write_atomically(self._folder / TIME_FILE, json.dumps({"seconds": round(self.used_s, 3)}) + "\n")
         if result.outcome.cause:
             raise DeviceStoppedError(result, settings)
-        self._prepared = stage
+        self._prepared, self._moved = stage, True
         return tuple(kept.samples)
 
     def _told(self, kept: Kept, dt_s: float, over: Event) -> None:
@@ -259,7 +262,10 @@ class BenchDevice(Device):
         if isinstance(transport, SimulatedSettings):
             seed = transport.seed + zlib.crc32(name.encode()) % _SEEDS
             return bench.model_copy(update={"transport": transport.model_copy(update={"seed": seed})})
-        return bench.model_copy(update={"prepare": ()}) if self._prepared == stage else bench
+        changes: dict[str, object] = {"prepare": ()} if self._prepared == stage else {}
+        if self._moved and bench.start_command is not None:
+            changes["start_command"] = bench.safe_command  # where the motion before has left it
+        return bench.model_copy(update=changes)
 
 
 def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track:

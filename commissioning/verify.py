@@ -134,7 +134,8 @@ def judge(tracks: Tracks, limits: CommandLimits, dt_s: float, sigma_deg: float, 
     scores = {name: _scored({m: t[name] for m, t in tracks.items()}, limits, dt_s) for name in CONTROLLERS}
     mpc, pid = scores[MPC], scores[PID]
     gains = np.concatenate([_gains(t[PID], t[MPC], dt_s) for t in tracks.values()])
-    mean, error = float(np.mean(gains)), float(np.std(gains, ddof=1)) / math.sqrt(gains.size)
+    mean = float(np.mean(gains)) if gains.size else 0.0
+    error = float(np.std(gains, ddof=1)) / math.sqrt(gains.size) if gains.size > 1 else math.inf
     verified = mean > _ERRORS * error and mean > _LEAST_GAIN * pid.rms_deg**2
     figures = (
         f"RMS of measured less wanted angle {mpc.rms_deg:.3f} deg, PID {pid.rms_deg:.3f} deg, inverse alone "

@@ -16,6 +16,7 @@ from hystmpc.commissioning.device import BenchDevice, Device
 from hystmpc.commissioning.plants import plants_in
 from hystmpc.commissioning.run import Commissioned, commission_device
 from hystmpc.ctrl.loop import Plant
+from hystmpc.rig.config import BenchSettings
 
 SCAN = {
     "kind": "scan_sinusoid",
@@ -110,7 +111,7 @@ def commissioned(
     return commission_device(bench, lambda root, tick: spied_device(bench, root, sent, angle), out)
 
 
-def within(sent: list[float], bench: CommissionSettings) -> bool:
+def within(sent: list[float], bench: BenchSettings) -> bool:
     """Whether commands lie within the limits on value and rate."""
     limits = bench.limits.build()
     inside = all(limits.lower - 1e-9 <= u <= limits.upper + 1e-9 for u in sent)

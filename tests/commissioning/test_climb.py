@@ -11,12 +11,17 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.commissioning.climb import Climb, dash
-from hystmpc.commissioning.device import DeviceStoppedError
+from hystmpc.commissioning.config import narrowed
+from hystmpc.commissioning.device import BenchDevice, DeviceStoppedError
+from hystmpc.commissioning.motions import recordings
+from hystmpc.commissioning.plants import plants_in
+from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.commission.phases import Past, PhaseInput
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trajectories.config import SinusoidScanSettings
+from hystmpc.trials.errors import ConfigError, LogError
 
+from .small import SCAN, Spied, spied_device, within
 from .small import settings as bench_settings
-from .small import spied_device, within
 
 ANGLES = st.one_of(
     st.just(math.nan), st.just(math.inf), st.floats(-1e3, 1e3), st.floats(20.0, 90.0), st.integers(-3, 3).map(float)
@@ -45,6 +50,47 @@ def test_whatever_the_device_answers_it_gets_no_command_beyond_a_limit(
         pass
     assert within(sent, bench)
     assert not sent or sent[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+@given(answers=st.lists(ANGLES, min_size=1, max_size=40), share=st.floats(0.0, 1.0), controlled=st.booleans())
+@settings(max_examples=12)
+def test_recordings_and_tracks_keep_to_the_range_that_was_found(
+    answers: list[float], share: float, controlled: bool, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """The narrower range and rate hold for what a controller asks for on wrong angles, too."""
+    folder = tmp_path_factory.mktemp("narrow")
+    whole, sent = bench_settings(folder), list[float]()
+    narrow = narrowed(whole, 0.0, 3.0, 4.0)
+    wrong_from = round(100 * share)
+
+    def angle(k: int, u: float, y: float) -> float:
+        return answers[k % len(answers)] if k >= wrong_from else y
+
+    device = spied_device(whole, folder, sent, angle)
+    tip = TipSettings.parse({"model": "builtin:pi", "controller": {"kind": "pid"}})
+    try:
+        if controlled:
+            device.track("7-verify/scan", tip, SinusoidScanSettings.parse(SCAN | {"amplitude_deg": 25.0}), narrow)
+        else:
+            device.play("2-record/steps", recordings(narrow, 0.1, 1)["steps"], narrow)
+    except (DeviceStoppedError, ConfigError, LogError):
+        pass
+    assert within(sent, narrow)
+    assert not sent or sent[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_device_that_rests_elsewhere_is_led_to_the_safe_command_first(tmp_path: Path) -> None:
+    bench, sent = bench_settings(tmp_path), list[float]()
+    plants = plants_in(Path(), "mm")
+    device = BenchDevice(
+        bench, lambda block, dt_s: (Spied(plants(block, dt_s)[0], sent, lambda k, u, y: y), 2.0), tmp_path
+    )
+    climb = Climb(bench, 6.0, (6.0, 114.0), 4)
+    device.explore("1-range/climb", climb, bench)
+    assert sent[0] == pytest.approx(2.0, abs=0.1)
+    assert climb.found.end == 6.0
+    assert min(sent) == pytest.approx(0.0, abs=1e-9)
+    assert sent.index(min(sent)) < sent.index(max(sent))
 
 
 @given(gain=st.floats(2.0, 40.0), high=st.floats(40.0, 110.0), steps=st.integers(4, 20), bend=st.floats(1.0, 1.1))
