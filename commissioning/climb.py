@@ -20,6 +20,8 @@ HOLD_S = 0.6
 _CAUTION = 1.5  # times the steepest slope seen is what the next step is taken to do
 _LEAST_STEP = 0.25  # of a step: less is not worth going
 _BESIDE = 0.02  # of the angle limits: how far beside the rest the widened ones lie
+_STILL = 0.6  # of the travel that the watch on motion allows
+_MOVES, _TRAVEL = 0.025, 0.3  # of sensor's and command's range: what that watch takes where nothing is said
 _MEDIAN = 3  # angles whose median is believed: one outlier is no angle
 _DASH_SHARE, _DASH_S = 0.5, 0.6  # of the range, and of a second at the greatest rate
 _FOLLOWS = 2  # samples that the device may need longer than the command for the same way
@@ -49,7 +51,8 @@ class Climb(Phase):
 
     A step is taken only with a usable angle. The first one is a quarter; each is made smaller where the steepest slope
     seen so far, times 1.5, would lead beyond the limits. An angle beyond them on the way turns the motion back at once;
-    the farthest command counts that was rested at before.
+    the farthest command counts that was rested at before. A tip that has moved and then stays for six tenths of
+    the travel that the watch on motion allows (`plausibility.travel`) ends the climb where it was seen to move last.
 
     Args:
         bench: rate, ramps and hard limits.
@@ -69,8 +72,13 @@ class Climb(Phase):
         self._recent: deque[float] = deque(maxlen=_MEDIAN)
         self._start = self._at = self._target = math.nan
         self._start_deg = self._at_deg = math.nan
+        self._moved = self._moved_deg = math.nan
         self._slope = 0.0
-        self._back = False
+        self._back = self._stirred = False
+        watch, sensor = bench.plausibility, bench.sensor
+        self._moves = watch.moves_deg or _MOVES * (sensor.upper_deg - sensor.lower_deg)
+        span = bench.limits.upper - bench.limits.lower
+        self._travel = (watch.travel or _TRAVEL * span) if watch.watch_motion else math.inf
         self.found = Climbed(math.nan, math.nan, math.nan, "it was not finished")
 
     def begin(self, now: PhaseInput, past: Past) -> None:
@@ -105,6 +113,13 @@ class Climb(Phase):
             slope = (angle - self._at_deg) / (self._target - self._at)
             self._slope = max(self._slope, slope, key=abs)
         self._at, self._at_deg = self._target, angle
+        if math.isnan(self._moved_deg) or abs(angle - self._moved_deg) >= self._moves:
+            self._stirred = self._stirred or not math.isnan(self._moved_deg)
+            self._moved, self._moved_deg = self._at, angle
+        elif self._stirred and abs(self._at - self._moved) >= _STILL * self._travel:
+            still = f"the angle stayed at {angle:.2f} deg from {self._moved:.4g} to {self._at:.4g}"
+            self._at, self._at_deg = self._moved, self._moved_deg
+            return self._turn(now, still)
         if not self._limits[0] <= angle <= self._limits[1]:
             return self._turn(now, f"the tip rests at {angle:.2f} deg, beyond its limits")
         if self._at == self._end:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -150,7 +151,7 @@ def _scores(verified: Verified) -> Table:
             score.rms_deg,
             *score.by_motion.values(),
             score.greatest_deg,
-            round(100 * score.rest_share, 1),
+            _or_dash(round(100 * score.rest_share, 1)),
             round(100 * score.fallback_share, 1),
             score.beyond,
         )
@@ -177,9 +178,11 @@ def _device(story: Story) -> Iterator[Piece]:
         facts["device time"] = f"{story.used_s / 60:.1f} min, motions that were cut short included"
     yield KeyValues(facts)
     if fitted.parts:
-        yield Table(("part", "form", "without it", "with it"), fitted.parts, "RMSE on trials left out [deg].")
+        rows = [(part, form, _or_dash(without), _or_dash(rmse)) for part, form, without, rmse in fitted.parts]
+        yield Table(("part", "form", "without it", "with it"), rows, "RMSE on trials left out [deg].")
     if fitted.numbers:
-        yield Table(("number", "value", "from", "to"), fitted.numbers, "Identified numbers, intervals of 90 %.")
+        numbers = [(name, *map(_or_dash, values)) for name, *values in fitted.numbers]
+        yield Table(("number", "value", "from", "to"), numbers, "Identified numbers, intervals of 90 %.")
     for line in (*fitted.advice, *story.checked.warnings):
         yield Paragraph(line)
     yield Plot(_free_run(subject, story.model), "Free run of the model beside the recording, worst trial.")
@@ -203,6 +206,10 @@ def _free_run(subject: Subject, model: Path) -> Figure:
         axes.set(xlabel="time [s]", ylabel="angle [deg]", title=f"{name}: RMSE {worst.errors.rmse_deg:.3g} deg")
         axes.legend(ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
     return figure
+
+
+def _or_dash(value: float) -> object:
+    return value if math.isfinite(value) else "-"
 
 
 def _corrected(story: Story) -> bool:

@@ -119,6 +119,17 @@ def test_the_tip_stays_within_its_limits_and_the_range_is_used(
     assert within(sent, bench)
 
 
+def test_a_tip_that_saturates_ends_the_climb_before_the_watch_on_motion_stops_it(tmp_path: Path) -> None:
+    """It moves up to 3 mm and stays there; the range ends where it was seen to move last, no stop is latched."""
+    bench, sent = bench_settings(tmp_path), list[float]()
+    climb = Climb(bench, 6.0, (6.0, 114.0), 12)
+    flat = spied_device(bench, tmp_path, sent, lambda k, u, y: 30.0 + 10.0 * min(u, 3.0) + 1e-6 * (k % 7))
+    flat.explore("1-range/climb", climb, bench)
+    assert climb.found.end == pytest.approx(3.0, abs=0.5)
+    assert "stayed at 60.00 deg" in climb.found.why
+    assert max(sent) <= 3.0 + 0.3 * 6.0
+
+
 def test_a_tip_that_rests_beyond_limits_that_were_given_is_not_moved(tmp_path: Path) -> None:
     bench, sent = bench_settings(tmp_path), list[float]()
     climb = Climb(bench, 6.0, (40.0, 100.0), 5)
