@@ -153,11 +153,11 @@ def _verified_steps(scores: Mapping[str, Scored]) -> tuple[str, ...]:
     steps = [f"use {TIP_FILE}: hystmpc.TipController.from_config, or `controller:` of `hystmpc run`"]
     if scores["inverse"].rms_deg <= scores[MPC].rms_deg:
         steps.append(
-            "the inverse alone is as good on these references: it has no feedback, so that it errs as soon as the "
-            "device changes; the predictive controller does not"
+            "the inverse alone is as good on these references; without feedback it does not correct for a device that "
+            "changes, which five minutes do not show"
         )
     if scores[MPC].beyond:
-        steps.append("commands beyond the limits were counted: tell us, this must not happen")
+        steps.append("do not use it yet: commands beyond the limits were counted, which must not happen")
     return tuple(steps)
 
 

@@ -6,18 +6,21 @@ import json
 import signal
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import hystmpc
+from hystmpc.commissioning import motions
 from hystmpc.studies.faults.play import end, start_device
 from hystmpc.trials.config import dump_yaml
 
 from ..cli.test_verbs import run
 from .small import BENCH, SCAN
 
+PLAYED = ("steps", "slow_sine", "fast_sine")
 DEVICE = {
     "rate_hz": 25,
     "command_unit": "mm",
@@ -80,53 +83,80 @@ def test_a_stage_that_cannot_be_completed_ends_with_one(tmp_path: Path, capsys: 
     assert "expected at least 20 % of the limits" in " ".join(said.split())
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
-def test_over_udp_ctrl_c_keeps_what_is_complete_and_the_same_command_goes_on(
+def test_ctrl_c_in_a_computation_keeps_the_stages(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In real time: about a minute of motion."""
-    from hystmpc.commissioning import motions
+    def interrupted(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hystmpc.commissioning.run.fit_model", interrupted)
+    code, _, said = run(capsys, "commission", written(tmp_path), "--out", tmp_path / "run")
+    assert code == 130
+    assert "the same command goes on" in " ".join(said.split())
+    assert (tmp_path / "run" / "3-check" / "result.json").exists()
+    assert not (tmp_path / "run" / "4-fit" / "result.json").exists()
+
+
+@pytest.fixture
+def short(quick: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three short recordings."""
+    whole = motions.identification_motions
+
+    def some(*arguments: Any) -> Iterator[tuple[str, Any]]:
+        return (named for named in whole(*arguments) if named[0] in PLAYED)
 
     monkeypatch.setattr(motions, "_REST_S", 0.3)
-    monkeypatch.setattr(motions, "_RECORD_SHARE", 0.75)
+    monkeypatch.setattr(motions, "_RECORD_SHARE", 0.65)
+    monkeypatch.setattr(motions, "_RECORDINGS", len(PLAYED))
+    monkeypatch.setattr(motions, "identification_motions", some)
+
+
+@pytest.fixture
+def udp(tmp_path: Path) -> Iterator[int]:
+    """The port of a device process, which has counted no command beyond its limits when it ends."""
     (tmp_path / "device.yaml").write_text(dump_yaml(DEVICE))
     process, port = start_device(tmp_path / "device.yaml")
+    yield port
+    process.send_signal(signal.SIGINT)
+    text, _ = process.communicate(timeout=30)
+    end(process)
+    assert "0 of them beyond the limits" in text
+
+
+def interrupt_once(folder: Path) -> None:
+    """Ctrl-C a second after a folder has appeared."""
+
+    def wait() -> None:
+        while not folder.exists():
+            time.sleep(0.05)
+        time.sleep(1.0)
+        signal.raise_signal(signal.SIGINT)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("short")
+def test_over_udp_ctrl_c_keeps_what_is_complete_and_the_same_command_goes_on(
+    udp: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In real time, with three recordings; the device itself counts commands beyond its limits."""
     scan = SCAN | {"frequency_hz": 1.0, "amplitude_deg": 4.0}
-    block = BENCH["commission"] | {"minutes": 1.3, "motions": {"scan": scan}}
-    transport = {"kind": "udp", "host": "127.0.0.1", "port": port}
+    block = BENCH["commission"] | {"minutes": 1.0, "range_steps": 4, "motions": {"scan": scan}}
+    transport = {"kind": "udp", "host": "127.0.0.1", "port": udp}
     bench, out = written(tmp_path, transport=transport, commission=block), tmp_path / "run"
     trials = out / "2-record" / "trials"
-    over = threading.Event()
-
-    def interrupt() -> None:
-        while not over.is_set():
-            if len(list(trials.glob("*.csv"))) >= 2 and (out / "2-record" / "runs" / "slow_sine").exists():
-                time.sleep(1.0)
-                return signal.raise_signal(signal.SIGINT)
-            time.sleep(0.05)
-        return None
-
-    waiting = threading.Thread(target=interrupt, daemon=True)
-    try:
-        waiting.start()
-        code, _, said = run(capsys, "commission", bench, "--out", out)
-        assert (code, "stopped: SIGINT" in said) == (3, True), said[-500:]
-        kept = {f: f.read_bytes() for f in trials.glob("*.csv")}
-        assert len(kept) >= 2
-        assert run(capsys, "commission", bench, "--out", out)[0] == 2
-        code, said, problem = run(capsys, "commission", bench, "--out", out, "--reset")
-        assert code == 0, problem[-500:]
-        assert "controller:" in said
-        assert {f: f.read_bytes() for f in kept} == kept
-        assert sorted(f.stem for f in trials.glob("*.csv")) == sorted(
-            ["steps", "long_holds", "slow_sine", "shrinking_sine", "fast_sine", "reversals"]
-        )
-    finally:
-        over.set()
-        process.send_signal(signal.SIGINT)
-        text, _ = process.communicate(timeout=30)
-        end(process)
-    assert "0 of them beyond the limits" in text
-    assert json.loads((out / "device_time.json").read_text())["seconds"] < 90
+    interrupt_once(out / "2-record" / "runs" / "slow_sine")
+    code, _, said = run(capsys, "commission", bench, "--out", out)
+    assert (code, "stopped: SIGINT" in said) == (3, True), said[-500:]
+    kept = {f: f.read_bytes() for f in trials.glob("*.csv")}
+    assert [f.stem for f in kept] == [PLAYED[0]]
+    assert run(capsys, "commission", bench, "--out", out)[0] == 2
+    code, said, problem = run(capsys, "commission", bench, "--out", out, "--reset")
+    assert code == 0, problem[-500:]
+    assert "controller:" in said
+    assert {f: f.read_bytes() for f in kept} == kept
+    assert {f.stem for f in trials.glob("*.csv")} == set(PLAYED)
+    assert json.loads((out / "device_time.json").read_text())["seconds"] < 75
     hystmpc.TipController.from_config(out / "tip.yaml").set_target(50.0)
