@@ -14,15 +14,15 @@ from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.safety.ramp import stop_commands, way_commands
 from hystmpc.trials.types import Vec
 
+from .bounded import BESIDE, MEDIAN
+
 HOLD_S = 0.6
 """Rest at every step of the climb [s]."""
 
 _CAUTION = 1.5  # times the steepest slope seen is what the next step is taken to do
 _LEAST_STEP = 0.25  # of a step: less is not worth going
-_BESIDE = 0.02  # of the angle limits: how far beside the rest the widened ones lie
 _STILL = 0.6  # of the travel that the watch on motion allows
 _MOVES, _TRAVEL = 0.025, 0.3  # of sensor's and command's range: what that watch takes where nothing is said
-_MEDIAN = 3  # angles whose median is believed: one outlier is no angle
 _DASH_SHARE, _DASH_S = 0.5, 0.6  # of the range, and of a second at the greatest rate
 _FOLLOWS = 2  # samples that the device may need longer than the command for the same way
 _CAREFUL = 0.9  # of the rate at which a device that does not follow has moved
@@ -69,7 +69,7 @@ class Climb(Phase):
     ) -> None:
         self._bench, self._end, self._limits, self._steps, self._widen = bench, end, angle_limits, steps, widen
         self._plan: deque[float] = deque()
-        self._recent: deque[float] = deque(maxlen=_MEDIAN)
+        self._recent: deque[float] = deque(maxlen=MEDIAN)
         self._start = self._at = self._target = math.nan
         self._start_deg = self._at_deg = math.nan
         self._moved = self._moved_deg = math.nan
@@ -101,13 +101,13 @@ class Climb(Phase):
 
     def _rested(self, now: PhaseInput, angle: float) -> None:
         """Judge the step that is over and plan the next one; without an angle, wait."""
-        if not math.isfinite(now.angle_deg) or len(self._recent) < _MEDIAN:
+        if not math.isfinite(now.angle_deg) or len(self._recent) < MEDIAN:
             return None
         if math.isnan(self._start_deg):
             self._start_deg = angle
             if self._widen:
                 low, high = self._limits
-                more = _BESIDE * (high - low)
+                more = BESIDE * (high - low)
                 self._limits = min(low, angle - more), max(high, angle + more)
         elif self._target != self._at:
             slope = (angle - self._at_deg) / (self._target - self._at)

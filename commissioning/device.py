@@ -32,6 +32,8 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
+from .bounded import bounded
+
 TIME_FILE = "device_time.json"
 _SEEDS = 100_003
 _TICK_S = 1.0
@@ -113,7 +115,7 @@ class Device(Protocol):
     """Device time that all calls took together [s]."""
 
     def explore(self, name: str, phase: Phase, bench: BenchSettings) -> None:
-        """Go through a phase that decides itself."""
+        """Go through a phase that decides itself, on the angle's limits too."""
         ...
 
     def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
@@ -178,6 +180,7 @@ class BenchDevice(Device):
     Args:
         plants: makes devices of `kind: simulated`.
         folder: of the commissioning.
+        angle_limits: beyond which recordings and tracks are stopped safely [deg]; None for those of the sensor.
         views: what is shown while a motion lasts.
         note: told what the loop's process says.
         tick: told the seconds of the present motion, once a second and by no thread of the loop.
@@ -188,12 +191,13 @@ class BenchDevice(Device):
         settings: BenchSettings,
         plants: PlantFactory,
         folder: Path,
+        angle_limits: tuple[float, float] | None = None,
         views: Views = Views(),
         note: Note = lambda text: None,
         tick: Tick = lambda seconds: None,
     ) -> None:
         self._plants, self._folder, self._views, self._note = plants, folder, views, note
-        self._tick = tick
+        self._tick, self._angle_limits = tick, angle_limits
         self.in_real_time = not settings.transport.in_process
         self._prepared, self._moved = "", False
         self.used_s = _used(folder)
@@ -203,7 +207,7 @@ class BenchDevice(Device):
 
     def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
         recorded = Recorded(name.rpartition("/")[2], commands)
-        self._perform(name, recorded, bench)
+        self._perform(name, bounded(recorded, self._angle_limits), bench)
         trial = recorded.trial(bench.dt_s, bench.command_unit)
         if trial is None:
             raise LogError(f"{name}: got no angle, expected a recording")
@@ -213,7 +217,7 @@ class BenchDevice(Device):
         plain = {key: getattr(bench, key) for key in BenchSettings.model_fields} | {"limits": bench.limits.model_dump()}
         run = RunSettings.parse(plain | {"controller": tip, "reference": reference.model_dump()}, name)
         phase = tracking_phase(run, beside=self.in_real_time)
-        samples = self._perform(name, phase, bench)
+        samples = self._perform(name, bounded(phase, self._angle_limits), bench)
         return track_of(samples, reference.build().duration_s, bench.dt_s)
 
     def _perform(self, name: str, phase: Phase, bench: BenchSettings) -> tuple[Sample, ...]:

@@ -21,6 +21,7 @@ from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.run_folder import require_vacant
 from hystmpc.trials.types import Progress
 
+from .bounded import bounded
 from .climb import Climb, Climbed, dash
 from .config import CommissionBlock, CommissionSettings, narrowed
 from .controller import TIP_FILE, ControllerMade, fresh_references, make_controllers
@@ -224,7 +225,8 @@ def opened_device(
         note: told what the loop's process says.
     """
     plants = plants_in(folder, settings.command_unit)
-    return lambda root, tick: BenchDevice(settings, plants, root, views, note, tick)
+    limits = settings.commission.angle_limits_deg
+    return lambda root, tick: BenchDevice(settings, plants, root, limits, views, note, tick)
 
 
 def _begun(out: Path | str, plain: Mapping[str, Any], seed: int) -> Path:
@@ -321,13 +323,16 @@ def _ranged(settings: CommissionSettings, device: Device) -> Ranged:
             "range: the angle falls as the command rises, expected it to rise; set wire.angle_sign: -1 (and "
             "wire.angle_offset_deg)"
         )
-    rate, said = _dashed(narrowed(settings, lower, upper, limits.rate_per_s), first.end, device)
+    within = narrowed(settings, lower, upper, limits.rate_per_s)
+    rate, said = _dashed(within, first.end, device, block.angle_limits_deg)
     return Ranged(lower, upper, rate, low_deg, high_deg, f"{words}; {said}")
 
 
-def _dashed(bench: BenchSettings, end: float, device: Device) -> tuple[float, str]:
+def _dashed(
+    bench: BenchSettings, end: float, device: Device, angle_limits: tuple[float, float] | None
+) -> tuple[float, str]:
     phase = dash(bench, end)
-    device.explore(f"{RANGE}/dash", phase, bench)
+    device.explore(f"{RANGE}/dash", bounded(phase, angle_limits), bench)
     rate, limit = float(f"{phase.rate_per_s:.4g}"), bench.limits.rate_per_s
     rate = min(rate, limit)
     if not phase.tells:

@@ -98,7 +98,7 @@ def spied_device(
         plant, held = plants(block, dt_s)
         return Spied(plant, sent, angle), held
 
-    return BenchDevice(bench, made, root)
+    return BenchDevice(bench, made, root, bench.commission.angle_limits_deg)
 
 
 def commissioned(

@@ -79,6 +79,19 @@ def test_recordings_and_tracks_keep_to_the_range_that_was_found(
     assert not sent or sent[-1] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_tip_that_overshoots_beyond_its_limits_stops_the_run(tmp_path: Path) -> None:
+    """The limits that the user gives hold in motion, too; one outlier is no angle."""
+    bench, sent = bench_settings(tmp_path, commission={"angle_limits_deg": [20.0, 90.0]}), list[float]()
+    commands = recordings(bench, 0.1, 1)["slow_sine"]
+    once = spied_device(bench, tmp_path, sent, lambda k, u, y: 100.0 if k == 60 else y)
+    assert len(once.play("2-record/slow_sine", commands, bench)) > 0.9 * commands.size
+    over = spied_device(bench, tmp_path, sent, lambda k, u, y: y + 12.0 * u)
+    with pytest.raises(DeviceStoppedError, match=r"beyond commission\.angle_limits_deg"):
+        over.play("2-record/slow_sine", commands, bench)
+    assert sent[-1] == pytest.approx(0.0, abs=1e-9)
+    assert within(sent, bench)
+
+
 def test_a_device_that_rests_elsewhere_is_led_to_the_safe_command_first(tmp_path: Path) -> None:
     bench, sent = bench_settings(tmp_path), list[float]()
     plants = plants_in(Path(), "mm")
