@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.feedback.inverse import InverseControllerSettings, InversePidControllerSettings
+from hystmpc.ctrl.feedback.inverse_settings import InverseControllerSettings, InversePidControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings, PidSettings
 from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.limits import CommandLimits
