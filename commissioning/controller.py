@@ -80,7 +80,7 @@ def make_controllers(
         folder / "pid.yaml": {"kind": "pid", "gains": gains["pid"]},
         folder / "inverse_pid.yaml": {"kind": "inverse_pid", "gains": gains["inverse_pid"]},
         folder / "inverse.yaml": {"kind": "inverse"},
-        folder.parent / TIP_FILE: predictive(subject),
+        folder.parent / TIP_FILE: predictive(subject, gains["pid"]),
     }
     for file, controller in files.items():
         write_tip(file, model, controller, subject, reached, tolerance)
@@ -89,9 +89,13 @@ def make_controllers(
     )
 
 
-def predictive(subject: Subject) -> dict[str, Any]:
-    """The controller block of `tip.yaml`; angle limits that the user has given are soft limits of the plan."""
-    block: dict[str, Any] = {"kind": "linearised_mpc"}
+def predictive(subject: Subject, pid: Mapping[str, float]) -> dict[str, Any]:
+    """The controller block of `tip.yaml`; angle limits that the user has given are soft limits of the plan.
+
+    Args:
+        pid: gains of the feedback to which it hands over where its model foretells nothing.
+    """
+    block: dict[str, Any] = {"kind": "linearised_mpc", "handover": {"pid": dict(pid)}}
     if subject.block.angle_limits_deg is not None:
         low, high = subject.block.angle_limits_deg
         block["weights"] = {"angle_lower_deg": low, "angle_upper_deg": high}

@@ -24,6 +24,7 @@ from ..identify.device import DrawnDevice, DrawnPlant, MuscleCore
 _SLOW_S, _QUICK_S, _TOP_S, _REST_S = 4.0, 1.2, 0.3, 0.5  # of a stroke of either flexure, at its top, and behind it
 _BESIDE = 0.3  # of the reachable angles: how much more than them the sensor shows at either end
 _SENSOR_DEG_S = 5000.0  # an air muscle jumps by 25 deg in a sample of 25 Hz
+_SLACK = 0.8  # of the travel: a slack tendon moves nothing before
 _RAMP = 0.3  # share of the greatest rate at which the bench moves by itself
 
 
@@ -134,6 +135,7 @@ def bench_settings(plant: DrawnPlant, minutes: float, diagnose: bool, folder: Pa
                 "upper_deg": high + beside,
                 "rate_limit_deg_s": _SENSOR_DEG_S,
             },
+            "plausibility": {"travel": _SLACK * limits.upper},
             "transport": {"kind": "simulated", "plant": {"device": device.key}, "seed": device.seed % 1000},
             "prepare": [{"step": "flexure", "lower": limits.lower, "upper": limits.upper}],
             "latch_file": str(folder / "latch.json"),
