@@ -100,7 +100,7 @@ class TakenUp:
 def worn(device: DrawnDevice, friction: float, stiffness: float) -> DrawnDevice:
     """The device with other friction and stiffness, as factors; a stiffer one moves less for the same command.
 
-    The friction of a muscle is divided by its factor: with more of it the angle would go on rising as the pressure falls.
+    The friction of a muscle is divided by its factor: with more of it the angle would rise as the pressure falls.
     """
     core = device.core
     changes: dict[str, Any]
