@@ -42,7 +42,8 @@ class PredictiveController(PredictiveSettings):
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
         from .mpc import PredictiveLaw
 
-        law = PredictiveLaw(predictor, inverse, limits, self.planner(predictor, limits), self)
+        planned = self.planned
+        law = PredictiveLaw(predictor, inverse, limits, planned.planner(predictor, limits), planned)
         if self.handover is None or not self.learns:
             return law
         from .handover import handover_law

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -112,6 +112,7 @@ class HandoverSettings(Settings):
 
 _LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
 _ALIKE = 3  # blocks of one length
+_BLIND_RATE, _BLIND_HOLD_DEG = 0.1, 0.01
 _SIGMA_SHARE = 0.1  # of the greatest move of a sample: more would cross kinks of the model that the step must not see
 
 
@@ -140,6 +141,21 @@ class PredictiveSettings(LawSettings):
     def learns(self) -> bool:
         """Whether the controller learns on top of its model: by default, where it has a continuous sensor."""
         return self.adaptation is not None and self.estimator.sensor == "continuous"
+
+    @property
+    def planned(self) -> Self:
+        """These settings as the plan is made from: without a continuous sensor there is little noise to be deaf to.
+
+        Where they are left out, the weight on moves is `_BLIND_RATE` then and the tolerance of holds `_BLIND_HOLD_DEG`.
+        """
+        if self.estimator.sensor == "continuous":
+            return self
+        weights, hold = self.weights, self.hold
+        if "rate" not in weights.model_fields_set:
+            weights = weights.model_copy(update={"rate": _BLIND_RATE})
+        if "tolerance_deg" not in hold.model_fields_set:
+            hold = hold.model_copy(update={"tolerance_deg": _BLIND_HOLD_DEG})
+        return self.model_copy(update={"weights": weights, "hold": hold})
 
     def bridged_samples(self, dt_s: float) -> int:
         return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)

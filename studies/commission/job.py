@@ -279,7 +279,7 @@ def _sensors(bench: StudyBench, own: Knowledge, tip: LawSettings) -> dict[str, f
     ]
     figures |= {"none.sigma_deg": sigma, "none.within_band": float(np.mean(np.concatenate(inside)))}
     seeing = _of(tip, {"estimator": dict(frames.told())})
-    figures |= bench.along("imaging", TakenUp(_built(seeing, own, limits), bench.plant), sensor=frames)[0]
+    figures |= bench.along("imaging", TakenUp(_built(seeing, own, limits), bench.plant, frames), sensor=frames)[0]
     figures |= bench.along("imaging_pid", _imaging_pid(bench, own), sensor=frames)[0]
     model = IdentifiedPlant(own, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
     rivals: dict[str, LawSettings] = {"as_identified_none": alone, "as_identified_inverse": InverseControllerSettings()}
