@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -102,6 +102,8 @@ class PredictiveSettings(LawSettings):
     """What both predictive controllers have.
 
     Attributes:
+        adaptation: learning on top of the model; null for none, which it is without a continuous sensor.
+        handover: to feedback where nothing foretells; null for none, which it is without learning.
         horizon: samples of the preview; null for 20, or 0.24 s where that is more, but no more than 60.
     """
 
@@ -112,17 +114,32 @@ class PredictiveSettings(LawSettings):
     weights: WeightsSettings = WeightsSettings()
     hold: HoldSettings = HoldSettings()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _nothing_is_learned_without_a_sensor(cls, data: Any) -> Any:
+        """What is on by default and has nothing to work with is null, so that settings as written are read again."""
+        if not isinstance(data, dict):
+            return data
+        estimator = data.get("estimator")
+        sensor = estimator.get("sensor") if isinstance(estimator, dict) else getattr(estimator, "sensor", None)
+        if sensor in ("intermittent", "none"):
+            data = {"adaptation": None, **data}
+        return {"handover": None, **data} if data.get("adaptation", {}) is None else data
+
     @model_validator(mode="after")
     def _learns_from_a_sensor(self) -> PredictiveSettings:
-        asked = "adaptation" in self.model_fields_set and self.adaptation is not None
-        if asked and self.estimator.sensor != "continuous":
+        if self.adaptation is not None and self.estimator.sensor != "continuous":
             raise ValueError(f"got adaptation with estimator.sensor {self.estimator.sensor}, expected continuous")
+        if self.handover is not None and self.adaptation is None:
+            raise ValueError(
+                "got handover with adaptation null, expected handover null: forecasts are judged by learning"
+            )
         return self
 
     @property
     def learns(self) -> bool:
         """Whether the controller learns on top of its model: by default, where it has a continuous sensor."""
-        return self.adaptation is not None and self.estimator.sensor == "continuous"
+        return self.adaptation is not None
 
     def bridged_samples(self, dt_s: float) -> int:
         return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)

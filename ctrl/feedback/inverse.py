@@ -122,10 +122,10 @@ class InversePid(Law[InversePidMemory]):
 
     def taken_over(self, given: ControlInput) -> InversePidMemory:
         """The memory with which it takes over from another law without a jump of the command."""
-        y, before = given.measured, self._feedforward.init(given.due, given.u_last)
+        before = self._feedforward.init(given.due, given.u_last)
         alone = self._feedforward.propose(before, given, Stopwatch())
         u_alone = self._limits.clip(alone.u, given.u_last, self._predictor.dt)
-        pid = self._pid.taken_over(given.due - y, y, given.u_last, u_alone)
+        pid = self._pid.taken_over(given.due - given.measured, given, u_alone)
         return InversePidMemory(before, pid, given.state, given.u_last)
 
     def propose(self, memory: InversePidMemory, given: ControlInput, watch: Stopwatch) -> Proposal[InversePidMemory]:

@@ -88,14 +88,15 @@ class Pid:
         seen = (y, given.age) if new else (memory.angle, age)
         return u, PidMemory(min(max(integral, -self._span), self._span), speed, *seen)
 
+    def taken_over(self, error: float, given: ControlInput, feedforward: float) -> PidMemory:
+        """The memory with which the next command is the last one sent; arguments as of `correct`."""
+        integral = given.u_last - feedforward - self._gains.kp_per_deg * error
+        return PidMemory(integral, 0.0, given.measured, given.age)
+
 
 def is_new(memory: PidMemory, given: ControlInput) -> bool:
     """Whether the measurement was taken after the one that the memory holds."""
     return given.age < memory.age + 1.0
-
-    def taken_over(self, error: float, y: float, u_last: float, feedforward: float) -> PidMemory:
-        """The memory with which the next command is `u_last`."""
-        return PidMemory(u_last - feedforward - self._gains.kp_per_deg * error, 0.0, y)
 
 
 @final
@@ -114,8 +115,7 @@ class PidFeedback(Law[PidMemory]):
 
     def taken_over(self, given: ControlInput) -> PidMemory:
         """The memory with which it takes over from another law without a jump of the command."""
-        y = given.measured
-        return self._pid.taken_over(given.setpoint - y, y, given.u_last, self._rest)
+        return self._pid.taken_over(given.setpoint - given.measured, given, self._rest)
 
     def propose(self, memory: PidMemory, given: ControlInput, watch: Stopwatch) -> Proposal[PidMemory]:
         u, memory = self._pid.correct(memory, given.setpoint - given.measured, given, self._rest)
