@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         Evaluation,
         Fit,
         build_controller,
+        commission,
         diagnose,
         evaluate,
         export,
@@ -57,6 +58,7 @@ __all__ = [
     "__version__",
     "build_controller",
     "check",
+    "commission",
     "diagnose",
     "evaluate",
     "export",
@@ -75,7 +77,8 @@ if not TYPE_CHECKING:  # a type checker knows the names above and no others
         __name__,
         (
             "hystmpc.api",
-            "Evaluation Fit build_controller diagnose evaluate export fit load_model load_simulator simulate tune",
+            "Evaluation Fit build_controller commission diagnose evaluate export fit load_model load_simulator "
+            "simulate tune",
         ),
         ("hystmpc.ctrl.limits", "Limits=CommandLimits"),
         ("hystmpc.ctrl.planner.tip_controller", "TipController"),

@@ -19,6 +19,7 @@ from hystmpc.trials.types import Progress
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from hystmpc.commissioning.run import Commissioned
     from hystmpc.ctrl.config import AnyControllerSettings
     from hystmpc.ctrl.guarded import GuardedController
     from hystmpc.ctrl.limits import CommandLimits
@@ -364,6 +365,56 @@ def diagnose(
     files = (simulator,) if isinstance(simulator, Path | str) else ()
     save_diagnosis(evidence, out, settings, models=files)
     return evidence.diagnosis
+
+
+def commission(
+    config: Settings | None,
+    out: Path | str,
+    *,
+    logs: Iterable[Path | str] = (),
+    overrides: Iterable[str] = (),
+    reset: bool = False,
+    progress: Progress | None = None,
+) -> Commissioned:
+    """From a device to a verified controller: range, recordings, model, controller, verification, report.
+
+    The device moves for five minutes at most, in real time; one of `kind: simulated` is computed faster. The same call
+    goes on after the last complete stage.
+
+    Args:
+        config: a bench with the block `commission`: a YAML file or a mapping; may be None with logs.
+        out: a new or empty folder, or one in which the same commissioning was begun.
+        logs: recordings in place of a device: files or folders; it then ends before the verification.
+        overrides: changes of a file's settings, such as `commission.minutes=4`.
+        reset: release a latched stop first: somebody has looked at the device.
+        progress: called with seconds done, seconds expected and a note.
+
+    Returns:
+        Files of controller, model and report, and the verdict.
+
+    Raises:
+        HystmpcError: if a setting is wrong, the folder holds something else, the device does not answer, or a motion
+            was stopped safely; complete trials are kept.
+        ConfigError: if there is neither a bench nor logs.
+    """
+    from hystmpc.commissioning.config import CommissionSettings, load_commission, located_commission
+    from hystmpc.commissioning.run import commission_device, commission_logs, opened_device
+    from hystmpc.rig.bench import reset_latch
+    from hystmpc.trials.errors import ConfigError
+
+    folder, settings = Path(), None
+    if isinstance(config, Path | str):
+        folder, settings = Path(config).resolve().parent, load_commission(config, overrides)
+    elif config is not None:
+        settings = located_commission(CommissionSettings.parse(dict(config)), folder)
+    files = list(logs)
+    if files:
+        return commission_logs(files, out, settings, progress)
+    if settings is None:
+        raise ConfigError("commission: got neither a bench nor logs, expected one of them")
+    if reset:
+        reset_latch(settings)
+    return commission_device(settings, opened_device(settings, folder), out, progress)
 
 
 def simulate(

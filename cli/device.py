@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from hystmpc.ctrl.loop import Plant
 from hystmpc.rig.device.config import DeviceSettings
-from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import DeviceLink
 from hystmpc.trials.config import load_settings
-from hystmpc.trials.errors import ConfigError
 
 from .at_bench import tell
 from .console import out
-
-_NOISE_DEG = 0.05  # of a device that is told none: an angle that never changes would be taken for a dead sensor
 
 
 def device(
@@ -27,6 +21,7 @@ def device(
     seconds: Annotated[float, typer.Option(min=0, help="End after this time; 0 for Ctrl-C.")] = 0.0,
 ) -> None:
     """Serve a simulated device until Ctrl-C; it listens on the loopback unless told otherwise."""
+    from hystmpc.commissioning.plants import make_plant
     from hystmpc.rig.device.server import serve
 
     settings = load_settings(DeviceSettings, config, overrides or ())
@@ -49,40 +44,3 @@ def device(
         f"controller silent {served.watchdog} times; rejected: {rejected}",
         soft_wrap=True,
     )
-
-
-def make_plant(settings: Mapping[str, Any], dt_s: float, seed: int, folder: Path, unit: str) -> tuple[Plant, float]:
-    """The plant that a block `plant` describes, and the command that it holds after a reset.
-
-    Args:
-        settings: `simulator` or `device`, parameters and effects as in a simulation file.
-        dt_s: sample time [s].
-        seed: of its noise.
-        folder: where relative file names start.
-        unit: of the command, which the plant has to have.
-
-    Raises:
-        ConfigError: on an unknown device, key or parameter, a value out of bounds, or another unit.
-        ModelError: if a simulator file is missing or unusable.
-    """
-    from hystmpc.models.load import model_path
-    from hystmpc.sim.config import PlantSettings
-    from hystmpc.sim.plants.make import make_plant as make
-
-    noise = {"noise_deg": _NOISE_DEG} if "device" in settings else {}
-    block = PlantSettings.parse(noise | dict(settings), "plant")
-    if block.simulator is not None:
-        block = block.model_copy(update={"simulator": str(model_path(block.simulator, folder))})
-    plant = make(block, dt_s, seed=seed)
-    if plant.command_unit != unit:
-        raise ConfigError(f"plant: got a device with commands in {plant.command_unit}, expected command_unit {unit}")
-    return plant, plant.rest_command
-
-
-def plants_in(folder: Path, unit: str) -> Any:
-    """A factory for transports of `kind: simulated`."""
-    return lambda settings, dt_s: _simulated(settings, dt_s, folder, unit)
-
-
-def _simulated(settings: SimulatedSettings, dt_s: float, folder: Path, unit: str) -> tuple[Plant, float]:
-    return make_plant(settings.plant, dt_s, settings.seed, folder, unit)

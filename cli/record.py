@@ -11,7 +11,6 @@ from hystmpc.rig.config import load_record
 
 from .at_bench import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell
 from .console import out
-from .device import plants_in
 
 
 def record(
@@ -23,6 +22,7 @@ def record(
     page: OnPage = False,
 ) -> None:
     """Play every excitation and write trials that `check`, `fit` and `diagnose` read. Exit code 3 after a stop."""
+    from hystmpc.commissioning.plants import plants_in
     from hystmpc.rig.commission.record import record as play
     from hystmpc.rig.recording.recorder_process import Views
     from hystmpc.rig.recording.recording import RecordingMeta

@@ -11,7 +11,6 @@ from hystmpc.rig.config import load_run
 
 from .at_bench import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell
 from .console import out
-from .device import plants_in
 
 
 def run(
@@ -23,6 +22,7 @@ def run(
     page: OnPage = False,
 ) -> None:
     """Prepare the device, track the reference, return to the safe command; exit code 3 after a safe stop."""
+    from hystmpc.commissioning.plants import plants_in
     from hystmpc.rig.commission.experiment import run_experiment
     from hystmpc.rig.recording.recorder_process import Views
     from hystmpc.rig.recording.recording import RecordingMeta

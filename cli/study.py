@@ -15,6 +15,7 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_resumable
 
 from .console import errors
+from .study_commission import commission
 from .study_control import control, rates
 from .study_identify import identify
 from .study_jobs import completed, ended
@@ -28,6 +29,7 @@ class Name(StrEnum):
     REAL = "real"
     CONTROL = "control"
     IDENTIFY = "identify"
+    COMMISSION = "commission"
 
 
 _STAGES = "; ".join(f"{name}: {', '.join(stages)}" for name, stages in STAGES.items())
@@ -50,14 +52,19 @@ def study(
     epochs_scale: Annotated[
         float | None, typer.Option(min=0.001, max=10.0, help="Share of the papers' epochs; s2 has 0.08, the others 1.")
     ] = None,
+    diagnose: Annotated[
+        bool | None, typer.Option("--diagnose/--no-diagnose", help="Of `commission`: whether models are diagnosed.")
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Only prove that everything runs.")] = False,
     loop_rates: Annotated[
-        str | None, typer.Option("--rates", help="Of `control` and `identify` [Hz], such as 25,250.")
+        str | None, typer.Option("--rates", help="Of `control`, `identify` and `commission` [Hz], such as 25,250.")
     ] = None,
     plants: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
     controllers: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
     motions: Annotated[str | None, typer.Option(help="Of `control`, separated by commas; else all.")] = None,
-    devices: Annotated[int | None, typer.Option(min=1, help="Of `identify`: how many are drawn; else 60.")] = None,
+    devices: Annotated[
+        int | None, typer.Option(min=1, help="Of `identify` and `commission`: how many are drawn; else 60.")
+    ] = None,
     kind: Annotated[str | None, typer.Option(help="Of `identify`: kind of model, see `fit`; else auto.")] = None,
     drive: Annotated[str | None, typer.Option(help="Of `identify`: auto for an identified drive before it.")] = None,
 ) -> None:
@@ -70,12 +77,17 @@ def study(
     loop["motions"] = _names(motions)
     modelling = {"kinds": kinds, "presets": presets, "directions": directions, "stages": stages}
     drawn = {"devices": devices, "kind": kind, "drive": drive, "rates_hz": loop["rates_hz"]}
-    _check_options(name, {"logs": logs, "epochs-scale": epochs_scale, **modelling}, loop, drawn)
+    benches = {"devices": devices, "rates_hz": loop["rates_hz"], "diagnose": diagnose}
+    own: dict[Name, Mapping[str, object]] = {Name.CONTROL: loop, Name.IDENTIFY: drawn, Name.COMMISSION: benches}
+    _check_options(name, {"logs": logs, "epochs-scale": epochs_scale, **modelling}, own)
     if name is Name.CONTROL:
         control(loop | {"seed": seed, "quick": quick}, folder, workers)
         return
     if name is Name.IDENTIFY:
         identify(drawn | {"seed": seed, "quick": quick}, folder, workers)
+        return
+    if name is Name.COMMISSION:
+        commission(benches | {"seed": seed, "quick": quick}, folder, workers)
         return
     settings = StudySettings.for_study(
         name.value,
@@ -90,16 +102,13 @@ def study(
     _run(settings, folder, workers)
 
 
-def _check_options(
-    name: Name, modelling: Mapping[str, object], loop: Mapping[str, object], drawn: Mapping[str, object]
-) -> None:
+def _check_options(name: Name, modelling: Mapping[str, object], others: Mapping[Name, Mapping[str, object]]) -> None:
     """Refuse options that a study has no use for."""
-    own = {Name.CONTROL: loop, Name.IDENTIFY: drawn}.get(name, modelling)
-    for option, value in {**modelling, **loop, **drawn}.items():
-        if option in own:
-            continue
-        if value not in (None, (), []):
-            raise ConfigError(f"study {name.value}: got --{option.removesuffix('_hz')}, which it has no use for")
+    own = others.get(name, modelling)
+    for options in (modelling, *others.values()):
+        for option, value in options.items():
+            if option not in own and value not in (None, (), []):
+                raise ConfigError(f"study {name.value}: got --{option.removesuffix('_hz')}, which it has no use for")
 
 
 def _run(settings: StudySettings, folder: Path, workers: int) -> None:

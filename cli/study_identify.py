@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hystmpc.studies.identify.settings import IdentifySettings
 from hystmpc.trials.run_folder import require_resumable
 
 from .console import out, table
 from .study_jobs import completed, ended
+
+if TYPE_CHECKING:
+    from hystmpc.studies.blind.bars import Bar
 
 
 def identify(changes: dict[str, Any], folder: Path, workers: int) -> None:
@@ -22,14 +26,20 @@ def identify(changes: dict[str, Any], folder: Path, workers: int) -> None:
         typer.Exit: with 130 if the user ended it.
     """
     from hystmpc.studies.identify.bars import bars  # as other studies: late
-    from hystmpc.studies.identify.report import bars_table
     from hystmpc.studies.identify.run import prepare_identify, run_identify
 
     settings = IdentifySettings.of(**changes)
     require_resumable(folder)
     ready = prepare_identify(settings, folder)
     outcome = completed(ready, settings.study, workers, lambda progress: run_identify(ready, workers, progress))
-    rows = [[row[0], row[1], row[3], row[4], row[5]] for row in bars_table(bars(outcome)).rows]
+    show_bars(bars(outcome))
+    ended(outcome, folder)
+
+
+def show_bars(judged: Sequence[Bar]) -> None:
+    """A table of bars, their numbers and goals."""
+    from hystmpc.studies.identify.report import bars_table
+
+    rows = [[row[0], row[1], row[3], row[4], row[5]] for row in bars_table(judged).rows]
     shown = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]
     out.print(table("Bars", ("bar", "number", "goal", "devices", "state"), shown))
-    ended(outcome, folder)

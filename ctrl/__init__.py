@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from .command import Timing as Timing
     from .config import CONTROLLERS as CONTROLLERS
     from .config import parse_controller as parse_controller
-    from .feedback.inverse import InverseControllerSettings as InverseControllerSettings
-    from .feedback.inverse import InversePidControllerSettings as InversePidControllerSettings
+    from .feedback.inverse_settings import InverseControllerSettings as InverseControllerSettings
+    from .feedback.inverse_settings import InversePidControllerSettings as InversePidControllerSettings
     from .feedback.pid import PidControllerSettings as PidControllerSettings
     from .limits import CommandLimits as CommandLimits
     from .loop import Controller as Controller
@@ -31,7 +31,7 @@ _HOMES = {
     "build": ("build_controller",),
     "command": ("Command", "Source", "Timing"),
     "config": ("CONTROLLERS", "parse_controller"),
-    "feedback.inverse": ("InverseControllerSettings", "InversePidControllerSettings"),
+    "feedback.inverse_settings": ("InverseControllerSettings", "InversePidControllerSettings"),
     "feedback.pid": ("PidControllerSettings",),
     "limits": ("CommandLimits",),
     "loop": ("Controller", "Plant", "run_loop"),

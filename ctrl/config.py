@@ -9,7 +9,7 @@ from pydantic import Field
 
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
-from .feedback.inverse import InverseControllerSettings, InversePidControllerSettings
+from .feedback.inverse_settings import InverseControllerSettings, InversePidControllerSettings
 from .feedback.pid import PidControllerSettings
 from .mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 

@@ -6,18 +6,18 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, final
 
 from hystmpc.models.model import Inverse, Predictor
-from hystmpc.trials.config import Settings
 
 from .analysis import static_gain
 from .command import ControlInput, Source, Stopwatch
 from .fallback import attempt
-from .feedback.inverse import InverseControllerSettings, InversePid
+from .feedback.inverse import InverseFeedforward, InversePid
 from .feedback.pid import Pid, PidFeedback, PidSettings
 from .law import Law, Proposal
-from .limits import CommandLimits, Positive
+from .limits import CommandLimits
+from .planning_settings import HandoverSettings
 
 if TYPE_CHECKING:
-    from .estimation.observer import EstimatorSettings
+    pass
 
 Level = Literal["mpc", "inverse_pid", "pid"]
 LEVELS: tuple[Level, ...] = ("mpc", "inverse_pid", "pid")
@@ -26,44 +26,31 @@ _BACK = 0.5  # share of a threshold below which a better level takes over again
 _KP_SHARE, _KI_PER_S = 0.2, 1.5  # of gains that nobody has tuned, in units of the inverse of the model's static gain
 
 
-class HandoverSettings(Settings):
-    """Block `handover`: which controller acts, by what the forecasts of the last seconds were worth.
+def gains_for(settings: HandoverSettings, predictor: Predictor) -> PidSettings:
+    """The gains of both feedback laws, for a model."""
+    if settings.pid is not None:
+        return settings.pid
+    gain = attempt(lambda: static_gain(predictor))[0] or 0.0
+    if not gain > 0:
+        return PidSettings()
+    return PidSettings(kp_per_deg=_KP_SHARE / gain, ki_per_deg_s=_KI_PER_S / gain)
 
-    The error of a forecast over 0.24 s is compared with that of no forecast, which is that the angle stays where it is
-    (root mean squares, see `FilterBank`).
 
-    Attributes:
-        inverse_pid_above: share of the latter from which on inverse and PID take over from the predictive controller.
-        pid_above: share from which on the PID alone takes over.
-        pid: gains of both; null for 0.2 / G and 1.5 / (G s), where G is the model's static gain [deg per command unit].
+def handover_law(
+    mpc: Law[Any],
+    settings: HandoverSettings,
+    pair: tuple[Predictor, Inverse],
+    limits: CommandLimits,
+) -> HandoverLaw:
+    """The predictive law with the two that take over from it, on one model.
+
+    The inverse is that of the hysteresis alone, sample by sample: of a model that foretells so badly, lag and delay are
+    not worth undoing.
     """
-
-    inverse_pid_above: Positive = 0.95
-    pid_above: Positive = 1.05
-    pid: PidSettings | None = None
-
-    def gains(self, predictor: Predictor) -> PidSettings:
-        """The gains, for a model."""
-        if self.pid is not None:
-            return self.pid
-        gain = attempt(lambda: static_gain(predictor))[0] or 0.0
-        if not gain > 0:
-            return PidSettings()
-        return PidSettings(kp_per_deg=_KP_SHARE / gain, ki_per_deg_s=_KI_PER_S / gain)
-
-    def law(
-        self,
-        mpc: Law[Any],
-        pair: tuple[Predictor, Inverse],
-        limits: CommandLimits,
-        estimator: EstimatorSettings,
-    ) -> HandoverLaw:
-        """The predictive law with the two that take over from it, on one model."""
-        predictor, inverse = pair
-        pid = Pid(self.gains(predictor), limits, predictor.dt)
-        feedforward = InverseControllerSettings(estimator=estimator).feedforward(predictor, inverse, limits)
-        feedback = InversePid(feedforward, pid, predictor, limits), PidFeedback(pid, limits)
-        return HandoverLaw(mpc, *feedback, (self.inverse_pid_above, self.pid_above))
+    predictor, inverse = pair
+    pid = Pid(gains_for(settings, predictor), limits, predictor.dt)
+    feedback = InversePid(InverseFeedforward(inverse), pid, predictor, limits), PidFeedback(pid, limits)
+    return HandoverLaw(mpc, *feedback, (settings.inverse_pid_above, settings.pid_above))
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,9 @@ class PredictiveController(PredictiveSettings):
         law = PredictiveLaw(predictor, inverse, limits, self.planner(predictor, limits), self)
         if self.handover is None or not self.learns:
             return law
-        return self.handover.law(law, (predictor, inverse), limits, self.estimator)
+        from .handover import handover_law
+
+        return handover_law(law, self.handover, (predictor, inverse), limits)
 
     @abstractmethod
     def planner(self, predictor: Predictor, limits: CommandLimits) -> Planner[Any]:

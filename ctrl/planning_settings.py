@@ -13,7 +13,7 @@ from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Mat, Vec
 
 from .estimation.observer import EstimatorSettings
-from .handover import HandoverSettings
+from .feedback.pid import PidSettings
 from .law import LawSettings
 from .limits import Count, NotNegative, Positive
 
@@ -91,6 +91,23 @@ class AdaptationSettings(Settings):
 
     sigma_share: Positive = 0.4
     walk_share: NotNegative = 0.01
+
+
+class HandoverSettings(Settings):
+    """Block `handover`: which controller acts, by what the forecasts of the last seconds were worth.
+
+    The error of a forecast over 0.24 s is compared with that of no forecast, which is that the angle stays where it is
+    (root mean squares, see `FilterBank`).
+
+    Attributes:
+        inverse_pid_above: share of the latter from which on inverse and PID take over from the predictive controller.
+        pid_above: share from which on the PID alone takes over.
+        pid: gains of both; null for 0.2 / G and 1.5 / (G s), where G is the model's static gain [deg per command unit].
+    """
+
+    inverse_pid_above: Positive = 0.95
+    pid_above: Positive = 1.05
+    pid: PidSettings | None = None
 
 
 _LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -66,6 +66,7 @@ def run_bench(
     *,
     folder: Path | None = None,
     note: Note = lambda text: None,
+    clock: Clock | None = None,
 ) -> BenchResult:
     """Prepare the device, go through the phases, and leave it at rest at the safe command.
 
@@ -76,11 +77,14 @@ def run_bench(
         plants: makes the device of `kind: simulated`.
         folder: gets `timing.json`, and `latched.json` after a stop.
         note: told what goes on, outside the loop.
+        clock: of a device that is computed faster than time passes; the process is left as it is then. None for the
+            machine's own.
 
     Raises:
         ConfigError: if the stop is latched, the device does not answer, or settings do not fit it; nothing has moved.
     """
-    clock, flag = MonotonicClock(settings.realtime.spin_s), StopFlag()
+    control = control_process(settings.realtime) if clock is None else nullcontext(list[str]())
+    clock, flag = clock or MonotonicClock(settings.realtime.spin_s), StopFlag()
     with Latch.of(settings.name, settings.latch_file).held() as latch, stopping_on_signals(flag):
         latch.require_released()
         conversion = Conversion.of(settings.wire, settings.command_unit)
@@ -93,7 +97,7 @@ def run_bench(
             _part(transport)
             raise
         try:
-            result = _loop(settings, transport, clock, contact, flag, work, samples, note)
+            result = _loop(settings, transport, clock, contact, flag, work, samples, note, control)
             _conclude(latch, result.outcome.cause)
         finally:
             _part(transport)
@@ -112,6 +116,7 @@ def _loop(
     work: Sequence[Phase],
     samples: Sink,
     note: Note,
+    control: AbstractContextManager[list[str]],
 ) -> BenchResult:
     ramps, dt_s, safe, sensor = settings.ramps, settings.dt_s, settings.safe_command, settings.sensor
     limits, overshoot = settings.limits.build(), settings.overshoot
@@ -128,7 +133,7 @@ def _loop(
     if not contact.tells:
         gate.anchor(contact.held)
     anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), silence_s)
-    with control_process(settings.realtime) as notes:
+    with control as notes:
         for text in notes:
             note(text)
         watch = None

@@ -183,7 +183,7 @@ def load_run(path: Path | str, overrides: Iterable[str] = ()) -> RunSettings:
     settings, folder = load_settings(RunSettings, path, overrides), Path(path).resolve().parent
     tip = settings.controller
     files = {"model": _file(tip.model, folder), "inverse": None if tip.inverse is None else _file(tip.inverse, folder)}
-    changes: dict[str, Any] = {"controller": tip.model_copy(update=files), **_common(settings, folder)}
+    changes: dict[str, Any] = {"controller": tip.model_copy(update=files), **located(settings, folder)}
     if isinstance(settings.reference, SampledSettings):
         motion = settings.reference
         changes["reference"] = motion.model_copy(update={"file": folder / motion.file})
@@ -201,10 +201,11 @@ def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettin
         name: e.model_copy(update={"file": folder / e.file}) if isinstance(e, MotionFileSettings) else e
         for name, e in settings.excitations.items()
     }
-    return settings.model_copy(update={"excitations": excitations, **_common(settings, folder)})
+    return settings.model_copy(update={"excitations": excitations, **located(settings, folder)})
 
 
-def _common(settings: BenchSettings, folder: Path) -> dict[str, Any]:
+def located(settings: BenchSettings, folder: Path) -> dict[str, Any]:
+    """The settings of every bench that name files, with file names that start at `folder`."""
     changes: dict[str, Any] = {"transport": settings.transport.resolved(folder)}
     if settings.latch_file is not None:
         changes["latch_file"] = folder / settings.latch_file

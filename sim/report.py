@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid
-from hystmpc.ctrl.feedback.inverse import InversePidControllerSettings
+from hystmpc.ctrl.feedback.inverse_settings import InversePidControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings
 from hystmpc.models.inverse.drive import Drive
 from hystmpc.models.load import load_model, model_path

@@ -137,6 +137,8 @@ class PiecewiseCubic:
 _SNAP = 1e-12
 # Relative excess over a limit, and gap at the target, that pass as rounding.
 _EXCESS = 1e-9
+# Where distance and limits are whole multiples of each other, ruckig sometimes finds no motion; a hair beside it does.
+_JERKS = (1.0, 1.0 - 1e-9, 1.0 - 1e-6)
 _GAP = 1e-8
 # ruckig is made for durations up to 7600 of its units of time and may refuse longer ones (ruckig#109).
 _LONGEST = 1000.0
@@ -221,12 +223,17 @@ def _input(
 
 def _calculate(wanted: ruckig.InputParameter, where: str) -> Segments:
     """Plan in the scaled units; rows as in `Segments`."""
-    trajectory = ruckig.Trajectory(1)
-    try:
-        ruckig.Ruckig(1).calculate(wanted, trajectory)
-    except (ruckig.RuckigError, ValueError) as error:
-        # ValueError: the binding has no name for some of ruckig's negative results.
-        raise TrajectoryError(f"{where}: ruckig finds none ({' '.join(str(error).split())})") from None
+    trajectory, problem, jerk = ruckig.Trajectory(1), "", wanted.max_jerk[0]
+    for share in _JERKS:
+        wanted.max_jerk = [share * jerk]
+        try:
+            ruckig.Ruckig(1).calculate(wanted, trajectory)
+            break
+        except (ruckig.RuckigError, ValueError) as error:
+            # ValueError: the binding has no name for some of ruckig's negative results.
+            problem = " ".join(str(error).split())
+    else:
+        raise TrajectoryError(f"{where}: ruckig finds none ({problem})")
     profile = trajectory.profiles[0][0]
     return np.column_stack((profile.t, profile.p[:-1], profile.v[:-1], profile.a[:-1], profile.j))
 

@@ -6,22 +6,20 @@ S2 is RA-L 2024, PMC11633443.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
-from pydantic import field_validator
 
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
 from ..command import EMPTY, ControlInput, Source, Stopwatch
-from ..estimation.observer import EstimatorSettings, Observer
-from ..law import Law, LawSettings, Proposal
-from ..limits import CommandLimits, Count, NotNegative
-from .pid import Pid, PidMemory, PidSettings, is_new, needs_sensor
+from ..law import Law, Proposal
+from ..limits import CommandLimits
+from .pid import Pid, PidMemory, is_new
 
 if TYPE_CHECKING:
-    from ..linearised.feasible_inverse import FeasibleInverse
+    from ..planning import CommandPlan
 
 REFERENCE_DEAD_ZONE_DEG = 0.027  # 0.0003 of 90 deg, RA-L 2024, PMC11633443 (S2)
 
@@ -32,6 +30,16 @@ class FeedforwardMemory:
 
     followed: float
     plan: Vec = field(default_factory=lambda: EMPTY)
+
+
+class AheadOfTime(Protocol):
+    """An inverse over a preview, such as `FeasibleInverse`."""
+
+    horizon: int
+
+    def plan(self, state: Vec, u_last: float, wanted: Vec, remaining: Vec, tolerance_deg: float) -> CommandPlan:
+        """The commands along wanted angles (H,) [deg]; see `FeasibleInverse.plan`."""
+        ...
 
 
 @final
@@ -51,7 +59,7 @@ class InverseFeedforward(Law[FeedforwardMemory]):
         self,
         inverse: Inverse,
         dead_zone_deg: float = REFERENCE_DEAD_ZONE_DEG,
-        ahead: FeasibleInverse | None = None,
+        ahead: AheadOfTime | None = None,
     ) -> None:
         self._inverse, self._dead_zone, self._ahead = inverse, dead_zone_deg, ahead
         self.horizon = 1 if ahead is None else ahead.horizon
@@ -140,56 +148,3 @@ class InversePid(Law[InversePidMemory]):
         u, pid = self._pid.correct(memory.pid, error, given, u_alone)
         watch.lap("pid")
         return Proposal(u, InversePidMemory(wanted.memory, pid, state, u_alone, dues, error))
-
-
-class FeedforwardSettings(LawSettings):
-    """What both controllers with an inverse have.
-
-    Attributes:
-        reference_dead_zone_deg: change of the reference that is not followed [deg].
-        preview: samples of the reference that the inverse of a model with lag or delay looks at.
-    """
-
-    estimator: EstimatorSettings = EstimatorSettings()
-    reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
-    preview: Count = 20
-
-    def bridged_samples(self, dt_s: float) -> int:
-        return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
-
-    def observer(self, predictor: Predictor) -> Observer:
-        return self.estimator.observer(predictor)
-
-    def feedforward(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> InverseFeedforward:
-        """The inverse: over the preview for a model with lag or delay, else sample by sample."""
-        from hystmpc.models.inverse.drive import DrivenInverse  # numba and CasADi, which importing settings spares
-
-        ahead = None
-        if isinstance(inverse, DrivenInverse):
-            from ..linearised.feasible_inverse import FeasibleInverse
-
-            ahead = FeasibleInverse(predictor, inverse, limits, self.preview)
-        return InverseFeedforward(inverse, self.reference_dead_zone_deg, ahead)
-
-
-class InverseControllerSettings(FeedforwardSettings):
-    """Inverse feedforward."""
-
-    kind: Literal["inverse"] = "inverse"
-
-    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        return self.feedforward(predictor, inverse, limits)
-
-
-class InversePidControllerSettings(FeedforwardSettings):
-    """Inverse feedforward with PID feedback."""
-
-    kind: Literal["inverse_pid"] = "inverse_pid"
-    gains: PidSettings = PidSettings(kp_per_deg=0.01, ki_per_deg_s=0.2)
-
-    _measures = field_validator("estimator")(needs_sensor)
-
-    def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
-        feedforward = self.feedforward(predictor, inverse, limits)
-        pid, oldest = Pid(self.gains, limits, predictor.dt), self.estimator.oldest_samples(predictor.dt)
-        return InversePid(feedforward, pid, predictor, limits, oldest)

@@ -283,36 +283,44 @@ def correct_filters(
 ) -> None:
     """One measurement for every drive: z (H, K), covariance (H, K, K) and sums of forecast errors, in place."""
     size = z.shape[1]
-    h, spread, f = np.empty(size), np.empty(size), np.empty(size - 2)
+    h = np.empty(size)
     for n in range(z.shape[0]):
         lag, at = n // DELAYS, n % DELAYS + delay
-        features(history[at, lag], history[at + 1, lag, 0], start[0], start[1], pace, f)
-        h[0], h[1], h[2:] = 1.0, angle - start[2], f
-        error, forecast, variance = y - angle, y - angle, noise
-        p = covariance[n]
+        features(history[at, lag], history[at + 1, lag, 0], start[0], start[1], pace, h[2:])
+        h[0], h[1] = 1.0, angle - start[2]
+        error, forecast = y - angle, y - angle
         for a in range(size):
             error -= h[a] * z[n, a]
             forecast -= h[a] * frozen[n, a]
-            total = 0.0
-            for b in range(size):
-                total += p[a, b] * h[b]
-            spread[a] = total
-            variance += h[a] * total
         sums[n] += forecast * forecast
-        if not (noise <= variance < np.inf and abs(error) < np.inf):  # rounding has eaten the covariance
-            p[:] = 0.0
-            for a in range(size):
-                p[a, a] = prior[a]
-            continue
-        if travel == 0.0 and error * error > _SURPRISE * variance:  # nothing moves: no weight can have changed
-            p[0, 0] += error * error
-            for a in range(size):
-                spread[a] += error * error * (a == 0)
-            variance += error * error
+        correct_filter(z[n], covariance[n], h, error, noise, prior, travel == 0.0)
         for a in range(size):
-            share = spread[a] / variance
-            z[n, a] += share * error
-            for b in range(size):
-                p[a, b] -= share * spread[b]
+            grown = covariance[n, a, a] + growth[a] + walk[a] * travel
+            covariance[n, a, a] = min(grown, max(prior[a], covariance[n, a, a]))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def correct_filter(z: Any, p: Any, h: Any, error: float, noise: float, prior: Any, still: bool) -> None:
+    """One measurement for one drive: z (K,) and covariance p (K, K), in place.
+
+    Args:
+        error: of the prediction [deg].
+        still: whether the command rests; no weight can have changed then, and a large error is a jump of the offset.
+    """
+    size = z.size
+    spread = p @ h
+    variance = noise + h @ spread
+    if not (noise <= variance < np.inf and abs(error) < np.inf):  # rounding has eaten the covariance
+        p[:] = 0.0
         for a in range(size):
-            p[a, a] = min(p[a, a] + growth[a] + walk[a] * travel, max(prior[a], p[a, a]))
+            p[a, a] = prior[a]
+        return
+    if still and error * error > _SURPRISE * variance:
+        p[0, 0] += error * error
+        spread[0] += error * error
+        variance += error * error
+    for a in range(size):
+        share = spread[a] / variance
+        z[a] += share * error
+        for b in range(size):
+            p[a, b] -= share * spread[b]

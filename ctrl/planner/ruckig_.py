@@ -22,6 +22,8 @@ Segments = NDArray[np.float64]
 
 _SNAP = 1e-12  # moves smaller than this, relative to the angle, are none (ruckig#160)
 _LONGEST = 1000.0  # ruckig is made for durations up to 7600 of its units of time (ruckig#109)
+# Where distance and limits are whole multiples of each other, ruckig sometimes finds no motion; a hair beside it does.
+_JERKS = (1.0, 1.0 - 1e-9, 1.0 - 1e-6)
 _GAP = 1e-7  # distance from the target, in units of the move, that passes as rounding
 
 
@@ -78,13 +80,16 @@ def _planned(start: Kinematics, distance: float, limits: TargetMotionSettings, s
     wanted.current_acceleration = [start.acceleration_deg_s2 / acceleration]
     wanted.max_velocity = [limits.velocity_deg_s / velocity]
     wanted.max_acceleration = [limits.acceleration_deg_s2 / acceleration]
-    wanted.max_jerk = [limits.jerk_deg_s3 / jerk]
-    trajectory = ruckig.Trajectory(1)
-    try:
-        ruckig.Ruckig(1).calculate(wanted, trajectory)
-    except (ruckig.RuckigError, ValueError) as error:
-        text = " ".join(str(error).split())
-        raise TrajectoryError(f"move by {distance:.6g} deg from {start}: ruckig finds none ({text})") from None
+    trajectory, problem = ruckig.Trajectory(1), ""
+    for share in _JERKS:
+        wanted.max_jerk = [share * limits.jerk_deg_s3 / jerk]
+        try:
+            ruckig.Ruckig(1).calculate(wanted, trajectory)
+            break
+        except (ruckig.RuckigError, ValueError) as error:
+            problem = " ".join(str(error).split())
+    else:
+        raise TrajectoryError(f"move by {distance:.6g} deg from {start}: ruckig finds none ({problem})")
     profile: Any = trajectory.profiles[0][0]
     brake: Any = profile.brake
     main = np.column_stack((profile.t, profile.p[:-1], profile.v[:-1], profile.a[:-1], profile.j))

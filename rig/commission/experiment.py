@@ -55,8 +55,11 @@ def run_experiment(
     return run_bench(settings, lambda: phase, sink, plants, folder=folder, note=note)
 
 
-def tracking_phase(settings: RunSettings) -> Tracking:
+def tracking_phase(settings: RunSettings, beside: bool = True) -> Tracking:
     """The controller of an experiment, compiled and warm, as a phase.
+
+    Args:
+        beside: whether the hand-over goes on beside the loop, see `Tracking`.
 
     Raises:
         ConfigError: if model and bench differ in rate or unit, or the controller's limits go beyond the bench's.
@@ -90,7 +93,7 @@ def tracking_phase(settings: RunSettings) -> Tracking:
     estimator = tip_settings.controller.estimator
     limit = estimator.disturbance_limit_deg if isinstance(estimator, EstimatorSettings) else math.inf
     watch = ModelWatch(settings.plausibility, limit, settings.dt_s)
-    return Tracking(tip, law_of_it, lead_in, watch, fails, settings.sensor)
+    return Tracking(tip, law_of_it, lead_in, watch, fails, settings.sensor, beside)
 
 
 def _fits(settings: RunSettings, assembly: Assembly) -> None:
@@ -141,6 +144,8 @@ class Tracking(Phase):
         lead_in: measured angle to the reference to follow.
         drill_s: from when until when the law is made to fail, as an exercise [s]; None for never.
         sensor: of the bench; continuous where left out.
+        beside: whether the hand-over goes on beside the loop; False where a sample takes no time, so that each run of a
+            computed device is the same.
     """
 
     name = "track"
@@ -153,7 +158,9 @@ class Tracking(Phase):
         watch: ModelWatch,
         drill_s: tuple[float, float] | None = None,
         sensor: SensorSettings | None = None,
+        beside: bool = True,
     ) -> None:
+        self._beside = beside
         self._tip, self._law, self._lead_in, self._watch, self._drill = tip, law, lead_in, watch, drill_s
         self._kind, self._rest_deg = ("continuous", None) if sensor is None else (sensor.kind, sensor.rest_deg)
         self._held_samples = 0
@@ -202,6 +209,8 @@ class Tracking(Phase):
                 self._past = None
                 self._worker = Thread(target=self._hand_over, args=(past,), name="hand-over", daemon=True)
                 self._worker.start()
+                if not self._beside:
+                    self._worker.join()
             return True
         waits = self._worker is not None and self._worker.is_alive()
         if waits and self._kind != "continuous":

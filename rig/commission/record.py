@@ -79,17 +79,24 @@ class Recorded(Phase):
 
         Samples without an angle are left out; between frames they stay, with an empty cell: the commands count.
         """
-        t, u, y = (np.array(values) for values in (self.times, self.sent, self.angles_deg))
-        done, seen = np.isfinite(t), np.isfinite(t) & np.isfinite(y)
-        if np.count_nonzero(seen) < _LEAST:
+        trial, file = self.trial(unit), folder / f"{self.name}.csv"
+        if trial is None:
             return None
-        file = folder / f"{self.name}.csv"
         if self._late is None:
-            trial = Trial(self._dt * t[seen], u[seen], y[seen], units=Units(command=unit), source=self.name)
             return write_csv(trial, file)
+        t, u, y = (np.array(values) for values in (self.times, self.sent, self.angles_deg))
+        done = np.isfinite(t)
         angles = [repr(angle) if math.isfinite(angle) else "" for angle in y[done].tolist()]
         columns = {CANONICAL.time: self._dt * t[done], f"command_{unit}": u[done], CANONICAL.angle: angles}
         return write_atomically(file, format_table(columns))
+
+    def trial(self, unit: str) -> Trial | None:
+        """The samples with an angle; None with fewer than two."""
+        t, u, y = (np.array(values) for values in (self.times, self.sent, self.angles_deg))
+        seen = np.isfinite(t) & np.isfinite(y)
+        if np.count_nonzero(seen) < _LEAST:
+            return None
+        return Trial(self._dt * t[seen], u[seen], y[seen], units=Units(command=unit), source=self.name)
 
     @property
     def whole(self) -> bool:

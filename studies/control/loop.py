@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 
 from hystmpc.ctrl.command import Command
-from hystmpc.ctrl.feedback.inverse import InversePidControllerSettings
+from hystmpc.ctrl.feedback.inverse_settings import InversePidControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings, PidSettings
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.loop import Controller

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.feedback.inverse import InverseControllerSettings, InversePidControllerSettings
+from hystmpc.ctrl.feedback.inverse_settings import InverseControllerSettings, InversePidControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings, PidSettings
 from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.limits import CommandLimits
@@ -151,11 +151,11 @@ def study_device(
     plant = DrawnPlant(device, device.seed)
     trials = recordings(plant, settings.quick)
     watch.lap("record")
-    identified = _identified(chosen_kind(settings.kind, settings.drive), trials, device, settings.seed)
-    model = _opened(identified, folder / "models" / f"{device.key}-{settings.kind}")
+    identified = identified_as(chosen_kind(settings.kind, settings.drive), trials, device, settings.seed)
+    model = opened_model(identified, folder / "models" / f"{device.key}-{settings.kind}")
     watch.lap("identify")
-    rivals = _identified(kind_named(_RIVAL_MODEL), trials, device, settings.seed)
-    rival = _opened(rivals, folder / "models" / f"{device.key}-rival")
+    rivals = identified_as(kind_named(_RIVAL_MODEL), trials, device, settings.seed)
+    rival = opened_model(rivals, folder / "models" / f"{device.key}-rival")
     watch.lap("rival")
     plant = plant.reseeded(device.seed + _COMPARED)
     study = DeviceStudy(device, plant, fresh_motions(plant, settings.quick), model, rival)
@@ -188,7 +188,7 @@ def found_parts(identified: Identified) -> dict[str, Interval]:
     return found
 
 
-def _identified(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice, seed: int) -> Identified:
+def identified_as(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice, seed: int) -> Identified:
     command = Range(lower=device.limits.lower, upper=device.limits.upper)
     limits = DeviceLimits(command, device.rate_per_s)
     found = kind.fit(trials, FitRequest(preset=kind.presets[0], seed=seed, limits=limits))
@@ -197,7 +197,7 @@ def _identified(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice, s
     return found
 
 
-def _opened(identified: Identified, stem: Path) -> Knowledge:
+def opened_model(identified: Identified, stem: Path) -> Knowledge:
     """The model written, and opened as a user opens it."""
     stem.parent.mkdir(parents=True, exist_ok=True)
     file = stem.with_name(stem.name + (".onnx" if identified.simulator is None else ".yaml"))

@@ -44,7 +44,7 @@ def bars_table(judged: Sequence[Bar]) -> StudyTable:
         interval = NOTHING if bar.ci90 is None else f"{bar.ci90[0]:.2f} to {bar.ci90[1]:.2f}"
         more = f" and {len(bar.misses) - _SHOWN} more" if len(bar.misses) > _SHOWN else ""
         named = ", ".join(bar.misses[:_SHOWN]) + more
-        rows.append([bar.name, _cell(bar.value), interval, bar.goal, bar.cases, bar.state, named or NOTHING])
+        rows.append([bar.name, cell(bar.value), interval, bar.goal, bar.cases, bar.state, named or NOTHING])
     columns = ("bar", "number", "90 % interval", "goal", "devices", "state", "devices beyond it")
     return StudyTable("bars", columns, rows, "Simulated: the bars.")
 
@@ -54,7 +54,7 @@ def families_table(outcome: IdentifyOutcome) -> StudyTable:
     rows: list[list[Cell]] = []
     for family in (*FAMILIES, None):
         found = summary(outcome, family)
-        rows.append([family or "all", *(_cell(value) for value in found.values())])
+        rows.append([family or "all", *(cell(value) for value in found.values())])
     return StudyTable(
         "families", ("family", *summary(outcome)), rows, "Simulated: medians over the devices of a family."
     )
@@ -65,14 +65,14 @@ def devices_table(outcome: IdentifyOutcome) -> StudyTable:
     rows: list[list[Cell]] = []
     for r in outcome.done:
         parts: list[Cell] = [cell for part in PARTS for cell in (round(r.truth[part], 4), _interval(r, part))]
-        errors: list[Cell] = [_cell(rmse(r, name)) for name in CONTROLLERS]
+        errors: list[Cell] = [cell(rmse(r, name)) for name in CONTROLLERS]
         ratios = (
             over_best(r),
             over("linearised", "exact")(r),
             over("as_identified_linearised", "as_identified_inverse")(r),
         )
         facts: list[Cell] = [round(float(r.facts["noise_deg"]), 3), round(float(r.facts["servo_damping"]), 2)]
-        rows.append([r.job.key, *facts, *parts, *errors, *map(_cell, ratios), _cell(at_rest(r)), round(r.seconds, 1)])
+        rows.append([r.job.key, *facts, *parts, *errors, *map(cell, ratios), cell(at_rest(r)), round(r.seconds, 1)])
     drawn = [name for part in PARTS for name in (part, f"{part} found")]
     columns = ("device", "noise [deg]", "servo damping", *drawn, *(f"{name} [deg]" for name in CONTROLLERS))
     last = ("over best tuned", "over exact", "as identified", "at rest", "time [s]")
@@ -81,9 +81,7 @@ def devices_table(outcome: IdentifyOutcome) -> StudyTable:
 
 def runs_table(outcome: IdentifyOutcome) -> StudyTable:
     """Every figure of every device; CSV only."""
-    rows: list[list[Cell]] = [
-        [r.job.key, name, _cell(value)] for r in outcome.done for name, value in r.figures.items()
-    ]
+    rows: list[list[Cell]] = [[r.job.key, name, cell(value)] for r in outcome.done for name, value in r.figures.items()]
     return StudyTable("figures", ("device", "figure", "value"), rows, "", shown=False)
 
 
@@ -94,7 +92,8 @@ def _interval(result: IdentifyResult, part: str) -> str:
     return f"{value:.3g} ({low:.3g} to {high:.3g})"
 
 
-def _cell(value: float) -> Cell:
+def cell(value: float) -> Cell:
+    """A figure in a table; one that is not there is a dash."""
     return value if math.isfinite(value) else NOTHING if math.isnan(value) else "infinite"
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid, describing_function
 from hystmpc.ctrl.build import build_controller
-from hystmpc.ctrl.feedback.inverse import InversePidControllerSettings
+from hystmpc.ctrl.feedback.inverse_settings import InversePidControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings, PidSettings
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import LoopLog, run_loop

@@ -14,8 +14,9 @@ from hystmpc.ctrl.command import Source, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.feedback.pid import PidSettings
 from hystmpc.ctrl.guarded import GuardedController
-from hystmpc.ctrl.handover import HandoverLaw, HandoverSettings
+from hystmpc.ctrl.handover import HandoverLaw, gains_for
 from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.planning_settings import HandoverSettings
 
 from .plays import DT, SOUND, Backlash
 
@@ -106,10 +107,10 @@ def test_worthless_forecasts_end_in_feedback_within_limits() -> None:
 
 
 def test_gains_that_nobody_gave_follow_from_the_static_gain() -> None:
-    gains = HandoverSettings().gains(Backlash())
+    gains = gains_for(HandoverSettings(), Backlash())
     assert gains.ki_per_deg_s == pytest.approx(1.5 / 10.4, rel=0.05)
     given_ = PidSettings(kp_per_deg=0.5)
-    assert HandoverSettings(pid=given_).gains(Backlash()) == given_
+    assert gains_for(HandoverSettings(pid=given_), Backlash()) == given_
 
 
 def test_without_learning_there_is_no_handover() -> None:

@@ -13,6 +13,7 @@ from hystmpc.ctrl.planner.reference import PiecewiseReference, Reference, rest_r
 from hystmpc.ctrl.planner.reference import given_request as preview
 from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
 from hystmpc.ctrl.planner.settings import TargetMotionSettings
+from hystmpc.trajectories.ruckig_ import PiecewiseCubic
 from hystmpc.trials.errors import ControllerError
 
 LIMITS = TargetMotionSettings(velocity_deg_s=30.0, acceleration_deg_s2=200.0, jerk_deg_s3=3000.0)
@@ -117,3 +118,14 @@ def test_nonsense_is_refused_when_it_is_set(source: object, text: str) -> None:
 def test_impossible_waypoints_are_refused(targets: list[float], holds: list[float]) -> None:
     with pytest.raises(ControllerError, match="waypoints: got"):
         waypoint_request(targets, holds, LIMITS)
+
+
+@pytest.mark.parametrize(("distance", "velocity", "acceleration", "jerk"), [(0.4, 2, 20, 200), (0.8, 3, 10, 50)])
+def test_limits_that_are_whole_multiples_of_a_move_are_no_trap(
+    distance: float, velocity: float, acceleration: float, jerk: float
+) -> None:
+    """ruckig itself finds no motion for these round numbers."""
+    limits = TargetMotionSettings(velocity_deg_s=velocity, acceleration_deg_s2=acceleration, jerk_deg_s3=jerk)
+    for way in (distance, -distance):
+        path = PiecewiseCubic(move_to_rest(Kinematics(2.4), 2.4 + way, limits))
+        assert path(path.duration_s) == pytest.approx(2.4 + way, abs=1e-6)

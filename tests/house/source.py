@@ -18,6 +18,7 @@ TIERS = (
     ("trajectories", "ctrl"),
     ("sim", "rig"),
     ("gap",),
+    ("commissioning",),
     ("studies",),
     ("front",),
     ("cli",),

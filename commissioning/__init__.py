@@ -1,0 +1,1 @@
+"""From a device to a verified controller: safe range, recording, identification, controller, verification, report."""

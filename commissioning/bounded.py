@@ -1,0 +1,57 @@
+"""A phase that stops the run where the tip leaves the angles that the user allows."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+from typing import final
+
+import numpy as np
+
+from hystmpc.rig.commission.phases import Decision, Past, Phase, PhaseInput
+
+MEDIAN = 3
+"""Angles whose median is believed: one outlier is no angle."""
+
+BESIDE = 0.02
+"""Share of the angle limits by which the tip may pass them in motion, before the run is stopped."""
+
+
+@final
+class Bounded(Phase):
+    """Another phase, stopped safely where the median of the last three angles passes the limits by 2 % of them.
+
+    The command's range is found at rest; a device that overshoots in a fast motion goes farther.
+
+    Args:
+        phase: what is done.
+        angle_limits: where the tip may go [deg].
+    """
+
+    def __init__(self, phase: Phase, angle_limits: tuple[float, float]) -> None:
+        self.name, self._phase = phase.name, phase
+        low, high = angle_limits
+        more = BESIDE * (high - low)
+        self._low, self._high = low - more, high + more
+        self._recent: deque[float] = deque(maxlen=MEDIAN)
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        """As the phase itself."""
+        self._recent.clear()
+        self._phase.begin(now, past)
+
+    def step(self, now: PhaseInput) -> Decision:
+        """What the phase decides; a fault beyond the limits."""
+        decision = self._phase.step(now)
+        if math.isfinite(now.angle_deg):
+            self._recent.append(now.angle_deg)
+        angle = float(np.median(self._recent)) if len(self._recent) == MEDIAN else math.nan
+        if math.isnan(angle) or self._low <= angle <= self._high:
+            return decision
+        return replace(decision, u=now.held, fault=f"the angle is {angle:.2f} deg, beyond commission.angle_limits_deg")
+
+
+def bounded(phase: Phase, angle_limits: tuple[float, float] | None) -> Phase:
+    """The phase within the limits, or as it is where there are none."""
+    return phase if angle_limits is None else Bounded(phase, angle_limits)

@@ -1,0 +1,110 @@
+"""Settings of a commissioning: a bench, and what may be done on it in at most five minutes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, model_validator
+
+from hystmpc.ctrl.limits import Count, Positive
+from hystmpc.rig.config import BenchSettings, Name, located
+from hystmpc.trajectories.config import Motion, SampledSettings
+from hystmpc.trials.config import Settings, load_settings
+
+MOST_MINUTES = 5.0
+_MARGIN = 0.05  # of the sensor's range: how far from its ends the tip is kept where nothing else is said
+
+
+class CommissionBlock(Settings):
+    """Block `commission`; every key has a default.
+
+    Attributes:
+        minutes: of device time, all motions together [min]; a motion that is repeated after an interruption adds to it.
+        angle_limits_deg: where the tip may go [deg]; the sensor's range less 5 % at either end where left out.
+        range_steps: steps of the first climb, each with a rest.
+        motions: references of the verification by name; drawn within the reached angles where left out.
+        diagnose: whether what the model leaves is diagnosed; takes minutes of computing time.
+        tune_evaluations: closed-loop runs over all tuning motions, about, for the gains of the PID.
+        seed: of everything drawn at random.
+    """
+
+    minutes: Annotated[float, Field(gt=0, le=MOST_MINUTES)] = MOST_MINUTES
+    angle_limits_deg: tuple[float, float] | None = None
+    range_steps: Annotated[int, Field(ge=4, le=50)] = 12
+    motions: Mapping[Name, Motion] | None = Field(default=None, min_length=1)
+    diagnose: bool = True
+    tune_evaluations: Annotated[Count, Field(ge=24)] = 150
+    seed: Annotated[int, Field(ge=0)] = 1
+
+
+class CommissionSettings(BenchSettings):
+    """A bench file with the block `commission`.
+
+    Attributes:
+        commission: what may be done.
+    """
+
+    commission: CommissionBlock = CommissionBlock()
+
+    @model_validator(mode="after")
+    def _angles_inside(self) -> CommissionSettings:
+        low, high = self.angle_limits
+        if not self.sensor.lower_deg <= low < high <= self.sensor.upper_deg:
+            raise ValueError(
+                f"got commission.angle_limits_deg {low:g} to {high:g}, expected lower < upper within the sensor's "
+                f"{self.sensor.lower_deg:g} to {self.sensor.upper_deg:g} deg"
+            )
+        return self
+
+    @property
+    def angle_limits(self) -> tuple[float, float]:
+        """Where the tip may go [deg]."""
+        if self.commission.angle_limits_deg is not None:
+            return self.commission.angle_limits_deg
+        low, high = self.sensor.lower_deg, self.sensor.upper_deg
+        return low + _MARGIN * (high - low), high - _MARGIN * (high - low)
+
+
+def load_commission(path: Path | str, overrides: Iterable[str] = ()) -> CommissionSettings:
+    """Read a bench file with the block `commission`; file names in it start at its own folder and come out absolute.
+
+    Raises:
+        ConfigError: on an unreadable file, an unknown key or a value out of bounds.
+    """
+    settings = load_settings(CommissionSettings, path, overrides)
+    return located_commission(settings, Path(path).resolve().parent)
+
+
+def located_commission(settings: CommissionSettings, folder: Path) -> CommissionSettings:
+    """The settings with file names that start at `folder`."""
+    changes: dict[str, Any] = located(settings, folder)
+    motions = settings.commission.motions
+    if motions is not None:
+        found = {
+            name: m.model_copy(update={"file": folder / m.file}) if isinstance(m, SampledSettings) else m
+            for name, m in motions.items()
+        }
+        changes["commission"] = settings.commission.model_copy(update={"motions": found})
+    return settings.model_copy(update=changes)
+
+
+def narrowed(settings: BenchSettings, lower: float, upper: float, rate_per_s: Positive) -> BenchSettings:
+    """The bench with narrower limits of the command; what follows from the range of the limits stays as it was.
+
+    How far the command may travel without a motion of the tip, and how far a stop may go on, are numbers of the device.
+
+    Raises:
+        ConfigError: if the safe command lies outside.
+    """
+    plain = {name: getattr(settings, name) for name in BenchSettings.model_fields}
+    span = settings.limits.upper - settings.limits.lower
+    watch, ramps = settings.plausibility, settings.ramps
+    changes: dict[str, Any] = {
+        "limits": {"lower": lower, "upper": upper, "rate_per_s": rate_per_s},
+        "ramps": ramps.model_copy(update={"velocity_per_s": min(ramps.velocity_per_s, rate_per_s)}),
+        "plausibility": watch.model_copy(update={"travel": watch.travel or 0.3 * span}),
+        "stop_overshoot": settings.overshoot,
+    }
+    return BenchSettings.parse(plain | changes, f"{settings.name}: narrowed limits")

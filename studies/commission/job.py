@@ -1,0 +1,339 @@
+"""The jobs of the study: a device commissioned, and its controllers where model, device or sensor are others."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator
+
+from hystmpc.commissioning.controller import TIP_FILE, tip_settings
+from hystmpc.commissioning.device import BenchDevice
+from hystmpc.commissioning.run import Commissioned, commission_device
+from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.feedback.inverse_settings import InverseControllerSettings
+from hystmpc.ctrl.feedback.pid import PidControllerSettings
+from hystmpc.ctrl.frames import ImagingSettings, NoSensorSettings
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.law import LawSettings
+from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.loop import Controller
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
+from hystmpc.models.kinds.catalogue import kind_named
+from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
+from hystmpc.sim.jobs.runner import ResultFiles, Status
+from hystmpc.sim.plants.computed import ComputedPlant
+from hystmpc.sim.study import Knowledge, knowledge
+from hystmpc.sim.tune_pid import searched_gains
+from hystmpc.trajectories.drawn import CountedMotion
+
+from ..identify.device import DrawnDevice, DrawnPlant, draw_devices
+from ..identify.job import DeviceStudy, identified_as, opened_model, tuned_rivals
+from ..identify.motions import fresh_motions, recordings
+from ..identify.scores import AS_IDENTIFIED_NOISE_DEG, IdentifiedPlant, scores
+from ..identify.settings import IdentifySettings
+from .device import PreparedPlant, TakenUp, bench_settings, drawn_plants, worn
+from .settings import CommissionStudySettings
+
+FORMAT = "hystmpc-commission-job/1"
+Stage = Literal["commission", "compare"]
+FigureOrNull = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+
+IMAGING = ImagingSettings(rate_hz=5.0, latency_s=0.2, noise_deg=0.5)
+WORN = {"friction": (2.0, 1.0), "stiffness": (1.0, 2.0)}
+"""Factors on friction and stiffness of a device that has changed since it was commissioned."""
+
+UNKNOWN_LAG_S = 0.2
+BAND_SIGMAS = 1.645
+"""Half of a band that holds 90 % of a normal distribution, in standard deviations."""
+
+_ANY_REST_DEG = 360.0  # the model of another device rests at another angle
+_QUICK_MINUTES = 4.0
+_COMPARED = 1  # seed of the noise, beside the device's
+_IMAGING_SHARE = 5  # the search under frames costs more: a share of the evaluations
+
+
+@dataclass(frozen=True)
+class CommissionJob:
+    """One device of the draw in one stage."""
+
+    number: int
+    stage: Stage
+    key: str
+
+
+@dataclass(frozen=True)
+class CommissionResult:
+    """Outcome of one job.
+
+    Attributes:
+        status: `failed` if anything raised.
+        message: the error of a failed job, else the verdict of the commissioning.
+        facts: of the device, for tables.
+        figures: by controller and figure such as `commissioned.rmse_deg`, see `scores`.
+    """
+
+    job: CommissionJob
+    fingerprint: str
+    status: Status
+    message: str
+    seconds: float
+    facts: Mapping[str, str | float] = field(default_factory=dict)
+    figures: Mapping[str, FigureOrNull] = field(default_factory=dict)
+
+
+def commission_jobs(settings: CommissionStudySettings) -> tuple[CommissionJob, ...]:
+    """For each device a job to commission it, then for each one to compare."""
+    drawn = [d for d in _devices(settings) if not settings.rates_hz or d.rate_hz in settings.rates_hz]
+    stages: tuple[Stage, ...] = ("commission", "compare")
+    return tuple(CommissionJob(d.number, stage, f"{d.key}-{stage}") for stage in stages for d in drawn)
+
+
+def fingerprint(job: CommissionJob, settings: CommissionStudySettings) -> str:
+    """SHA-256 over the device's numbers, the stage and the settings."""
+    parts = {"device": repr(_devices(settings)[job.number]), "stage": job.stage, "settings": settings.model_dump()}
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def result_files(folder: Path) -> ResultFiles[CommissionResult]:
+    """Results of the study's folder; a figure that is not there is null."""
+    return ResultFiles(folder, CommissionResult, FORMAT, plain)
+
+
+def plain(result: CommissionResult) -> dict[str, Any]:
+    """A result as JSON; a figure that is not there is null."""
+    figures = {name: value if math.isfinite(value) else None for name, value in result.figures.items()}
+    return asdict(result) | {"figures": figures}
+
+
+def as_result(job: CommissionJob, settings: CommissionStudySettings) -> CommissionResult:
+    """A result that says what the device is, and nothing else yet."""
+    device = _devices(settings)[job.number]
+    facts: dict[str, str | float] = {
+        "family": device.family,
+        "rate_hz": device.rate_hz,
+        "noise_deg": device.noise_deg,
+        **device.truth,
+    }
+    return CommissionResult(job, fingerprint(job, settings), "failed", "", 0.0, facts)
+
+
+def do_stage(job: CommissionJob, settings: CommissionStudySettings, folder: Path) -> tuple[str, dict[str, float]]:
+    """Message and figures of a job.
+
+    Raises:
+        HystmpcError: if the device cannot be commissioned, or a controller cannot be built.
+    """
+    bench = StudyBench(settings, folder, _devices(settings)[job.number])
+    return _commission(bench) if job.stage == "commission" else _compare(bench)
+
+
+@dataclass(frozen=True, eq=False)
+class StudyBench:
+    """One device of the study, its motions, and what was commissioned on it."""
+
+    settings: CommissionStudySettings
+    folder: Path
+    device: DrawnDevice
+
+    @cached_property
+    def drawn(self) -> DrawnPlant:
+        """The device with the noise of the comparison."""
+        return DrawnPlant(self.device, self.device.seed + _COMPARED)
+
+    @cached_property
+    def plant(self) -> PreparedPlant:
+        """The device behind the preparation."""
+        return PreparedPlant(self.drawn, self.device.seed + _COMPARED)
+
+    @cached_property
+    def motions(self) -> tuple[CountedMotion, ...]:
+        """Fresh references within what the device reaches."""
+        return fresh_motions(self.drawn, self.settings.quick)
+
+    def tip(self, device: DrawnDevice | None = None) -> Path:
+        """The controller file of a commissioned device of this study; this one where left out."""
+        return self.folder / "commissioned" / (device or self.device).key / TIP_FILE
+
+    def along(
+        self,
+        name: str,
+        controller: Controller[Any],
+        plant: ComputedPlant | None = None,
+        motions: tuple[CountedMotion, ...] | None = None,
+        sensor: ImagingSettings | NoSensorSettings | None = None,
+    ) -> tuple[dict[str, float], list[ClosedLoopRun]]:
+        """Figures of a controller over all motions, `name` before each, and the runs."""
+        found, followed = plant or self.plant, motions or self.motions
+        runs = []
+        for motion in followed:
+            runs.append(run_closed_loop(controller, found, motion.trajectory, sensor=sensor))
+            if runs[-1].log.interrupted:
+                raise KeyboardInterrupt
+        figures = scores(runs, followed, self.device.limits, self.device.delay_s, self.device.lag_s)
+        return {f"{name}.{figure}": value for figure, value in figures.items()}, runs
+
+
+def _devices(settings: CommissionStudySettings) -> tuple[DrawnDevice, ...]:
+    return draw_devices(settings.devices, settings.seed, settings.quick)
+
+
+def _commission(bench: StudyBench) -> tuple[str, dict[str, float]]:
+    """Commission the device; then its controller beside rivals tuned on the very device and motions."""
+    start, device, settings = time.process_time(), bench.device, bench.settings
+    folder = bench.tip().parent
+    minutes = _QUICK_MINUTES if settings.quick else settings.minutes
+    config = bench_settings(bench.drawn, minutes, settings.diagnose, folder)
+    plants = drawn_plants(device)
+    found = commission_device(config, lambda root, tick: BenchDevice(config, plants, root, None, tick=tick), folder)
+    figures = _verified(found) | {"seconds.commission": time.process_time() - start}
+    trials = recordings(DrawnPlant(device, device.seed), settings.quick)
+    rival = opened_model(identified_as(kind_named("pi"), trials, device, settings.seed), folder / "rival")
+    known, tip = _known(bench.tip())
+    identify = IdentifySettings.of(devices=settings.devices, evaluations=settings.evaluations, seed=settings.seed)
+    study = DeviceStudy(device, bench.drawn, bench.motions, known, rival)
+    for name, controller in tuned_rivals(study, identify).items():
+        figures |= bench.along(name, controller)[0]
+    cases: dict[str, dict[str, Any]] = {"commissioned": {}, "learning_off": {"adaptation": None}}
+    for name, changed in cases.items():
+        controller = _built(_of(tip, changed), known, device.limits)
+        figures |= bench.along(name, TakenUp(controller, bench.plant))[0]
+    return found.verified.verdict if found.verified else "", figures
+
+
+def _verified(found: Commissioned) -> dict[str, float]:
+    """What the commissioning says of itself."""
+    figures = {"device_s": found.device_s}
+    if found.verified is not None:
+        figures["verified"] = float(found.verified.verified)
+        figures |= {f"verify.{name}.rms_deg": score.rms_deg for name, score in found.verified.scores.items()}
+    return figures
+
+
+def _compare(bench: StudyBench) -> tuple[str, dict[str, float]]:
+    """Models of other devices, a device that has changed, and other sensors."""
+    device, settings = bench.device, bench.settings
+    own, tip = _known(bench.tip())
+    drawn = _devices(settings)
+    anywhere = {"estimator": {"rest_tolerance_deg": _ANY_REST_DEG}}
+    figures: dict[str, float] = {}
+    others: dict[str, Callable[[DrawnDevice], bool]] = {
+        "sibling": lambda d: d.family == device.family,
+        "stranger": lambda d: d.family != device.family,
+    }
+    for name, fits in others.items():
+        other = _next(drawn, device, fits)
+        if other is None:
+            continue
+        known, _ = _known(bench.tip(other))
+        cases: dict[str, dict[str, Any]] = {name: anywhere, f"{name}_off": anywhere | {"adaptation": None}}
+        for case, changed in cases.items():
+            controller = _built(_of(LinearisedMpcSettings(), changed), known, device.limits)
+            figures |= bench.along(case, TakenUp(controller, bench.plant))[0]
+    lagging = knowledge(str(_model(bench.tip())), None, UNKNOWN_LAG_S)
+    figures |= bench.along("wrong_lag", TakenUp(_built(tip, lagging, device.limits), bench.plant))[0]
+    for name, factors in WORN.items():
+        figures |= _changed(bench, name, factors, own, tip)
+    figures |= _sensors(bench, own, tip)
+    return "", figures
+
+
+def _changed(
+    bench: StudyBench, name: str, factors: tuple[float, float], own: Knowledge, tip: LawSettings
+) -> dict[str, float]:
+    """The controller on the device after it has changed, with learning and without; motions within its new reach."""
+    device, seed = worn(bench.device, *factors), bench.device.seed + _COMPARED
+    drawn = DrawnPlant(device, seed)
+    plant, motions = PreparedPlant(drawn, seed), fresh_motions(drawn, bench.settings.quick)
+    figures: dict[str, float] = {}
+    anywhere = {"estimator": {"rest_tolerance_deg": _ANY_REST_DEG}}
+    cases: dict[str, dict[str, Any]] = {name: anywhere, f"{name}_off": anywhere | {"adaptation": None}}
+    for case, changed in cases.items():
+        controller = TakenUp(_built(_of(tip, changed), own, device.limits), plant)
+        figures |= bench.along(case, controller, plant, motions)[0]
+    return figures
+
+
+def _sensors(bench: StudyBench, own: Knowledge, tip: LawSettings) -> dict[str, float]:
+    """Without a sensor and with frames of an imaging system, beside the PID tuned for those."""
+    limits, blind, frames = bench.device.limits, NoSensorSettings(), IMAGING
+    alone = _of(tip, {"estimator": dict(blind.told())})
+    figures, runs = bench.along("none", TakenUp(_built(alone, own, limits), bench.plant), sensor=blind)
+    noise = own.predictor.noise
+    sigma = math.nan if noise is None or noise.model_sigma_deg is None else noise.model_sigma_deg
+    inside = [
+        np.abs(run.true_deg - run.log.predicted_deg)[motion.first(run.dt) :] <= BAND_SIGMAS * sigma
+        for run, motion in zip(runs, bench.motions, strict=True)
+    ]
+    figures |= {"none.sigma_deg": sigma, "none.within_band": float(np.mean(np.concatenate(inside)))}
+    seeing = _of(tip, {"estimator": dict(frames.told())})
+    figures |= bench.along("imaging", TakenUp(_built(seeing, own, limits), bench.plant), sensor=frames)[0]
+    figures |= bench.along("imaging_pid", _imaging_pid(bench, own), sensor=frames)[0]
+    model = IdentifiedPlant(own, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
+    rivals: dict[str, LawSettings] = {"as_identified_none": alone, "as_identified_inverse": InverseControllerSettings()}
+    for name, settings in rivals.items():
+        sensor = blind if name.endswith("none") else None
+        figures |= bench.along(name, _built(settings, own, limits), model, sensor=sensor)[0]
+    return figures
+
+
+def _imaging_pid(bench: StudyBench, own: Knowledge) -> Controller[Any]:
+    """A PID whose gains are searched on the very device and motions under other frames."""
+    start = PidControllerSettings.parse({"kind": "pid", "estimator": _known_to_pid(IMAGING)})
+    plant = PreparedPlant(bench.drawn, bench.device.seed + _COMPARED + 1)
+
+    def mean_square(tried: LawSettings) -> float:
+        _, runs = bench.along("", _built(tried, own, bench.device.limits), plant, sensor=IMAGING)
+        errors = [run.error_deg[motion.first(run.dt) :] for run, motion in zip(runs, bench.motions, strict=True)]
+        return float(np.mean([np.mean(error**2) for error in errors]))
+
+    evaluations = max(bench.settings.evaluations // _IMAGING_SHARE, 10)
+    best = searched_gains(start, mean_square, evaluations, bench.settings.seed)
+    return _built(best.settings, own, bench.device.limits)
+
+
+def _known_to_pid(sensor: ImagingSettings) -> dict[str, Any]:
+    keys = type(PidControllerSettings().estimator).model_fields
+    return {key: value for key, value in sensor.told().items() if key in keys}
+
+
+def _next(
+    drawn: tuple[DrawnDevice, ...], device: DrawnDevice, fits: Callable[[DrawnDevice], bool]
+) -> DrawnDevice | None:
+    """The next device of the draw of the same rate that fits; None where there is none."""
+    for step in range(1, len(drawn)):
+        other = drawn[(device.number + step) % len(drawn)]
+        if other.rate_hz == device.rate_hz and fits(other):
+            return other
+    return None
+
+
+def _model(tip: Path) -> Path:
+    return Path(tip_settings(tip).model)
+
+
+def _known(tip: Path) -> tuple[Knowledge, LawSettings]:
+    """Model and controller of a commissioned device."""
+    return knowledge(str(_model(tip))), tip_settings(tip).controller
+
+
+def _of(settings: LawSettings, changes: Mapping[str, Any]) -> LawSettings:
+    """A controller with some keys changed, blocks merged."""
+    data = settings.model_dump(exclude_unset=True) | {"kind": settings.model_fields["kind"].default}
+    for key, value in changes.items():
+        data[key] = data.get(key, {}) | value if isinstance(value, dict) else value
+    return type(settings).parse(data, "study commission")
+
+
+def _built(settings: LawSettings, known: Knowledge, limits: CommandLimits) -> GuardedController[Any]:
+    predictive = isinstance(settings, LinearisedMpcSettings)
+    pair = (known.predictor, known.inverse) if predictive else known.feedforward
+    return build_controller(settings, *pair, limits)
