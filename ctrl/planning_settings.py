@@ -153,11 +153,6 @@ class PredictiveSettings(LawSettings):
             )
         return self
 
-    @property
-    def learns(self) -> bool:
-        """Whether the controller learns on top of its model: by default, where it has a continuous sensor."""
-        return self.adaptation is not None
-
     def bridged_samples(self, dt_s: float) -> int:
         return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)
 
