@@ -176,7 +176,7 @@ def test_a_changed_device_is_foretold_after_two_flexures(name: str) -> None:
 
 def test_a_delay_that_is_told_is_not_learned_again() -> None:
     """The angles on their way have the learned part, and are nearer to what is measured then than the model's."""
-    delay, device = 3, Device(20.0, 0.4, 0.0, 3)
+    delay, device = 3, Device(10.3, 1.2, 0.0, 3)
     estimator = LearningEstimator(learned(), OPTIONS.model_copy(update={"delay_samples": delay}))
     commands, angles = recorded(device)
     estimate, foretold, alone = estimator.init(float(angles[0]), 0.0), [], []
