@@ -26,7 +26,8 @@ class CommissionBlock(Settings):
         range_steps: steps of the first climb, each with a rest.
         motions: references of the verification by name; drawn within the reached angles where left out.
         diagnose: whether what the model leaves is diagnosed; takes minutes of computing time.
-        tune_evaluations: closed-loop runs over all tuning motions, about, for the gains of the PID.
+        tune_evaluations: closed-loop runs over all tuning motions, about, for the gains of the PID; above 50 Hz
+            fewer, in proportion.
         seed: of everything drawn at random.
     """
 

@@ -29,6 +29,7 @@ from .stages import Figure
 TIP_FILE = "tip.yaml"
 _TUNING, _FRESH = 3, 4  # draws of references: those of the tuning, and those of the verification
 _TUNED_S = 10.0  # of each tuning motion
+_FULL_HZ = 50.0  # above it the search has fewer evaluations, so that it takes no longer
 _INVERSE_SHARE = 4  # the search beside an inverse costs more and is not verified: a share of the evaluations
 _TOLERANCE_DEG, _TOLERANCE_SIGMAS = 0.5, 3.0
 
@@ -61,7 +62,7 @@ def make_controllers(
     """
     reached = reached_angles(subject, model)
     study = tuning_study(subject, model, reached, sigma_deg)
-    whole = subject.block.tune_evaluations
+    whole = max(round(subject.block.tune_evaluations * min(1.0, _FULL_HZ / subject.rate_hz)), 24)
     shares = {"pid": whole, "inverse_pid": max(whole // _INVERSE_SHARE, 24)}
     starts: dict[str, PidLike] = {"pid": PidControllerSettings(), "inverse_pid": InversePidControllerSettings()}
     total, before, found = sum(shares.values()), 0, dict[str, PidTuning]()
@@ -79,7 +80,7 @@ def make_controllers(
         folder / "pid.yaml": {"kind": "pid", "gains": gains["pid"]},
         folder / "inverse_pid.yaml": {"kind": "inverse_pid", "gains": gains["inverse_pid"]},
         folder / "inverse.yaml": {"kind": "inverse"},
-        folder.parent / TIP_FILE: predictive(subject),
+        folder.parent / TIP_FILE: predictive(subject, gains["pid"]),
     }
     for file, controller in files.items():
         write_tip(file, model, controller, subject, reached, tolerance)
@@ -88,9 +89,13 @@ def make_controllers(
     )
 
 
-def predictive(subject: Subject) -> dict[str, Any]:
-    """The controller block of `tip.yaml`; angle limits that the user has given are soft limits of the plan."""
-    block: dict[str, Any] = {"kind": "linearised_mpc"}
+def predictive(subject: Subject, pid: Mapping[str, float]) -> dict[str, Any]:
+    """The controller block of `tip.yaml`; angle limits that the user has given are soft limits of the plan.
+
+    Args:
+        pid: gains of the feedback to which it hands over where its model foretells nothing.
+    """
+    block: dict[str, Any] = {"kind": "linearised_mpc", "handover": {"pid": dict(pid)}}
     if subject.block.angle_limits_deg is not None:
         low, high = subject.block.angle_limits_deg
         block["weights"] = {"angle_lower_deg": low, "angle_upper_deg": high}

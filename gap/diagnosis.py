@@ -17,6 +17,9 @@ Verdict = Literal["named", "one_of", "unknown", "none", "too_little"]
 FloorKind = Literal["repeats", "noise"]
 
 
+_NO_FALL, _HIDDEN = 0.05, 0.3  # of the error: less is no fall; the same where the fall is below the floor
+
+
 @dataclass(frozen=True)
 class FoundEffect:
     """One effect that the diagnosis added to the simulator.
@@ -133,6 +136,11 @@ class TrackingGap:
     def fall_deg(self) -> float:
         """By how much the error falls; negative where it rises."""
         return self.before_deg - self.after_deg
+
+    def changes(self, floor_deg: float) -> bool:
+        """Whether a fall or rise is expected: by 5 % of the error, and by 30 % where it is below the floor [deg]."""
+        least = _HIDDEN if abs(self.fall_deg) < floor_deg else _NO_FALL
+        return self.fall_deg != 0 and abs(self.fall_deg) >= least * self.before_deg
 
 
 @dataclass(frozen=True)

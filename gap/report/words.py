@@ -10,8 +10,6 @@ from hystmpc.models.identify.uncertainty import Interval
 from ..diagnosis import Diagnosis, Gap, TrackingGap
 from ..next.motion_design import MotionProposal
 
-_NO_FALL, _HIDDEN = 0.05, 0.3  # of the error: less is no fall; the same where the fall is below the floor
-
 
 def headline(diagnosis: Diagnosis) -> str:
     """The verdict in a few words."""
@@ -61,8 +59,7 @@ def tracking_sentence(diagnosis: Diagnosis) -> str:
         return f"How far the closed-loop tracking error falls cannot be said: {found.why_not}."
     before, after = (_deg_of(v, ends) for v, ends in _errors(found))
     floor = diagnosis.gap.floor_rmse_deg
-    least = _HIDDEN if abs(found.fall_deg) < floor else _NO_FALL
-    if abs(found.fall_deg) < least * found.before_deg or found.fall_deg == 0:
+    if not found.changes(floor):
         return (
             f"No fall of the closed-loop tracking error is expected: {before} RMS with the simulator as given, {after} "
             f"with the corrected one; the floor is {_deg(floor)}."

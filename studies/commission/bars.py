@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from hystmpc.gap.diagnosis import TrackingGap
+from hystmpc.gap.tracking.fall import NEAR
 from hystmpc.trials.types import Vec
 
-from ..blind.bars import Bar
+from ..blind.bars import Bar, Rate
 from ..identify.device import FAMILIES
 from ..identify.scores import rmse_of
 from .job import WORN, CommissionResult
@@ -94,6 +96,7 @@ def bars(outcome: CommissionOutcome) -> list[Bar]:
         _band(outcome),
         _worst(outcome, "frames over no sensor: worst", over("imaging", "none"), 1.1),
         *_by_family(outcome, "frames over the PID tuned for them", over("imaging", "imaging_pid"), 0.5),
+        _gap(outcome),
         _stops(outcome),
         _violations(outcome),
     ]
@@ -158,6 +161,28 @@ def _band(outcome: CommissionOutcome) -> Bar:
     beyond = tuple(n for n, v in zip(names, values, strict=True) if not 0.85 <= v <= 0.95)
     share = float(np.mean(values[known])) if known.any() else math.nan
     return Bar("without a sensor, within the band of 90 %", share, (0.85, 0.95), int(known.sum()), beyond)
+
+
+def gap_agrees(figures: Figures) -> bool | None:
+    """Whether the tracking error fell on the device by the share that was said, give or take 30 % of it; None unsaid.
+
+    Where no fall was said, the error may fall or rise by no more than the floor of the noise, or 30 % of itself.
+    """
+    if not figures.get("gap.said"):
+        return None
+    said = TrackingGap(figures["gap.said_before_deg"], figures["gap.said_after_deg"])
+    before, after, floor = (figures[f"gap.{name}_deg"] for name in ("before", "after", "floor"))
+    if not said.changes(floor):
+        return abs(before - after) <= max(floor, NEAR * before)
+    share = said.fall_deg / said.before_deg
+    return abs(1.0 - after / before - share) <= NEAR * abs(share)
+
+
+def _gap(outcome: CommissionOutcome) -> Bar:
+    judged = {name: agrees for name, f in outcome.figures.items() if (agrees := gap_agrees(f)) is not None}
+    rate = Rate(sum(judged.values()), len(judged))
+    beyond = tuple(name for name, agrees in judged.items() if not agrees)
+    return Bar("tracking gap said within 30 %", rate.value, (0.8, 1.0), len(judged), beyond, rate.ci90)
 
 
 def _stops(outcome: CommissionOutcome) -> Bar:

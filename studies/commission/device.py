@@ -18,12 +18,13 @@ from hystmpc.rig.transports.transport import PlantFactory
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.trials.types import Vec
 
-from ..blind.cores import CapstanCore
+from ..blind.cores import CapstanCore, RodCore
 from ..identify.device import DrawnDevice, DrawnPlant, MuscleCore
 
 _SLOW_S, _QUICK_S, _TOP_S, _REST_S = 4.0, 1.2, 0.3, 0.5  # of a stroke of either flexure, at its top, and behind it
 _BESIDE = 0.3  # of the reachable angles: how much more than them the sensor shows at either end
 _SENSOR_DEG_S = 5000.0  # an air muscle jumps by 25 deg in a sample of 25 Hz
+_SLACK = 0.8  # of the travel: a slack tendon moves nothing before
 _RAMP = 0.3  # share of the greatest rate at which the bench moves by itself
 
 
@@ -97,17 +98,18 @@ class TakenUp:
 
 
 def worn(device: DrawnDevice, friction: float, stiffness: float) -> DrawnDevice:
-    """The device with other friction and stiffness, as factors; a stiffer one moves less for the same command."""
+    """The device with other friction and stiffness, as factors; a stiffer one moves less for the same command.
+
+    The friction of a muscle is divided by its factor: with more of it the angle would rise as the pressure falls.
+    """
     core = device.core
+    changes: dict[str, Any]
     if isinstance(core, MuscleCore):
-        changes: dict[str, Any] = {
-            "friction": core.friction * friction,
-            "presliding_bar": core.presliding_bar * friction,
-            "greatest_deg": core.greatest_deg / stiffness,
-        }
+        changes = {"friction": core.friction / friction, "greatest_deg": core.greatest_deg / stiffness}
     else:
-        own = "wrap" if isinstance(core, CapstanCore) else "friction"
-        changes = {own: getattr(core, own) * friction, "gain": core.gain / stiffness}
+        own = ("wrap",) if isinstance(core, CapstanCore) else ("friction",)
+        own += ("drag_n",) if isinstance(core, RodCore) else ()
+        changes = {name: getattr(core, name) * friction for name in own} | {"gain": core.gain / stiffness}
     return replace(device, core=replace(core, **changes))
 
 
@@ -134,6 +136,7 @@ def bench_settings(plant: DrawnPlant, minutes: float, diagnose: bool, folder: Pa
                 "upper_deg": high + beside,
                 "rate_limit_deg_s": _SENSOR_DEG_S,
             },
+            "plausibility": {"travel": _SLACK * limits.upper},
             "transport": {"kind": "simulated", "plant": {"device": device.key}, "seed": device.seed % 1000},
             "prepare": [{"step": "flexure", "lower": limits.lower, "upper": limits.upper}],
             "latch_file": str(folder / "latch.json"),

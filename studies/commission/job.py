@@ -18,7 +18,7 @@ from pydantic import BeforeValidator
 from hystmpc.commissioning.controller import TIP_FILE, tip_settings
 from hystmpc.commissioning.device import BenchDevice
 from hystmpc.commissioning.run import Commissioned, commission_device
-from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.build import build_controller, known_model, limits_of_model
 from hystmpc.ctrl.feedback.inverse_settings import InverseControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings
 from hystmpc.ctrl.frames import ImagingSettings, NoSensorSettings
@@ -27,7 +27,10 @@ from hystmpc.ctrl.law import LawSettings
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
+from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.tracking.diagnosed import covered_motions, with_tracking
 from hystmpc.models.kinds.catalogue import kind_named
+from hystmpc.models.simulator import ChainModel, load_simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
 from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.sim.plants.computed import ComputedPlant
@@ -44,7 +47,8 @@ from .device import PreparedPlant, TakenUp, bench_settings, drawn_plants, worn
 from .settings import CommissionStudySettings
 
 FORMAT = "hystmpc-commission-job/1"
-Stage = Literal["commission", "compare"]
+Stage = Literal["commission", "compare", "gap"]
+STAGES: tuple[Stage, ...] = ("commission", "compare", "gap")
 FigureOrNull = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 
 IMAGING = ImagingSettings(rate_hz=5.0, latency_s=0.2, noise_deg=0.5)
@@ -57,7 +61,7 @@ BAND_SIGMAS = 1.645
 
 _ANY_REST_DEG = 360.0  # the model of another device rests at another angle
 _QUICK_MINUTES = 4.0
-_COMPARED = 1  # seed of the noise, beside the device's
+_COMPARED, _DIAGNOSED = 1, 5  # seeds of the noise, beside the device's
 _IMAGING_SHARE = 5  # the search under frames costs more: a share of the evaluations
 
 
@@ -91,9 +95,9 @@ class CommissionResult:
 
 
 def commission_jobs(settings: CommissionStudySettings) -> tuple[CommissionJob, ...]:
-    """For each device a job to commission it, then for each one to compare."""
+    """For each device a job to commission it, then one to compare, and where models are diagnosed one for the gap."""
     drawn = [d for d in _devices(settings) if not settings.rates_hz or d.rate_hz in settings.rates_hz]
-    stages: tuple[Stage, ...] = ("commission", "compare")
+    stages = STAGES if settings.diagnose else STAGES[:2]
     return tuple(CommissionJob(d.number, stage, f"{d.key}-{stage}") for stage in stages for d in drawn)
 
 
@@ -133,7 +137,7 @@ def do_stage(job: CommissionJob, settings: CommissionStudySettings, folder: Path
         HystmpcError: if the device cannot be commissioned, or a controller cannot be built.
     """
     bench = StudyBench(settings, folder, _devices(settings)[job.number])
-    return _commission(bench) if job.stage == "commission" else _compare(bench)
+    return {"commission": _commission, "compare": _compare, "gap": _tracking_gap}[job.stage](bench)
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,6 +307,27 @@ def _imaging_pid(bench: StudyBench, own: Knowledge) -> Controller[Any]:
 def _known_to_pid(sensor: ImagingSettings) -> dict[str, Any]:
     keys = type(PidControllerSettings().estimator).model_fields
     return {key: value for key, value in sensor.told().items() if key in keys}
+
+
+def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:
+    """A Prandtl-Ishlinskii model diagnosed: the fall of the tracking error that is said, and the one on the device."""
+    device = bench.device
+    trials = recordings(DrawnPlant(device, device.seed + _DIAGNOSED), bench.settings.quick)
+    nominal = load_simulator(bench.tip().parent / "rival.yaml")
+    findings = investigate(trials, nominal, seed=bench.settings.seed)
+    evidence = with_tracking(conclude(findings)[1])
+    said, fixed = evidence.diagnosis.tracking, evidence.fixed
+    if said is None or said.why_not or fixed is None:
+        return f"not said: {said.why_not if said else ''}", {"gap.said": 0.0}
+    motions = covered_motions(evidence.trials, fixed, evidence.seed)
+    figures = {"gap.said": 1.0, "gap.said_before_deg": said.before_deg, "gap.said_after_deg": said.after_deg}
+    figures["gap.floor_deg"] = evidence.diagnosis.gap.floor_rmse_deg
+    for name, simulator in (("before", nominal), ("after", fixed)):
+        known = known_model(ChainModel(simulator, "conditioned"), None, 0.0)
+        controller = build_controller(LinearisedMpcSettings(), *known.predictive, limits_of_model(nominal.metadata()))
+        found, _ = bench.along(name, controller, bench.drawn, motions)
+        figures[f"gap.{name}_deg"] = found[f"{name}.rmse_deg"]
+    return "", figures
 
 
 def _next(

@@ -14,6 +14,7 @@ from hystmpc.trials.types import Progress
 from ..ready import ReadyStudy, ready_study
 from .bars import CommissionOutcome, bars
 from .job import (
+    STAGES,
     CommissionJob,
     CommissionResult,
     as_result,
@@ -29,7 +30,7 @@ from .settings import CommissionStudySettings
 # Processor seconds of a job on one core of a two-core x86-64 machine, from runs of the study itself.
 _COMMISSION_S = {25.0: 45.0, 50.0: 80.0, 250.0: 400.0}
 _COMPARE_S = {25.0: 60.0, 50.0: 100.0, 250.0: 500.0}
-_DIAGNOSE = 3.0
+_DIAGNOSE, _GAP = 3.0, 2.0  # times a commissioning without
 _QUICK_S = 30.0
 
 ReadyCommission = ReadyStudy[CommissionStudySettings, CommissionJob, CommissionResult]
@@ -52,7 +53,7 @@ def run_commission(study: ReadyCommission, workers: int = 1, progress: Progress 
     """Do the open jobs and write report, tables and results; see `ReadyStudy.complete` for arguments and errors."""
     folder = study.folder.path
     do = partial(do_job, settings=study.settings, folder=folder)
-    stages = [[job for job in study.jobs if job.stage == stage] for stage in ("commission", "compare")]
+    stages = [[job for job in study.jobs if job.stage == stage] for stage in STAGES]
     results = study.complete(stages, do, workers, progress)
     outcome = CommissionOutcome(study.settings, results, folder, study.folder.meta)
     page, tables = commission_report(outcome)
@@ -86,6 +87,8 @@ def _cost_s(job: CommissionJob, settings: CommissionStudySettings) -> float:
     if settings.quick:
         return _QUICK_S
     rate = float(job.key.split("-")[2].removesuffix("hz"))
+    if job.stage == "gap":
+        return _GAP * _COMMISSION_S[rate]
     if job.stage == "compare":
         return _COMPARE_S[rate]
     return _COMMISSION_S[rate] * (_DIAGNOSE if settings.diagnose else 1.0)
