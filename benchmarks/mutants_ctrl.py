@@ -160,6 +160,11 @@ MUTANTS: tuple[Mutant, ...] = (
         "pass",
     ),
     _estimator(
+        "a model that answers an absurd angle is trusted",
+        "abs(angle) <= ANGLE_BOUND_DEG and",
+        "abs(angle) < math.inf and",
+    ),
+    _estimator(
         "the dead band winds the disturbance up",
         "if not estimate.responsive[0]:",
         "if not estimate.responsive:",

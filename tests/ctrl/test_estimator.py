@@ -157,7 +157,10 @@ def test_disturbance_is_bounded(side: float) -> None:
     assert estimate.disturbance == 3.0 * side
 
 
-@pytest.mark.parametrize(("angle", "state"), [(math.nan, 0.0), (math.inf, 0.0), (20.0, math.nan), (20.0, -math.inf)])
+@pytest.mark.parametrize(
+    ("angle", "state"),
+    [(math.nan, 0.0), (math.inf, 0.0), (1e300, 0.0), (-2e4, 0.0), (20.0, math.nan), (20.0, -math.inf)],
+)
 def test_a_model_that_answers_no_number_is_not_advanced(
     angle: float, state: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -309,6 +309,22 @@ def test_any_measurements_leave_everything_finite(seen: list[tuple[float, float]
         assert np.isfinite(estimate.state).all()
 
 
+ANGLES = st.one_of(st.floats(-40.0, 120.0), st.sampled_from([-1e4, 1e4]))  # beyond, an angle or a model is refused
+
+
+@given(st.lists(st.tuples(ANGLES, ANGLES, st.floats(0.0, 6.0)), min_size=1, max_size=60))
+@settings(max_examples=30, deadline=None)
+def test_any_model_leaves_everything_finite(seen: list[tuple[float, float, float]]) -> None:
+    bank = FilterBank(DT, (0.0, 6.0), 62.0, 0.1, 0, AdaptationSettings())
+    state = bank.init(30.0, 1.0, 30.0)
+    for y, angle, u in seen:
+        state = bank.correct(bank.advance(state, u), y, angle, 0.0)
+        assert np.isfinite(state.z).all()
+        assert np.all(np.diagonal(state.covariance, axis1=1, axis2=2) > 0)
+        assert np.isfinite(state.scores).all()
+        assert 0.0 <= state.share <= 1.0
+
+
 @pytest.mark.slow
 def test_covariances_stay_sound_over_a_long_run() -> None:
     """20,000 samples of all kinds of motion: no covariance loses its sign by rounding."""
