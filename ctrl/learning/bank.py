@@ -31,8 +31,9 @@ _MODEL, _NOTHING = DRIVES, DRIVES + 1  # rows of the scores beside the drives
 _BLOCK_S, _LEAST_BLOCK = 0.24, 3
 _KEPT = 0.8  # of a score, from block to block
 _BETTER = 0.8  # share of the present score at which another drive is taken
+# Gain over the model's score from which on the learned part acts, and what more lets it act in full.
 _LEAST_GAIN, _FULL_GAIN = (
-    0.2,
+    0.6,
     0.3,
 )  # of the model's score: from which on the learned part acts, and until it acts in full
 _MOVING = 2.0  # variances of the filters by which an angle has to move in a block that counts
@@ -115,7 +116,7 @@ class FilterBank:
     model with its own disturbance does too, and so does the last angle. The mean squares of the errors, over the blocks
     in which the angle moved, are the scores. The drive with the best score is used. It acts with the share
 
-        s = (1 - (score + e) / (score of the model + e) - 0.2) / 0.3, within 0 and 1,   e = (sensor / 2)^2
+        s = (1 - (score + e) / (score of the model + e) - 0.6) / 0.3, within 0 and 1,   e = (sensor / 2)^2
 
     so that it has to foretell clearly better than the model, and fades where it does not.
 
