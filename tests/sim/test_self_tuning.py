@@ -96,6 +96,11 @@ def test_a_wrong_model_is_corrected_as_well_as_by_a_filter_that_believes_the_sen
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
+def test_with_an_exact_model_learning_keeps_silent(motion: str) -> None:
+    assert rmse("exact", motion, "learning") <= 1.05 * rmse("exact", motion, "tuned")
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("device", ["friction", "gain"])
 def test_a_wrong_model_is_corrected_better_by_learning(device: str, motion: str) -> None:
     """Also from rest, where the first motion is that of the model alone."""
