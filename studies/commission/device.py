@@ -107,7 +107,7 @@ def worn(device: DrawnDevice, friction: float, stiffness: float) -> DrawnDevice:
     if isinstance(core, MuscleCore):
         changes = {"friction": core.friction / friction, "greatest_deg": core.greatest_deg / stiffness}
     else:
-        own = ("wrap",) if isinstance(core, CapstanCore) else ("friction",)
+        own: tuple[str, ...] = ("wrap",) if isinstance(core, CapstanCore) else ("friction",)
         own += ("drag_n",) if isinstance(core, RodCore) else ()
         changes = {name: getattr(core, name) * friction for name in own} | {"gain": core.gain / stiffness}
     return replace(device, core=replace(core, **changes))
