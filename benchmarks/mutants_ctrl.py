@@ -1,4 +1,4 @@
-"""Mutants of the controllers: limits, guard, ladder, estimator."""
+"""Mutants of the controllers: limits, guard, ladder, estimator, learning, handover."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ _guarded = mutated_file(
 _fallback = mutated_file("ctrl", "fallback.py", "test_fallback.py", "test_contract.py")
 _estimator = mutated_file("ctrl", "estimation/observer.py", "test_estimator.py", "test_fallback.py")
 _noise = mutated_file("ctrl", "estimation/noise.py", "test_noise.py", "test_estimator.py")
+_bank = mutated_file("ctrl", "learning/bank.py", "test_learning.py")
+_basis = mutated_file("ctrl", "learning/basis.py", "test_learning.py")
+_learning = mutated_file("ctrl", "learning/estimator.py", "test_learning.py")
+_handover = mutated_file("ctrl", "handover.py", "test_handover.py")
 
 MUTANTS: tuple[Mutant, ...] = (
     _limits(
@@ -127,13 +131,18 @@ MUTANTS: tuple[Mutant, ...] = (
     _noise("a spike says as much as it likes", "_FREEDOM = 7.0", "_FREEDOM = 1e9"),
     _estimator(
         "outliers are taken",
-        "if not abs(offset - estimate.disturbance) <= self._settings.outlier_deg:",
+        "if not (abs(offset - estimate.disturbance) <= far or abs(angle - estimate.measured) <= far):",
         "if math.isnan(offset):",
     ),
     _estimator(
         "not-a-number is taken for a measurement",
-        "if not abs(offset - estimate.disturbance) <= self._settings.outlier_deg:",
-        "if abs(offset - estimate.disturbance) > self._settings.outlier_deg:",
+        "if not (abs(offset - estimate.disturbance) <= far or abs(angle - estimate.measured) <= far):",
+        "if abs(offset - estimate.disturbance) > far and abs(angle - estimate.measured) > far:",
+    ),
+    _estimator(
+        "an angle near the last one is an outlier",
+        "if not (abs(offset - estimate.disturbance) <= far or abs(angle - estimate.measured) <= far):",
+        "if not abs(offset - estimate.disturbance) <= far:",
     ),
     _estimator(
         "missing measurements are not counted",
@@ -151,6 +160,11 @@ MUTANTS: tuple[Mutant, ...] = (
         "pass",
     ),
     _estimator(
+        "a model that answers an absurd angle is trusted",
+        "abs(angle) <= ANGLE_BOUND_DEG and",
+        "abs(angle) < math.inf and",
+    ),
+    _estimator(
         "the dead band winds the disturbance up",
         "if not estimate.responsive[0]:",
         "if not estimate.responsive:",
@@ -158,4 +172,58 @@ MUTANTS: tuple[Mutant, ...] = (
     _estimator(
         "the delay is not waited for", "angles=(*estimate.angles[1:], angle)", "angles=(angle,) * len(estimate.angles)"
     ),
+    _bank(
+        "the learned part acts whatever it foretells",
+        "share=min(max((gained - _LEAST_GAIN) / _FULL_GAIN, 0.0), 1.0)",
+        "share=1.0",
+    ),
+    _bank(
+        "the share of the learned part is not bounded",
+        "min(max((gained - _LEAST_GAIN) / _FULL_GAIN, 0.0), 1.0)",
+        "gained",
+    ),
+    _bank("the worst drive is taken", "np.argmin(scores[:DRIVES])", "np.argmax(scores[:DRIVES])"),
+    _bank(
+        "forecasts are judged in a hold", "if means[_NOTHING] <= _MOVING * self._noise:", "if means[_NOTHING] < 0.0:"
+    ),
+    _bank("forecasts see the measurements", "forecast -= h[a] * frozen[n, a]", "forecast -= h[a] * z[n, a]"),
+    _bank("forecasts are never begun anew", "count=0, frozen=z,", "count=0,"),
+    _bank("the weights walk in a hold", "walk[a] * travel", "walk[a]"),
+    _bank("a jump in a hold moves the weights", "travel == 0.0", "travel < 0.0"),
+    _bank("a delay that is told is learned again", "n % DELAYS + delay", "n % DELAYS"),
+    _bank("a model that has been learned is distrusted", "min(means[_MODEL], means[best])", "means[_MODEL]"),
+    _bank("one block says as much as it likes", "/ means[_NOTHING]), _WORST)", "/ means[_NOTHING]), math.inf)"),
+    _basis("a learned play has no width", "v - RADII[i]), v + RADII[i])", "v), v)"),
+    _basis(
+        "the learned plays do not start at zero",
+        "out[at] = memory[1 + i] - v0 - side * RADII[i]",
+        "out[at] = memory[1 + i] - v0",
+    ),
+    _basis("a learned delay is not waited for", "queue[k] if k < delay else plans[n, k - delay]", "plans[n, k]"),
+    _basis("the slope of a learned lag is that of none", "by[0, j] *= 1.0 - share", "by[0, j] *= 0.0"),
+    _basis("the slope of a dead zone does not wait for it", "if v > ZONES[i]:", "if v > 0.0:"),
+    _learning("the angle of now jumps with the weights", "noise[0] -= change", "noise[0] -= 0.0"),
+    _learning("a jump at rest is no outlier", "far + self._bank.reach(learning.bank)", "1e3"),
+    _learning("a jump behind a fast command is an outlier", "far + self._bank.reach(learning.bank)", "far"),
+    _learning("angles on their way have the learned part of now", "self.delay_samples - k", "self.delay_samples"),
+    _learning(
+        "missing measurements of a learning controller are not counted", "missing=estimate.missing + 1", "missing=0"
+    ),
+    _handover(
+        "the inverse takes over with a jump",
+        "self._inverse_pid.taken_over(given) if",
+        "self._inverse_pid.init(given.due, given.u_last) if",
+    ),
+    _handover(
+        "the PID takes over with a jump",
+        "else self._pid.taken_over(given)",
+        "else self._pid.init(given.measured, given.u_last)",
+    ),
+    _handover("good forecasts are handed over", "distrust > threshold for", "distrust < threshold for"),
+    _handover("it goes back and forth at a threshold", "distrust > _BACK * threshold", "distrust > threshold"),
+    _handover("it never comes back", "min(at, best)", "at"),
+    _handover(
+        "another law takes over the memory of the last one", "if level != memory.level:", "if level == memory.level:"
+    ),
+    _handover("the log says that the MPC acts", "status, law.source)", "status, self.source)"),
 )

@@ -88,7 +88,7 @@ def configurations(folder: Path, plan: Plan, transport: str) -> tuple[Path, dict
     device["link"] = dds if transport == "dds" else {"kind": "udp", "bind_port": 0}
     (folder / "device.yaml").write_text(dump_yaml(device), encoding="utf-8")
     cycles = max(round(60 * plan.minutes * _SCAN_HZ), 1)
-    law = CONTROLLERS[plan.controller].settings(1 / rate_hz, 0, _LAG_S)
+    law = CONTROLLERS[plan.controller].settings(1 / rate_hz, 0)
     law |= {"move_blocking": list(plan.blocks)} if plan.blocks else {}
     run = {
         **RUN,

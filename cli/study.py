@@ -80,14 +80,9 @@ def study(
     benches = {"devices": devices, "rates_hz": loop["rates_hz"], "diagnose": diagnose}
     own: dict[Name, Mapping[str, object]] = {Name.CONTROL: loop, Name.IDENTIFY: drawn, Name.COMMISSION: benches}
     _check_options(name, {"logs": logs, "epochs-scale": epochs_scale, **modelling}, own)
-    if name is Name.CONTROL:
-        control(loop | {"seed": seed, "quick": quick}, folder, workers)
-        return
-    if name is Name.IDENTIFY:
-        identify(drawn | {"seed": seed, "quick": quick}, folder, workers)
-        return
-    if name is Name.COMMISSION:
-        commission(benches | {"seed": seed, "quick": quick}, folder, workers)
+    others = {Name.CONTROL: control, Name.IDENTIFY: identify, Name.COMMISSION: commission}
+    if name in others:
+        others[name]({**own[name], "seed": seed, "quick": quick}, folder, workers)
         return
     settings = StudySettings.for_study(
         name.value,

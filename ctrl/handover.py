@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import Any, Literal, final
 
 from hystmpc.models.model import Inverse, Predictor
 
@@ -15,9 +15,6 @@ from .feedback.pid import Pid, PidFeedback, PidSettings
 from .law import Law, Proposal
 from .limits import CommandLimits
 from .planning_settings import HandoverSettings
-
-if TYPE_CHECKING:
-    pass
 
 Level = Literal["mpc", "inverse_pid", "pid"]
 LEVELS: tuple[Level, ...] = ("mpc", "inverse_pid", "pid")

@@ -22,7 +22,7 @@ class PredictiveController(PredictiveSettings):
     """Builds the law and the observer; the planner is that of the subclass."""
 
     def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
-        if self.adaptation is None or not self.learns:
+        if self.adaptation is None:
             return predictor, inverse
         from .learning.predictor import LearnedInverse, LearnedPredictor
 
@@ -42,9 +42,8 @@ class PredictiveController(PredictiveSettings):
     def law(self, predictor: Predictor, inverse: Inverse, limits: CommandLimits) -> Law[Any]:
         from .mpc import PredictiveLaw
 
-        planned = self.planned
-        law = PredictiveLaw(predictor, inverse, limits, planned.planner(predictor, limits), planned)
-        if self.handover is None or not self.learns:
+        law = PredictiveLaw(predictor, inverse, limits, self.planner(predictor, limits), self)
+        if self.handover is None:
             return law
         from .handover import handover_law
 

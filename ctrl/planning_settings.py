@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -120,6 +120,8 @@ class PredictiveSettings(LawSettings):
     """What both predictive controllers have.
 
     Attributes:
+        adaptation: learning on top of the model; null for none, which it is without a continuous sensor.
+        handover: to feedback where nothing foretells; null for none, which it is without learning.
         horizon: samples of the preview; null for 20, or 0.24 s where that is more, but no more than 60.
     """
 
@@ -130,32 +132,34 @@ class PredictiveSettings(LawSettings):
     weights: WeightsSettings = WeightsSettings()
     hold: HoldSettings = HoldSettings()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _defaults_of_the_sensor(cls, data: Any) -> Any:
+        """Defaults that follow from the sensor, written out, so that settings as written are read again.
+
+        Without a continuous sensor nothing can be learned, and there is little noise that a plan has to be deaf to: moves
+        weigh less, and holds are closer.
+        """
+        if not isinstance(data, dict):
+            return data
+        estimator = data.get("estimator")
+        sensor = estimator.get("sensor") if isinstance(estimator, dict) else getattr(estimator, "sensor", None)
+        if sensor in ("intermittent", "none"):
+            data = {"adaptation": None, **data}
+            for block, key, value in (("weights", "rate", _BLIND_RATE), ("hold", "tolerance_deg", _BLIND_HOLD_DEG)):
+                if isinstance(own := data.get(block, {}), dict):
+                    data[block] = {key: value, **own}
+        return {"handover": None, **data} if data.get("adaptation", {}) is None else data
+
     @model_validator(mode="after")
     def _learns_from_a_sensor(self) -> PredictiveSettings:
-        asked = "adaptation" in self.model_fields_set and self.adaptation is not None
-        if asked and self.estimator.sensor != "continuous":
+        if self.adaptation is not None and self.estimator.sensor != "continuous":
             raise ValueError(f"got adaptation with estimator.sensor {self.estimator.sensor}, expected continuous")
+        if self.handover is not None and self.adaptation is None:
+            raise ValueError(
+                "got handover with adaptation null, expected handover null: forecasts are judged by learning"
+            )
         return self
-
-    @property
-    def learns(self) -> bool:
-        """Whether the controller learns on top of its model: by default, where it has a continuous sensor."""
-        return self.adaptation is not None and self.estimator.sensor == "continuous"
-
-    @property
-    def planned(self) -> Self:
-        """These settings as the plan is made from: without a continuous sensor there is little noise to be deaf to.
-
-        Where they are left out, the weight on moves is `_BLIND_RATE` then and the tolerance of holds `_BLIND_HOLD_DEG`.
-        """
-        if self.estimator.sensor == "continuous":
-            return self
-        weights, hold = self.weights, self.hold
-        if "rate" not in weights.model_fields_set:
-            weights = weights.model_copy(update={"rate": _BLIND_RATE})
-        if "tolerance_deg" not in hold.model_fields_set:
-            hold = hold.model_copy(update={"tolerance_deg": _BLIND_HOLD_DEG})
-        return self.model_copy(update={"weights": weights, "hold": hold})
 
     def bridged_samples(self, dt_s: float) -> int:
         return self.estimator.bridged_samples(self.ladder.max_missing_samples, dt_s)

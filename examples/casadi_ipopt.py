@@ -70,6 +70,7 @@ def run(model_text: str, horizon: int, steps: int) -> list[Comparison]:
         "horizon": horizon,
         "iterations": 4,  # linearised anew four times a sample, so that it converges too
         "weights": {"terminal": TERMINAL, "rate": RATE, "effort": 0.0},
+        "adaptation": None,  # IPOPT's model learns nothing
     }
     tip = hystmpc.TipController.from_config({"model": model_text, "controller": settings})
     box = model.metadata.command_limits

@@ -475,10 +475,10 @@ def next_of_model(predictor: Predictor, state: Vec, u: float) -> tuple[float, Ve
     """Angle [deg] and state of a model one sample later.
 
     Raises:
-        ArithmeticError: if they are not finite.
+        ArithmeticError: if they are not finite, or the angle is absurdly large.
     """
     angle, following = predictor.advance(state, u)
-    if not (math.isfinite(angle) and math.isfinite(following.sum())):
+    if not (abs(angle) <= ANGLE_BOUND_DEG and math.isfinite(following.sum())):
         raise ArithmeticError(f"the model answers {angle} deg to command {u:.6g}")
     return float(angle), following
 

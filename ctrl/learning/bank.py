@@ -32,10 +32,7 @@ _BLOCK_S, _LEAST_BLOCK = 0.24, 3
 _KEPT = 0.8  # of a score, from block to block
 _BETTER = 0.8  # share of the present score at which another drive is taken
 # Gain over the model's score from which on the learned part acts, and what more lets it act in full.
-_LEAST_GAIN, _FULL_GAIN = (
-    0.6,
-    0.3,
-)  # of the model's score: from which on the learned part acts, and until it acts in full
+_LEAST_GAIN, _FULL_GAIN = 0.6, 0.3
 _MOVING = 2.0  # variances of the filters by which an angle has to move in a block that counts
 _SENSOR, _LEAST_SENSOR_DEG = 2.0, 0.05  # the basis is not exact: its noise is taken for more than the sensor's
 _OFFSET_DEG, _GAIN, _DRIFT = 10.0, 1.0, 0.3  # standard deviations of offset, w_c; and of a drift [deg/sqrt(s)]

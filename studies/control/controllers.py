@@ -21,10 +21,7 @@ _ESTIMATOR = {
 }
 # An exact model needs no disturbance; this lets what is left of the first guess decay, and no noise in.
 _TRUST = _ESTIMATOR | {"drift_sigma_deg_per_sqrt_s": 0.01, "motion_sigma_deg_per_sqrt_unit": 0.0}
-# What is left over by a model that is not the plant is learned; with it, less of an error is the disturbance's.
-_LEARNING = _ESTIMATOR | {"motion_sigma_deg_per_sqrt_unit": 0.8}
 _RATE_WEIGHT = 3.0  # at 25 Hz
-_LEARNING_RATE_WEIGHT = 10.0  # a model that is being learned is not to be trusted with jumps
 _BASE_DT_S = 0.04
 _FAST_DT_S = 0.01
 ORACLE = "oracle"
@@ -70,7 +67,7 @@ class BenchmarkController:
         """Whether its model holds at a rate."""
         return self.model not in NETWORKS or rate_hz == NETWORK_RATE_HZ
 
-    def settings(self, dt_s: float, delay_samples: int, lag_s: float = 0.0) -> dict[str, Any]:
+    def settings(self, dt_s: float, delay_samples: int) -> dict[str, Any]:
         """Settings of the controller, as in a simulation file.
 
         The weight of the command's rate is scaled so that the same motion costs the same share at any sample time:
@@ -78,7 +75,6 @@ class BenchmarkController:
 
         Args:
             dt_s: sample time [s].
-            lag_s: of the actuator, that it is told of [s].
         """
         if self.kind == "pid":
             return {"kind": self.kind}
@@ -88,15 +84,12 @@ class BenchmarkController:
         settings: dict[str, Any] = {
             "kind": self.kind,
             "horizon": 50 if fast else 20,
-            "estimator": self._estimator() | {"delay_samples": delay_samples},
-            "weights": {"rate": (_LEARNING_RATE_WEIGHT if self.learns else _RATE_WEIGHT) * (_BASE_DT_S / dt_s) ** 2},
+            "estimator": {**(_TRUST if self.trusting else _ESTIMATOR), "delay_samples": delay_samples},
+            "weights": {"rate": _RATE_WEIGHT * (_BASE_DT_S / dt_s) ** 2},
         }
-        if self.learns:
-            settings["adaptation"] = {"lag_s": lag_s}
+        if not self.learns:
+            settings["adaptation"] = None
         return settings
-
-    def _estimator(self) -> dict[str, Any]:
-        return dict(_LEARNING if self.learns else _TRUST if self.trusting else _ESTIMATOR)
 
 
 def _named(*rivals: BenchmarkController) -> Mapping[str, BenchmarkController]:

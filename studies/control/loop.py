@@ -193,7 +193,7 @@ def study_of(job: ControlJob, settings: ControlSettings, folder: Path, motions: 
         data |= {"model": str(network_file(folder, plant, rival.model)), "inverse": str(companion_file(folder, plant))}
     elif rival.model == "backlash":
         data |= {"model": str(backlash_file(folder, plant, job.rate_hz)), "actuator_lag_s": nominal.effects.lag_s}
-    controller = rival.settings(dt_s, delay, nominal.effects.lag_s) | _gains(job, rival, settings, folder)
+    controller = rival.settings(dt_s, delay) | _gains(job, rival, settings, folder)
     study = prepare(SimulationConfig.parse(data | {"controllers": {job.subject: controller}}, job.key))
     return _rested(study, plant.effects, dt_s) if rival.oracle else study
 

@@ -189,6 +189,12 @@ def found_parts(identified: Identified) -> dict[str, Interval]:
 
 
 def identified_as(kind: ModelKind, trials: Sequence[Trial], device: DrawnDevice, seed: int) -> Identified:
+    """A model of a kind, from a device's trials.
+
+    Raises:
+        FitError: if it cannot be identified.
+        KeyboardInterrupt: if the user ended it.
+    """
     command = Range(lower=device.limits.lower, upper=device.limits.upper)
     limits = DeviceLimits(command, device.rate_per_s)
     found = kind.fit(trials, FitRequest(preset=kind.presets[0], seed=seed, limits=limits))

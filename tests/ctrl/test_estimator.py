@@ -137,6 +137,17 @@ def test_missing_and_outlying_measurements_leave_the_prediction(y: float) -> Non
     assert estimator.correct(corrected, 20.1).missing == 0
 
 
+def test_an_angle_near_the_last_one_is_no_outlier_however_far_the_model_has_gone() -> None:
+    """A device that stands still while its model goes 40 deg: the disturbance has to find that out."""
+    estimator = OutputEstimator(Lag(), OPTIONS)
+    estimate = estimator.init(20.0, 0.0)
+    for _ in range(60):
+        estimate = estimator.correct(estimator.advance(estimate, 6.0), 20.0)
+        assert estimate.missing == 0
+    assert estimate.angles[0] > 60.0
+    assert estimate.angles[0] + estimate.disturbance == pytest.approx(20.0, abs=1.0)
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_disturbance_is_bounded(side: float) -> None:
     estimator = OutputEstimator(Lag(), EstimatorSettings(disturbance_limit_deg=3.0))
@@ -146,7 +157,10 @@ def test_disturbance_is_bounded(side: float) -> None:
     assert estimate.disturbance == 3.0 * side
 
 
-@pytest.mark.parametrize(("angle", "state"), [(math.nan, 0.0), (math.inf, 0.0), (20.0, math.nan), (20.0, -math.inf)])
+@pytest.mark.parametrize(
+    ("angle", "state"),
+    [(math.nan, 0.0), (math.inf, 0.0), (1e300, 0.0), (-2e4, 0.0), (20.0, math.nan), (20.0, -math.inf)],
+)
 def test_a_model_that_answers_no_number_is_not_advanced(
     angle: float, state: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

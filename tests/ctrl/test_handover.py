@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.command import Source, Stopwatch
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.feedback.pid import PidSettings
-from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.handover import HandoverLaw, gains_for
+from hystmpc.ctrl.learning.estimator import Learning
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planning_settings import HandoverSettings
+from hystmpc.trials.errors import ConfigError
 
 from .plays import DT, SOUND, Backlash
 
@@ -30,11 +33,20 @@ def controller(**handover: object) -> GuardedController[object]:
     return build_controller(asked, case.predictor, case.inverse, LIMITS)
 
 
+def distrusting(state: GuardedState[Any], distrust: float) -> GuardedState[Any]:
+    """The state of a controller whose forecasts have been so bad."""
+    learning = state.estimate.learning
+    assert isinstance(learning, Learning)
+    learning = replace(learning, bank=replace(learning.bank, distrust=distrust))
+    return replace(state, estimate=replace(state.estimate, learning=learning, distrust=distrust))
+
+
 @given(
     distrusts=st.lists(st.floats(0.0, 1.2), min_size=1, max_size=25),
     wanted=st.floats(30.0, 80.0),
     drift=st.floats(-0.5, 0.5),
 )
+@example(distrusts=[0.1, 1.0, 1.15, 0.1, 1.15, 1.0], wanted=60.0, drift=0.2)
 @settings(max_examples=40, deadline=None)
 def test_at_a_handover_to_feedback_the_command_has_no_jump(distrusts: list[float], wanted: float, drift: float) -> None:
     """Whatever the distrust does, limits hold, and the first command of a law that takes over is the last one sent."""
@@ -43,10 +55,12 @@ def test_at_a_handover_to_feedback_the_command_has_no_jump(distrusts: list[float
     assert isinstance(law, HandoverLaw)
     state = loop.init(y, 1.5)
     for distrust in distrusts:
-        state = replace(state, estimate=replace(state.estimate, distrust=distrust))
+        state = distrusting(state, distrust)
         before, level = state.estimate.command, state.memory.level
         reference = wanted + drift * np.arange(loop.horizon)
-        command, state = loop.step(replace(state), y, reference)
+        command, state = loop.step(state, y, reference)
+        assert state.fallback.failures == 0
+        assert state.memory.level == law._level(level, state.estimate.distrust)
         assert LIMITS.lower <= command.u <= LIMITS.upper
         assert abs(command.u - before) <= LIMITS.rate * DT + 1e-12
         if state.memory.level != level and state.memory.level != "mpc":
@@ -63,9 +77,7 @@ def test_the_level_follows_the_forecasts_and_stands_in_the_log(distrust: float, 
     state = loop.init(40.0, 1.5)
     law = loop.law
     assert isinstance(law, HandoverLaw)
-    state = replace(state, estimate=replace(state.estimate, distrust=distrust))
-    # the estimator keeps its own figure, so the law is asked directly
-    given_ = loop._input(state, np.full(loop.horizon, 45.0))
+    given_ = loop._input(distrusting(state, distrust), np.full(loop.horizon, 45.0))
     proposal = law.propose(state.memory, given_, Stopwatch())
     assert proposal.memory.level == level
     assert proposal.source == source
@@ -118,3 +130,13 @@ def test_without_learning_there_is_no_handover() -> None:
     for block in ({"adaptation": None}, {"handover": None}, {"estimator": {"sensor": "none"}}):
         asked = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", **block})
         assert not isinstance(build_controller(asked, case.predictor, case.inverse, LIMITS).law, HandoverLaw)
+
+
+def test_settings_say_what_is_off_and_a_handover_without_learning_is_refused() -> None:
+    kind = CONTROLLERS["linearised_mpc"]
+    for block in ({"adaptation": None}, {"estimator": {"sensor": "intermittent"}}, {"estimator": {"sensor": "none"}}):
+        asked = kind.parse({"kind": "linearised_mpc", **block}).model_dump(mode="json")
+        assert (asked["adaptation"], asked["handover"]) == (None, None)
+        assert kind.parse(asked).model_dump(mode="json") == asked
+        with pytest.raises(ConfigError, match="expected"):
+            kind.parse({"kind": "linearised_mpc", **block, "handover": {}})

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hystmpc.ctrl.build import build_controller
 from hystmpc.ctrl.config import CONTROLLERS
 from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings
-from hystmpc.ctrl.learning.bank import DRIVES, FilterBank
-from hystmpc.ctrl.learning.basis import DELAYS, FEATURES, LAGS_S
+from hystmpc.ctrl.learning.bank import DRIVES, BankState, FilterBank
+from hystmpc.ctrl.learning.basis import DELAYS, FEATURES, LAGS_S, features, first_memory
 from hystmpc.ctrl.learning.estimator import Learning, LearningEstimator
 from hystmpc.ctrl.learning.predictor import LearnedInverse, LearnedPredictor
 from hystmpc.ctrl.limits import CommandLimits
@@ -65,6 +65,13 @@ def test_without_weights_it_is_the_model(drive: tuple[int, int], seed: int) -> N
     below = predictor.below(state)
     np.testing.assert_array_equal(predictor.rollout(state, trial), Backlash().rollout(below, trial))
     np.testing.assert_allclose(predictor.linearise(state, trial[0])[1], Backlash().linearise(below, trial[0])[1])
+
+
+@given(st.floats(0.0, 1.0), st.sampled_from([-1.0, 1.0]))
+def test_at_rest_at_the_start_all_features_are_zero(v: float, side: float) -> None:
+    out = np.ones(FEATURES)
+    features(first_memory(v, side), v, v, side, 1.0 / DT, out)
+    np.testing.assert_allclose(out, 0.0, atol=1e-12)
 
 
 @given(drives, st.integers(0, 100))
@@ -164,6 +171,42 @@ def test_a_changed_device_is_foretold_after_two_flexures(name: str) -> None:
     learned_error, own_error = (float(np.sqrt(np.mean((found - truth) ** 2))) for found in (foretold, alone))
     assert learned_error < 0.5 * own_error
     assert estimate.learning.bank.share == 1.0
+    assert estimate.distrust < 0.4
+
+
+def test_a_delay_that_is_told_is_not_learned_again() -> None:
+    """The angles on their way have the learned part, and are nearer to what is measured then than the model's."""
+    delay, device = 3, Device(10.3, 1.2, 0.0, 3)
+    estimator = LearningEstimator(learned(), OPTIONS.model_copy(update={"delay_samples": delay}))
+    commands, angles = recorded(device)
+    estimate, foretold, alone = estimator.init(float(angles[0]), 0.0), [], []
+    for u, y in zip(commands.tolist(), angles.tolist(), strict=True):
+        estimate = estimator.advance(estimator.correct(estimate, y), u)
+        assert isinstance(estimate.learning, Learning)
+        model = estimate.learning.model
+        foretold.append(estimate.angles[-1] + estimate.disturbance)
+        alone.append(model.angles[-1] + model.disturbance)
+    assert estimate.learning.bank.share == 1.0
+    assert estimate.learning.bank.delay == 0
+    ahead, sine = delay + 1, slice(240, -delay - 1)
+    errors = [np.array(found)[sine] - angles[240 + ahead :] for found in (foretold, alone)]
+    assert np.mean(errors[0] ** 2) < 0.25 * np.mean(errors[1] ** 2)
+
+
+def test_a_measurement_never_moves_the_angle_of_now_away_from_itself() -> None:
+    """Also not where weights and share change: the disturbance takes up the difference."""
+    estimator, shares = LearningEstimator(learned(), OPTIONS), set()
+    commands, angles = recorded(Device(*CHANGED["all of it"]))
+    estimate = estimator.init(float(angles[0]), float(commands[0]))
+    for u, y in zip(commands.tolist(), angles.tolist(), strict=True):
+        before = estimate.angles[0] + estimate.disturbance
+        estimate = estimator.correct(estimate, y)
+        now = estimate.angles[0] + estimate.disturbance
+        assert min(before, y) - 1e-9 <= now <= max(before, y) + 1e-9
+        assert isinstance(estimate.learning, Learning)
+        shares.add(estimate.learning.bank.share)
+        estimate = estimator.advance(estimate, u)
+    assert {0.0, 1.0} <= shares
 
 
 def test_where_the_model_is_right_nothing_acts() -> None:
@@ -191,6 +234,56 @@ def test_in_a_hold_no_weight_is_forgotten() -> None:
     assert np.max(np.abs(state.z[:, 1:])) < 1e-9
 
 
+def test_within_a_block_forecasts_see_no_measurement() -> None:
+    """An angle that is 1 deg off a model at rest is 1 deg off every forecast of the block."""
+    bank = FilterBank(DT, (0.0, 6.0), 62.0, 0.1, 0, AdaptationSettings())
+    state = bank.init(30.0, 1.0, 30.0)
+    for k in range(1, round(0.24 / DT)):
+        state = bank.correct(bank.advance(state, 1.0), 31.0, 30.0, 0.0)
+        np.testing.assert_allclose(state.sums, k)
+
+
+def flexed(bank: FilterBank) -> BankState:
+    """A bank that has seen a device of half the model's gain once up and down."""
+    state, model = bank.init(29.0, 0.0, 29.0), Backlash()
+    below = model.initial(29.0, 0.0)
+    for u in [*np.linspace(0.0, 5.8, 60), *np.linspace(5.8, 2.0, 40)]:
+        angle, below = model.advance(below, float(u))
+        state = bank.correct(bank.advance(state, float(u)), 29.0 + 0.5 * (angle - 29.0), angle, 0.0)
+    return state
+
+
+def test_a_jump_in_a_hold_is_an_offset_and_no_weight() -> None:
+    bank = FilterBank(DT, (0.0, 6.0), 62.0, 0.1, 0, AdaptationSettings())
+    state = flexed(bank)
+    below, model = Backlash().initial(29.0, 0.0), Backlash()
+    angle, _ = model.advance(below, 2.0)
+    for _ in range(20):
+        state = bank.correct(bank.advance(state, 2.0), 40.0, angle, 0.0)
+    before = state
+    for _ in range(20):
+        state = bank.correct(bank.advance(state, 2.0), 48.0, angle, 0.0)
+    moved = state.offset - before.offset
+    assert moved == pytest.approx(8.0, abs=0.5)
+    assert np.max(np.abs(state.weights - before.weights)) < 0.5
+
+
+def test_a_hold_is_not_judged() -> None:
+    """Where nothing moves every forecast is good: share, drive, scores and distrust stay as they are."""
+    bank = FilterBank(DT, (0.0, 6.0), 62.0, 0.1, 0, AdaptationSettings())
+    state = flexed(bank)
+    before = state = replace(state, sums=np.zeros(DRIVES + 2), count=0, references=(0.0, 40.0))
+    for _ in range(100):
+        state = bank.correct(bank.advance(state, 2.0), 40.0, 45.0, 0.0)
+    assert (state.share, state.best, state.distrust, state.blocks) == (
+        before.share,
+        before.best,
+        before.distrust,
+        before.blocks,
+    )
+    np.testing.assert_array_equal(state.scores, before.scores)
+
+
 @given(
     st.lists(
         st.tuples(
@@ -211,8 +304,25 @@ def test_any_measurements_leave_everything_finite(seen: list[tuple[float, float]
         assert np.isfinite(estimate.learning.bank.z).all()
         assert np.all(np.diagonal(estimate.learning.bank.covariance, axis1=1, axis2=2) > 0)
         assert 0.0 <= estimate.learning.bank.share <= 1.0
+        assert 0.0 <= estimate.distrust <= 1.2
         assert math.isfinite(estimate.departure)
         assert np.isfinite(estimate.state).all()
+
+
+ANGLES = st.one_of(st.floats(-40.0, 120.0), st.sampled_from([-1e4, 1e4]))  # beyond, an angle or a model is refused
+
+
+@given(st.lists(st.tuples(ANGLES, ANGLES, st.floats(0.0, 6.0)), min_size=1, max_size=60))
+@settings(max_examples=30, deadline=None)
+def test_any_model_leaves_everything_finite(seen: list[tuple[float, float, float]]) -> None:
+    bank = FilterBank(DT, (0.0, 6.0), 62.0, 0.1, 0, AdaptationSettings())
+    state = bank.init(30.0, 1.0, 30.0)
+    for y, angle, u in seen:
+        state = bank.correct(bank.advance(state, u), y, angle, 0.0)
+        assert np.isfinite(state.z).all()
+        assert np.all(np.diagonal(state.covariance, axis1=1, axis2=2) > 0)
+        assert np.isfinite(state.scores).all()
+        assert 0.0 <= state.share <= 1.0
 
 
 @pytest.mark.slow
@@ -322,6 +432,7 @@ def test_a_pair_is_wrapped_once_and_only_where_it_learns() -> None:
     for block in ({"adaptation": None}, {"estimator": {"sensor": "none"}}):
         plain = CONTROLLERS["linearised_mpc"].parse({"kind": "linearised_mpc", **block})
         assert plain.model_pair(case.predictor, case.inverse) == (case.predictor, case.inverse)
+        assert CONTROLLERS["linearised_mpc"].parse(plain.model_dump(mode="json")) == plain
 
 
 def test_the_grid_has_a_drive_for_every_lag_and_delay() -> None:

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.cli.device import make_plant
+from hystmpc.commissioning.plants import make_plant
 from hystmpc.ctrl.frames import ImagingSettings
 from hystmpc.rig.commission.experiment import run_experiment
 from hystmpc.rig.commission.phases import Past, PhaseInput, place_frames

@@ -1,4 +1,7 @@
-"""Closed loops without a sigma set by hand: a right model is trusted, a wrong one is corrected, a hold holds."""
+"""Closed loops without a sigma set by hand: a right model is trusted, a wrong one is corrected, a hold holds.
+
+The sigmas are judged without learning, and the controllers as they are by default beside them.
+"""
 
 from __future__ import annotations
 
@@ -54,8 +57,9 @@ def study(device: str, seed: int) -> Study:
     plant = {"simulator": "builtin:pi", "noise_deg": 0.15} | DEVICES[device]
     controllers = {
         "inverse": {"kind": "inverse"},
-        "fixed": {"kind": "linearised_mpc", "estimator": FIXED},
-        "tuned": {"kind": "linearised_mpc"},
+        "fixed": {"kind": "linearised_mpc", "adaptation": None, "estimator": FIXED},
+        "tuned": {"kind": "linearised_mpc", "adaptation": None},
+        "learning": {"kind": "linearised_mpc"},
     }
     return prepare(
         SimulationConfig.parse(
@@ -70,16 +74,18 @@ def track(device: str, motion: str, controller: str, seed: int) -> ClosedLoopRun
     return run_closed_loop(found.controller(settings), found.plant, found.motions[motion])
 
 
+@cache
 def rmse(device: str, motion: str, controller: str) -> float:
     """Root mean square of the true error over two seeds [deg]."""
     runs = [track(device, motion, controller, seed) for seed in (101, 102)]
     return float(np.sqrt(np.mean([np.mean(run.error_deg**2) for run in runs])))
 
 
+@pytest.mark.parametrize("controller", ["tuned", "learning"])
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_with_an_exact_model_the_estimate_costs_nothing(motion: str) -> None:
-    assert rmse("exact", motion, "tuned") <= 1.1 * rmse("exact", motion, "inverse")
-    assert rmse("exact", motion, "tuned") <= rmse("exact", motion, "fixed")
+def test_with_an_exact_model_the_estimate_costs_nothing(motion: str, controller: str) -> None:
+    assert rmse("exact", motion, controller) <= 1.1 * rmse("exact", motion, "inverse")
+    assert rmse("exact", motion, controller) <= rmse("exact", motion, "fixed")
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -89,12 +95,25 @@ def test_a_wrong_model_is_corrected_as_well_as_by_a_filter_that_believes_the_sen
     assert rmse(device, motion, "tuned") <= 0.5 * rmse(device, motion, "inverse")
 
 
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_with_an_exact_model_learning_keeps_silent(motion: str) -> None:
+    assert rmse("exact", motion, "learning") <= 1.05 * rmse("exact", motion, "tuned")
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("device", ["friction", "gain"])
+def test_a_wrong_model_is_corrected_better_by_learning(device: str, motion: str) -> None:
+    """Also from rest, where the first motion is that of the model alone."""
+    assert rmse(device, motion, "learning") <= 0.85 * rmse(device, motion, "tuned")
+
+
+@pytest.mark.parametrize("controller", ["tuned", "learning"])
 @pytest.mark.parametrize("device", DEVICES)
-def test_a_hold_holds(device: str) -> None:
+def test_a_hold_holds(device: str, controller: str) -> None:
     """From one second after a hold begins the command rests for 99 per cent of the time or more."""
     rests: list[bool] = []
     for seed in (101, 102):
-        run = track(device, "points", "tuned", seed)
+        run = track(device, "points", controller, seed)
         moves = np.abs(np.diff(run.log.command, prepend=run.rest_command))
         for begin, end in holds(run.log.reference_deg, run.dt):
             rests += (moves[begin + round(1.0 / run.dt) : end] <= 1e-9).tolist()
