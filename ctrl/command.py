@@ -69,7 +69,7 @@ class ControlInput:
 
     state: Vec  # predictor state (S,) at the instant at which the next command starts to act
     disturbance: float  # estimated output disturbance [deg]
-    disturbance_sigma: float  # standard deviation of its error [deg]
+    disturbance_sigma: float  # standard deviation of what noise does to it in a hold [deg]
     measured: float  # last accepted measurement [deg]
     age: float  # of it [samples], 0 for one of now
     u_last: float  # the command really sent last [mm or bar]

@@ -220,7 +220,7 @@ class GuardedController(Generic[M]):
         return ControlInput(
             state=estimate.state,
             disturbance=estimate.disturbance,
-            disturbance_sigma=math.sqrt(estimate.variance),
+            disturbance_sigma=self._observer.unrest_deg(estimate),
             distrust=estimate.distrust,
             measured=estimate.measured,
             age=estimate.age,

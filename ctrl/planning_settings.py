@@ -112,6 +112,7 @@ class HandoverSettings(Settings):
 
 _LEAST_SAMPLES, _MOST_SAMPLES, _PREVIEW_S = 20, 60, 0.24  # of a preview whose length is not given
 _ALIKE = 3  # blocks of one length
+_BLIND_RATE, _BLIND_HOLD_DEG = 0.1, 0.01
 _SIGMA_SHARE = 0.1  # of the greatest move of a sample: more would cross kinks of the model that the step must not see
 
 
@@ -133,14 +134,21 @@ class PredictiveSettings(LawSettings):
 
     @model_validator(mode="before")
     @classmethod
-    def _nothing_is_learned_without_a_sensor(cls, data: Any) -> Any:
-        """What is on by default and has nothing to work with is null, so that settings as written are read again."""
+    def _defaults_of_the_sensor(cls, data: Any) -> Any:
+        """Defaults that follow from the sensor, written out, so that settings as written are read again.
+
+        Without a continuous sensor nothing can be learned, and there is little noise that a plan has to be deaf to: moves
+        weigh less, and holds are closer.
+        """
         if not isinstance(data, dict):
             return data
         estimator = data.get("estimator")
         sensor = estimator.get("sensor") if isinstance(estimator, dict) else getattr(estimator, "sensor", None)
         if sensor in ("intermittent", "none"):
             data = {"adaptation": None, **data}
+            for block, key, value in (("weights", "rate", _BLIND_RATE), ("hold", "tolerance_deg", _BLIND_HOLD_DEG)):
+                if isinstance(own := data.get(block, {}), dict):
+                    data[block] = {key: value, **own}
         return {"handover": None, **data} if data.get("adaptation", {}) is None else data
 
     @model_validator(mode="after")

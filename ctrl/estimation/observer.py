@@ -19,6 +19,10 @@ from ..limits import NotNegative, Positive
 
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 
+# Of the standard deviation of the estimate. Frames are few, and each changes the estimate by a small share of what it
+# may be off: that is a bias in a hold, and no reason to hold further from the reference.
+_FRAMES_UNREST = 0.05
+
 _RESOLUTION = 1e-9  # command changes below this share of the command range count as none
 
 
@@ -88,6 +92,10 @@ class Observer(ABC):
 
     def sigma_deg(self, estimate: Estimate) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
+        return math.sqrt(estimate.variance)
+
+    def unrest_deg(self, estimate: Estimate) -> float:
+        """Standard deviation of what noise does to the estimated disturbance in the course of a hold [deg]."""
         return math.sqrt(estimate.variance)
 
     @abstractmethod

@@ -10,6 +10,7 @@ import numpy as np
 
 from hystmpc.commissioning.config import CommissionSettings
 from hystmpc.ctrl.command import Command
+from hystmpc.ctrl.frames import ImagingSettings
 from hystmpc.ctrl.guarded import GuardedController, GuardedState
 from hystmpc.ctrl.loop import Plant
 from hystmpc.models.contract.metadata import Range
@@ -68,10 +69,21 @@ def _flexure(device: DrawnDevice, stroke_s: float) -> Vec:
 
 @final
 class TakenUp:
-    """A controller that takes up the preparation of a `PreparedPlant` when it starts, as `hystmpc run` does."""
+    """A controller that takes up the preparation of a `PreparedPlant` when it starts, as `hystmpc run` does.
 
-    def __init__(self, controller: GuardedController[Any], plant: PreparedPlant) -> None:
-        self._controller, self._plant = controller, plant
+    Args:
+        sensor: an imaging system that has seen the preparation in frames; the angle in every sample where left out.
+    """
+
+    def __init__(
+        self, controller: GuardedController[Any], plant: PreparedPlant, sensor: ImagingSettings | None = None
+    ) -> None:
+        self._controller, self._plant, self._angles = controller, plant, plant.angles_deg
+        if sensor is not None:
+            every = max(round(1.0 / (sensor.rate_hz * plant.dt)), 1)
+            noise = np.random.default_rng(plant.seed).standard_normal(self._angles.size)
+            seen = np.arange(self._angles.size) % every == 0
+            self._angles = np.where(seen, self._angles + sensor.noise_deg * noise, np.nan)
 
     @property
     def dt(self) -> float:
@@ -86,7 +98,7 @@ class TakenUp:
     def init(self, y: float, u: float) -> GuardedState[Any]:
         """State behind the preparation."""
         del y, u
-        return self._controller.replay(self._plant.commands, self._plant.angles_deg)
+        return self._controller.replay(self._plant.commands, self._angles)
 
     def step(self, state: GuardedState[Any], y: float, reference: Vec) -> tuple[Command, GuardedState[Any]]:
         """One sample."""

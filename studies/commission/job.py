@@ -279,7 +279,7 @@ def _sensors(bench: StudyBench, own: Knowledge, tip: LawSettings) -> dict[str, f
     ]
     figures |= {"none.sigma_deg": sigma, "none.within_band": float(np.mean(np.concatenate(inside)))}
     seeing = _of(tip, {"estimator": dict(frames.told())})
-    figures |= bench.along("imaging", TakenUp(_built(seeing, own, limits), bench.plant), sensor=frames)[0]
+    figures |= bench.along("imaging", TakenUp(_built(seeing, own, limits), bench.plant, frames), sensor=frames)[0]
     figures |= bench.along("imaging_pid", _imaging_pid(bench, own), sensor=frames)[0]
     model = IdentifiedPlant(own, bench.drawn.true_angle, AS_IDENTIFIED_NOISE_DEG, bench.device.seed)
     rivals: dict[str, LawSettings] = {"as_identified_none": alone, "as_identified_inverse": InverseControllerSettings()}
@@ -351,10 +351,12 @@ def _known(tip: Path) -> tuple[Knowledge, LawSettings]:
 
 
 def _of(settings: LawSettings, changes: Mapping[str, Any]) -> LawSettings:
-    """A controller with some keys changed, blocks merged."""
+    """A controller with some keys changed, blocks merged; where nothing is learned there is no handover."""
     data = settings.model_dump(exclude_unset=True) | {"kind": settings.model_fields["kind"].default}
     for key, value in changes.items():
         data[key] = data.get(key, {}) | value if isinstance(value, dict) else value
+    if data.get("adaptation", {}) is None or "sensor" in data.get("estimator", {}):
+        data.pop("handover", None)
     return type(settings).parse(data, "study commission")
 
 

@@ -19,7 +19,8 @@ class CommissionStudySettings(Settings):
         devices: how many are drawn.
         rates_hz: of the drawn devices, those of these sample rates are done [Hz]; all where it is empty.
         evaluations: closed-loop runs over all motions in the search of each rival's gains, about.
-        minutes: device time of each commissioning [min].
+        minutes: device time of each commissioning [min]; a computed device is prepared anew before every motion, which
+            takes some seconds more.
         diagnose: whether a commissioning diagnoses its model, and whether the tracking gap is judged; takes most of the
             time.
         seed: of the draw, the motions, the noise and the searches.
@@ -30,7 +31,7 @@ class CommissionStudySettings(Settings):
     devices: Annotated[int, Field(ge=1, le=1000)] = 60
     rates_hz: tuple[float, ...] = ()
     evaluations: Annotated[int, Field(ge=10)] = 300
-    minutes: Annotated[float, Field(gt=0, le=5)] = 5.0
+    minutes: Annotated[float, Field(gt=0, le=5)] = 4.6
     diagnose: bool = True
     seed: Annotated[int, Field(ge=0)] = 1
     quick: bool = False
