@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.build import build_controller
@@ -312,6 +312,7 @@ def test_any_measurements_leave_everything_finite(seen: list[tuple[float, float]
 ANGLES = st.one_of(st.floats(-40.0, 120.0), st.sampled_from([-1e4, 1e4]))  # beyond, an angle or a model is refused
 
 
+@example([(30.0 + k, 1e4, 1.0) for k in range(12)])  # a block of forecasts that are off by far more than the motion
 @given(st.lists(st.tuples(ANGLES, ANGLES, st.floats(0.0, 6.0)), min_size=1, max_size=60))
 @settings(max_examples=30, deadline=None)
 def test_any_model_leaves_everything_finite(seen: list[tuple[float, float, float]]) -> None:
@@ -323,6 +324,7 @@ def test_any_model_leaves_everything_finite(seen: list[tuple[float, float, float
         assert np.all(np.diagonal(state.covariance, axis1=1, axis2=2) > 0)
         assert np.isfinite(state.scores).all()
         assert 0.0 <= state.share <= 1.0
+        assert 0.0 <= state.distrust <= 1.2
 
 
 @pytest.mark.slow
