@@ -186,16 +186,17 @@ def _gap(outcome: CommissionOutcome) -> Bar:
 
 
 def _stops(outcome: CommissionOutcome) -> Bar:
-    return _total(outcome, "samples stopped by a controller", "stops")
+    """Without learning the model of another device may end in the latched stop, as it should."""
+    return _total(outcome, "samples stopped by a controller that learns", "stops", lambda key: "_off." not in key)
 
 
 def _violations(outcome: CommissionOutcome) -> Bar:
     return _total(outcome, "samples beyond a limit, all controllers", "violations")
 
 
-def _total(outcome: CommissionOutcome, name: str, figure: str) -> Bar:
+def _total(outcome: CommissionOutcome, name: str, figure: str, counts: Callable[[str], bool] = lambda key: True) -> Bar:
     totals = {
-        device: sum(value for key, value in figures.items() if key.endswith(f".{figure}"))
+        device: sum(value for key, value in figures.items() if key.endswith(f".{figure}") and counts(key))
         for device, figures in outcome.figures.items()
     }
     beyond = tuple(device for device, total in totals.items() if total)

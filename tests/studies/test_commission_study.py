@@ -117,7 +117,7 @@ def test_one_device_from_the_bench_to_the_table(tmp_path: Path) -> None:
     assert not outcome.failed, [result.message for result in outcome.failed]
     judged = {bar.name: bar for bar in bars(outcome)}
     assert judged["samples beyond a limit, all controllers"].value == 0
-    assert judged["samples stopped by a controller"].value == 0
+    assert judged["samples stopped by a controller that learns"].value == 0
     assert judged["commissioned, over the best tuned rival: worst"].value < 1.1
     assert (tmp_path / "report.html").is_file()
     assert study.minutes(1) >= 0
