@@ -137,8 +137,8 @@ class PredictiveSettings(LawSettings):
     def _defaults_of_the_sensor(cls, data: Any) -> Any:
         """Defaults that follow from the sensor, written out, so that settings as written are read again.
 
-        Without a continuous sensor nothing can be learned, and there is little noise that a plan has to be deaf to: moves
-        weigh less, and holds are closer.
+        Without a continuous sensor nothing can be learned, and there is little noise that a plan has to be deaf to:
+        moves weigh less, and holds are closer.
         """
         if not isinstance(data, dict):
             return data
