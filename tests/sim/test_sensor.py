@@ -31,8 +31,10 @@ def runs(config: SimulationConfig) -> dict[str, ClosedLoopRun]:
 
 
 def test_frames_as_dense_as_the_samples_and_never_late_are_a_continuous_sensor() -> None:
+    """For controllers with the same weights; what follows from the kind of sensor by default is written out."""
     ideal = {"kind": "intermittent", "rate_hz": 25, "latency_s": 0}
-    controllers = {name: ALL[name] for name in ("pid", "linearised_mpc")}
+    same = {"adaptation": None, "weights": {"rate": 3.0}, "hold": {"tolerance_deg": 0.03}}
+    controllers = {"pid": ALL["pid"], "linearised_mpc": ALL["linearised_mpc"] | same}
     dense, plain = (runs(study(controllers=controllers, **block)) for block in ({"sensor": ideal}, {}))
     np.testing.assert_allclose(dense["pid"].log.command, plain["pid"].log.command, atol=1e-9)
     assert np.sqrt(np.mean((dense["linearised_mpc"].true_deg - plain["linearised_mpc"].true_deg) ** 2)) < 0.1
