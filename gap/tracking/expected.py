@@ -28,6 +28,10 @@ from ..report.report_data import TrackingCurve
 SEEDS = (1, 2)
 """Of the noise; the interval of an error is between its least and its greatest value over them."""
 
+USUAL = LinearisedMpcSettings(adaptation=None, handover=None)
+"""The controller of which a diagnosis speaks. One that learns finds on the device what its model lacks, and more of it
+than in a simulation, where part of it is a walk that nobody can learn: of it no fall can be foretold."""
+
 ROUGHNESS = 0.7
 """Of the walk that stands for what is unexplained; chosen on drawn devices of the study's development seed, frozen."""
 
@@ -49,7 +53,7 @@ def expected_tracking(
 
     Args:
         motions: at least one.
-        settings: of the controller; the linearised predictive controller as it is where left out.
+        settings: of the controller; `USUAL`, the linearised predictive controller without learning, where left out.
         seeds: of the noise, at least one.
 
     Raises:
@@ -61,7 +65,7 @@ def expected_tracking(
         if (got := getattr(corrected, name)) != (expected := getattr(nominal, name)):
             raise GapError(f"corrected simulator: {name} {got}, expected that of the nominal one, {expected}")
     limits = limits_of_model(nominal.metadata())
-    laws = [_controller(simulator, settings or LinearisedMpcSettings(), limits) for simulator in (nominal, corrected)]
+    laws = [_controller(simulator, settings or USUAL, limits) for simulator in (nominal, corrected)]
     plant = UnexplainedPlant(corrected, seeds[0])
     squares, curves = np.empty((len(seeds), len(motions), 2)), []
     for k, seed in enumerate(seeds):

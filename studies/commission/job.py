@@ -29,6 +29,7 @@ from hystmpc.ctrl.loop import Controller
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.gap.diagnose import conclude, investigate
 from hystmpc.gap.tracking.diagnosed import covered_motions, with_tracking
+from hystmpc.gap.tracking.expected import USUAL
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.simulator import ChainModel, load_simulator
 from hystmpc.sim.closed_loop import ClosedLoopRun, run_closed_loop
@@ -324,7 +325,7 @@ def _tracking_gap(bench: StudyBench) -> tuple[str, dict[str, float]]:
     figures["gap.floor_deg"] = evidence.diagnosis.gap.floor_rmse_deg
     for name, simulator in (("before", nominal), ("after", fixed)):
         known = known_model(ChainModel(simulator, "conditioned"), None, 0.0)
-        controller = build_controller(LinearisedMpcSettings(), *known.predictive, limits_of_model(nominal.metadata()))
+        controller = build_controller(USUAL, *known.predictive, limits_of_model(nominal.metadata()))
         found, _ = bench.along(name, controller, bench.drawn, motions)
         figures[f"gap.{name}_deg"] = found[f"{name}.rmse_deg"]
     return "", figures
