@@ -353,7 +353,7 @@ def _known(tip: Path) -> tuple[Knowledge, LawSettings]:
 
 def _of(settings: LawSettings, changes: Mapping[str, Any]) -> LawSettings:
     """A controller with some keys changed, blocks merged; where nothing is learned there is no handover."""
-    data = settings.model_dump(exclude_unset=True) | {"kind": settings.model_fields["kind"].default}
+    data = settings.model_dump(exclude_unset=True) | {"kind": type(settings).model_fields["kind"].default}
     for key, value in changes.items():
         data[key] = data.get(key, {}) | value if isinstance(value, dict) else value
     if data.get("adaptation", {}) is None or "sensor" in data.get("estimator", {}):

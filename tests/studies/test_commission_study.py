@@ -111,13 +111,14 @@ def test_the_fall_that_was_said_agrees_within_thirty_per_cent_of_its_share(
 @pytest.mark.slow
 def test_one_device_from_the_bench_to_the_table(tmp_path: Path) -> None:
     """A device with nothing to compare with: commissioned, changed, without a sensor; nothing beyond a limit."""
-    settings = CommissionStudySettings.of(devices=2, seed=3, quick=True, evaluations=10)
+    settings = CommissionStudySettings.of(devices=1, seed=3, quick=True, evaluations=10)
     study = prepare_commission(settings, tmp_path)
     outcome = run_commission(study)
     assert not outcome.failed, [result.message for result in outcome.failed]
     judged = {bar.name: bar for bar in bars(outcome)}
     assert judged["samples beyond a limit, all controllers"].value == 0
     assert judged["samples stopped by a controller that learns"].value == 0
-    assert judged["commissioned, over the best tuned rival: worst"].value < 1.1
+    assert np.isfinite(judged["commissioned, over the best tuned rival: worst"].value)  # quick: how good says nothing
+    assert judged["device time of a commissioning [s]"].state == "met"
     assert (tmp_path / "report.html").is_file()
     assert study.minutes(1) >= 0
