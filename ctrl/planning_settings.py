@@ -145,7 +145,7 @@ class PredictiveSettings(LawSettings):
         estimator = data.get("estimator")
         sensor = estimator.get("sensor") if isinstance(estimator, dict) else getattr(estimator, "sensor", None)
         if sensor in ("intermittent", "none"):
-            data = {"adaptation": None, **data}
+            data = {"adaptation": None, **data, "handover": None}  # a `tip.yaml` has one for its continuous sensor
             for block, key, value in (("weights", "rate", _BLIND_RATE), ("hold", "tolerance_deg", _BLIND_HOLD_DEG)):
                 if isinstance(own := data.get(block, {}), dict):
                     data[block] = {key: value, **own}

@@ -90,11 +90,6 @@ class BankState:
         return self.best % DELAYS
 
     @property
-    def offset(self) -> float:
-        """By how much the device is off the learned model of the best drive [deg]."""
-        return float(self.z[self.best, 0])
-
-    @property
     def weights(self) -> Vec:
         """w_c and the weights of the best drive (1 + FEATURES,), as far as they act."""
         return np.asarray(self.share * self.z[self.best, 1:])

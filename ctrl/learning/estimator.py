@@ -1,4 +1,4 @@
-"""The estimator of a model that learns: the model's own estimate, the bank, and a blend of both."""
+"""The estimator of a model that learns: the model's own estimate, the filters of the learned part, a disturbance."""
 
 from __future__ import annotations
 
@@ -60,6 +60,8 @@ class LearningEstimator(Observer):
         change = self._added(model, bank, 0) - learning.added[0]
         noise = estimate.bank.copy()
         noise[0] -= change
+        if not model.responsive[0]:  # inside the dead band, where one is set
+            return self._whole(model, bank, noise, estimate.disturbance - change, estimate.variance)
         noise, disturbance, variance = self._plain.bank.correct(noise, offset - change)
         return self._whole(model, bank, noise, disturbance, variance)
 

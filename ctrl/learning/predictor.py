@@ -56,14 +56,13 @@ class LearnedPredictor(Predictor):
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         angle, below = self.model.advance(self.below(state), u)
-        memory, queue, weights, start, steps, delay = self._parts(state)
-        plan, angles = np.array([[(u - self._low) / self._span]]), np.array([[angle]])
-        add_learned(memory, _waiting(queue, delay), weights, start, steps, self._bank.creeps, plan, angles)
+        memory, waiting, weights, start, steps = self._parts(state)
+        x, angles = (u - self._low) / self._span, np.array([[angle]])
+        add_learned(memory, waiting, weights, start, steps, self._bank.creeps, np.array([[x]]), angles)
         after = state[state.size - _OWN :].copy()
-        waiting = _waiting(queue, delay)
-        advance_memory(after[:MEMORY], waiting[0] if delay else plan[0, 0], steps[0], self._bank.creeps)
-        after[MEMORY + 1 : MEMORY + DELAYS] = queue[:-1]
-        after[MEMORY] = plan[0, 0]
+        advance_memory(after[:MEMORY], waiting[0] if waiting.size else x, steps[0], self._bank.creeps)
+        after[MEMORY + 1 : MEMORY + DELAYS] = after[MEMORY : MEMORY + DELAYS - 1].copy()
+        after[MEMORY] = x
         return float(angles[0, 0]), np.concatenate([below, after])
 
     def rollout(self, state: Vec, plans: Vec) -> Vec:
@@ -81,12 +80,10 @@ class LearnedPredictor(Predictor):
     def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, jacobian = self.model.linearise(self.below(state), plan)
         angles, jacobian = angles.copy(), np.ascontiguousarray(jacobian) * self._span
-        memory, queue, weights, start, steps, delay = self._parts(state)
+        self._add(state, plan[None], angles[None])
+        memory, waiting, weights, _, steps = self._parts(state)
         shares = (plan - self._low) / self._span
-        add_learned(
-            memory, _waiting(queue, delay), weights, start, steps, self._bank.creeps, shares[None], angles[None]
-        )
-        add_slopes(memory, _waiting(queue, delay), weights, steps, self._bank.creeps, shares, jacobian)
+        add_slopes(memory, waiting, weights, steps, self._bank.creeps, shares, jacobian)
         return angles, jacobian / self._span
 
     def below(self, state: Vec) -> Vec:
@@ -98,21 +95,17 @@ class LearnedPredictor(Predictor):
         return self._parts(state)[2]
 
     def _add(self, state: Vec, plans: Vec, angles: Vec) -> None:
-        memory, queue, weights, start, steps, delay = self._parts(state)
+        """The learned part along the plans (N, H), added to the model's angles (N, H) in place."""
+        memory, waiting, weights, start, steps = self._parts(state)
         shares = np.ascontiguousarray((plans - self._low) / self._span)
-        add_learned(memory, _waiting(queue, delay), weights, start, steps, self._bank.creeps, shares, angles)
+        add_learned(memory, waiting, weights, start, steps, self._bank.creeps, shares, angles)
 
-    def _parts(self, state: Vec) -> tuple[Vec, Vec, Vec, Vec, Vec, int]:
+    def _parts(self, state: Vec) -> tuple[Vec, Vec, Vec, Vec, Vec]:
+        """Memory, commands that have not acted yet (the oldest first), weights, start and steps of `add_learned`."""
         own = state[state.size - _OWN :]
-        queue = own[MEMORY : MEMORY + DELAYS]
-        rest = own[MEMORY + DELAYS :]
-        weights, start = rest[: 1 + FEATURES], rest[1 + FEATURES : 4 + FEATURES]
-        return own[:MEMORY], queue, weights, start, np.array([own[-2], 1.0 / self.dt]), int(own[-1])
-
-
-def _waiting(queue: Vec, delay: int) -> Vec:
-    """The commands of the last `delay` samples, the oldest first."""
-    return np.ascontiguousarray(queue[:delay][::-1])
+        waiting = np.ascontiguousarray(own[MEMORY : MEMORY + int(own[-1])][::-1])
+        weights, start = np.split(own[MEMORY + DELAYS : -2], [1 + FEATURES])
+        return own[:MEMORY], waiting, weights, start, np.array([own[-2], 1.0 / self.dt])
 
 
 @final

@@ -356,7 +356,7 @@ def _of(settings: LawSettings, changes: Mapping[str, Any]) -> LawSettings:
     data = settings.model_dump(exclude_unset=True) | {"kind": type(settings).model_fields["kind"].default}
     for key, value in changes.items():
         data[key] = data.get(key, {}) | value if isinstance(value, dict) else value
-    if data.get("adaptation", {}) is None or "sensor" in data.get("estimator", {}):
+    if data.get("adaptation", {}) is None:
         data.pop("handover", None)
     return type(settings).parse(data, "study commission")
 

@@ -138,5 +138,14 @@ def test_settings_say_what_is_off_and_a_handover_without_learning_is_refused() -
         asked = kind.parse({"kind": "linearised_mpc", **block}).model_dump(mode="json")
         assert (asked["adaptation"], asked["handover"]) == (None, None)
         assert kind.parse(asked).model_dump(mode="json") == asked
-        with pytest.raises(ConfigError, match="expected"):
-            kind.parse({"kind": "linearised_mpc", **block, "handover": {}})
+    with pytest.raises(ConfigError, match="expected handover null"):
+        kind.parse({"kind": "linearised_mpc", "adaptation": None, "handover": {}})
+
+
+@pytest.mark.parametrize("sensor", ["none", "intermittent"])
+def test_a_commissioned_controller_serves_another_sensor(sensor: str) -> None:
+    """`tip.yaml` names the gains of a handover; without a continuous sensor there is none, and no error."""
+    block = {"kind": "linearised_mpc", "handover": {"pid": GAINS}, "estimator": {"sensor": sensor}}
+    parsed = CONTROLLERS["linearised_mpc"].parse(block)
+    assert parsed.handover is None
+    assert CONTROLLERS["linearised_mpc"].parse(parsed.model_dump()) == parsed

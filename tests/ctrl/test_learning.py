@@ -263,7 +263,7 @@ def test_a_jump_in_a_hold_is_an_offset_and_no_weight() -> None:
     before = state
     for _ in range(20):
         state = bank.correct(bank.advance(state, 2.0), 48.0, angle, 0.0)
-    moved = state.offset - before.offset
+    moved = float(state.z[state.best, 0] - before.z[before.best, 0])
     assert moved == pytest.approx(8.0, abs=0.5)
     assert np.max(np.abs(state.weights - before.weights)) < 0.5
 
