@@ -19,9 +19,9 @@ from ..limits import NotNegative, Positive
 
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 
-# Of the standard deviation of the estimate. Frames are few, and each changes the estimate by a small share of what it
-# may be off: that is a bias in a hold, and no reason to hold further from the reference.
-_FRAMES_UNREST = 0.05
+# A frame is noisy and few follow: what they say of the model's error acts as far as later frames have borne it out.
+_EARNED_S = 10.0  # these are forgotten with this time constant
+_DOUBT = 5.0  # as much doubt at first as so many frames of nothing but noise
 
 _RESOLUTION = 1e-9  # command changes below this share of the command range count as none
 
@@ -47,6 +47,7 @@ class Estimate:
         distrust: mean square error of the best forecast of the last seconds over that of no forecast at all; 0 before
             there was motion, and of an observer that does not judge its forecasts.
         bank: filters of `NoiseBank`, of which disturbance and variance are the mixture (3, M).
+        earned: of frames, the sums of m z and m^2 [deg^2]; m is the mean of the bank before the offset z came.
         past: corrected estimates of the last instants, the newest last; see `Frames`.
         seen: measurements of this instant that were used or could not be, there [deg].
         since: share of a sample by which the last accepted measurement is younger than `missing` samples.
@@ -66,6 +67,7 @@ class Estimate:
     learning: object = None
     distrust: float = 0.0
     bank: Vec = field(default_factory=lambda: EMPTY)
+    earned: tuple[float, float] = (0.0, 0.0)
     past: tuple[Estimate, ...] = ()
     seen: tuple[float, ...] = ()
     since: float = 0.0
@@ -196,6 +198,14 @@ class OutputEstimator(Observer):
     The model always holds every command sent; the D predicted angles on their way are kept in a queue, so a
     measurement meets the prediction made for its own instant, and plans start where the queue ends.
 
+    The frames of an intermittent sensor are noisy, and few. What they make of the disturbance acts as far as it has
+    foretold the offsets z_j of later frames, with a doubt of 5 frames and a memory of 10 s:
+
+        d_k = s_k m_k,   s_k = sum_j m_j z_j / (sum_j m_j^2 + 5 sensor_sigma^2),   0 <= s_k <= 1
+
+    m_j: the mean of the bank before frame j. Where the model is right within the noise of the frames, s stays near zero
+    and the device is controlled as without a sensor.
+
     Two things are not integrated: outliers, and samples in which the command moved but the model did not (the
     dead band of a play), where a wrong guess of the play's state would wind the disturbance up and hunt.
     """
@@ -205,8 +215,9 @@ class OutputEstimator(Observer):
 
         self._predictor = predictor
         self._settings = settings
-        known = predictor.noise.model_sigma_deg if predictor.noise and settings.sensor == "intermittent" else None
-        self._trusts = known is not None
+        self._frames = settings.sensor == "intermittent"
+        self._forgets = math.exp(-predictor.dt / _EARNED_S) if self._frames else 1.0
+        known = predictor.noise.model_sigma_deg if predictor.noise and self._frames else None
         self.bank = NoiseBank(
             (
                 settings.sensor_sigma_deg,
@@ -224,16 +235,23 @@ class OutputEstimator(Observer):
     def init(self, y: float, u: float) -> Estimate:
         """A device at rest: what the model cannot explain of `y` is the first disturbance.
 
-        A frame of an intermittent sensor is noisy, and few follow: where the model file says how far the model is off,
-        the disturbance starts at zero.
+        With frames it starts at zero: nothing is earned yet.
 
         Raises:
             ControllerError: as `rest_of_model`.
         """
         angle, state = rest_of_model(self._predictor, y, u, self._settings.rest_tolerance_deg)
-        queue, first = self.delay_samples + 1, 0.0 if self._trusts else y - angle
+        queue, first = self.delay_samples + 1, 0.0 if self._frames else y - angle
         bank, variance = self.bank.init(first)
         return Estimate(state, u, (angle,) * queue, (True,) * queue, (0.0,) * queue, first, variance, y, bank=bank)
+
+    def unrest_deg(self, estimate: Estimate) -> float:
+        return math.sqrt(estimate.variance) * self._share(estimate.earned, estimate.bank)
+
+    def _share(self, earned: tuple[float, float], bank: Vec) -> float:
+        if not self._frames:
+            return 1.0
+        return min(max(earned[0] / (earned[1] + _DOUBT * self.bank.sensor_variance(bank)), 0.0), 1.0)
 
     def correct(self, estimate: Estimate, y: float) -> Estimate:
         angle, far = usable_angle(y), self._settings.outlier_deg
@@ -242,8 +260,21 @@ class OutputEstimator(Observer):
             return replace(estimate, missing=estimate.missing + 1)
         if not estimate.responsive[0]:
             return replace(estimate, measured=float(y), missing=0)
-        bank, disturbance, variance = self.bank.correct(estimate.bank, offset)
-        return replace(estimate, bank=bank, disturbance=disturbance, variance=variance, measured=float(y), missing=0)
+        bank, found, variance = self.bank.correct(estimate.bank, offset)
+        earned = estimate.earned
+        if self._frames:
+            before = float(estimate.bank[0] @ estimate.bank[2])
+            earned = (earned[0] + before * offset, earned[1] + before * before)
+        share = self._share(earned, bank)
+        return replace(
+            estimate,
+            bank=bank,
+            earned=earned,
+            disturbance=share * found,
+            variance=variance + ((1.0 - share) * found) ** 2,
+            measured=float(y),
+            missing=0,
+        )
 
     def advance(self, estimate: Estimate, u: float) -> Estimate:
         angle, state = next_of_model(self._predictor, estimate.state, u)
@@ -269,6 +300,7 @@ class OutputEstimator(Observer):
             missing=estimate.missing,
             stalled=stalled,
             bank=bank,
+            earned=(self._forgets * estimate.earned[0], self._forgets * estimate.earned[1]),
         )
 
 
@@ -290,6 +322,9 @@ class Frames(Observer):
 
     def __init__(self, inner: Observer, samples: int) -> None:
         self._inner, self._samples, self.delay_samples = inner, samples, inner.delay_samples
+
+    def unrest_deg(self, estimate: Estimate) -> float:
+        return self._inner.unrest_deg(estimate)
 
     def init(self, y: float, u: float) -> Estimate:
         return replace(self._inner.init(y, u), seen=(float(y),))

@@ -11,6 +11,7 @@ from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Vec
 
 from ..command import Stopwatch
+from ..learning.predictor import LearnedPredictor
 from ..limits import CommandLimits
 from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
 from ..planning_settings import LinearisationSettings
@@ -19,12 +20,16 @@ from .osqp_ import OsqpOptions, OsqpSolver
 from .program import BlockedQp, MoveBlocking, PlanProgram, QpSolver, TrackingQp
 
 _PARTS = np.array([0.5, 0.25, 0.125])
+# A learned part may well be as large as the model: candidates that follow the model's inverse are then far off.
+_LEARNED_ITERATIONS = 2
 _KEPT = 0.9  # share of the promised decrease from which on no part of the step is worth a roll-out
 
 
 @final
 class LinearisedPlanner(Planner[None]):
-    """One or two sequential-quadratic-programming iterations per step, guarded by the nonlinear cost.
+    """Sequential-quadratic-programming iterations, one or two in a step, guarded by the nonlinear cost.
+
+    Where a learned part acts there are at least two.
 
     The program's step is tried whole, and where the cost falls by clearly less than the linearisation promised, in
     parts too, in one batched roll-out; the start plan wins where none is better, as across a kink of the play.
@@ -65,9 +70,15 @@ class LinearisedPlanner(Planner[None]):
     ) -> tuple[CommandPlan, str, None]:
         del memory
         status = "ok"
-        for _ in range(self._iterations):
+        for _ in range(max(self._iterations, self._least(problem.state))):
             start, status = self._iterate(problem, start, watch)
         return start, status, None
+
+    def _least(self, state: Vec) -> int:
+        """Iterations that a plan needs, whatever the settings say."""
+        predictor = self._predictor
+        learned = isinstance(predictor, LearnedPredictor) and predictor.weights(state).any()
+        return _LEARNED_ITERATIONS if learned else 1
 
     def _iterate(self, problem: PlanningProblem, start: CommandPlan, watch: Stopwatch) -> tuple[CommandPlan, str]:
         _, jacobian = self._predictor.linearise(problem.state, start.commands)

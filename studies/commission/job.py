@@ -96,9 +96,9 @@ class CommissionResult:
 
 
 def commission_jobs(settings: CommissionStudySettings) -> tuple[CommissionJob, ...]:
-    """For each device a job to commission it, then one to compare, and where models are diagnosed one for the gap."""
+    """For each device a job to commission it, one to compare and one for the gap; a quick run diagnoses nothing."""
     drawn = [d for d in _devices(settings) if not settings.rates_hz or d.rate_hz in settings.rates_hz]
-    stages = STAGES if settings.diagnose else STAGES[:2]
+    stages = STAGES[:2] if settings.quick and not settings.diagnose else STAGES
     return tuple(CommissionJob(d.number, stage, f"{d.key}-{stage}") for stage in stages for d in drawn)
 
 

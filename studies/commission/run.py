@@ -30,7 +30,7 @@ from .settings import CommissionStudySettings
 # Processor seconds of a job on one core of a two-core x86-64 machine, from runs of the study itself.
 _COMMISSION_S = {25.0: 45.0, 50.0: 80.0, 250.0: 400.0}
 _COMPARE_S = {25.0: 60.0, 50.0: 100.0, 250.0: 500.0}
-_DIAGNOSE, _GAP = 3.0, 2.0  # times a commissioning without
+_DIAGNOSE, _GAP = 3.0, 0.5  # times a commissioning without
 _QUICK_S = 30.0
 
 ReadyCommission = ReadyStudy[CommissionStudySettings, CommissionJob, CommissionResult]

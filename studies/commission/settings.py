@@ -21,8 +21,7 @@ class CommissionStudySettings(Settings):
         evaluations: closed-loop runs over all motions in the search of each rival's gains, about.
         minutes: device time of each commissioning [min]; a computed device is prepared anew before every motion, which
             takes some seconds more.
-        diagnose: whether a commissioning diagnoses its model, and whether the tracking gap is judged; takes most of the
-            time.
+        diagnose: whether a commissioning diagnoses its model; takes most of the time, and changes no controller.
         seed: of the draw, the motions, the noise and the searches.
         quick: few and short motions at 25 Hz: proves that everything runs, and nothing else.
     """

@@ -14,6 +14,7 @@ from hystmpc.ctrl import Source
 from hystmpc.ctrl.config import parse_controller
 from hystmpc.ctrl.estimation.observer import Estimate, EstimatorSettings, Observer
 from hystmpc.trials.errors import ConfigError, ControllerError
+from hystmpc.trials.types import Vec
 
 from .plays import PLAY, SOUND, Case
 from .test_tip_controller import controller_for, plant_for
@@ -52,7 +53,7 @@ def test_a_late_frame_leaves_what_it_would_have_left_on_time(frames: dict[int, t
 
 
 def test_between_two_samples_the_model_carries_the_frame() -> None:
-    """A frame that shows what the model says at its own instant changes no disturbance."""
+    """A frame that shows what the model says at its own instant changes no disturbance; two that do not, do."""
     found = observer()
     estimate = found.init(PLAY.y_rest, PLAY.u_rest)
     seen = [estimate.angles[0]]
@@ -62,7 +63,36 @@ def test_between_two_samples_the_model_carries_the_frame() -> None:
     for age in (0.0, 0.25, 1.0, 2.75, 4.0):
         shown = float(np.interp(len(seen) - 1 - age, np.arange(len(seen)), seen))
         assert found.correct_late(estimate, shown, age).disturbance == pytest.approx(estimate.disturbance, abs=1e-9)
-        assert found.correct_late(estimate, shown + 1.0, age).disturbance > estimate.disturbance + 0.1
+        once = found.correct_late(estimate, shown + 1.0, age)
+        assert once.disturbance == estimate.disturbance  # nothing has borne it out yet
+        assert found.correct_late(once, shown + 1.0, age).disturbance > estimate.disturbance + 0.1
+
+
+def framed(shift_deg: float, noise_deg: float, seed: int, every: int = 3) -> Vec:
+    """Estimated disturbance [deg] along 600 samples of a motion of a device that is off its model by `shift_deg`."""
+    found, random = observer(sensor_sigma_deg=noise_deg), np.random.default_rng(seed)
+    estimate, disturbance = found.init(PLAY.y_rest, PLAY.u_rest), []
+    for k in range(600):
+        shown = estimate.angles[0] + shift_deg + noise_deg * random.standard_normal()
+        estimate = found.correct(estimate, shown if k % every == 0 else math.nan)
+        disturbance.append(estimate.disturbance)
+        estimate = found.advance(estimate, PLAY.u_rest + 1.5 - 1.5 * math.cos(0.1 * k))
+    return np.array(disturbance)
+
+
+@pytest.mark.parametrize("noise_deg", [0.3, 1.0])
+def test_noise_of_frames_about_a_right_model_hardly_enters(noise_deg: float) -> None:
+    errors = np.array([framed(0.0, noise_deg, seed) for seed in range(4)])
+    assert np.sqrt(np.mean(errors**2)) <= 0.15 * noise_deg
+
+
+@pytest.mark.parametrize("shift_deg", [-3.0, 1.0, 5.0])
+def test_a_wrong_model_is_found_by_its_frames(shift_deg: float) -> None:
+    """Within the first 2 s in most part, for good after 8 s."""
+    error = framed(shift_deg, 0.3, 1) - shift_deg
+    seconds = np.arange(error.size) * PLAY.predictor.dt
+    assert np.abs(error[seconds >= 2.0]).max() <= 0.5 * abs(shift_deg)
+    assert np.sqrt(np.mean(error[seconds >= 8.0] ** 2)) <= 0.2
 
 
 @pytest.mark.parametrize(("y", "age"), [(math.nan, 1.0), (math.inf, 1.0), (40.0, -0.5), (40.0, 4.5), (40.0, math.nan)])
