@@ -137,6 +137,11 @@ class TrackingGap:
         """By how much the error falls; negative where it rises."""
         return self.before_deg - self.after_deg
 
+    @property
+    def fall_share(self) -> float:
+        """The same as a share of the error before."""
+        return self.fall_deg / self.before_deg if self.before_deg > 0 else 0.0
+
     def changes(self, floor_deg: float) -> bool:
         """Whether a fall or rise is expected: by 5 % of the error, and by 30 % where it is below the floor [deg]."""
         least = _HIDDEN if abs(self.fall_deg) < floor_deg else _NO_FALL

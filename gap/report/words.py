@@ -66,7 +66,7 @@ def tracking_sentence(diagnosis: Diagnosis) -> str:
         )
     change = "fall" if found.fall_deg > 0 else "rise"
     return (
-        f"The closed-loop tracking error is expected to {change} by {percent(abs(found.fall_deg) / found.before_deg)}, "
+        f"The closed-loop tracking error is expected to {change} by {percent(abs(found.fall_share))}, "
         f"from {before} RMS to {after}, where the predictive controller, without learning, gets the corrected "
         "simulator as its model."
     )

@@ -44,7 +44,9 @@ def with_tracking(evidence: Evidence, progress: Progress | None = None) -> Evide
         seeds = SEEDS if evidence.nominal.dt_s > _FAST_DT_S else SEEDS[:1]
         try:
             motions = covered_motions(evidence.trials, evidence.fixed, evidence.seed)
-            found, curves = expected_tracking(evidence.nominal, evidence.fixed, motions, seeds=seeds)
+            found, curves = expected_tracking(
+                evidence.nominal, evidence.fixed, motions, seeds=seeds, floor_deg=evidence.diagnosis.gap.floor_rmse_deg
+            )
         except HystmpcError as error:
             found = TrackingGap(why_not=f"the closed loop could not be simulated ({error})")
     told(100, 100, evidence.diagnosis.verdict)

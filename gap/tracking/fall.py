@@ -22,11 +22,8 @@ from hystmpc.trials.report import ACCENTS, MODEL, REFERENCE, Heading, Paragraph,
 
 from ..diagnosis import FORMAT, TrackingGap
 from ..report.folder import DIAGNOSIS_FILE, FIXED_FILE, GIVEN_FILE
-from .expected import UnexplainedPlant, expected_tracking
+from .expected import NEAR, UnexplainedPlant, expected_tracking
 from .measured import MeasuredRun, measured_runs
-
-NEAR = 0.3
-"""How far the measured fall may be from the expected one, as a share of that, to agree with it."""
 
 _SAME_DEG = 1e-6
 
@@ -55,7 +52,7 @@ class TrackingFall:
         """Whether the measured share is within `NEAR` of the expected one."""
         if self.expected is None or self.expected.why_not or self.before is None:
             return False
-        expected = _share(self.expected.before_deg, self.expected.after_deg)
+        expected = self.expected.fall_share
         return abs(self.share - expected) <= NEAR * abs(expected)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hystmpc.gap.diagnosis import TrackingGap
-from hystmpc.gap.tracking.fall import NEAR
+from hystmpc.gap.tracking.expected import NEAR
 from hystmpc.trials.types import Vec
 
 from ..blind.bars import Bar, Rate
@@ -174,8 +174,7 @@ def gap_agrees(figures: Figures) -> bool | None:
     before, after, floor = (figures[f"gap.{name}_deg"] for name in ("before", "after", "floor"))
     if not said.changes(floor):
         return abs(before - after) <= max(floor, NEAR * before)
-    share = said.fall_deg / said.before_deg
-    return abs(1.0 - after / before - share) <= NEAR * abs(share)
+    return abs(1.0 - after / before - said.fall_share) <= NEAR * abs(said.fall_share)
 
 
 def _gap(outcome: CommissionOutcome) -> Bar:

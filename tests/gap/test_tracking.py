@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from dataclasses import replace
 from functools import cache
@@ -45,6 +46,9 @@ from ..sim.small import MOVE
 from .report_examples import report_data
 
 NOISE = NoiseModel(
+    sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=0.2, motion_sigma_deg_per_sqrt_unit=0.2, model_sigma_deg=0.3
+)
+LARGE = NoiseModel(
     sensor_sigma_deg=0.1, drift_sigma_deg_per_sqrt_s=0.5, motion_sigma_deg_per_sqrt_unit=0.4, model_sigma_deg=0.6
 )
 NOMINAL = simulator(Chain(Backlash(9.2, 9.6, 1.6, 2.003)))
@@ -79,6 +83,14 @@ def test_where_nothing_is_missing_no_fall_is_expected() -> None:
     assert found.before_deg == found.after_deg
     said = tracking_sentence(replace(report_data("none", 1).diagnosis, tracking=found))
     assert said.startswith("No fall of the closed-loop tracking error is expected")
+
+
+def test_where_the_unexplained_decides_no_fall_is_foretold() -> None:
+    unclear = replace(CORRECTED, identification=Identification(method="by hand", noise=LARGE))
+    found, curves = expected_tracking(NOMINAL, unclear, MOTIONS)
+    assert re.search(r"unexplained decides the fall of the error: \d\d % to \d\d %", found.why_not)
+    assert math.isnan(found.fall_deg)
+    assert not curves
 
 
 def test_simulators_of_different_devices_are_refused() -> None:
