@@ -36,7 +36,8 @@ def report(
     if {"transport", "sensor", "reference"} <= keys:
         from hystmpc.rig.commission.review_page import review_run
 
-        out.print(f"review: {review_run(run, more).advice}", soft_wrap=True)
+        for line in review_run(run, more).lines:
+            out.print(f"review: {line}", soft_wrap=True, markup=False)
         out.print(f"report: {run / 'report.html'}", soft_wrap=True)
     elif {"transport", "sensor", "excitations"} <= keys:
         from hystmpc.rig.recording.report import write_report

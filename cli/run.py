@@ -52,6 +52,7 @@ def run(
     except OSError as error:  # a full disk must not hide how the run ended
         tell(f"{report}: not written ({error.strerror}), `hystmpc report {folder}` makes it once there is room")
     else:
-        out.print(f"review: {review.advice}", soft_wrap=True, markup=False)
+        for line in review.lines:
+            out.print(f"review: {line}", soft_wrap=True, markup=False)
         out.print(f"report: {report}", soft_wrap=True)
     end(result)

@@ -18,6 +18,7 @@ from hystmpc.ctrl.command import Command, ControlInput, Source, Stopwatch
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.law import Law, Proposal
+from hystmpc.ctrl.monitor import ChangeMonitor, MonitorState
 from hystmpc.ctrl.planner.assembly import Assembly, assemble
 from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
 from hystmpc.ctrl.planner.tip_controller import TipController
@@ -93,7 +94,8 @@ def tracking_phase(settings: RunSettings, beside: bool = True) -> Tracking:
     estimator = tip_settings.controller.estimator
     limit = estimator.disturbance_limit_deg if isinstance(estimator, EstimatorSettings) else math.inf
     watch = ModelWatch(settings.plausibility, limit, settings.dt_s)
-    return Tracking(tip, law_of_it, lead_in, watch, fails, settings.sensor, beside)
+    monitor = ChangeMonitor(assembly.predictor.noise, settings.dt_s, assembly.workspace.model)
+    return Tracking(tip, law_of_it, lead_in, watch, monitor, fails, settings.sensor, beside)
 
 
 def _fits(settings: RunSettings, assembly: Assembly) -> None:
@@ -142,6 +144,7 @@ class Tracking(Phase):
 
     Args:
         lead_in: measured angle to the reference to follow.
+        monitor: says in the status that the device has changed since identification.
         drill_s: from when until when the law is made to fail, as an exercise [s]; None for never.
         sensor: of the bench; continuous where left out.
         beside: whether the hand-over goes on beside the loop; False where a sample takes no time, so that each run of a
@@ -156,6 +159,7 @@ class Tracking(Phase):
         law: TimelyLaw,
         lead_in: LeadIn,
         watch: ModelWatch,
+        monitor: ChangeMonitor,
         drill_s: tuple[float, float] | None = None,
         sensor: SensorSettings | None = None,
         beside: bool = True,
@@ -163,6 +167,8 @@ class Tracking(Phase):
         self._beside = beside
         self._tip, self._law, self._lead_in, self._watch, self._drill = tip, law, lead_in, watch, drill_s
         self._kind, self._rest_deg = ("continuous", None) if sensor is None else (sensor.kind, sensor.rest_deg)
+        self._monitor, self._changed = monitor, ""
+        self._judged: MonitorState | None = None
         self._held_samples = 0
         self._early: list[tuple[float, float]] = []
         self._reference: Trajectory | None = None
@@ -196,9 +202,23 @@ class Tracking(Phase):
                 self._tip.measure(angle, taken_s)
         self._early.clear()
         self._law.refusal = self._refusal(now)
+        self._judge(now.angle_deg)
         command = self._tip.step(now.angle_deg if self._kind == "continuous" else math.nan)
         self._k += 1 + now.skipped
         return self._decision(command)
+
+    def _judge(self, angle_deg: float) -> None:
+        """Compare the model's own angle with the measured one; once a second it is asked whether the device changed."""
+        control = self._tip.snapshot().control
+        if self._kind != "continuous" or control is None or not control.estimate.angles:
+            return
+        model = control.estimate.angles[0] - control.estimate.added
+        if self._judged is None:
+            self._judged = self._monitor.init(model, angle_deg)
+        self._judged = self._monitor.advance(self._judged, model, angle_deg)
+        if self._k % max(round(1.0 / self._tip.dt), 1) == 0:
+            change = self._monitor.change(self._judged)
+            self._changed = f"; {change}" if change.certain else ""
 
     def _waits(self, now: PhaseInput) -> bool:
         """Whether the hand-over lasts; it starts with the first usable angle, without a sensor at once."""
@@ -264,7 +284,7 @@ class Tracking(Phase):
         return Decision(
             u=command.u,
             source=str(command.source),
-            status=command.status,
+            status=command.status + self._changed,
             reference_deg=self._due_deg,
             predicted_deg=predicted,
             stages_s=stages,

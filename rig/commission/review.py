@@ -9,8 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hystmpc.ctrl.monitor import ChangeMonitor
+from hystmpc.models.contract.metadata import Range
 from hystmpc.models.evaluate import free_run
 from hystmpc.models.load import load_model, model_path
+from hystmpc.models.model import LoadedModel
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.run_folder import Column, RunFolder
@@ -34,6 +37,7 @@ class ReviewedRun:
         measured_deg, reference_deg, predicted_deg: angle measured, wanted, and predicted one sample before [deg].
         free_deg: the model's free run over the commands, without any measurement [deg].
         counted: samples that are judged: with an angle, after the first flexure.
+        monitor: of the model.
     """
 
     t: Vec
@@ -43,6 +47,7 @@ class ReviewedRun:
     predicted_deg: Vec
     free_deg: Vec
     counted: NDArray[np.bool_]
+    monitor: ChangeMonitor
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,7 @@ class Review:
         free_run_deg: RMS of measured less the model's free run [deg].
         offset_deg, gain: of the line that leads from the free run to the measured angle.
         corrected_deg: what is left of `free_run_deg` behind that line: the shape that the model does not have.
+        change: whether the device has changed since identification, in a sentence; empty where too little was seen.
     """
 
     advice: str
@@ -65,6 +71,12 @@ class Review:
     offset_deg: float
     gain: float
     corrected_deg: float
+    change: str = ""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """Advice and change, as far as they are said."""
+        return tuple(line for line in (self.advice, self.change) if line)
 
 
 def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
@@ -84,7 +96,8 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
     command = _numbers(log, CANONICAL.command_column(list(log)))
     follows = np.flatnonzero(np.diff(sequence) == 1)  # rows whose end is the next row's beginning
     angle = _angles_when_taken(log)
-    free = _free_run(settings, command, sequence, angle)
+    model = load_model(model_path(settings.controller.model), start="conditioned")
+    free = _free_run(model, settings, command, sequence, angle)
     measured = angle[follows + 1]
     sources = [str(text) for text in log["source"]]
     past = max((k for k, name in enumerate(sources) if name in _PREPARATION), default=-1)
@@ -96,6 +109,7 @@ def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
         predicted_deg=_numbers(log, "predicted_deg")[follows],
         free_deg=free[follows],
         counted=np.isfinite(measured) & np.isfinite(free[follows]) & (follows > past),
+        monitor=ChangeMonitor(model.metadata.noise, settings.dt_s, _ends(model.metadata.trained_angle)),
     )
 
 
@@ -123,6 +137,7 @@ def review(found: ReviewedRun, due_above_deg: float) -> Review:
         offset_deg=offset,
         gain=gain,
         corrected_deg=corrected,
+        change=_change(found, r, y),
     )
 
 
@@ -139,9 +154,25 @@ def _angles_when_taken(log: Mapping[str, Column]) -> Vec:
     return placed
 
 
-def _free_run(settings: RunSettings, command: Vec, sequence: NDArray[np.int64], angle: Vec) -> Vec:
+def _ends(angles: Range) -> tuple[float, float]:
+    return angles.lower, angles.upper
+
+
+def _change(found: ReviewedRun, free_deg: Vec, measured_deg: Vec) -> str:
+    """In a sentence; empty where the model's file does not say how far it is usually off, or too little was seen."""
+    change, when_s = found.monitor.along(free_deg, measured_deg)
+    if math.isnan(change.probability):
+        return ""
+    if change.certain:
+        return f"{change}, said {when_s:.0f} s after the preparation"
+    return (
+        f"the device is as it was identified (p of a change {change.probability:.3f}; the model is off by "
+        f"{change.level:.1f} times its usual error)"
+    )
+
+
+def _free_run(model: LoadedModel, settings: RunSettings, command: Vec, sequence: NDArray[np.int64], angle: Vec) -> Vec:
     """The model's angles (N,) at the ends of the samples; commands are held where samples were skipped."""
-    model = load_model(model_path(settings.controller.model), start="conditioned")
     place = sequence - sequence[0]
     row = np.searchsorted(place, np.arange(place[-1] + 1), side="right") - 1
     sent, lag_s = command[row], settings.controller.actuator_lag_s

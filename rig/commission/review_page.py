@@ -64,7 +64,7 @@ def write_page(
         LogError: if the log cannot be read.
     """
     timing = _timing(run.path / "timing.json")
-    pieces: list[Piece] = [Paragraph(verdict.advice[0].upper() + verdict.advice[1:] + ".")]
+    pieces: list[Piece] = [Paragraph(line[0].upper() + line[1:] + ".") for line in verdict.lines]
     outcome = timing.get("outcome", {})
     if not timing:
         pieces.append(

@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hystmpc.ctrl.monitor import ChangeMonitor
+from hystmpc.models.contract.metadata import NoiseModel
 from hystmpc.rig.commission.review import ReviewedRun, review
 from hystmpc.trials.errors import LogError
 
@@ -16,13 +18,27 @@ NOISE = np.random.default_rng(0).normal(0, 0.1, T.size)
 
 
 def run_with(measured: np.ndarray) -> ReviewedRun:
-    return ReviewedRun(T, np.zeros(T.size), measured, FREE, FREE, FREE, np.isfinite(measured))
+    usual = NoiseModel(
+        sensor_sigma_deg=0.1,
+        drift_sigma_deg_per_sqrt_s=0.1,
+        motion_sigma_deg_per_sqrt_unit=0.1,
+        model_sigma_deg=0.2,
+    )
+    monitor = ChangeMonitor(usual, 0.04, (30.0, 70.0))
+    return ReviewedRun(T, np.zeros(T.size), measured, FREE, FREE, FREE, np.isfinite(measured), monitor)
 
 
 def test_a_right_model_needs_nothing() -> None:
     found = review(run_with(FREE + NOISE), 1.0)
     assert found.advice.startswith("nothing is due")
     assert found.free_run_deg == pytest.approx(0.1, abs=0.02)
+    assert found.change.startswith("the device is as it was identified")
+
+
+def test_a_device_that_has_changed_is_said_to_have() -> None:
+    found = review(run_with(50 + 0.8 * (FREE - 50) + NOISE), 1.0)
+    assert found.change.startswith("the device has changed since identification (p = 1.000; stiffness")
+    assert found.lines == (found.advice, found.change)
 
 
 @given(gain=st.floats(0.5, 0.9), offset=st.floats(2, 10))
