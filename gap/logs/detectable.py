@@ -1,0 +1,138 @@
+"""The least size at which these commands would show an effect, from the commands and the simulator alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS, candidates
+from hystmpc.models.effects.effect import Candidate, Scale
+from hystmpc.models.effects.place import unit_on
+from hystmpc.models.identify.baseline import Baseline
+from hystmpc.models.identify.problem import Problem
+from hystmpc.models.identify.runs import Run
+from hystmpc.trials.types import Mat, Vec
+
+_SIZES = np.geomspace(0.02, 20.0, 10)
+"""Sizes that are tried, as shares of the size from which a fit starts."""
+
+_TYPICAL = {"drift": 0.02, "nonlinear_gain": 0.1}  # share of the angle's range, where a fit starts at nothing
+_NONE = 1e-9  # mean square [deg^2] below which nothing shows
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """The least size of one effect that would count as a gap.
+
+    Attributes:
+        effect: its public name.
+        parameter, unit: in which the size is stated, and its unit.
+        size: distance of the parameter from where the effect is absent; infinite where no size shows.
+        hidden: share of the effect's energy that retuning takes up at that size, 0 to 1; not-a-number where no size
+            shows.
+    """
+
+    effect: str
+    parameter: str
+    unit: str
+    size: float
+    hidden: float
+
+
+def detectable_sizes(
+    baseline: Baseline, runs: Sequence[Run], needed_mse: float, command_unit: str, angle_unit: str = "deg"
+) -> tuple[Detectable, ...]:
+    """For every effect the size at which the part of it that retuning cannot take up reaches a mean square.
+
+        d(s) = theta(with the effect at size s) - theta(nominal),   left(s) = d - J (J^T J)^-1 J^T d
+        mean left(s)^2 = needed_mse
+
+    theta is the simulator's angle along the commands, J its derivative by all that retuning may change. The angles that
+    were measured are not looked at, but for the first of each trial. An effect takes its first form, with its other
+    parameters at the values from which a fit starts.
+
+    Args:
+        baseline: the nominal simulator and what retuning may change.
+        runs: trials, whose commands count.
+        needed_mse: below which an error counts as no gap [deg^2].
+        command_unit, angle_unit: in which sizes are stated.
+    """
+    problem = Problem(baseline)
+    at = problem.start(baseline.nominal, [])
+    nominal, slopes = zip(*(problem.linearised(at, run) for run in runs), strict=True)
+    known = np.linalg.qr(np.concatenate(slopes))[0]
+    angles = np.concatenate(nominal)
+    low, high = np.quantile(angles, (0.01, 0.99))
+    scale = _scale(runs, float(low), float(high))
+    found = {
+        "trial_shift": _own(len(runs), needed_mse, angle_unit),
+        "periodic_disturbance": _wave(needed_mse, angle_unit),
+    }
+    for candidate in _first_forms(candidates(scale, ())):
+        found[candidate.effect] = _least(
+            candidate, baseline, runs, angles, known, needed_mse, (command_unit, angle_unit)
+        )
+    return tuple(found[name] for name in DIAGNOSABLE if name in found)
+
+
+def _scale(runs: Sequence[Run], low: float, high: float) -> Scale:
+    command = np.concatenate([run.command for run in runs])
+    durations = [run.command.size * run.dt_s for run in runs]
+    return Scale(float(command.min()), float(command.max()), low, high, max(durations), sum(durations), runs[0].dt_s)
+
+
+def _first_forms(forms: Sequence[Candidate]) -> Iterator[Candidate]:
+    seen = set()
+    for form in forms:
+        if form.effect not in seen and form.free:
+            seen.add(form.effect)
+            yield form
+
+
+def _own(trials: int, needed_mse: float, unit: str) -> Detectable:
+    """Of shifts between trials the common one is an offset."""
+    kept = 1.0 - 1.0 / trials
+    return Detectable("trial_shift", "offset", unit, math.sqrt(needed_mse / kept) if kept else math.inf, 1.0 - kept)
+
+
+def _wave(needed_mse: float, unit: str) -> Detectable:
+    return Detectable("periodic_disturbance", "amplitude", unit, math.sqrt(2.0 * needed_mse), 0.0)
+
+
+def _least(
+    candidate: Candidate,
+    baseline: Baseline,
+    runs: Sequence[Run],
+    nominal: Vec,
+    known: Mat,
+    needed_mse: float,
+    units: tuple[str, str],
+) -> Detectable:
+    """Sizes are tried from the least on; between the two about the bar the mean square is a power of the size."""
+    effect, names = EFFECTS[candidate.effect], [freedom.name for freedom in candidate.free]
+    place = next(k for k, name in enumerate(names) if name in effect.neutral)
+    freedom, neutral = candidate.free[place], effect.neutral[names[place]]
+    start = list(candidate.starts[0])
+    step = start[place] - neutral or _TYPICAL.get(candidate.effect, 1.0) * freedom.scale * 10.0
+    problem, before = Problem(baseline, (candidate,)), (0.0, 0.0)
+    parameter = next(p for p in candidate.operators[0].parameters if p.name == names[place])
+    unit = unit_on(parameter.unit, candidate.side).replace("cmd", units[0]).replace("deg", units[1])
+    for share in _SIZES:
+        value = neutral + float(share) * step
+        if not freedom.lower <= value <= freedom.upper:
+            continue
+        q = problem.start(baseline.nominal, [[*start[:place], value, *start[place + 1 :]]])
+        change = np.concatenate([problem.angles(q, run) for run in runs]) - nominal
+        left = change - known @ (known.T @ change)
+        square, size = float(np.mean(left**2)), abs(value - neutral)
+        if square >= needed_mse and np.isfinite(square):
+            if before[1] > _NONE and square > before[1]:
+                power = math.log(size / before[0]) / math.log(square / before[1])
+                size = size * (needed_mse / square) ** power
+            hidden = 1.0 - square / max(float(np.mean(change**2)), _NONE)
+            return Detectable(candidate.effect, names[place], unit, size, hidden)
+        before = size, square
+    return Detectable(candidate.effect, names[place], unit, math.inf, math.nan)
