@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,14 @@ import hystmpc
 from hystmpc.commissioning.config import CommissionSettings, load_commission
 from hystmpc.commissioning.device import DeviceStoppedError
 from hystmpc.commissioning.motions import CONTROLLERS
-from hystmpc.commissioning.run import EndedEarlyError, commission_logs
+from hystmpc.commissioning.run import EndedEarlyError, commission_logs, report_again
 from hystmpc.commissioning.stages import NAMES
 from hystmpc.rig.bench import reset_latch
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.csv_files import read_csv
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, LogError
 
+from ..cli.test_verbs import run
 from .small import BENCH, commissioned, make_quick, settings, within
 
 DEVICE_STAGES = (NAMES[0], NAMES[1], NAMES[6])
@@ -116,6 +118,26 @@ def test_a_complete_one_moves_nothing_more_and_other_settings_are_refused(
     assert sent == []
 
 
+def test_the_report_is_written_again_and_nothing_else(
+    whole: tuple[Path, list[float]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From what lies in the folder; what lacks a stage is said, not done."""
+    run_folder = tmp_path / "run"
+    shutil.copytree(whole[0], run_folder)
+    before = (run_folder / "report.html").read_text(encoding="utf-8")
+    (run_folder / "report.html").unlink()
+    kept = {f: f.read_bytes() for f in run_folder.rglob("*") if f.is_file()}
+    assert run(capsys, "report", run_folder)[0] == 0
+    again = (run_folder / "report.html").read_text(encoding="utf-8")
+    assert [text in again for text in before.split("<svg")[0].splitlines()].count(False) == 0
+    assert {f: f.read_bytes() for f in kept} == kept
+    assert run(capsys, "report", run_folder, "--before", run_folder)[0] == 2
+    (run_folder / NAMES[3] / "result.json").unlink()
+    code, _, said = run(capsys, "report", run_folder)
+    assert (code, "expected a complete commissioning" in " ".join(said.split())) == (2, True)
+    assert not (run_folder / NAMES[3] / "result.json").exists()
+
+
 @pytest.mark.usefixtures("quick")
 def test_a_sensor_that_dies_stops_safely_and_keeps_what_was_complete(tmp_path: Path) -> None:
     bench, sent, dies = settings(tmp_path), list[float](), 700
@@ -153,7 +175,7 @@ def test_a_device_that_cannot_be_commissioned_is_said(gain: float, expected: str
 def test_logs_alone_end_before_the_verification(
     whole: tuple[Path, list[float]], with_bench: bool, tmp_path: Path
 ) -> None:
-    logs = whole[0] / NAMES[1] / "trials"
+    logs = shutil.copytree(whole[0] / NAMES[1] / "trials", tmp_path / "logs")
     bench = settings(tmp_path) if with_bench else None
     found = commission_logs([logs], tmp_path / "run", bench and bench.model_copy())
     assert found.verified is None
@@ -162,6 +184,12 @@ def test_logs_alone_end_before_the_verification(
     tip = hystmpc.TipController.from_config(found.tip)
     assert tip.dt == pytest.approx(0.04)
     assert commission_logs([logs], tmp_path / "run", bench).model == found.model
+    found.report.unlink()
+    assert report_again(tmp_path / "run").report.exists()
+    changed = sorted(logs.glob("*.csv"))[0]
+    changed.write_text("".join(changed.read_text().splitlines(keepends=True)[:-1]))
+    with pytest.raises(LogError, match="expected the recordings that it was made from"):
+        report_again(tmp_path / "run")
 
 
 def test_wrong_settings_are_one_line(tmp_path: Path) -> None:
