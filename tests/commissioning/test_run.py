@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 import hystmpc
+from hystmpc.commissioning import motions
 from hystmpc.commissioning.config import CommissionSettings, load_commission
 from hystmpc.commissioning.device import DeviceStoppedError
+from hystmpc.commissioning.identify import Subject
 from hystmpc.commissioning.motions import CONTROLLERS
 from hystmpc.commissioning.run import EndedEarlyError, commission_logs, report_again
 from hystmpc.commissioning.stages import NAMES
@@ -192,6 +194,38 @@ def test_logs_alone_end_before_the_verification(
         report_again(tmp_path / "run")
 
 
+def test_recordings_keep_to_a_range_that_is_narrower_than_the_limits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The range ends where the tip comes near its angle limit; no recording goes farther."""
+    monkeypatch.setattr(motions, "_LEAST_SHARE", 0.05)
+
+    def refused(subject: Subject) -> None:
+        raise LogError("far enough")
+
+    monkeypatch.setattr("hystmpc.commissioning.run.check_trials", refused)
+    bench, sent = settings(tmp_path, commission={"angle_limits_deg": [20.0, 60.0]}), list[float]()
+    with pytest.raises(EndedEarlyError, match="far enough"):
+        commissioned(bench, tmp_path / "run", sent)
+    found = json.loads((tmp_path / "run" / NAMES[0] / "result.json").read_text())["result"]
+    assert 1.2 < found["upper"] < 5.0
+    trials = [read_csv(file) for file in (tmp_path / "run" / NAMES[1] / "trials").glob("*.csv")]
+    assert len(trials) == 6
+    assert max(trial.command.max() for trial in trials) <= found["upper"] + 1e-9
+
+
+def test_a_stage_is_not_gone_on_with_after_another_range(whole: tuple[Path, list[float]], tmp_path: Path) -> None:
+    """Recordings, model and controller belong to the range that they were made in."""
+    shutil.copytree(whole[0], tmp_path / "run")
+    file, sent = tmp_path / "run" / NAMES[0] / "result.json", list[float]()
+    data = json.loads(file.read_text())
+    data["result"]["upper"] -= 1.0
+    file.write_text(json.dumps(data))
+    with pytest.raises(ConfigError, match="was begun after other results"):
+        commissioned(settings(whole[0].parent), tmp_path / "run", sent)
+    assert sent == []
+
+
 def test_wrong_settings_are_one_line(tmp_path: Path) -> None:
     def loaded(**changes: Any) -> CommissionSettings:
         (tmp_path / "bench.yaml").write_text(dump_yaml(BENCH | changes))
@@ -203,6 +237,8 @@ def test_wrong_settings_are_one_line(tmp_path: Path) -> None:
         ({"commission": {"minuets": 3}}, "minutes"),
         ({"commission": {"angle_limits_deg": [10, 130]}}, "within the sensor's 0 to 120"),
         ({"controller": {}}, "controller"),
+        ({"sensor": {"kind": "none", "rest_deg": 30}}, "got sensor.kind none, expected continuous"),
+        ({"sensor": BENCH["sensor"] | {"kind": "intermittent"}}, "got sensor.kind intermittent, expected continuous"),
     ):
         with pytest.raises(ConfigError, match=expected) as caught:
             loaded(**changes)
