@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hystmpc.trials.config import read_yaml
+from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
 
 from .console import out
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def report(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder of `simulate`, `demo`, `run` or `record`.")],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder, or that of a commissioning.")],
     before: Annotated[
         list[Path] | None, typer.Option("--before", help="Earlier run on the same reference; repeatable.")
     ] = None,
@@ -32,6 +33,9 @@ def report(
     error fell, and with a diagnosis how far it was expected to fall on this reference.
     """
     keys = _settings_of(run)
+    if "commissioning" in keys:
+        _commissioning(run, before, diagnosis)
+        return
     more = _fall(run, before or [], diagnosis)
     if {"transport", "sensor", "reference"} <= keys:
         from hystmpc.rig.commission.review_page import review_run
@@ -47,6 +51,15 @@ def report(
         from hystmpc.sim.report import report_from_folder
 
         out.print(f"report: {report_from_folder(run, more)}")
+
+
+def _commissioning(run: Path, before: list[Path] | None, diagnosis: Path | None) -> None:
+    """The report of a commissioning; it compares with no other run."""
+    if before or diagnosis is not None:
+        raise ConfigError("report: a commissioning has no use for --before and --diagnosis, expected a run of `run`")
+    from hystmpc.commissioning.run import report_again
+
+    out.print(f"report: {report_again(run).report}", soft_wrap=True)
 
 
 def _fall(run: Path, before: list[Path], diagnosis: Path | None) -> tuple[Piece, ...]:

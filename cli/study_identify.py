@@ -38,7 +38,7 @@ def identify(changes: dict[str, Any], folder: Path, workers: int) -> None:
 
 def show_bars(judged: Sequence[Bar]) -> None:
     """A table of bars, their numbers and goals."""
-    from hystmpc.studies.identify.report import bars_table
+    from hystmpc.studies.page import bars_table
 
     rows = [[row[0], row[1], row[3], row[4], row[5]] for row in bars_table(judged).rows]
     shown = [[f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row] for row in rows]

@@ -51,6 +51,11 @@ class CommissionSettings(BenchSettings):
 
     @model_validator(mode="after")
     def _angles_inside(self) -> CommissionSettings:
+        if self.sensor.kind != "continuous":
+            raise ValueError(
+                f"got sensor.kind {self.sensor.kind}, expected continuous: every step of a commissioning looks at the "
+                "angle of the moment"
+            )
         low, high = self.angle_limits
         if not self.sensor.lower_deg <= low < high <= self.sensor.upper_deg:
             raise ValueError(

@@ -18,7 +18,7 @@ from hystmpc.sim.jobs.runner import alone_in, resumed_folder
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.read import expand_logs, read_trials
-from hystmpc.trials.run_folder import require_vacant
+from hystmpc.trials.run_folder import RunFolder, require_vacant
 from hystmpc.trials.types import Progress
 
 from .bounded import bounded
@@ -176,7 +176,8 @@ def commission_device(
         moved = device(root, bar.tick)
         bar.total_s, before = _expected_s(settings, moved, planned), moved.used_s
         try:
-            return _on_device(settings, moved, root, planned, bar)
+            store = StageStore(root, fingerprint(settings.model_dump(mode="json")))
+            return _on_device(settings, moved, store, planned, bar)
         except (DeviceStoppedError, EndedEarlyError):
             raise
         except HystmpcError as error:
@@ -204,7 +205,7 @@ def commission_logs(
     files = tuple(path.resolve() for path in expand_logs([Path(log) for log in logs]))
     subject, words = _from_logs(files, settings)
     plain: dict[str, Any] = {} if settings is None else settings.model_dump(mode="json")
-    hashes = {str(path): fingerprint(path.read_bytes().hex()) for path in files}
+    hashes = _hashes(files)
     root = _begun(out, plain | {"logs": hashes}, subject.block.seed)
     stages = [FIT, CONTROLLER] + ([DIAGNOSE] if subject.block.diagnose else [])
     with alone_in(root):
@@ -212,6 +213,33 @@ def commission_logs(
         bar = _Bar(progress, sum(_COMPUTING_S[name] for name in stages))
         known = _identified(subject, store, bar)
         return _reported(known, root, words, 0.0, None, None)
+
+
+def report_again(folder: Path | str) -> Commissioned:
+    """Write the report of a complete commissioning again from what its stages have left; no device is opened.
+
+    Raises:
+        ConfigError: if a stage was begun after other results than those before it, or another process works in it.
+        LogError: if the folder holds no complete commissioning, or a recording that it was made from has changed.
+    """
+    run = RunFolder.open(folder)
+    config = run.config()
+    if not isinstance(config, Mapping) or "commissioning" not in config:
+        raise LogError(f"{folder}: holds another kind of run, expected the folder of a commissioning")
+    plain = {key: value for key, value in config.items() if key != "commissioning"}
+    bench = {key: value for key, value in plain.items() if key != "logs"}
+    settings = CommissionSettings.parse(bench, str(run.path / "config.yaml")) if bench else None
+    bar = _Bar(None, 0.0)
+    with alone_in(run.path):
+        store = StageStore(run.path, fingerprint(plain), closed=True)
+        if settings is not None and "logs" not in plain:
+            device = opened_device(settings, run.path)(run.path, bar.tick)
+            return _on_device(settings, device, store, budget(settings), bar)
+        files = tuple(map(Path, plain["logs"]))
+        subject, words = _from_logs(files, settings)
+        if text := differing({"logs": plain["logs"]}, {"logs": _hashes(files)}):
+            raise LogError(f"{run.path}: {text}; expected the recordings that it was made from")
+        return _reported(_identified(subject, store, bar), run.path, words, 0.0, None, None)
 
 
 def opened_device(
@@ -227,6 +255,10 @@ def opened_device(
     plants = plants_in(folder, settings.command_unit)
     limits = settings.commission.angle_limits_deg
     return lambda root, tick: BenchDevice(settings, plants, root, limits, views, note, tick)
+
+
+def _hashes(files: Sequence[Path]) -> dict[str, str]:
+    return {str(path): fingerprint(path.read_bytes().hex()) for path in files}
 
 
 def _begun(out: Path | str, plain: Mapping[str, Any], seed: int) -> Path:
@@ -245,8 +277,10 @@ def _begun(out: Path | str, plain: Mapping[str, Any], seed: int) -> Path:
     return resumed_folder(folder, plain, seed, refusal).path
 
 
-def _on_device(settings: CommissionSettings, device: Device, root: Path, planned: Budget, bar: _Bar) -> Commissioned:
-    store = StageStore(root, fingerprint(settings.model_dump(mode="json")))
+def _on_device(
+    settings: CommissionSettings, device: Device, store: StageStore, planned: Budget, bar: _Bar
+) -> Commissioned:
+    root = store.root
     in_time = 1.0 if device.in_real_time else 0.0
     bar(0.0, "range")
     ranged, store = store.complete(RANGE, Ranged, lambda folder: _ranged(settings, device))

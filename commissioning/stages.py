@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, final
 
@@ -33,10 +33,12 @@ class StageStore:
     Attributes:
         root: of the commissioning.
         mark: fingerprint of settings and results up to here.
+        closed: whether a stage without a result is an error, instead of being done.
     """
 
     root: Path
     mark: str
+    closed: bool = False
 
     def complete(self, name: str, kind: type[R], do: Callable[[Path], R]) -> tuple[R, StageStore]:
         """The result of a stage, kept or done now, and the store for the next stage.
@@ -48,7 +50,7 @@ class StageStore:
 
         Raises:
             ConfigError: if the folder holds the stage of other settings or results.
-            LogError: if its result is damaged.
+            LogError: if its result is damaged, or missing from a closed store.
         """
         folder, adapter = self.root / name, TypeAdapter(kind)
         begun = folder / BEGUN
@@ -59,13 +61,17 @@ class StageStore:
             )
         if (folder / RESULT).exists():
             result = self._load(folder / RESULT, adapter)
+        elif self.closed:
+            raise LogError(
+                f"{folder}: has no {RESULT}, expected a complete commissioning; the same `hystmpc commission` goes on"
+            )
         else:
             write_atomically(begun, json.dumps({"format": FORMAT, "fingerprint": self.mark}) + "\n")
             result = do(folder)
             data = {"format": FORMAT, "stage": name, "result": _plain(adapter.dump_python(result, mode="json"))}
             write_atomically(folder / RESULT, json.dumps(data, indent=1, allow_nan=False) + "\n")
         told = json.dumps(_plain(adapter.dump_python(result, mode="json")), sort_keys=True)
-        return result, StageStore(self.root, fingerprint([self.mark, name, told]))
+        return result, replace(self, mark=fingerprint([self.mark, name, told]))
 
     def _begun(self, file: Path) -> str:
         try:

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Generic, TypeVar, final
+from typing import Any, Generic, TypeVar, final
 
-from hystmpc.sim.jobs.runner import PlannedJob, PlannedResult, ResultFiles, backend_for, resumed_folder, wall_minutes
+from hystmpc.sim.jobs.runner import (
+    PlannedJob,
+    PlannedResult,
+    ResultFiles,
+    attempt,
+    backend_for,
+    resumed_folder,
+    wall_minutes,
+)
 from hystmpc.trials.config import Settings
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.report import Report
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 
-from .tables import other_study
+from .tables import StudyTable, other_study
 
 S = TypeVar("S", bound=Settings)
 J = TypeVar("J", bound=PlannedJob)
@@ -26,6 +37,7 @@ class ReadyStudy(Generic[S, J, F]):
     """A study made ready: its folder is there, nothing has run yet.
 
     Attributes:
+        study: its name.
         jobs: all of them.
         folder: of the run.
         results: files of their results.
@@ -33,6 +45,7 @@ class ReadyStudy(Generic[S, J, F]):
         costs: expected processor time of the jobs that are not done yet, by key [s].
     """
 
+    study: str
     settings: S
     jobs: tuple[J, ...]
     folder: RunFolder
@@ -62,6 +75,38 @@ class ReadyStudy(Generic[S, J, F]):
         backend = backend_for(workers, where=str(self.folder.path))
         return self.results.complete(stages, do, self.mark, backend, self.costs, progress)
 
+    def leave(self, page: Report, tables: Sequence[StudyTable], data: Mapping[str, Any] | None = None) -> None:
+        """Write the page, the tables as CSV, and `tables/STUDY.json` where there is data for it.
+
+        Raises:
+            ValueError: if a number in the data is not finite: JSON has no word for it.
+        """
+        for table in tables:
+            table.save(self.folder.path)
+        if data is not None:
+            text = json.dumps(data, indent=1, allow_nan=False) + "\n"
+            write_atomically(self.folder.path / "tables" / f"{self.study}.json", text)
+        self.folder.write_report(page.html())
+
+
+def do_kept(blank: Any, fields: Sequence[str], do: Callable[[], Sequence[Any]], files: ResultFiles[F]) -> F:
+    """Do one job and write its result; an error is a result too.
+
+    Args:
+        blank: the result before anything is done, of status `failed`.
+        fields: of the result, that `do` returns.
+
+    Raises:
+        KeyboardInterrupt: if the user ended it; nothing is written then.
+    """
+    made = attempt(do)
+    result: F = replace(blank, message=made.error, seconds=made.seconds)
+    if made.value is not None:
+        found: Any = result
+        result = replace(found, status="done", **dict(zip(fields, made.value, strict=True)))
+    files.save(result)
+    return result
+
 
 def ready_study(
     settings: S,
@@ -75,7 +120,7 @@ def ready_study(
     """Open the folder of a study and see what is done.
 
     Args:
-        study: its name in `config.yaml`.
+        study: its name, as in `config.yaml`.
         out: a new or empty folder, or one in which the study was begun; its finished jobs are kept.
         results: files of the results in a folder.
         mark: fingerprint of all that a job depends on, with the folder.
@@ -94,4 +139,4 @@ def ready_study(
 
     kept = files.kept(jobs, marked)
     expected = costs([job for job in jobs if job.key not in kept])
-    return ReadyStudy(settings, jobs, folder, files, marked, expected)
+    return ReadyStudy(study, settings, jobs, folder, files, marked, expected)

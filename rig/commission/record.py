@@ -28,6 +28,10 @@ from .phases import CommandMotion, Decision, Past, Phase, PhaseInput
 
 _ROUNDING = 1e-9
 _LEAST = 2  # samples that make a trial
+_BETWEEN_FRAMES = (
+    "sensor.kind intermittent: samples without a frame get no angle, and check, fit and diagnose refuse such trials; "
+    "record with a continuous sensor to identify from them"
+)
 
 
 @final
@@ -123,6 +127,8 @@ def record(
 ) -> RecordResult:
     """Play every excitation and write `trials/NAME.csv` in canonical columns. Arguments as of `run_bench`.
 
+    Trials by frames have empty cells between them, which no identification reads: `note` is told so first.
+
     Raises:
         HystmpcError: of any kind, before anything moves; `ConfigError` if an excitation is in another unit or
             beyond the limits.
@@ -141,6 +147,8 @@ def record(
         way = partial(_approach, settings, float(commands[0]))
         recorded.append(Recorded(name, commands, settings.dt_s, late))
         phases += [CommandMotion("approach", way), recorded[-1]]
+    if late is not None:
+        note(_BETWEEN_FRAMES)
     bench = run_bench(settings, lambda: phases, sink, plants, folder=folder, note=note)
     written, cut = [], None
     for phase in recorded:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 import numpy as np
 from scipy.stats import binomtest
@@ -214,6 +214,13 @@ class Bar:
         if low <= 0:
             return f"<= {high:g}"
         return f">= {low:g}" if high >= 1 else f"{low:g} to {high:g}"
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """As JSON; a number that is not finite is null."""
+        numbers = (self.value, *(self.ci90 or ()))
+        value, *ci90 = (number if np.isfinite(number) else None for number in numbers)
+        return asdict(self) | {"state": self.state, "value": value, "ci90": ci90 or None}
 
 
 def bars(cases: Sequence[ScoredCase]) -> list[Bar]:

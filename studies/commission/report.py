@@ -5,26 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from hystmpc.trials.report import (
     MEASURED,
     MODEL,
     PALETTE,
-    REFERENCE,
     Heading,
-    KeyValues,
-    Paragraph,
     Piece,
     Plot,
     Report,
-    new_figure,
 )
 
 from ..identify.device import FAMILIES
-from ..identify.report import bars_table, cell
 from ..identify.scores import rmse_of
+from ..page import bars_table, cell, ratios_figure, set_up
 from ..tables import Cell, StudyTable
 from .bars import RIVALS, CommissionOutcome, bars, over_rival
 
@@ -51,7 +46,6 @@ _SHOWN = (
     "imaging",
     "imaging_pid",
 )
-_MARKS = "os^"
 
 
 def devices_table(outcome: CommissionOutcome) -> StudyTable:
@@ -77,28 +71,14 @@ def figures_table(outcome: CommissionOutcome) -> StudyTable:
     return StudyTable("figures", ("device", "figure", "value"), rows, "", shown=False)
 
 
-def ratios_figure(outcome: CommissionOutcome) -> Figure:
-    """RMSE over that of the better tuned rival, a panel for each family, the devices sorted by it."""
-    subjects = (
-        ("commissioned", MODEL, "commissioned"),
-        ("sibling", MEASURED, "model of another device"),
-        ("stranger", PALETTE[5], "model of another family"),
-    )
-    with new_figure(7.0, 3.0) as figure:
-        panels = figure.subplots(1, len(FAMILIES), sharey=True)
-        for axes, family in zip(panels, FAMILIES, strict=True):
-            own = [f for name, f in outcome.figures.items() if outcome.families[name] == family]
-            own.sort(key=over_rival("commissioned"))
-            for (name, colour, label), mark in zip(subjects, _MARKS, strict=True):
-                y = np.array([over_rival(name)(f) for f in own])
-                axes.plot(np.arange(len(own)), y, mark, color=colour, markersize=3.5, label=label, linestyle="none")
-            axes.axhline(1.0, color=REFERENCE, linewidth=0.8)
-            axes.axhline(0.5, color=REFERENCE, linewidth=0.6, linestyle="--")
-            axes.set(title=family, xticks=[], yscale="log")
-        panels[0].set_ylabel("RMSE over the best tuned PID's")
-        figure.supxlabel("devices, sorted", fontsize=9.0)
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    return figure
+def _ratios(outcome: CommissionOutcome) -> Figure:
+    """RMSE over that of the better tuned rival."""
+    named = ("commissioned", "sibling", "stranger")
+    subjects = (("commissioned", MODEL), ("model of another device", MEASURED), ("model of another family", PALETTE[5]))
+    rows: dict[str, list[list[float]]] = {family: [] for family in FAMILIES}
+    for device, figures in outcome.figures.items():
+        rows[outcome.families[device]].append([over_rival(name)(figures) for name in named])
+    return ratios_figure(rows, subjects)
 
 
 def commission_report(outcome: CommissionOutcome) -> tuple[Report, list[StudyTable]]:
@@ -111,7 +91,7 @@ def commission_report(outcome: CommissionOutcome) -> tuple[Report, list[StudyTab
             *_set_up(outcome),
             Heading("Bars"),
             judged.piece,
-            Plot(ratios_figure(outcome), caption),
+            Plot(_ratios(outcome), caption),
             Heading("Devices"),
             devices.piece,
         ),
@@ -122,21 +102,9 @@ def commission_report(outcome: CommissionOutcome) -> tuple[Report, list[StudyTab
 
 def _set_up(outcome: CommissionOutcome) -> Iterator[Piece]:
     settings = outcome.settings
-    yield Heading("Set-up")
-    yield Paragraph(_ABOUT)
-    yield KeyValues(
-        {
-            "devices": len(outcome.figures),
-            "jobs": f"{len(outcome.results) - len(outcome.failed)} done, {len(outcome.failed)} failed",
-            "diagnosis in the commissioning": "yes" if settings.diagnose else "no",
-            "evaluations of each search": settings.evaluations,
-            "seed": settings.seed,
-            "processor time of all jobs": f"{sum(r.seconds for r in outcome.results) / 60:.1f} min",
-            "hystmpc": outcome.meta.get("versions", {}).get("hystmpc"),
-            "started": outcome.meta.get("start"),
-        }
-    )
-    if settings.quick:
-        yield Paragraph("QUICK: the numbers below show that everything runs, and say nothing about the controllers.")
-    for result in outcome.failed:
-        yield Paragraph(f"FAILED: {result.job.key}: {result.message}")
+    facts = {
+        "devices": len(outcome.figures),
+        "diagnosis in the commissioning": "yes" if settings.diagnose else "no",
+        "evaluations of each search": settings.evaluations,
+    }
+    return set_up(_ABOUT, facts, outcome)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-from hystmpc.sim.jobs.runner import attempt
-from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Progress
 
-from ..ready import ReadyStudy, ready_study
+from ..ready import ReadyStudy, do_kept, ready_study
 from .bars import CommissionOutcome, bars
 from .job import (
     STAGES,
@@ -57,30 +53,14 @@ def run_commission(study: ReadyCommission, workers: int = 1, progress: Progress 
     results = study.complete(stages, do, workers, progress)
     outcome = CommissionOutcome(study.settings, results, folder, study.folder.meta)
     page, tables = commission_report(outcome)
-    for table in tables:
-        table.save(folder)
-    judged = [
-        asdict(bar) | {"state": bar.state, "value": bar.value if bar.value < 1e300 else None} for bar in bars(outcome)
-    ]
-    data = {"bars": judged, "jobs": [plain(result) for result in results]}
-    write_atomically(folder / "tables" / "commission.json", json.dumps(data, indent=1) + "\n")
-    study.folder.write_report(page.html())
+    study.leave(page, tables, {"bars": [b.plain for b in bars(outcome)], "jobs": [plain(r) for r in results]})
     return outcome
 
 
 def do_job(job: CommissionJob, settings: CommissionStudySettings, folder: Path) -> CommissionResult:
-    """Do one job and write its result; an error is a result too.
-
-    Raises:
-        KeyboardInterrupt: if the user ended it; nothing is written then.
-    """
-    made = attempt(lambda: do_stage(job, settings, folder))
-    result = replace(as_result(job, settings), message=made.error, seconds=made.seconds)
-    if made.value is not None:
-        message, figures = made.value
-        result = replace(result, status="done", message=message, figures=figures)
-    result_files(folder).save(result)
-    return result
+    """Do one job and write its result; see `do_kept`."""
+    fields = ("message", "figures")
+    return do_kept(as_result(job, settings), fields, lambda: do_stage(job, settings, folder), result_files(folder))
 
 
 def _cost_s(job: CommissionJob, settings: CommissionStudySettings) -> float:

@@ -16,14 +16,13 @@ from hystmpc.trials.report import (
     PALETTE,
     REFERENCE,
     Heading,
-    KeyValues,
-    Paragraph,
     Piece,
     Plot,
     Report,
     new_figure,
 )
 
+from ..page import set_up
 from ..tables import NOTHING, Cell, StudyTable
 from .bars import BARS, BarVerdict, ControlOutcome, verdicts
 from .controllers import CONTROLLERS, NETWORK_RATE_HZ, NETWORKS, ORACLE
@@ -280,27 +279,15 @@ def control_report(outcome: ControlOutcome) -> tuple[Report, list[StudyTable]]:
 
 def _set_up(outcome: ControlOutcome) -> Iterator[Piece]:
     settings = outcome.settings
-    yield Heading("Set-up")
-    yield Paragraph(_ABOUT)
-    yield KeyValues(
-        {
-            "plants": ", ".join(settings.plants),
-            "rates": ", ".join(f"{rate:g} Hz" for rate in settings.rates_hz),
-            "controllers": ", ".join(settings.controllers),
-            "motions": ", ".join(settings.motions),
-            "left out": _left_out(settings) or "nothing",
-            "training": f"networks: {settings.network_updates} updates" + (" (QUICK)" if settings.quick else ""),
-            "seed": settings.seed,
-            "jobs": f"{len(outcome.results) - len(outcome.failed)} done, {len(outcome.failed)} failed",
-            "processor time of all jobs": f"{sum(r.seconds for r in outcome.results) / 60:.1f} min",
-            "hystmpc": outcome.meta.get("versions", {}).get("hystmpc"),
-            "started": outcome.meta.get("start"),
-        }
-    )
-    if settings.quick:
-        yield Paragraph("QUICK: the numbers below show that everything runs, and say nothing about the controllers.")
-    for result in outcome.failed:
-        yield Paragraph(f"FAILED: {result.job.key}: {result.message}")
+    facts = {
+        "plants": ", ".join(settings.plants),
+        "rates": ", ".join(f"{rate:g} Hz" for rate in settings.rates_hz),
+        "controllers": ", ".join(settings.controllers),
+        "motions": ", ".join(settings.motions),
+        "left out": _left_out(settings) or "nothing",
+        "training": f"networks: {settings.network_updates} updates" + (" (QUICK)" if settings.quick else ""),
+    }
+    return set_up(_ABOUT, facts, outcome)
 
 
 def _left_out(settings: ControlSettings) -> str:

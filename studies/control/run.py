@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-from hystmpc.sim.jobs.runner import attempt
-from hystmpc.trials.files import write_atomically
 from hystmpc.trials.types import Progress
 
-from ..ready import ReadyStudy, ready_study
+from ..ready import ReadyStudy, do_kept, ready_study
 from .bars import BarVerdict, ControlOutcome, verdicts
 from .controllers import CONTROLLERS
 from .job import STAGES, ControlJob, ControlResult, control_jobs, fingerprint, result_files
@@ -60,15 +58,12 @@ def run_control(
     results = study.complete(stages, do, workers, progress)
     outcome = ControlOutcome(study.settings, results, folder, study.folder.meta)
     page, tables = control_report(outcome)
-    for table in tables:
-        table.save(folder)
-    write_atomically(folder / "tables" / "control.json", _plain(outcome, verdicts(outcome)))
-    study.folder.write_report(page.html())
+    study.leave(page, tables, _plain(outcome, verdicts(outcome)))
     return outcome
 
 
-def _plain(outcome: ControlOutcome, bars: tuple[BarVerdict, ...]) -> str:
-    """Runs and bars as JSON; what is not there is null."""
+def _plain(outcome: ControlOutcome, bars: tuple[BarVerdict, ...]) -> dict[str, Any]:
+    """Runs and bars; what is not there is null."""
     runs = [
         {
             "plant": run.job.plant,
@@ -81,24 +76,14 @@ def _plain(outcome: ControlOutcome, bars: tuple[BarVerdict, ...]) -> str:
         for run in outcome.runs
     ]
     failed = {result.job.key: result.message for result in outcome.failed}
-    data = {"runs": runs, "bars": [asdict(bar) | {"met": bar.met} for bar in bars], "failed": failed}
-    return json.dumps(data, indent=1, allow_nan=False) + "\n"
+    return {"runs": runs, "bars": [asdict(bar) | {"met": bar.met} for bar in bars], "failed": failed}
 
 
 def do_job(job: ControlJob, settings: ControlSettings, folder: Path) -> ControlResult:
-    """Do one job and write its result; an error is a result too.
-
-    Raises:
-        KeyboardInterrupt: if the user ended it; nothing is written then.
-    """
-    mark = fingerprint(job, settings, folder)
-    made = attempt(lambda: _done(job, settings, folder))
-    result = ControlResult(job, mark, "failed", made.error, made.seconds)
-    if made.value is not None:
-        message, figures, ladder = made.value
-        result = replace(result, status="done", message=message, figures=figures, ladder=ladder)
-    result_files(folder).save(result)
-    return result
+    """Do one job and write its result; see `do_kept`."""
+    blank = ControlResult(job, fingerprint(job, settings, folder), "failed", "", 0.0)
+    fields = ("message", "figures", "ladder")
+    return do_kept(blank, fields, lambda: _done(job, settings, folder), result_files(folder))
 
 
 def _done(

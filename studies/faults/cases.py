@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,6 +23,13 @@ _LONG = {"reference": {"cycles": 16}}  # long enough for a second run to be refu
 _FAST = {"reference": {"frequency_hz": 0.8, "cycles": 8}}
 _SLOW_RETURN = {"watchdog_rate_per_s": 0.1}  # a second run comes while the device is still on its way back
 _SOFT = {"ramps": {"brake_per_s2": 20.0}}  # v^2 / 2a is twenty times the overshoot
+# Sensors other than the continuous one: block `sensor` of the device, and the one of the run.
+_FRAMES = (
+    {"kind": "intermittent", "rate_hz": 5.0, "latency_s": 0.2, "noise_deg": 0.3},
+    {"kind": "intermittent", "latency_s": 0.2},
+)
+_NO_SENSOR = ({"kind": "none"}, {"kind": "none", "rest_deg": 30.0})
+_GAP_S = 2.5  # `longest_gap_s` 2, and half a second as above
 _HIGHER = {"limits": {"lower": 1.0}, "safe_command": 1.0}  # the device holds 0
 RATE_HZ = 25.0
 LOWER, UPPER, RATE_PER_S, SAFE = 0.0, 6.0, 10.0, 0.0
@@ -116,6 +123,12 @@ def _commands(name: str, expected: Ending, fault: str, **more: float) -> FaultCa
     return FaultCase(name, expected, faults, notice_s=_STRAY_S + more.get("delay_s", 0.0))
 
 
+def _sensed(case: FaultCase, sensor: tuple[Mapping[str, Any], Mapping[str, Any]]) -> FaultCase:
+    """The case with another sensor."""
+    device, run = sensor
+    return replace(case, drive={**case.drive, "sensor": device}, settings={**case.settings, "sensor": run})
+
+
 def _strike(name: str, expected: Ending, signal: str, **more: Any) -> FaultCase:
     return FaultCase(name, expected, kill="controller", signal=signal, **more)
 
@@ -174,6 +187,23 @@ CASES: tuple[FaultCase, ...] = (
     FaultCase("model file corrupt", "refuses", corrupt_model=True),
     FaultCase("solver fails for 0.4 s", "goes on", settings=_FAILS),
     FaultCase("solver fails for good", "stops", settings=_FAILS_ON, notice_s=2.0),
+    _sensed(FaultCase("frames", "goes on"), _FRAMES),
+    _sensed(_wire("frames, none for 1 s", "goes on", "nan", duration_s=1.0), _FRAMES),
+    _sensed(_wire("frames, none any more", "stops", "nan", _GAP_S), _FRAMES),
+    _sensed(_wire("frames out of range", "stops", "out_of_range", _GAP_S), _FRAMES),
+    _sensed(_wire("frames, each twice", "goes on", "duplicate"), _FRAMES),
+    _sensed(_wire("frames replayed", "goes on", "replay"), _FRAMES),
+    _sensed(_wire("frames, all readings lost", "stops", "dropout", _GAP_S), _FRAMES),
+    _sensed(_commands("frames, commands lost, 5 s", "stops", "dropout", duration_s=5.0), _FRAMES),
+    _sensed(_strike("frames, controller killed", "left alone", "SIGKILL"), _FRAMES),
+    _sensed(FaultCase("frames, solver fails for good", "stops", settings=_FAILS_ON, notice_s=2.0), _FRAMES),
+    _sensed(FaultCase("no sensor", "goes on"), _NO_SENSOR),
+    _sensed(_wire("no sensor, all readings lost", "stops", "dropout"), _NO_SENSOR),
+    _sensed(_wire("no sensor, readings lost, 0.3 s", "goes on", "dropout", duration_s=0.3), _NO_SENSOR),
+    _sensed(_commands("no sensor, commands lost, 5 s", "stops", "dropout", duration_s=5.0), _NO_SENSOR),
+    _sensed(FaultCase("no sensor, device killed", "stops", kill="device"), _NO_SENSOR),
+    _sensed(_strike("no sensor, controller SIGTERM", "stops", "SIGTERM"), _NO_SENSOR),
+    _sensed(FaultCase("no sensor, solver fails for good", "stops", settings=_FAILS_ON, notice_s=2.0), _NO_SENSOR),
 )
 
 RUN: Mapping[str, Any] = {

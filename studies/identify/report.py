@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from hystmpc.trials.report import (
     MEASURED,
     MODEL,
     PALETTE,
-    REFERENCE,
     Heading,
-    KeyValues,
-    Paragraph,
     Piece,
     Plot,
     Report,
-    new_figure,
 )
 
-from ..blind.bars import Bar
+from ..page import bars_table, cell, ratios_figure, set_up
 from ..tables import NOTHING, Cell, StudyTable
 from .bars import CONTROLLERS, PARTS, TUNED, IdentifyOutcome, at_rest, bars, over, over_best, rmse, summary
 from .device import FAMILIES
@@ -33,20 +27,6 @@ servo, and creep, with a noisy sensor. A model is identified from three minutes 
 default settings. The gains of PID and of inverse with PID are searched on the very device and motions under another
 realisation of the noise: the strongest opponents of their kind, not forecasts. "exact" is the default controller with
 the device itself as its model. Every RMSE is of the true angle over three fresh motions without their approaches."""
-_SHOWN = 6  # devices that a bar names
-_MARKS = "os^v"
-
-
-def bars_table(judged: Sequence[Bar]) -> StudyTable:
-    """Every bar with its number and goal."""
-    rows: list[list[Cell]] = []
-    for bar in judged:
-        interval = NOTHING if bar.ci90 is None else f"{bar.ci90[0]:.2f} to {bar.ci90[1]:.2f}"
-        more = f" and {len(bar.misses) - _SHOWN} more" if len(bar.misses) > _SHOWN else ""
-        named = ", ".join(bar.misses[:_SHOWN]) + more
-        rows.append([bar.name, cell(bar.value), interval, bar.goal, bar.cases, bar.state, named or NOTHING])
-    columns = ("bar", "number", "90 % interval", "goal", "devices", "state", "devices beyond it")
-    return StudyTable("bars", columns, rows, "Simulated: the bars.")
 
 
 def families_table(outcome: IdentifyOutcome) -> StudyTable:
@@ -92,32 +72,15 @@ def _interval(result: IdentifyResult, part: str) -> str:
     return f"{value:.3g} ({low:.3g} to {high:.3g})"
 
 
-def cell(value: float) -> Cell:
-    """A figure in a table; one that is not there is a dash."""
-    return value if math.isfinite(value) else NOTHING if math.isnan(value) else "infinite"
-
-
-def ratios_figure(outcome: IdentifyOutcome) -> Figure:
-    """RMSE over that of the better tuned rival, a panel for each family, the devices sorted by it."""
-    with new_figure(7.0, 3.0) as figure:
-        panels = figure.subplots(1, len(FAMILIES), sharey=True)
-        subjects = (("linearised", MODEL, "default MPC"), ("sampling", MEASURED, "sampling MPC"))
-        for axes, family in zip(panels, FAMILIES, strict=True):
-            results = sorted((r for r in outcome.done if r.facts["family"] == family), key=over_best)
-            best = np.array([min(rmse(r, name) for name in TUNED) for r in results])
-            x = np.arange(len(results))
-            for (name, colour, label), mark in zip(
-                (*subjects, ("exact", PALETTE[5], "device known")), _MARKS, strict=False
-            ):
-                y = np.array([rmse(r, name) for r in results]) / best
-                axes.plot(x, y, mark, color=colour, markersize=3.5, label=label, linestyle="none")
-            axes.axhline(1.0, color=REFERENCE, linewidth=0.8)
-            axes.axhline(0.5, color=REFERENCE, linewidth=0.6, linestyle="--")
-            axes.set(title=family, xticks=[], yscale="log")
-        panels[0].set_ylabel("RMSE over the best tuned PID's")
-        figure.supxlabel("devices, sorted", fontsize=9.0)
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    return figure
+def _ratios(outcome: IdentifyOutcome) -> Figure:
+    """RMSE over that of the better tuned rival."""
+    named = ("linearised", "sampling", "exact")
+    subjects = (("default MPC", MODEL), ("sampling MPC", MEASURED), ("device known", PALETTE[5]))
+    rows: dict[str, list[list[float]]] = {family: [] for family in FAMILIES}
+    for r in outcome.done:
+        best = min(rmse(r, name) for name in TUNED)
+        rows[str(r.facts["family"])].append([rmse(r, name) / best for name in named])
+    return ratios_figure(rows, subjects)
 
 
 def identify_report(outcome: IdentifyOutcome) -> tuple[Report, list[StudyTable]]:
@@ -131,7 +94,7 @@ def identify_report(outcome: IdentifyOutcome) -> tuple[Report, list[StudyTable]]
             Heading("Bars"),
             judged.piece,
             Heading("Errors"),
-            *([Plot(ratios_figure(outcome), caption)] if outcome.done else []),
+            *([Plot(_ratios(outcome), caption)] if outcome.done else []),
             families.piece,
             Heading("Devices"),
             devices.piece,
@@ -143,20 +106,8 @@ def identify_report(outcome: IdentifyOutcome) -> tuple[Report, list[StudyTable]]
 
 def _set_up(outcome: IdentifyOutcome) -> Iterator[Piece]:
     settings = outcome.settings
-    yield Heading("Set-up")
-    yield Paragraph(_ABOUT)
-    yield KeyValues(
-        {
-            "devices": f"{len(outcome.done)} done, {len(outcome.failed)} failed",
-            "model": settings.kind if settings.drive is None else f"{settings.kind} behind a drive ({settings.drive})",
-            "evaluations of each search": settings.evaluations,
-            "seed": settings.seed,
-            "processor time of all devices": f"{sum(r.seconds for r in outcome.results) / 60:.1f} min",
-            "hystmpc": outcome.meta.get("versions", {}).get("hystmpc"),
-            "started": outcome.meta.get("start"),
-        }
-    )
-    if settings.quick:
-        yield Paragraph("QUICK: the numbers below show that everything runs, and say nothing about the controllers.")
-    for result in outcome.failed:
-        yield Paragraph(f"FAILED: {result.job.key}: {result.message}")
+    facts = {
+        "model": settings.kind if settings.drive is None else f"{settings.kind} behind a drive ({settings.drive})",
+        "evaluations of each search": settings.evaluations,
+    }
+    return set_up(_ABOUT, facts, outcome)

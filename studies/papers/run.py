@@ -71,7 +71,5 @@ def run_study(study: PaperStudy, workers: int = 1, progress: Progress | None = N
     results = ready.complete([ready.jobs], partial(do_job, folder=folder), workers, progress)
     outcome = StudyOutcome(ready.settings, study.splits, results, folder, ready.folder.meta)
     page, tables = _REPORTS[ready.settings.study](outcome)
-    for table in tables:
-        table.save(folder)
-    ready.folder.write_report(page.html())
+    ready.leave(page, tables)
     return outcome

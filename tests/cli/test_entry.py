@@ -49,12 +49,24 @@ def test_a_verb_that_is_not_known_is_answered_with_the_nearest() -> None:
     assert "No such command 'simulat'. Did you mean 'simulate'?" in done.stderr
 
 
+EXPLAINED = """
+import sys
+from hystmpc.cli.main import VERBS, main
+for verb in VERBS:
+    sys.argv = ["hystmpc", verb, "--help"]
+    try:
+        main()
+    except SystemExit as end:
+        if end.code:
+            sys.exit(f"{verb} failed")
+"""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("verb", VERBS)
-def test_every_verb_explains_itself(verb: str) -> None:
-    code = f"import sys; from hystmpc.cli.main import main; sys.argv = ['hystmpc', {verb!r}, '--help']; main()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert f"Usage: hystmpc {verb} " in done.stdout
+def test_every_verb_explains_itself() -> None:
+    done = subprocess.run([sys.executable, "-c", EXPLAINED], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert [verb for verb in VERBS if f"Usage: hystmpc {verb} " not in done.stdout] == []
 
 
 def test_every_verb_has_a_file_of_its_name() -> None:

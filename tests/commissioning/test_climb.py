@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -79,15 +80,21 @@ def test_recordings_and_tracks_keep_to_the_range_that_was_found(
     assert not sent or sent[-1] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_tip_that_overshoots_beyond_its_limits_stops_the_run(tmp_path: Path) -> None:
+@pytest.mark.parametrize("controlled", [False, True])
+def test_a_tip_that_overshoots_beyond_its_limits_stops_the_run(controlled: bool, tmp_path: Path) -> None:
     """The limits that the user gives hold in motion, too; one outlier is no angle."""
     bench, sent = bench_settings(tmp_path, commission={"angle_limits_deg": [20.0, 90.0]}), list[float]()
     commands = recordings(bench, 0.1, 1)["slow_sine"]
     once = spied_device(bench, tmp_path, sent, lambda k, u, y: 100.0 if k == 60 else y)
     assert len(once.play("2-record/slow_sine", commands, bench)) > 0.9 * commands.size
     over = spied_device(bench, tmp_path, sent, lambda k, u, y: y + 12.0 * u)
+    tip = TipSettings.parse({"model": "builtin:pi", "controller": {"kind": "inverse"}})
+    moves = {
+        True: partial(over.track, "7-verify/scan", tip, SinusoidScanSettings.parse(SCAN), bench),
+        False: partial(over.play, "2-record/slow_sine", commands, bench),
+    }
     with pytest.raises(DeviceStoppedError, match=r"beyond commission\.angle_limits_deg"):
-        over.play("2-record/slow_sine", commands, bench)
+        moves[controlled]()
     assert sent[-1] == pytest.approx(0.0, abs=1e-9)
     assert within(sent, bench)
 
@@ -130,6 +137,20 @@ def test_the_tip_stays_within_its_limits_and_the_range_is_used(
     if 30.0 + gain * 6.0 <= high - 1.5 * gain * 6.0 / steps:
         assert climb.found.end == 6.0
     assert within(sent, bench)
+
+
+def test_an_angle_beyond_its_limits_on_the_way_turns_the_climb_back_at_once(tmp_path: Path) -> None:
+    """A tip whose slope rises thirtyfold at 2 mm; the step would lead to 3.375 mm, and 112 deg."""
+    ramps = {"velocity_per_s": 2, "acceleration_per_s2": 60, "jerk_per_s3": 1000}
+    bench, sent = bench_settings(tmp_path, ramps=ramps), list[float]()
+    climb = Climb(bench, 6.0, (20.0, 60.0), 4)
+    steep = spied_device(
+        bench, tmp_path, sent, lambda k, u, y: 30.0 + 2.0 * min(u, 2.0) + 60.0 * max(u - 2.0, 0.0) + 1e-6 * (k % 7)
+    )
+    steep.explore("1-range/climb", climb, bench)
+    assert "the angle reached" in climb.found.why
+    assert climb.found.end == pytest.approx(1.875)
+    assert 2.43 < max(sent) < 2.9
 
 
 def test_a_tip_that_saturates_ends_the_climb_before_the_watch_on_motion_stops_it(tmp_path: Path) -> None:

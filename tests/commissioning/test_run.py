@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
@@ -11,16 +12,19 @@ import numpy as np
 import pytest
 
 import hystmpc
+from hystmpc.commissioning import motions
 from hystmpc.commissioning.config import CommissionSettings, load_commission
 from hystmpc.commissioning.device import DeviceStoppedError
+from hystmpc.commissioning.identify import Subject
 from hystmpc.commissioning.motions import CONTROLLERS
-from hystmpc.commissioning.run import EndedEarlyError, commission_logs
+from hystmpc.commissioning.run import EndedEarlyError, commission_logs, report_again
 from hystmpc.commissioning.stages import NAMES
 from hystmpc.rig.bench import reset_latch
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.csv_files import read_csv
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, LogError
 
+from ..cli.test_verbs import run
 from .small import BENCH, commissioned, make_quick, settings, within
 
 DEVICE_STAGES = (NAMES[0], NAMES[1], NAMES[6])
@@ -116,6 +120,26 @@ def test_a_complete_one_moves_nothing_more_and_other_settings_are_refused(
     assert sent == []
 
 
+def test_the_report_is_written_again_and_nothing_else(
+    whole: tuple[Path, list[float]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From what lies in the folder; what lacks a stage is said, not done."""
+    run_folder = tmp_path / "run"
+    shutil.copytree(whole[0], run_folder)
+    before = (run_folder / "report.html").read_text(encoding="utf-8")
+    (run_folder / "report.html").unlink()
+    kept = {f: f.read_bytes() for f in run_folder.rglob("*") if f.is_file()}
+    assert run(capsys, "report", run_folder)[0] == 0
+    again = (run_folder / "report.html").read_text(encoding="utf-8")
+    assert [text in again for text in before.split("<svg")[0].splitlines()].count(False) == 0
+    assert {f: f.read_bytes() for f in kept} == kept
+    assert run(capsys, "report", run_folder, "--before", run_folder)[0] == 2
+    (run_folder / NAMES[3] / "result.json").unlink()
+    code, _, said = run(capsys, "report", run_folder)
+    assert (code, "expected a complete commissioning" in " ".join(said.split())) == (2, True)
+    assert not (run_folder / NAMES[3] / "result.json").exists()
+
+
 @pytest.mark.usefixtures("quick")
 def test_a_sensor_that_dies_stops_safely_and_keeps_what_was_complete(tmp_path: Path) -> None:
     bench, sent, dies = settings(tmp_path), list[float](), 700
@@ -153,7 +177,7 @@ def test_a_device_that_cannot_be_commissioned_is_said(gain: float, expected: str
 def test_logs_alone_end_before_the_verification(
     whole: tuple[Path, list[float]], with_bench: bool, tmp_path: Path
 ) -> None:
-    logs = whole[0] / NAMES[1] / "trials"
+    logs = shutil.copytree(whole[0] / NAMES[1] / "trials", tmp_path / "logs")
     bench = settings(tmp_path) if with_bench else None
     found = commission_logs([logs], tmp_path / "run", bench and bench.model_copy())
     assert found.verified is None
@@ -162,6 +186,44 @@ def test_logs_alone_end_before_the_verification(
     tip = hystmpc.TipController.from_config(found.tip)
     assert tip.dt == pytest.approx(0.04)
     assert commission_logs([logs], tmp_path / "run", bench).model == found.model
+    found.report.unlink()
+    assert report_again(tmp_path / "run").report.exists()
+    changed = sorted(logs.glob("*.csv"))[0]
+    changed.write_text("".join(changed.read_text().splitlines(keepends=True)[:-1]))
+    with pytest.raises(LogError, match="expected the recordings that it was made from"):
+        report_again(tmp_path / "run")
+
+
+def test_recordings_keep_to_a_range_that_is_narrower_than_the_limits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The range ends where the tip comes near its angle limit; no recording goes farther."""
+    monkeypatch.setattr(motions, "_LEAST_SHARE", 0.05)
+
+    def refused(subject: Subject) -> None:
+        raise LogError("far enough")
+
+    monkeypatch.setattr("hystmpc.commissioning.run.check_trials", refused)
+    bench, sent = settings(tmp_path, commission={"angle_limits_deg": [20.0, 60.0]}), list[float]()
+    with pytest.raises(EndedEarlyError, match="far enough"):
+        commissioned(bench, tmp_path / "run", sent)
+    found = json.loads((tmp_path / "run" / NAMES[0] / "result.json").read_text())["result"]
+    assert 1.2 < found["upper"] < 5.0
+    trials = [read_csv(file) for file in (tmp_path / "run" / NAMES[1] / "trials").glob("*.csv")]
+    assert len(trials) == 6
+    assert max(trial.command.max() for trial in trials) <= found["upper"] + 1e-9
+
+
+def test_a_stage_is_not_gone_on_with_after_another_range(whole: tuple[Path, list[float]], tmp_path: Path) -> None:
+    """Recordings, model and controller belong to the range that they were made in."""
+    shutil.copytree(whole[0], tmp_path / "run")
+    file, sent = tmp_path / "run" / NAMES[0] / "result.json", list[float]()
+    data = json.loads(file.read_text())
+    data["result"]["upper"] -= 1.0
+    file.write_text(json.dumps(data))
+    with pytest.raises(ConfigError, match="was begun after other results"):
+        commissioned(settings(whole[0].parent), tmp_path / "run", sent)
+    assert sent == []
 
 
 def test_wrong_settings_are_one_line(tmp_path: Path) -> None:
@@ -175,6 +237,8 @@ def test_wrong_settings_are_one_line(tmp_path: Path) -> None:
         ({"commission": {"minuets": 3}}, "minutes"),
         ({"commission": {"angle_limits_deg": [10, 130]}}, "within the sensor's 0 to 120"),
         ({"controller": {}}, "controller"),
+        ({"sensor": {"kind": "none", "rest_deg": 30}}, "got sensor.kind none, expected continuous"),
+        ({"sensor": BENCH["sensor"] | {"kind": "intermittent"}}, "got sensor.kind intermittent, expected continuous"),
     ):
         with pytest.raises(ConfigError, match=expected) as caught:
             loaded(**changes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -113,6 +114,7 @@ def diagnosis_of(verdict: Verdict, trials: tuple[TrialEvidence, ...], proposal: 
     )
 
 
+@cache
 def report_data(verdict: Verdict, count: int = 6) -> Evidence:
     """A whole body of evidence."""
     trials = tuple(trial_evidence(k, role) for k, role in enumerate(roles(count)))

@@ -67,10 +67,6 @@ def named() -> Evidence:
     return report_data("named")
 
 
-def headings(evidence: Evidence) -> list[str]:
-    return [piece.text for piece in diagnosis_report(evidence).pieces if isinstance(piece, Heading)]
-
-
 @pytest.mark.slow
 def test_the_page_opens_offline_and_shows_everything(named: Evidence, tmp_path: Path) -> None:
     path = write_report(named, tmp_path)
@@ -93,7 +89,8 @@ def test_the_page_opens_offline_and_shows_everything(named: Evidence, tmp_path: 
 def test_every_verdict_has_all_sections_and_says_so(verdict: Verdict) -> None:
     evidence = report_data(verdict, 3)
     pieces = diagnosis_report(evidence).pieces
-    assert headings(evidence) == [headline(evidence.diagnosis), *SECTIONS]
+    headings = [piece.text for piece in pieces if isinstance(piece, Heading)]
+    assert headings == [headline(evidence.diagnosis), *SECTIONS]
     texts = [piece.text for piece in pieces if isinstance(piece, Paragraph)]
     assert texts[0] == REASON[verdict]
     assert "RMSE" in texts[1]

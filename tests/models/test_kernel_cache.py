@@ -32,8 +32,9 @@ from hystmpc.models.kernels.numba_ import njit
 def double(x):
     return 2.0 * x
 """
-# A process that has loaded the compiler forks a start of a program at every line that it reads: a start from nothing
-# takes seconds. A start uses a small kernel of the package and a generated one; not as root, who may read everything.
+# A process that has loaded the compiler, and what the module of the kernel imports, forks a start of a program at every
+# line that it reads: a start from nothing takes seconds. The module itself is loaded in each start, which uses a small
+# kernel of it and a generated one; not as root, who may read everything.
 STARTS = """
 import json, os, sys, tempfile
 import numba
@@ -41,6 +42,8 @@ import numpy as np
 
 os.umask(0)
 numba.njit(lambda x: 2.0 * x)(1.0)
+import hystmpc.ctrl.planning
+del sys.modules["hystmpc.ctrl.planning"]
 
 def start():
     from hystmpc.ctrl.planning import run_ahead

@@ -8,14 +8,12 @@ import re
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from hystmpc.cli.main import main
 from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
 from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.studies.faults.cases import CASES, Kind, Link, write_device, write_run
@@ -25,6 +23,7 @@ from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
 
+from ..cli.test_verbs import run as called
 from .test_dds import needs_dds
 
 PLAIN = CASES[0]
@@ -115,7 +114,7 @@ def hystmpc(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_run_report_and_replay(tmp_path: Path) -> None:
+def test_run_report_and_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A simulated run leaves a whole folder and advice; its report is made anew; its angles can be replayed."""
     (tmp_path / "run.yaml").write_text(SIMULATED + RUN)
     done = hystmpc("run", tmp_path / "run.yaml", "--out", tmp_path / "run")
@@ -130,7 +129,7 @@ def test_run_report_and_replay(tmp_path: Path) -> None:
     assert set(log["faults"]) == {"-"}
     assert float(log["command_mm"][-1]) == 0.0
     (tmp_path / "run" / "report.html").unlink()
-    assert hystmpc("report", tmp_path / "run").returncode == 0
+    assert called(capsys, "report", tmp_path / "run")[0] == 0
     page = (tmp_path / "run" / "report.html").read_text()
     parts = ("Predicted and measured angle", "Timing", "Stages of a sample", "Sources and faults")
     assert [part for part in parts if part not in page] == []
@@ -147,7 +146,7 @@ def test_run_report_and_replay(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_record_writes_trials_that_read_as_the_device_moved(tmp_path: Path) -> None:
+def test_record_writes_trials_that_read_as_the_device_moved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "motion.csv").write_text("time_s,command_mm,separation_deg\n0,0,0\n1,2,0\n2,0,0\n")
     (tmp_path / "record.yaml").write_text(SIMULATED + RECORD)
     done = hystmpc("record", tmp_path / "record.yaml", "--out", tmp_path / "out")
@@ -161,7 +160,7 @@ def test_record_writes_trials_that_read_as_the_device_moved(tmp_path: Path) -> N
     page = tmp_path / "out" / "report.html"
     assert "Recording at the bench" in page.read_text()
     page.unlink()
-    assert hystmpc("report", tmp_path / "out").returncode == 0
+    assert called(capsys, "report", tmp_path / "out")[0] == 0
     assert "Recording at the bench" in page.read_text()
 
 
@@ -232,12 +231,9 @@ def test_a_page_or_a_latch_that_cannot_be_had_leaves_no_folder(
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     """The one line that a call is refused with, exit code 2."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["hystmpc", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-    assert ended.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    code, _, said = called(capsys, *arguments)
+    assert code == 2
+    (line,) = said.splitlines()
     assert line.startswith("error: ")
     return line
 
@@ -253,11 +249,11 @@ def test_a_device_says_what_of_its_scheduling_is_refused_and_serves_all_the_same
 
 
 @pytest.mark.slow
-def test_an_excitation_beyond_the_limits_is_refused_before_anything_moves(tmp_path: Path) -> None:
+def test_an_excitation_beyond_the_limits_is_refused_before_anything_moves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = SIMULATED.replace("rate_per_s: 10", "rate_per_s: 6.5") + RECORD
     (tmp_path / "motion.csv").write_text("time_s,command_mm\n0,0\n0.1,2\n2,0\n")
     (tmp_path / "record.yaml").write_text(text)
-    done = hystmpc("record", tmp_path / "record.yaml", "--out", tmp_path / "out")
-    assert done.returncode == 2
-    assert "excitations.file" in done.stderr
+    assert "excitations.file" in refusal(capsys, "record", tmp_path / "record.yaml", "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()

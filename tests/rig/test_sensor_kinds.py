@@ -18,7 +18,7 @@ from hystmpc.commissioning.plants import make_plant
 from hystmpc.ctrl.frames import ImagingSettings
 from hystmpc.rig.commission.experiment import run_experiment
 from hystmpc.rig.commission.phases import Past, PhaseInput, place_frames
-from hystmpc.rig.commission.record import Recorded
+from hystmpc.rig.commission.record import Recorded, record
 from hystmpc.rig.config import RecordSettings, RunSettings
 from hystmpc.rig.device.config import DeviceSettings
 from hystmpc.rig.device.server import SimulatedDevice, open_link
@@ -205,6 +205,19 @@ def test_the_controller_is_told_and_contradictions_are_refused() -> None:
     ramps = {"steps": {"kind": "ramps", "start": 0, "stops": [1], "holds_s": [1]}}
     with pytest.raises(ConfigError, match="a trial holds angles"):
         RecordSettings.parse(BENCH | {"sensor": NONE, "excitations": ramps})
+
+
+@pytest.mark.parametrize("sensor", [CAMERA, {"lower_deg": 0, "upper_deg": 120}], ids=["frames", "continuous"])
+def test_before_recording_by_frames_it_is_said_that_no_fit_reads_the_trials(
+    sensor: dict[str, Any], tmp_path: Path
+) -> None:
+    """Nobody answers at the port: whatever is said is said before anything moves."""
+    ramps, said = {"steps": {"kind": "ramps", "start": 0, "stops": [1], "holds_s": [1]}}, list[str]()
+    plain = BENCH | {"sensor": sensor, "excitations": ramps, "connect_timeout_s": 0.05}
+    settings = RecordSettings.parse(plain | {"latch_file": str(tmp_path / "latched.json")})
+    with pytest.raises(ConfigError, match="got no angle"):
+        record(settings, ListSink, make_plant, tmp_path, note=said.append)
+    assert [("fit" in line, "\n" in line) for line in said] == [(True, False)] * (sensor is CAMERA)
 
 
 @settings(max_examples=50)

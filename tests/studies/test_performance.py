@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from hystmpc.ctrl.planning import PlanCost
 from hystmpc.ctrl.planning_settings import WeightsSettings
 from hystmpc.models.kernels.vector_emitter import host_shape
 from hystmpc.models.model import Predictor
-from hystmpc.studies.performance import pytorch_mppi_
+from hystmpc.studies.performance import pytorch_mppi_, run, timing
 from hystmpc.studies.performance.casadi_peer_ import METHODS, SQP, Method, SingleShooting
 from hystmpc.studies.performance.controllers import (
     linearised_controller,
@@ -31,6 +31,7 @@ from hystmpc.studies.performance.run import run_bench
 from hystmpc.studies.performance.subjects import Instant, Subject, in_turn, lstm_subject, operator_subjects, record_scan
 from hystmpc.studies.performance.timing import QUICK, WEIGHTS, BenchSettings, Clock, Effort, TimedCall, Times
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Progress
 
 pytestmark = pytest.mark.slow
 
@@ -78,28 +79,58 @@ def installed(peer: str) -> bool:
     return not peer.startswith("pytorch-mppi") or pytorch_mppi_.installed()
 
 
-@pytest.mark.slow
-def test_a_run_has_every_row() -> None:
-    seen: list[tuple[float, float, str]] = []
-    report = run_bench(SMALL, lambda *progress: seen.append(progress))
-    content = json.loads(json.dumps(report_json(report), allow_nan=False))
-    check_complete(content, SMALL)
-    assert set(content["models"]) == {"LSTM", "backlash", "PI"}
-    assert [done for done, _, _ in seen] == sorted(done for done, _, _ in seen)
-    assert seen[-1][0] == seen[-1][1] >= TINY.rounds * len(SECTIONS)  # the growth series come on top
-    assert all(len(row) == len(COLUMNS) for row in table_rows(report))
+@dataclass(frozen=True, eq=False)
+class Ran:
+    """What the quick verb left, and what it was told of its progress."""
+
+    folder: Path
+    content: dict[str, Any]
+    report: BenchReport
+    told: list[tuple[float, float, str]]
 
 
-@pytest.mark.slow
-def test_the_quick_verb_writes_its_table_and_json(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
+    """The quick verb once, on a network so small that it takes seconds."""
     from hystmpc.cli.bench import bench
 
-    bench(tmp_path / "out", tmp_path / "bench.json", quick=True)
-    content = json.loads((tmp_path / "bench.json").read_text(encoding="utf-8"))
-    check_complete(content, QUICK)
-    assert json.loads((tmp_path / "out" / "bench.json").read_text(encoding="utf-8")) == content
-    text = (tmp_path / "out" / "bench.txt").read_text(encoding="utf-8")
-    assert content["models"]["LSTM"] in text
+    folder, told, reports = tmp_path_factory.mktemp("bench"), list[tuple[float, float, str]](), list[BenchReport]()
+
+    def told_too(settings: BenchSettings, progress: Progress) -> BenchReport:
+        def tell(done: float, total: float, note: str = "") -> None:
+            told.append((done, total, note))
+            progress(done, total, note)
+
+        reports.append(run_bench(settings, tell))
+        return reports[0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(timing, "QUICK", SMALL)
+        patch.setattr(run, "run_bench", told_too)
+        bench(folder / "out", folder / "bench.json", quick=True)
+    content = json.loads((folder / "bench.json").read_text(encoding="utf-8"))
+    return Ran(folder, content, reports[0], told)
+
+
+def test_a_run_has_every_row(ran: Ran) -> None:
+    content = json.loads(json.dumps(report_json(ran.report), allow_nan=False))
+    check_complete(content, SMALL)
+    assert set(content["models"]) == {"LSTM", "backlash", "PI"}
+    assert [done for done, _, _ in ran.told] == sorted(done for done, _, _ in ran.told)
+    assert ran.told[-1][0] == ran.told[-1][1] >= TINY.rounds * len(SECTIONS)  # the growth series come on top
+    assert all(len(row) == len(COLUMNS) for row in table_rows(ran.report))
+
+
+def test_the_quick_verb_writes_its_table_and_json(ran: Ran) -> None:
+    check_complete(ran.content, SMALL)
+    assert json.loads((ran.folder / "out" / "bench.json").read_text(encoding="utf-8")) == ran.content
+    text = (ran.folder / "out" / "bench.txt").read_text(encoding="utf-8")
+    assert ran.content["models"]["LSTM"] in text
+
+
+def test_quick_times_everything_at_full_size() -> None:
+    assert replace(QUICK, effort=BenchSettings().effort) == BenchSettings()
+    assert QUICK.effort.rounds < BenchSettings().effort.rounds
 
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda m: m.name)
