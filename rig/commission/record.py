@@ -16,6 +16,7 @@ from hystmpc.trials.csv_files import format_table, write_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.layouts import CANONICAL
+from hystmpc.trials.recording_order import write_manifest
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
@@ -121,7 +122,9 @@ def record(
     *,
     note: Note = lambda text: None,
 ) -> RecordResult:
-    """Play every excitation and write `trials/NAME.csv` in canonical columns. Arguments as of `run_bench`.
+    """Play every excitation and write `trials/NAME.csv` in canonical columns and a manifest.
+
+    Arguments as of `run_bench`.
 
     Raises:
         HystmpcError: of any kind, before anything moves; `ConfigError` if an excitation is in another unit or
@@ -151,6 +154,8 @@ def record(
             written.append(file)
         else:
             cut = file
+    if written:
+        write_manifest(folder / "trials", written)  # tells a diagnosis their order
     return RecordResult(bench, tuple(written), cut)
 
 
