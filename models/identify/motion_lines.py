@@ -35,8 +35,8 @@ def motions_own(runs: Sequence[Run], hz: Vec) -> Mask:
 
     A frequency is a motion's own where its fundamental or a harmonic lies nearer than 1 / T, with T the time of all
     runs together. Each run has a phase of its own, and resolves no more than one over its own time: that is the limit
-    for the first five harmonics, whose size differs from run to run with the width of the loop. Of fewer than three
-    periods only these count: a few slow moves are no periodic motion.
+    for the first five harmonics, whose size differs from run to run with the width of the loop. A few
+    slow moves are no periodic motion: of fewer than three periods only these five count, and no nearer than 1 / T.
 
     Args:
         runs: all that were recorded.
@@ -49,7 +49,10 @@ def motions_own(runs: Sequence[Run], hz: Vec) -> Mask:
         if fundamental <= 0:
             continue
         order = np.maximum(np.rint(hz / fundamental), 1.0)
-        high = 1.0 / seconds.sum() + _ROUNDING * order / length if fundamental * length >= _PERIODS else 0.0
-        nearest = np.where(order <= _LOW_ORDERS, 1.0 / length, high)
+        together = 1.0 / seconds.sum()
+        low, high = 1.0 / length, together + _ROUNDING * order / length
+        if fundamental * length < _PERIODS:
+            low, high = together, np.zeros(hz.size)
+        nearest = np.where(order <= _LOW_ORDERS, low, high)
         own += length * (np.abs(hz - order * fundamental) <= nearest)
     return np.asarray(own >= _MOST * seconds.sum())
