@@ -327,18 +327,21 @@ def diagnose(
     without: Sequence[str] = (),
     only: Sequence[str] | None = None,
     seed: int = 1,
+    ordered: bool = False,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Say where a simulator departs from its device, which effects cause it, and how far they close the gap.
 
     Args:
-        trials: logs, data frames or trials of one device, in recording order.
+        trials: logs, data frames or trials of one device.
         simulator: a fit, simulator, opened model or file.
         out: folder for report, corrected simulator and next motion; nothing is written where left out.
         preset: layout of the logs.
         without: effects left out of the library.
         only: the library itself, where it is not to be all effects.
         seed: of every resampling.
+        ordered: whether the trials stand in the order of recording. If not, time stamps or a manifest may tell it; else
+            it is unknown, and the result does not depend on the order given.
         progress: called with steps done, steps in all and what is done.
 
     Raises:
@@ -356,12 +359,15 @@ def diagnose(
         require_free(out)
     opened, recorded = _opened(simulator), read_trials(trials, preset)
     nominal = opened.simulator if isinstance(opened, ChainModel) else opened
-    findings = gap.investigate(recorded, nominal, seed=seed, without=without, only=only, progress=progress)
+    findings = gap.investigate(
+        recorded, nominal, seed=seed, without=without, only=only, progress=progress, ordered=ordered
+    )
     evidence = with_tracking(gap.conclude(findings, progress)[1], progress)
     if out is None:
         return evidence.diagnosis
     logs = [trial.source for trial in recorded]
     settings = {"logs": logs, "sim": str(simulator), "preset": str(preset), "seed": seed, "without": list(without)}
+    settings["ordered"] = ordered
     files = (simulator,) if isinstance(simulator, Path | str) else ()
     save_diagnosis(evidence, out, settings, models=files)
     return evidence.diagnosis

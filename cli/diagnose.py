@@ -29,7 +29,7 @@ _READABLE = (".yaml", ".yml")
 
 Logs = Annotated[
     list[Path] | None,
-    typer.Argument(metavar="LOG...", help="Trials of one device in recording order, or folders of *.csv."),
+    typer.Argument(metavar="LOG...", help="Trials of one device, or folders of *.csv."),
 ]
 Sim = Annotated[Path | None, typer.Option("--sim", help="Simulator: .yaml of `fit`, or an exported .onnx model.")]
 
@@ -46,6 +46,9 @@ def diagnose(
     without: Annotated[
         list[str] | None, typer.Option("--without", help="Leave this effect out of the library; repeatable.")
     ] = None,
+    ordered: Annotated[
+        bool, typer.Option("--ordered", help="LOG... are in recording order; else time stamps or a manifest tell it.")
+    ] = False,
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Recover known truths instead of reading logs.")
     ] = False,
@@ -58,7 +61,7 @@ def diagnose(
         _self_test(seed)
         return
     files, sim, folder = _complete(logs, sim, folder)
-    diagnosis = _diagnosed(files, sim, folder, preset, seed, tuple(without or ()))
+    diagnosis = _diagnosed(files, sim, folder, preset, seed, tuple(without or ()), ordered)
     if as_json:
         from hystmpc.gap.report.folder import diagnosis_json
 
@@ -69,7 +72,7 @@ def diagnose(
 
 
 def _diagnosed(
-    files: Sequence[Path], sim: Path, folder: Path, preset: str, seed: int, without: tuple[str, ...]
+    files: Sequence[Path], sim: Path, folder: Path, preset: str, seed: int, without: tuple[str, ...], ordered: bool
 ) -> Diagnosis:
     """Diagnose and write the folder; what is unusable is refused before the long part."""
     from hystmpc.gap.report.folder import require_free, save_diagnosis
@@ -83,7 +86,7 @@ def _diagnosed(
 
     with bar("diagnose") as show:
         told = _progress(show)
-        findings = investigate(trials, simulator, seed=seed, without=without, progress=told, say=_say)
+        findings = investigate(trials, simulator, seed=seed, without=without, progress=told, say=_say, ordered=ordered)
         evidence = with_tracking(conclude(findings, told)[1], told)
         show(100, "writing the report", total=100)
         settings = {
@@ -92,6 +95,7 @@ def _diagnosed(
             "preset": preset,
             "seed": seed,
             "without": list(without),
+            "ordered": ordered,
         }
         save_diagnosis(replace(evidence, simulator=sim.name), folder, settings, models=(sim,))
     return evidence.diagnosis
@@ -99,9 +103,12 @@ def _diagnosed(
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """The verdict in words, then the sizes of the gap, the effects and what to record next."""
-    from hystmpc.gap.report.words import closed_sentence, headline, in_words, percent, tracking_sentence
+    from hystmpc.gap.report import words
+    from hystmpc.gap.report.words import in_words, percent
 
-    for line in (headline(diagnosis), diagnosis.reason, closed_sentence(diagnosis), tracking_sentence(diagnosis)):
+    said = (words.closed_sentence, words.stability_sentence, words.tracking_sentence)
+    sentences = (*(sentence(diagnosis) for sentence in said), *words.order_sentences(diagnosis))
+    for line in (words.headline(diagnosis), diagnosis.reason, *sentences):
         if line:
             out.print(line, highlight=False)
     if diagnosis.ranking:
@@ -112,7 +119,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
             shares = ("", "", "")
             if effect is not None:
                 low, high = effect.closed_ci90
-                values = ", ".join(f"{key} {value:.3g}" for key, value in effect.parameters.items())
+                values = words.parameter_words(effect)
                 shares = (percent(effect.closed_share), f"{percent(low)} to {percent(high)}", values)
             rows.append([in_words(name), percent(probability), *shares])
         out.print(table("effects", ("effect", "probability", "closes", "90 % interval", "parameters"), rows))

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hystmpc.models.effects.catalogue import DIAGNOSABLE, confounders
+from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS, confounders
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.uncertainty import ParameterRow, parameter_rows
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
@@ -20,12 +21,14 @@ from hystmpc.trials.types import Progress
 from .decide.ambiguity import probability, ranking
 from .decide.attribution import DiagnosisSettings, attribute, confirm
 from .decide.findings import Findings
+from .decide.stability import stability_of
 from .decide.verdict import reason_for
-from .diagnosis import Diagnosis, FoundEffect
+from .diagnosis import Diagnosis, FoundEffect, Untestable
 from .logs.preparation import PreparedTrials, prepare
-from .next.motion_design import MotionProposal
-from .next.open_hypotheses import next_step
+from .logs.recording_order import NEEDS_ORDER
+from .next.open_hypotheses import next_step, unseparated
 from .residual.localise import Localisation, localise
+from .residual.memory import explainable_share
 
 if TYPE_CHECKING:
     from .report.report_data import Evidence
@@ -45,18 +48,21 @@ def investigate(
     progress: Progress | None = None,
     settings: DiagnosisSettings = DEFAULT_SETTINGS,
     say: Callable[[str], None] | None = None,
+    ordered: bool = True,
 ) -> Findings:
     """All steps up to the verdict: where a simulator departs from its device, which effects cause it, how far they
     close the gap.
 
     Args:
-        trials: of one device, in recording order.
+        trials: of one device.
         simulator: a chain of operators or an exported model.
         seed: of every resampling.
         without: effects left out of the library.
         only: the library itself; all effects where left out.
         progress: called with steps done, steps in all and the present step.
         say: called before the long part with a line on each trial that is left out and on the expected duration.
+        ordered: whether the caller knows that the trials stand in the order of recording, as who recorded them does. If
+            not, time stamps or a manifest may tell it; else the result does not depend on their order.
 
     Raises:
         GapError: on unusable trials (`check_trials`), or an unknown effect.
@@ -66,7 +72,7 @@ def investigate(
     progress = progress or _no_progress
     clock = _Clock()
     progress(0, _STEPS, "checking the trials")
-    prepared = prepare(trials, simulator, seed)
+    prepared = prepare(trials, simulator, seed, ordered)
     if say:
         for line in filter(None, (*prepared.checked.left_out, prepared.checked.workload.estimate)):
             say(line)
@@ -78,6 +84,8 @@ def investigate(
     progress(88, _STEPS, "measuring the gap on the final trials")
     conclusion = confirm(prepared, attribution, settings.verdict, seed)
     clock.lap("how far")
+    stability = stability_of(prepared, attribution, conclusion, settings, seed)
+    clock.lap("how stable")
     progress(94, _STEPS, "where and what next")
     localisation = _localisation(prepared, retuned, seed)
     clock.lap("where")
@@ -87,6 +95,7 @@ def investigate(
         attribution=attribution,
         conclusion=conclusion,
         localisation=localisation,
+        stability=stability,
         left_out=left_out,
         seed=seed,
         seconds=clock.seconds,
@@ -98,11 +107,13 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
     from .report.report_data import report_data
 
     clock = _Clock()
+    rows = _parameters(findings)
+    diagnosis = _diagnosis(findings, rows)
     proposal = next_step(findings)
+    diagnosis = replace(diagnosis, next_motion=proposal.summary() if proposal else None)
     clock.lap("what next")
     findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
-    diagnosis = _diagnosis(findings, proposal)
-    evidence = report_data(findings, diagnosis, proposal)
+    evidence = report_data(findings, diagnosis, proposal, rows)
     (progress or _no_progress)(_CONCLUDED, _STEPS, diagnosis.verdict)
     return diagnosis, evidence
 
@@ -147,15 +158,15 @@ def _localisation(prepared: PreparedTrials, retuned: Hypothesis, seed: int) -> L
     if not any(np.any(error) for error in errors):
         return None
     width = prepared.baseline.quantities(retuned.problem.retuned(retuned.q))["backlash_width"]
-    return localise(prepared.checked.trials, errors, max(width, 0.0), seed)
+    return localise(prepared.checked.trials, errors, max(width, 0.0), seed, prepared.order == "known")
 
 
-def _diagnosis(findings: Findings, proposal: MotionProposal | None) -> Diagnosis:
+def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagnosis:
     """The result, from the findings of all steps."""
     prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
     ruling, jumps, hypothesis = conclusion.ruling, attribution.jumps, attribution.retuned
     probabilities = _probabilities(findings)
-    effects = _effects(findings, probabilities)
+    effects = _effects(findings, probabilities, parameters)
     nominal = prepared.baseline.quantities(prepared.baseline.nominal)
     retuned = prepared.baseline.quantities(hypothesis.problem.retuned(hypothesis.q))
     library = [name for name in LIBRARY if name not in findings.left_out]
@@ -164,26 +175,61 @@ def _diagnosis(findings: Findings, proposal: MotionProposal | None) -> Diagnosis
         reason=reason_for(ruling, effects, conclusion.closed.gap, prepared.too_little, prepared.checked.unrelated),
         effects=effects,
         ambiguity=ruling.ambiguity,
-        ranking=ranking(probabilities, attribution.inclusion, ruling.ambiguity, library),
+        ranking=ranking(probabilities, attribution.inclusion, ruling.ambiguity or (unseparated(findings),), library),
         gap=conclusion.closed.gap,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
         where=dict(findings.localisation.places) if findings.localisation else {},
         notes=(*prepared.checked.notes, *([jumps.note] if jumps else [])),
-        next_motion=proposal.summary() if proposal else None,
+        order=prepared.order,
+        untestable=_untestable(findings),
+        stability=findings.stability,
+        explainable_share=_explainable_share(findings),
     )
+
+
+def _explainable_share(findings: Findings) -> float | None:
+    """Share of the structural gap that a flexible model of the command's past explains held out; None without a gap."""
+    prepared, conclusion = findings.prepared, findings.conclusion
+    errors = prepared.residuals(findings.attribution.retuned)
+    mse = float(np.mean(np.concatenate(errors) ** 2))
+    structural = mse - conclusion.closed.gap.floor_rmse_deg**2
+    if structural <= 0 or conclusion.ruling.verdict == "none":
+        return None
+    explained = explainable_share(prepared.checked.trials, errors, findings.seed) * mse
+    return float(np.clip(explained / structural, 0.0, 1.0))
+
+
+def _parameters(findings: Findings) -> tuple[ParameterRow, ...]:
+    """Every number of the corrected simulator, in the unit of the command."""
+    prepared, conclusion = findings.prepared, findings.conclusion
+    own = {name: cause.parameters for name, cause in conclusion.closed.causes.items()}
+    command = prepared.checked.trials[0].units.command
+    rows = parameter_rows(conclusion.chosen, prepared.development, own)
+    return tuple(replace(row, unit=row.unit.replace("cmd", command)) for row in rows)
+
+
+def _untestable(findings: Findings) -> tuple[Untestable, ...]:
+    """What needs the order of recording, where that is unknown; not what the library goes without anyway."""
+    if findings.prepared.order == "known":
+        return ()
+    return tuple(Untestable(name, why) for name, why in NEEDS_ORDER.items() if name not in findings.left_out)
 
 
 def _probabilities(findings: Findings) -> dict[str, float]:
     """Probability of each effect found."""
     causes, missing = findings.conclusion.closed.causes, set(findings.left_out)
     ambiguous = {name for names in findings.conclusion.ruling.ambiguity for name in names}
+    gone = {untestable.name for untestable in _untestable(findings)}
+    ambiguous |= {name for name in causes if gone & set(EFFECTS[name].also_taken_for)}
     return {
         name: probability(name, cause.share, len(causes) > 1, name in ambiguous, bool(confounders(name) & missing))
         for name, cause in causes.items()
     }
 
 
-def _effects(findings: Findings, probabilities: Mapping[str, float]) -> tuple[FoundEffect, ...]:
+def _effects(
+    findings: Findings, probabilities: Mapping[str, float], parameters: Sequence[ParameterRow]
+) -> tuple[FoundEffect, ...]:
     """Effects found, largest share first."""
     closed = findings.conclusion.closed
     return tuple(
@@ -196,6 +242,8 @@ def _effects(findings: Findings, probabilities: Mapping[str, float]) -> tuple[Fo
             rmse_before_deg=cause.rmse_without_deg,
             rmse_after_deg=closed.gap.with_effects_rmse_deg,
             parameters=cause.parameters,
+            units={row.name: row.unit for row in parameters if row.owner == name},
+            undetermined=tuple(row.name for row in parameters if row.owner == name and row.flat),
         )
         for name, cause in sorted(closed.causes.items(), key=lambda item: -item[1].share)
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
@@ -12,11 +12,17 @@ if TYPE_CHECKING:
 
 from hystmpc.models.identify.uncertainty import Interval
 
-FORMAT = "hystmpc-diagnosis/1"
+FORMAT = "hystmpc-diagnosis/2"
+FORMATS = ("hystmpc-diagnosis/1", FORMAT)
+"""What readers accept; version 2 has all keys of version 1, with their meaning."""
+
 Verdict = Literal["named", "one_of", "unknown", "none", "too_little"]
 FloorKind = Literal["repeats", "noise"]
+Order = Literal["known", "unknown"]
+"""Whether the order in which the trials were recorded is known."""
 
 
+_STABLE = 0.7  # of the resamples: a verdict that comes out less often is said to flip
 _NO_FALL, _HIDDEN = 0.05, 0.3  # of the error: less is no fall; the same where the fall is below the floor
 
 
@@ -32,6 +38,8 @@ class FoundEffect:
         closed_ci90: 90 % interval of that share, block bootstrap over the final trials.
         rmse_before_deg, rmse_after_deg: on the final trials, the other effects present, without and with it [deg].
         parameters: identified values by name.
+        units: of each; 1 for a plain number.
+        undetermined: parameters whose 90 % interval is about as wide as their range: their values say nothing.
     """
 
     name: str
@@ -42,6 +50,8 @@ class FoundEffect:
     rmse_before_deg: float
     rmse_after_deg: float
     parameters: Mapping[str, float]
+    units: Mapping[str, str] = field(default_factory=dict)
+    undetermined: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -57,6 +67,8 @@ class Gap:
         closed_share, unexplained_share: of the structural gap; they add up to one.
         closed_ci90: 90 % interval of the closed share.
         final_trials: names of the trials.
+        repeats_rmse_deg: what repeats of a motion differ by, retuned [deg]; not-a-number where none is repeated. Where
+            the retuned error is no more than that and has no known cause, the floor is the noise.
     """
 
     nominal_rmse_deg: float
@@ -68,6 +80,12 @@ class Gap:
     unexplained_share: float
     closed_ci90: Interval
     final_trials: tuple[str, ...]
+    repeats_rmse_deg: float = math.nan
+
+    @property
+    def unrepeatable(self) -> bool:
+        """Whether all that retuning leaves differs between repeats of a motion, so that the noise is the floor."""
+        return self.floor_kind == "noise" and math.isfinite(self.repeats_rmse_deg)
 
 
 @dataclass(frozen=True)
@@ -83,6 +101,34 @@ class Place:
     share: float
     density: float
     ci90: Interval
+
+
+@dataclass(frozen=True)
+class Untestable:
+    """Something that these logs cannot test, and why, in one sentence."""
+
+    name: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Stability:
+    """How often the verdict comes out again on other splits of the trials.
+
+    Attributes:
+        share: of the resamples with the same verdict and the same set of names.
+        resamples: their number.
+        otherwise: the most frequent other results, each with its share.
+    """
+
+    share: float
+    resamples: int
+    otherwise: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def flips(self) -> bool:
+        """Whether the verdict depends on which trials were kept for the end."""
+        return self.share < _STABLE
 
 
 @dataclass(frozen=True)
@@ -164,6 +210,11 @@ class Diagnosis:
         notes: faults and shortcomings of the trials, a sentence each.
         next_motion: the motion to record next; None where nothing is open.
         tracking: fall of the closed-loop tracking error; None where it was not asked for.
+        order: whether the order of recording is known.
+        untestable: what these logs cannot test because it is not.
+        stability: of the verdict over resampled splits; None where the trials allow no choice.
+        explainable_share: share of the structural gap that a flexible model of the command's past explains on trials
+            left out; None without a gap.
     """
 
     verdict: Verdict
@@ -177,10 +228,20 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     next_motion: NextMotion | None = None
     tracking: TrackingGap | None = None
+    order: Order = "known"
+    untestable: tuple[Untestable, ...] = ()
+    stability: Stability | None = None
+    explainable_share: float | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """The fixed form `hystmpc-diagnosis/1`: plain dicts, lists, numbers and strings."""
-        return {"format": FORMAT, **_plain(asdict(self))}
+        """The fixed form `hystmpc-diagnosis/2`: plain dicts, lists, numbers and strings."""
+        found, stability = _plain(asdict(self)), self.stability
+        found |= {
+            "stability": None if stability is None else stability.share,
+            "resamples": 0 if stability is None else stability.resamples,
+            "otherwise": [] if stability is None else _plain(stability.otherwise),
+        }
+        return {"format": FORMAT, **found}
 
     def plot(self) -> Figure:
         """Probability of each effect, and the share of the structural gap that the chosen ones close."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,11 +31,16 @@ _DRAWS = 300
 
 
 def ambiguity_of(
-    selection: Selection, validation: CrossValidation, settings: VerdictSettings
+    selection: Selection, settings: VerdictSettings, drift_shows: Callable[[Hypothesis], bool]
 ) -> tuple[tuple[str, ...], ...]:
     """For each chosen effect the others that could replace it; sets of fewer than two are left out.
 
     A drift and shifts between trials are told apart by the drift within the trials.
+
+    Args:
+        selection: of the causes.
+        settings: thresholds.
+        drift_shows: see `drift_is_significant`.
     """
     chosen, found = selection.chosen, []
     names = chosen.hypothesis.effects
@@ -47,9 +52,7 @@ def ambiguity_of(
             if not exchanged or _told_apart(chosen, judged, settings):
                 continue
             (other,) = tried - rest
-            if (effect, other) != ("drift", "trial_shift") or not drift_is_significant(
-                validation, chosen.hypothesis, settings.significant_drift
-            ):
+            if (effect, other) != ("drift", "trial_shift") or not drift_shows(chosen.hypothesis):
                 others.append(other)
         if others:
             found.append((effect, *others))
@@ -134,8 +137,8 @@ def ranking(
 ) -> tuple[tuple[str, float], ...]:
     """Every effect of the library with its probability, most likely first.
 
-    Effects that could replace a chosen one share the probability that it leaves; the others have half of that times
-    their inclusion.
+    Effects that could replace a chosen one, or that these motions do not tell from it, share the probability that it
+    leaves; the others have half of that times their inclusion.
     """
     left = 1 - max(chosen.values(), default=0.0)
     rivals = {name for names in ambiguity for name in names[1:]}

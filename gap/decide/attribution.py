@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hystmpc.models.effects.catalogue import candidates
-from hystmpc.models.effects.effect import Scale
+from hystmpc.models.effects.effect import Candidate, Scale
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.runs import Run
 from hystmpc.models.identify.selection import OWN_TO_TRIALS, Selection, SelectionSettings, select
 
 from ..logs.noise_floor import Floor, find_floor
 from ..logs.preparation import PreparedTrials
+from ..logs.recording_order import NEEDS_ORDER
 from ..logs.sensor import white_noise
-from .ambiguity import ambiguity_of, inclusion_shares
+from .ambiguity import ambiguity_of, drift_is_significant, inclusion_shares
 from .gap_closed import GapClosed, measure
 from .jumps import Jumps, find_jumps
 from .lack_of_fit import structure_left
@@ -66,12 +69,14 @@ class Conclusion:
 
     Attributes:
         ruling: verdict and its case.
+        facts: what it depends on, less the causes that did not surely lower the error of the final trials.
         chosen: the corrected simulator; the retuned one where no effect is the explanation.
         floor: from repeats or noise, with the corrected simulator.
         closed: sizes of the gap and what each cause closes.
     """
 
     ruling: Ruling
+    facts: VerdictFacts
     chosen: Hypothesis
     floor: Floor
     closed: GapClosed
@@ -103,11 +108,8 @@ def attribute(
     floor_mse = max(white_noise(prepared.residuals(retuned)) ** 2, prepared.form_mse)
     if jumping:
         floor_mse = max(floor_mse, min(jumps.mse, _PREDICTABLE * retuned.mse))
-    library = candidates(
-        Scale.of(prepared.development),
-        prepared.baseline.effects,
-        (*left_out, "stick_slip") if jumps.absent else left_out,
-    )
+    gone = (*left_out, "stick_slip") if jumps.absent else left_out
+    library = usable_effects(prepared, prepared.baseline.effects, gone, prepared.development)
     without = left_out
     if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
         library, without = (), (*left_out, *OWN_TO_TRIALS)
@@ -126,7 +128,7 @@ def attribute(
             floor_mse=floor_mse,
             form_mse=prepared.form_mse or floor_mse,
             structure_left=structure_left(selection, validation.runs, floor_mse, settings.verdict),
-            ambiguity=ambiguity_of(selection, validation, settings.verdict),
+            ambiguity=ambiguity_of(selection, settings.verdict, drift_test(validation, settings.verdict)),
             sensor="sensor" not in without and _sensor_matters(prepared, selection, settings.verdict),
             jumps=jumping,
             too_little=bool(prepared.too_little),
@@ -135,8 +137,33 @@ def attribute(
     )
 
 
+def usable_effects(
+    prepared: PreparedTrials, in_core: Iterable[str], left_out: Sequence[str], runs: Sequence[Run]
+) -> tuple[Candidate, ...]:
+    """Effects that these trials can test: where the order of recording is unknown, none that needs it.
+
+    Args:
+        prepared: trials.
+        in_core: effects that the core of the nominal simulator has a parameter for.
+        left_out: effects that the library goes without.
+        runs: that size the effects.
+    """
+    made = candidates(Scale.of(runs), in_core, left_out)
+    if prepared.order == "known":
+        return made
+    return tuple(c for c in made if not c.carries and c.effect not in NEEDS_ORDER)
+
+
+def drift_test(validation: CrossValidation, settings: VerdictSettings) -> Callable[[Hypothesis], bool]:
+    """Whether the drift of a hypothesis shows within trials; each hypothesis is fitted once."""
+    return functools.cache(lambda h: drift_is_significant(validation, h, settings.significant_drift))
+
+
 def confirm(prepared: PreparedTrials, attribution: Attribution, settings: VerdictSettings, seed: int) -> Conclusion:
     """Evaluate the final trials with the causes selected, and decide; without them, where they are not confirmed.
+
+    A cause whose interval of the closed share reaches zero on the final trials is dropped; all of them are where the
+    interval of what they close together does.
 
     Args:
         prepared: trials and the baseline.
@@ -144,21 +171,64 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
         settings: thresholds.
         seed: of the resampling.
     """
-    validation, retuned = attribution.validation, attribution.retuned
-    provisional = decide_verdict(attribution.facts, settings)
+    retuned, facts = attribution.retuned, attribution.facts
+    provisional = decide_verdict(facts, settings)
     chosen = retuned
     if provisional.explained:
-        chosen = validation.polished(attribution.selection.chosen.hypothesis)
-    floor = _floor(prepared, chosen)
-    closed = measure(prepared, validation, retuned, chosen, floor, provisional.sensor, seed)
-    final = FinalFacts(closed.gap.closed_share, _residual_ratio(closed, prepared.form_mse, floor))
-    ruling = decide_verdict(replace(attribution.facts, final=final), settings)
-    if provisional.explained and not ruling.explained:
-        chosen, floor = retuned, _floor(prepared, retuned)
-        closed = measure(prepared, validation, retuned, retuned, floor, ruling.sensor, seed)
-    if attribution.jumps:
-        closed = closed.with_jumps(attribution.jumps.parameters)
-    return Conclusion(ruling, chosen, floor, closed)
+        chosen = attribution.validation.polished(attribution.selection.chosen.hypothesis)
+    facts = replace(facts, sensor=provisional.sensor)
+    facts, chosen, floor, closed = _proven(prepared, attribution, facts, chosen, seed)
+    repeatable = _floor(prepared, retuned)
+    final = FinalFacts(
+        closed.gap.closed_share,
+        _residual_ratio(closed, prepared.form_mse, floor),
+        unproven=provisional.explained and bool(attribution.facts.effects) and not chosen.effects,
+        at_floor=_at(closed, repeatable.noise_deg, settings),
+    )
+    ruling = decide_verdict(replace(facts, final=final), settings)
+    if chosen.effects and not ruling.explained:
+        facts, chosen, floor, closed = _proven(prepared, attribution, facts, retuned, seed)
+        ruling = decide_verdict(replace(facts, final=final), settings)
+    if ruling.verdict == "unknown" and repeatable.kind == "repeats" and _at(closed, repeatable.rmse_deg, settings):
+        # What differs between repeats is the gap, not its floor.
+        floor = Floor(repeatable.noise_deg, "noise", repeatable.noise_deg)
+        closed = measure(prepared, attribution.validation, retuned, retuned, floor, ruling.sensor, None, seed)
+    return Conclusion(ruling, facts, chosen, floor, closed.with_repeats(repeatable))
+
+
+def _proven(
+    prepared: PreparedTrials, attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, seed: int
+) -> tuple[VerdictFacts, Hypothesis, Floor, GapClosed]:
+    """Facts, corrected simulator, floor and sizes, less the causes that do not surely lower the error."""
+    while True:
+        floor, jumps = _floor(prepared, chosen), attribution.jumps if facts.jumps else None
+        closed = measure(
+            prepared, attribution.validation, attribution.retuned, chosen, floor, facts.sensor, jumps, seed
+        )
+        weakest = closed.unproven
+        if not weakest:
+            return replace(facts, jumps="stick_slip" in closed.causes and facts.jumps), chosen, floor, closed
+        facts, chosen = _without(attribution, facts, chosen, weakest)
+
+
+def _at(closed: GapClosed, floor_deg: float, settings: VerdictSettings) -> bool:
+    """Whether the retuned simulator leaves no more than a floor [deg] on the final trials."""
+    return closed.gap.retuned_rmse_deg**2 < settings.at_floor * floor_deg**2
+
+
+def _without(
+    attribution: Attribution, facts: VerdictFacts, chosen: Hypothesis, dropped: str
+) -> tuple[VerdictFacts, Hypothesis]:
+    """Facts and corrected simulator less one cause."""
+    if dropped not in chosen.effects:
+        return replace(facts, sensor=False) if dropped == "sensor" else replace(facts, jumps=False), chosen
+    kept, validation = chosen.effects - {dropped}, attribution.validation
+    if not kept:
+        return facts, attribution.retuned
+    less = validation.polished(validation.without(chosen, {dropped}))
+    judged = attribution.selection.tried.get(kept) or validation.judge(less)
+    ambiguity = tuple(names for names in facts.ambiguity if names[0] in kept)
+    return replace(facts, effects=kept, chosen_mse=judged.mse, ambiguity=ambiguity), less
 
 
 def _sensor_matters(prepared: PreparedTrials, selection: Selection, settings: VerdictSettings) -> bool:

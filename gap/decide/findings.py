@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 
+from ..diagnosis import Stability
 from ..logs.preparation import PreparedTrials, prepare
 from ..residual.localise import Localisation
 from .attribution import Attribution, Conclusion
 from .gap_closed import FinalErrors
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +26,7 @@ class Findings:
         attribution: causes selected on the development trials.
         conclusion: ruling, corrected simulator and sizes on the final trials.
         localisation: of the retuned residual; None where there is none.
+        stability: of the ruling over resampled splits; None where the trials allow no choice.
         left_out: effects that the library went without.
         seed: of everything drawn at random.
         seconds: duration of each step [s].
@@ -39,6 +37,7 @@ class Findings:
     attribution: Attribution
     conclusion: Conclusion
     localisation: Localisation | None
+    stability: Stability | None
     left_out: tuple[str, ...]
     seed: int
     seconds: Mapping[str, float]
@@ -52,16 +51,16 @@ def closed_again(findings: Findings, trials: Sequence[Trial]) -> float:
 
     Args:
         findings: of a diagnosis.
-        trials: a whole session of the device, in recording order.
+        trials: a whole session of the device, ordered as the first one was.
 
     Raises:
         GapError: on unusable trials.
     """
-    fresh = prepare(trials, findings.simulator)
+    fresh = prepare(trials, findings.simulator, ordered=findings.prepared.order == "known")
     fresh = replace(fresh, final=fresh.everything)
     attribution, conclusion = findings.attribution, findings.conclusion
     sensor = "sensor" in conclusion.closed.causes
     errors = FinalErrors(
-        fresh, attribution.validation, attribution.retuned, conclusion.chosen, conclusion.floor, sensor
+        fresh, attribution.validation, attribution.retuned, conclusion.chosen, conclusion.floor, sensor, findings.seed
     )
-    return errors.closed(errors.after.mse)
+    return errors.shares.closed(errors.after.mse)

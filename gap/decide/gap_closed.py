@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -17,14 +16,16 @@ from hystmpc.models.identify.uncertainty import Interval
 from ..diagnosis import Gap
 from ..logs.noise_floor import Floor
 from ..logs.preparation import PreparedTrials
+from .closed_share import Shares, closed_share
+from .jumps import Jumps
 
-_DRAWS = 400
 # Of a 90 % interval; below a normal distribution's, since sessions have the same kinds of motion: of 27 sessions of
 # development seed 106 that were recorded again 25 lie within, 26 with 1.645, 19 without this term.
 _TRIALS = 0.66
 _LEAST_FLOOR = 0.02  # share of the floor that stays when a sensor's noise is taken off it
 _GAP_FACTOR = 2.0  # of the floor, from which a single trial counts for the spread of shares
-_UNKNOWN_SPREAD, _LEAST_SHARE = 0.1, 0.1
+_UNKNOWN_SPREAD = 0.1
+_LEAST_JUMPS = 0.05  # of the structural gap
 
 
 @dataclass(frozen=True)
@@ -51,15 +52,27 @@ class GapClosed:
     Attributes:
         gap: RMSE of the nominal, retuned and corrected simulator, floor, and share closed.
         causes: share of each cause by name.
+        spread: half of a 90 % interval that is due to differences between trials, as a share of the closed share.
     """
 
     gap: Gap
     causes: Mapping[str, ClosedByCause]
+    spread: float
 
-    def with_jumps(self, parameters: Mapping[str, float]) -> GapClosed:
-        """The same with stick-slip, which was seen but closes nothing, unless it is among the causes."""
-        own = ClosedByCause(0.0, (0.0, 0.0), self.gap.with_effects_rmse_deg, parameters)
-        return replace(self, causes={**self.causes, "stick_slip": self.causes.get("stick_slip", own)})
+    @property
+    def unproven(self) -> str:
+        """The cause that is least certain to lower the error of the final trials; empty where all do.
+
+        The 90 % interval of what it closes has to lie above zero, that of all causes together, too.
+        """
+        least = {name: cause.ci90[0] for name, cause in self.causes.items()}
+        weakest = min(least, key=lambda name: least[name], default="")
+        return weakest if weakest and (least[weakest] <= 0 or self.gap.closed_ci90[0] <= 0) else ""
+
+    def with_repeats(self, floor: Floor) -> GapClosed:
+        """The same with what repeats of a motion differ by."""
+        rmse = floor.rmse_deg if floor.kind == "repeats" else math.nan
+        return replace(self, gap=replace(self.gap, repeats_rmse_deg=rmse))
 
 
 def measure(
@@ -69,9 +82,14 @@ def measure(
     chosen: Hypothesis,
     floor: Floor,
     sensor: bool,
+    jumps: Jumps | None,
     seed: int,
 ) -> GapClosed:
     """Evaluate the final trials.
+
+    Noise of a faulty sensor and jumps of a tip that sticks cannot be predicted by a free run. A simulator that has them
+    leaves their energy, so that it counts as closed: that of the noise, and in each block up to that of a sawtooth of
+    the height of the jumps. Jumps that close less than 5 % of the gap are no cause.
 
     Args:
         prepared: trials.
@@ -79,30 +97,37 @@ def measure(
         retuned, chosen: the simulator without and with its causes.
         floor: from repeats or noise.
         sensor: whether the sensor is a cause.
+        jumps: of the tip, where they are a cause.
         seed: of the resampling.
     """
-    final_errors = FinalErrors(prepared, validation, retuned, chosen, floor, sensor)
-    before, corrected = final_errors.before, final_errors.blocks(frozenset(chosen.effects))
-    names = sorted(chosen.effects)
-    shares = shapley(names, lambda kept: final_errors.closed(final_errors.blocks(kept).mse)) if names else {}
-    parameters = _parameters(chosen, prepared)
+    final_errors = FinalErrors(prepared, validation, retuned, chosen, floor, sensor, seed)
+    parameters, shares = _parameters(chosen, prepared), final_errors.shares
     causes = {}
-    for name in names:
-        less = final_errors.blocks(frozenset(chosen.effects) - {name})
-        low, high = final_errors.interval(less, corrected, seed)
-        # The interval of the share lost without the cause, moved to its Shapley value, which splits the overlap.
-        moved = shares[name] - final_errors.closed(before.mse - less.mse + corrected.mse)
-        ci90 = (low + moved, high + moved)
-        causes[name] = ClosedByCause(shares[name], ci90, float(np.sqrt(less.mse)), parameters[name])
+    for name, (share, ci90) in shares.of_causes(chosen.effects, final_errors.blocks).items():
+        less = final_errors.blocks(chosen.effects - {name})
+        causes[name] = ClosedByCause(share, ci90, float(np.sqrt(less.mse)), parameters[name])
     if sensor:
         mended = final_errors.less_sensor_noise(final_errors.blocks(frozenset()))
+        ci90 = shares.interval(shares.before, mended)
         causes["sensor"] = ClosedByCause(
-            final_errors.closed(mended.mse),
-            final_errors.interval(before, mended, seed),
+            shares.closed(mended.mse),
+            ci90,
             float(np.sqrt(_measured_blocks(prepared, chosen).mse)),
             _sensor_parameters(prepared),
         )
-    return GapClosed(final_errors.gap(seed), causes)
+    if jumps is not None and "stick_slip" not in chosen.effects:
+        left = _less_sawtooth(final_errors.after, jumps.mse)
+        share = shares.closed(left.mse) - shares.closed(final_errors.after.mse)
+        if share >= _LEAST_JUMPS:
+            ci90, rmse = shares.interval(final_errors.after, left), float(np.sqrt(final_errors.after.mse))
+            causes["stick_slip"] = ClosedByCause(share, ci90, rmse, jumps.parameters)
+            final_errors.after = left
+    return GapClosed(final_errors.gap(), causes, shares.spread)
+
+
+def _less_sawtooth(blocks: Blocks, mse: float) -> Blocks:
+    """Errors less the energy of jumps, block by block and to nothing at most."""
+    return replace(blocks, energy=np.maximum(blocks.energy - mse * blocks.samples, 0.0))
 
 
 @final
@@ -110,9 +135,8 @@ class FinalErrors:
     """Errors on the final trials of the simulator with any of its causes.
 
     Attributes:
-        before: of the retuned simulator, against the angles as measured.
         after: of the corrected simulator; less the excess noise of a faulty sensor, where the sensor is a cause.
-        floor_mse: error that stays with any simulator [deg^2].
+        shares: what the causes close; before them the retuned simulator, against the angles as measured.
     """
 
     def __init__(
@@ -123,32 +147,33 @@ class FinalErrors:
         chosen: Hypothesis,
         floor: Floor,
         sensor: bool,
+        seed: int,
     ) -> None:
         self._prepared, self._validation, self._retuned, self._chosen = prepared, validation, retuned, chosen
         self._floor = floor
         corrected = final_blocks(chosen, prepared.final)
         self._parts = {frozenset(chosen.effects): corrected}
-        self.before = _measured_blocks(prepared, retuned)
+        before = _measured_blocks(prepared, retuned)
         self.after = self.less_sensor_noise(corrected) if sensor else _measured_blocks(prepared, chosen)
         excess = prepared.excess_mse if sensor else 0.0
         lowest = max(floor.rmse_deg**2 - excess, _LEAST_FLOOR * floor.rmse_deg**2)
-        self.floor_mse = min(lowest, self.after.mse, self.before.mse)
-        self._spread = self._between_trials()
+        floor_mse = min(lowest, self.after.mse, before.mse)
+        self.shares = Shares(before, floor_mse, self._between_trials(floor_mse), seed)
 
     def less_sensor_noise(self, blocks: Blocks) -> Blocks:
         """Errors less the energy of the noise that a sensor in the simulator would add."""
         energy = blocks.energy - self._prepared.excess_mse * blocks.samples
         return replace(blocks, energy=energy if energy.sum() > 0 else np.zeros_like(energy))
 
-    def _between_trials(self) -> float:
+    def _between_trials(self, floor_mse: float) -> float:
         """Half of the 90 % interval that is due to differences between trials, as a share of the closed share."""
         shares = []
         for run in self._prepared.everything:
             before, after = (
                 float(np.mean(h.problem.held_out_error(h.q, run) ** 2)) for h in (self._retuned, self._chosen)
             )
-            if before > _GAP_FACTOR * self.floor_mse:
-                shares.append(closed_share(before, after, self.floor_mse))
+            if before > _GAP_FACTOR * floor_mse:
+                shares.append(closed_share(before, after, floor_mse))
         if len(shares) < 2:
             return _UNKNOWN_SPREAD
         return _TRIALS * float(np.std(shares, ddof=1)) / float(np.sqrt(len(self._prepared.final)))
@@ -163,31 +188,21 @@ class FinalErrors:
             self._parts[kept] = final_blocks(part, self._prepared.final)
         return self._parts[kept]
 
-    def closed(self, mse: float) -> float:
-        """Share of the structural gap that is closed at that error."""
-        return closed_share(self.before.mse, mse, self.floor_mse)
-
-    def interval(self, before: Blocks, after: Blocks, seed: int) -> Interval:
-        """90 % interval of the share that lies between two stages."""
-        low, high = closed_interval(self.before, before, after, self.floor_mse, seed)
-        middle = self.closed(self.before.mse - before.mse + after.mse)
-        further = self._spread * max(abs(middle), _LEAST_SHARE)
-        return middle - float(np.hypot(middle - low, further)), middle + float(np.hypot(high - middle, further))
-
-    def gap(self, seed: int) -> Gap:
+    def gap(self) -> Gap:
         """Sizes of the gap."""
         problem = self._retuned.problem
         nominal = Hypothesis(problem, problem.start(self._prepared.baseline.nominal, []), np.nan)
-        closed = self.closed(self.after.mse)
+        shares = self.shares
+        closed = shares.closed(self.after.mse)
         return Gap(
             nominal_rmse_deg=float(np.sqrt(_measured_blocks(self._prepared, nominal).mse)),
-            retuned_rmse_deg=float(np.sqrt(self.before.mse)),
+            retuned_rmse_deg=float(np.sqrt(shares.before.mse)),
             with_effects_rmse_deg=float(np.sqrt(self.after.mse)),
-            floor_rmse_deg=float(np.sqrt(self.floor_mse)),
+            floor_rmse_deg=float(np.sqrt(shares.floor_mse)),
             floor_kind=self._floor.kind,
             closed_share=closed,
             unexplained_share=1.0 - closed,
-            closed_ci90=self.interval(self.before, self.after, seed),
+            closed_ci90=shares.interval(shares.before, self.after),
             final_trials=tuple(dict.fromkeys(run.name for run in self._prepared.final)),
         )
 
@@ -206,44 +221,6 @@ def _measured_blocks(prepared: PreparedTrials, hypothesis: Hypothesis) -> Blocks
         for run in prepared.final
     ]
     return blocks_of(errors, prepared.final)
-
-
-def closed_share(retuned_mse: float, with_mse: float, floor_mse: float) -> float:
-    """(MSE_retuned - MSE_with) / (MSE_retuned - MSE_floor), between -1 and 1; zero where there is no gap."""
-    gap = retuned_mse - floor_mse
-    return float(np.clip((retuned_mse - with_mse) / gap, -1.0, 1.0)) if gap > 0 else 0.0
-
-
-def closed_interval(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Interval:
-    """90 % interval of the share that lies between two stages, blocks resampled together."""
-    rng = np.random.default_rng(seed)
-    draws = rng.integers(0, retuned.energy.size, (_DRAWS, retuned.energy.size))
-    total = retuned.samples[draws].sum(axis=1)
-    gap = retuned.energy[draws].sum(axis=1) / total - floor_mse
-    fall = (before.energy - after.energy)[draws].sum(axis=1) / total
-    shares = np.clip(fall / np.where(gap > 0, gap, np.inf), -1.0, 1.0)
-    low, high = np.quantile(shares, (0.05, 0.95))
-    return float(low), float(high)
-
-
-def shapley(names: Sequence[str], value: Callable[[frozenset[str]], float]) -> dict[str, float]:
-    """Shapley value of each name for a value of sets; they add up to value(all) - value(none).
-
-    Source: Shapley, A value for n-person games, Annals of Mathematics Studies 28 (1953).
-    """
-    n = len(names)
-    shares = {}
-    for name in names:
-        others = [other for other in names if other != name]
-        shares[name] = sum(
-            math.factorial(k)
-            * math.factorial(n - k - 1)
-            / math.factorial(n)
-            * (value(frozenset(part) | {name}) - value(frozenset(part)))
-            for k in range(n)
-            for part in itertools.combinations(others, k)
-        )
-    return shares
 
 
 def _parameters(chosen: Hypothesis, prepared: PreparedTrials) -> dict[str, Mapping[str, float]]:

@@ -64,8 +64,8 @@ class Jumps:
         return (
             f"Stick-slip by its jumps: in {self.stuck:.0%} of {self.windows} windows of steady motion the tip stands "
             f"still, in {self.jumped:.0%} it jumps, by {self.height_deg:.2g} deg, at speeds up to "
-            f"{self.fastest_deg_s:.2g} deg/s. When it lets go cannot be predicted in a free run, so that its share of "
-            "the gap stays open."
+            f"{self.fastest_deg_s:.2g} deg/s. When it lets go cannot be predicted in a free run: what it closes "
+            "is the energy of a sawtooth of that height."
         )
 
     @property

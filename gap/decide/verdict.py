@@ -17,11 +17,13 @@ VerdictCase = Literal[
     "no_effect",
     "left_open",
     "structure_left",
+    "unproven",
     "not_confirmed",
     "ambiguous",
     "explained",
     "jumps",
     "sensor_beside_unknown",
+    "at_floor",
 ]
 
 VERDICTS: Mapping[VerdictCase, Verdict] = {
@@ -33,11 +35,13 @@ VERDICTS: Mapping[VerdictCase, Verdict] = {
     "no_effect": "unknown",
     "left_open": "unknown",
     "structure_left": "unknown",
+    "unproven": "unknown",
     "not_confirmed": "unknown",
     "ambiguous": "one_of",
     "explained": "named",
     "jumps": "named",
     "sensor_beside_unknown": "named",
+    "at_floor": "none",
 }
 _UNUSABLE = ("too_little", "unrelated")
 
@@ -48,6 +52,7 @@ class VerdictSettings:
 
     Attributes:
         no_gap: retuned MSE over the model-form error, below which there is no gap.
+        at_floor: retuned MSE over that of a floor, on the final trials, up to which there is no gap above it.
         no_cause: the same where no effect of the library lowers the error, or not enough to explain it: a simulator
             whose model-form error has grown, as by friction, is then likelier than an unknown cause.
         least_closed: share of the structural error that the causes have to close to explain it.
@@ -68,6 +73,7 @@ class VerdictSettings:
     """
 
     no_gap: float = 2.2
+    at_floor: float = 1.1
     no_cause: float = 7.0
     least_closed: float = 0.4
     still_open: float = 1.5
@@ -92,10 +98,14 @@ class FinalFacts:
     Attributes:
         closed_share: share of the gap that the causes close.
         residual_ratio: RMSE with all causes over noise and model-form error; 1 where that is unknown.
+        unproven: whether effects were selected and none of them surely lowers the error.
+        at_floor: whether the retuned simulator leaves no more than the noise.
     """
 
     closed_share: float
     residual_ratio: float
+    unproven: bool = False
+    at_floor: bool = False
 
 
 @dataclass(frozen=True)
@@ -174,12 +184,14 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
     | no_effect             | no effect was selected                                                      | unknown (b)|
     | left_open             | the effects close < `least_closed`, and leave > `still_open` x floor        | unknown (b)|
     | structure_left        | the effect leaves structure that contradicts it                             | unknown (b)|
+    | unproven              | final trials: no effect has an interval of its closed share above 0         | unknown (b)|
     | not_confirmed         | final trials: the effects close too little and leave too much; no sensor    | unknown    |
     |                       | fault, no jumps (what these leave is noise to any free run)                 |            |
     | ambiguous             | other effects explain the trials as well                                    | one_of     |
     | explained             | otherwise                                                                   | named      |
     | jumps                 | in place of (a) and (b): the tip sticks and slips                           | named      |
     | sensor_beside_unknown | in place of (b): repairing the sensor closes >= `least_closed` of the gap   | named      |
+    | at_floor              | in place of any other unknown: the retuned error is that of the noise       | none       |
 
     Effects that are not in the library are imitated by others, mostly several at once, that close a part of the gap:
     therefore several effects have to close more on the final trials than one alone.
@@ -198,6 +210,7 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
         ("no_effect", none_selected),
         ("left_open", left_open),
         ("structure_left", facts.structure_left),
+        ("unproven", facts.final is not None and facts.final.unproven),
         ("not_confirmed", not (facts.sensor or facts.jumps or _confirmed(facts, settings))),
         ("ambiguous", bool(facts.ambiguity)),
         ("explained", True),
@@ -208,6 +221,8 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
         case = "jumps"
     if usable and facts.sensor and VERDICTS[case] == "unknown" and facts.final is not None:
         case = "sensor_beside_unknown" if facts.final.closed_share >= settings.least_closed else case
+    if usable and VERDICTS[case] == "unknown" and facts.final is not None and facts.final.at_floor:
+        case = "at_floor"
     sensor = usable and facts.sensor and VERDICTS[case] != "none"
     return Ruling(case, facts.ambiguity if case == "ambiguous" else (), sensor)
 
@@ -222,11 +237,14 @@ def _confirmed(facts: VerdictFacts, settings: VerdictSettings) -> bool:
 
 def reason_for(ruling: Ruling, effects: Sequence[FoundEffect], gap: Gap, too_little: str, unrelated: str) -> str:
     """The verdict in one sentence, with its numbers; `too_little` and `unrelated` say why trials are unusable."""
-    sizes = f"retuned {gap.retuned_rmse_deg:.2f} deg, floor {gap.floor_rmse_deg:.2f} deg"
+    sizes = f"retuned {gap.retuned_rmse_deg:#.3g} deg, floor {gap.floor_rmse_deg:#.3g} deg"
     names = ", ".join(effect.name.replace("_", " ") for effect in effects)
     closed = f"{100 * gap.closed_share:.0f} % of the structural gap closed on trials kept for the end"
     sets = "; ".join(" or ".join(name.replace("_", " ") for name in names) for names in ruling.ambiguity)
     unexplained = "a structural gap that no effect of the library explains"
+    if gap.unrepeatable:
+        differ = f"repeats of a motion differ by {gap.repeats_rmse_deg:#.3g} deg"
+        unexplained = f"{unexplained}: {differ}, and no more is left, so that it does not depend on the command alone"
     return {
         "named": f"{names}: {closed}, {100 * gap.unexplained_share:.0f} % unexplained ({sizes})",
         "one_of": f"one of {sets}: these trials cannot tell them apart; {closed} ({sizes})",

@@ -55,7 +55,9 @@ class Checked(ChosenTrials):
     unrelated: str
 
 
-def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata, seed: int = 0) -> Checked:
+def check_trials(
+    trials: Sequence[Trial], simulator: Simulator | ModelMetadata, seed: int = 0, ordered: bool = True
+) -> Checked:
     """Compare units, sign and scale with the simulator's, and bring the trials to one rate.
 
     The rate is the lowest of 50 Hz and the trials' own median rates; where the simulator's own rate lies within a
@@ -64,9 +66,10 @@ def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata, 
     (`affordable`), and those whose angle does not follow the command are left out (`follows_command`).
 
     Args:
-        trials: of one device, in recording order.
+        trials: of one device.
         simulator: chain of operators, or metadata of another model.
         seed: of the choice of trials and of the test.
+        ordered: whether the trials stand in the order of recording.
 
     Raises:
         GapError: if there is no trial, units differ, commands or angles never change, the angle falls as the command
@@ -81,7 +84,7 @@ def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata, 
         _require_units(trial, facts)
     _require_motion(trials)
     _require_commands(trials, facts)
-    chosen = choose_trials(trials, facts, not isinstance(simulator, Simulator), seed)
+    chosen = choose_trials(trials, facts, not isinstance(simulator, Simulator), seed, ordered)
     follows = follows_command(chosen.trials, seed)
     left_out, unrelated = [chosen.workload.note] if chosen.workload.note else [], ""
     if any(follows):
@@ -91,7 +94,7 @@ def check_trials(trials: Sequence[Trial], simulator: Simulator | ModelMetadata, 
         _require_angles(chosen.given, facts)
     else:
         unrelated = _UNRELATED
-    excitation = excitation_of(chosen.trials)
+    excitation = excitation_of(chosen.trials, ordered)
     logs = zip(chosen.given, chosen.recorded, strict=True)
     notes = (*left_out, *(note for pair in logs for note in _log_notes(*pair)), *_set_notes(excitation))
     return Checked(**vars(chosen), excitation=excitation, notes=notes, left_out=tuple(left_out), unrelated=unrelated)

@@ -91,8 +91,12 @@ class Excitation:
         return all(motion == "sine" for motion in self.motions)
 
 
-def excitation_of(trials: Sequence[Trial]) -> Excitation:
+def excitation_of(trials: Sequence[Trial], ordered: bool = True) -> Excitation:
     """Excitation by uniform trials at one rate, from their commands alone.
+
+    Args:
+        trials: uniform, at one rate.
+        ordered: whether they stand in the order of recording; if not, any of them may have been the first.
 
     Raises:
         LogError: if a trial is not uniform.
@@ -117,7 +121,7 @@ def excitation_of(trials: Sequence[Trial]) -> Excitation:
         low_s=sum(int(np.count_nonzero(inside)) for inside in bottom) * dt,
         low_visits=sum(int(np.count_nonzero(np.diff(b.astype(np.int8), prepend=0) == 1)) for b in bottom),
         top_levels=_top_levels(trials, parts, low, span),
-        opening_repeated=_opening_repeated(moves, span),
+        opening_repeated=all(_opening_repeated(own, span) for own in _openings(moves, ordered)),
     )
 
 
@@ -148,6 +152,11 @@ def _top_levels(trials: Sequence[Trial], parts: Sequence[Segments], low: float, 
         if not distinct or level > distinct[-1] + _LEVEL * span:
             distinct.append(level)
     return len(distinct)
+
+
+def _openings(moves: Sequence[Sequence[Move]], ordered: bool) -> list[Sequence[Sequence[Move]]]:
+    """Moves of all trials, with each trial first that may have been recorded first."""
+    return [moves] if ordered else [[*moves[k:], *moves[:k]] for k in range(len(moves))]
 
 
 def _opening_repeated(moves: Sequence[Sequence[Move]], span: float) -> bool:

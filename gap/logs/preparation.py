@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,12 +22,11 @@ from hystmpc.trials.segments import segment
 from hystmpc.trials.trial import Trial, resample
 from hystmpc.trials.types import Vec
 
+from ..diagnosis import Order
 from .check import Checked, check_trials
+from .recording_order import in_recording_order
 from .sensor import SensorSigns, repaired, sensor_signs
 from .trial_choice import split_runs
-
-if TYPE_CHECKING:
-    pass
 
 _LEAST_S, _LEAST_TURNS = 15.0, 3
 _PLAYS, _EVALUATIONS, _TOLERANCE = 8, 40, 1e-5
@@ -44,11 +42,12 @@ class PreparedTrials:
         signs: of the sensor.
         baseline: the nominal simulator and the freedom of retuning.
         development, final: runs for the choice of causes, and runs that are evaluated once.
-        everything: all runs in recording order, every sample counted.
+        everything: all runs, every sample counted; in recording order where it is known, else by content.
         raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
         form_mse: model-form error [deg^2]; zero where unknown.
         too_little: why the trials do not allow a diagnosis, in words; empty where they do.
         excess_mse: energy of the sensor's noise beyond its noise at identification [deg^2]; zero where unknown.
+        order: whether the order of recording is known.
     """
 
     given: tuple[Trial, ...]
@@ -62,25 +61,31 @@ class PreparedTrials:
     form_mse: float
     too_little: str
     excess_mse: float
+    order: Order = "known"
 
     def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
         """Measured less simulated angle of every run (T,) each [deg]."""
         return [run.angle - hypothesis.problem.angles(hypothesis.q, run) for run in self.everything]
 
 
-def prepare(trials: Sequence[Trial], simulator: Simulator | LoadedModel, seed: int = 0) -> PreparedTrials:
+def prepare(
+    trials: Sequence[Trial], simulator: Simulator | LoadedModel, seed: int = 0, ordered: bool = True
+) -> PreparedTrials:
     """Check, resample, repair and split trials, and derive the baseline of the simulator.
 
     Args:
-        trials: of one device, in recording order.
+        trials: of one device.
         simulator: a chain of operators or an exported model.
         seed: of the choice among more trials than can be diagnosed.
+        ordered: whether the trials are known to stand in the order of recording, see `in_recording_order`.
 
     Raises:
-        GapError: on unusable trials, see `check_trials`.
+        GapError: on unusable trials, see `check_trials` and `in_recording_order`.
         ModelError: if the simulator is an inverse map.
     """
-    checked = check_trials(trials, simulator if isinstance(simulator, Simulator) else simulator.metadata, seed)
+    trials, order = in_recording_order(trials, ordered)
+    facts, known = simulator if isinstance(simulator, Simulator) else simulator.metadata, order == "known"
+    checked = check_trials(trials, facts, seed, known)
     identification = simulator.identification if isinstance(simulator, Simulator) else Identification(method="network")
     nominal = nominal_noise_deg(identification)
     signs = sensor_signs(checked.recorded, nominal)
@@ -95,7 +100,7 @@ def prepare(trials: Sequence[Trial], simulator: Simulator | LoadedModel, seed: i
         baseline, corrections = _network_baseline(simulator, repaired_trials, command)
     runs = runs_of(repaired_trials, corrections, checked.before)
     motions = checked.excitation.motions
-    development, final = split_runs(runs, motions)
+    development, final = split_runs(runs, motions, known)
     faulty = signs.noisy or signs.coarse
     return PreparedTrials(
         given=checked.given,
@@ -109,6 +114,7 @@ def prepare(trials: Sequence[Trial], simulator: Simulator | LoadedModel, seed: i
         form_mse=model_form_mse(identification, trials, motions, _sample_time(simulator)),
         too_little=shortage(checked.trials),
         excess_mse=max(signs.energy - nominal**2, 0.0) if nominal is not None and faulty else 0.0,
+        order=order,
     )
 
 

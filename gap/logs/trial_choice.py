@@ -97,14 +97,17 @@ class ChosenTrials:
         )
 
 
-def choose_trials(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool, seed: int) -> ChosenTrials:
+def choose_trials(
+    trials: Sequence[Trial], facts: ModelMetadata, fixed: bool, seed: int, ordered: bool = True
+) -> ChosenTrials:
     """Choose trials that can be afforded and bring them to one rate.
 
     Args:
-        trials: as given, in recording order.
+        trials: as given.
         facts: metadata of the simulator.
         fixed: whether the simulator is valid at its own rate only.
         seed: of the choice.
+        ordered: whether the trials stand in the order of recording; if not, each begins anew.
 
     Raises:
         GapError: if the gaps of a trial leave no part that is long enough.
@@ -113,9 +116,9 @@ def choose_trials(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool, se
     recorded = [_longest_part(trial) for trial in trials]
     rate = _common_rate(recorded, facts, fixed)
     uniform = [resample(trial, rate) for trial in recorded]
-    before = Before.each(uniform)
+    before = Before.each(uniform) if ordered else (Before(),) * len(uniform)
     motions: list[MotionType] = [motion_type(trial, command_segments(trial)) for trial in uniform]
-    workload = affordable(uniform, motions, seed)
+    workload = affordable(uniform, motions, seed, ordered=ordered)
     kept = list(zip(workload.kept, workload.samples, strict=True))
     return ChosenTrials(
         tuple(_first(uniform[k], uniform[k].t[count - 1]) for k, count in kept),
@@ -152,24 +155,30 @@ def _common_rate(trials: Sequence[Trial], facts: ModelMetadata, fixed: bool) -> 
 
 
 def affordable(
-    trials: Sequence[Trial], motions: Sequence[MotionType], seed: int = 0, most: int = MOST_SAMPLES
+    trials: Sequence[Trial],
+    motions: Sequence[MotionType],
+    seed: int = 0,
+    most: int = MOST_SAMPLES,
+    ordered: bool = True,
 ) -> Workload:
     """Choose trials that together have at most `most` samples; all of them where that suffices.
 
-    First and last trial, one of every kind of motion and, of every kind, the two trials most alike come first; then
-    the kinds in turn, in an order that the seed draws. Where fewer than twelve trials would be used, long ones are cut
-    to their first part instead, since the state of the hysteresis is known at the start of a trial only.
+    First and last trial (where their order is known), one of every kind of motion and, of every kind, the two trials
+    most alike come first; then the kinds in turn, in an order that the seed draws. Where fewer than twelve trials would
+    be used, long ones are cut to their first part instead, since the state of the hysteresis is known at the start of a
+    trial only.
 
     Args:
-        trials: uniform, at one rate, in recording order.
+        trials: uniform, at one rate.
         motions: kind of motion of each.
         seed: of the order.
         most: samples in all.
+        ordered: whether the trials stand in the order of recording.
     """
     sizes = np.array([len(trial) for trial in trials])
     kept, samples = list(range(len(trials))), sizes
     if sizes.sum() > most or len(trials) > _MOST_TRIALS:
-        order, needed = _order(trials, motions, seed)
+        order, needed = _order(trials, motions, seed, ordered)
         level = _level(sizes[order[: max(needed, min(_LEAST_UNCUT_TRIALS, len(order)))]], most)
         samples = np.minimum(sizes, level)
         fitting = int(np.searchsorted(np.cumsum(samples[order]), most, side="right"))
@@ -177,18 +186,18 @@ def affordable(
     used_samples = samples[kept]
     what = f"{len(trials)} trials, {int(sizes.sum()):,} samples at {1 / trials[0].dt:.4g} Hz"
     taken = int(used_samples.sum())
-    note = _left_out(what, used_samples, sizes[kept], trials[0].dt, most, seed) if taken < sizes.sum() else ""
+    note = _left_out(what, used_samples, sizes[kept], trials[0].dt, most, seed, ordered) if taken < sizes.sum() else ""
     seconds, size = _START_S + _SECONDS * taken, (_START_BYTES + _BYTES * taken) / 1e9
     cost = f"{what}: about {_time(seconds)} and {size:.1f} GB, longer where more effects are found"
     return Workload(tuple(kept), tuple(used_samples.tolist()), seconds, size, note, cost if seconds > _SOON_S else "")
 
 
-def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, seed: int) -> str:
+def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, seed: int, ordered: bool) -> str:
     """One line on the trials and parts that are not used."""
-    cut = used < recorded
+    cut, ends = used < recorded, "the first, the last, " if ordered else ""
     text = (
         f"{what}, more than are diagnosed in minutes ({most:,} samples of {_MOST_TRIALS} trials): {used.size} trials "
-        f"with {int(used.sum()):,} samples are used, among them the first, the last, every kind of motion and repeats "
+        f"with {int(used.sum()):,} samples are used, among them {ends}every kind of motion and repeats "
         f"(drawn by seed {seed})"
     )
     if cut.any():
@@ -196,11 +205,11 @@ def _left_out(what: str, used: Index, recorded: Index, dt: float, most: int, see
     return text + "."
 
 
-def _order(trials: Sequence[Trial], motions: Sequence[MotionType], seed: int) -> tuple[list[int], int]:
+def _order(trials: Sequence[Trial], motions: Sequence[MotionType], seed: int, ordered: bool) -> tuple[list[int], int]:
     """Numbers of all trials, those that are needed most first, and how many are needed."""
     found = characters([trial.command for trial in trials], trials[0].dt)
     kinds = [np.flatnonzero(np.array(motions) == kind) for kind in dict.fromkeys(motions)]
-    needed = dict.fromkeys([0, len(trials) - 1])
+    needed = dict.fromkeys([0, len(trials) - 1] if ordered else [])
     for own in kinds:
         pair = _most_alike(found[own])
         if pair or not set(own.tolist()) & set(needed):
@@ -237,7 +246,9 @@ def _time(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
-def split_runs(runs: Sequence[Run], motions: Sequence[str]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+def split_runs(
+    runs: Sequence[Run], motions: Sequence[str], ordered: bool = True
+) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     """Development and final runs, by whole trials.
 
     A quarter of the trials is final, if possible of motions that the development runs have too: first repeats of a
@@ -246,8 +257,9 @@ def split_runs(runs: Sequence[Run], motions: Sequence[str]) -> tuple[tuple[Run, 
     simulated from the beginning of the trial and scored alone. The other two thirds of a single trial are two folds.
 
     Args:
-        runs: in recording order.
+        runs: of all trials.
         motions: motion type of each.
+        ordered: whether they stand in the order of recording; the first one then is never final.
     """
     if len(runs) < _LEAST_TRIALS:
         return _cut(runs)
@@ -257,9 +269,9 @@ def split_runs(runs: Sequence[Run], motions: Sequence[str]) -> tuple[tuple[Run, 
     found = characters([run.command for run in runs], runs[0].dt_s)
     apart = np.linalg.norm(found[:, None] - found[None], axis=-1)
     while len(chosen) < count:
-        # Of the most frequent motion left, the trial most like another; the first trial is never taken.
+        # Of the most frequent motion left, the trial most like another.
         often = max(
-            left[1:],
+            left[1:] if ordered else left,
             key=lambda k: (
                 sum(motions[j] == motions[k] for j in left),
                 -round(min(float(apart[k, j]) for j in left if j != k), _DIGITS),

@@ -8,19 +8,18 @@ import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.models.contract.metadata import ModelMetadata
-from hystmpc.models.effects.catalogue import candidates
-from hystmpc.models.effects.effect import Scale
 from hystmpc.models.identify.corrected_simulator import settled
-from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.cross_validation import Hypothesis
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.types import Vec
 
-from ..decide.attribution import Attribution
+from ..decide.attribution import Attribution, usable_effects
 from ..decide.findings import Findings
 from ..logs.identifiability import confusability
 from ..logs.preparation import PreparedTrials
+from ..logs.recording_order import NEEDS_ORDER
 from .motion_design import MotionProposal, Noise, OpenHypothesis, Simulate, propose
 from .motion_menu import menu
 
@@ -35,7 +34,7 @@ def next_step(findings: Findings) -> MotionProposal | None:
     """The motion to record next; None where nothing is open.
 
     It is to separate, in this order: a set of effects that these trials cannot tell apart; an effect that was named and
-    another from which these motions cannot tell it (`confusability`); for a gap without explanation, effects of
+    another from which these motions cannot tell it (`unseparated`); for a gap without explanation, effects of
     different families. Where no angle follows its command, no motion is proposed.
 
     Args:
@@ -54,7 +53,7 @@ def _open(findings: Findings) -> dict[str, Hypothesis]:
     ruling, attribution = findings.conclusion.ruling, findings.attribution
     if ruling.effects_unknown:
         return _families(findings)
-    rivals = ruling.ambiguity[0] if ruling.ambiguity else _unseparated(findings)
+    rivals = ruling.ambiguity[0] if ruling.ambiguity else unseparated(findings)
     if not rivals:
         return {}
     rest = findings.conclusion.chosen.effects - {rivals[0]}
@@ -64,15 +63,19 @@ def _open(findings: Findings) -> dict[str, Hypothesis]:
     return {name: hypothesis for name, hypothesis in fitted.items() if hypothesis is not None}
 
 
-def _unseparated(findings: Findings) -> tuple[str, ...]:
-    """A named effect and those from which these motions cannot tell it, judged by their commands."""
+def unseparated(findings: Findings) -> tuple[str, ...]:
+    """A named effect and those from which these motions cannot tell it, judged by their commands.
+
+    They stay open beside it: the equations of a device are not the library's, so that the angles do not decide alone.
+    """
     chosen = findings.conclusion.chosen.effects
     if findings.conclusion.ruling.verdict != "named":
         return ()
+    gone = {*findings.left_out, *(NEEDS_ORDER if findings.prepared.order == "unknown" else ())}
     for row in confusability(findings.prepared.checked.excitation):
         named = [name for name in row.effects if name in chosen]
         if named and not row.separable and not row.one_class:
-            others = [n for n in row.effects if n not in chosen and n not in findings.left_out]
+            others = [n for n in row.effects if n not in chosen and n not in gone]
             if others:
                 return (named[0], *others)
     return ()
@@ -85,7 +88,7 @@ def _with(findings: Findings, rest: frozenset[str], name: str) -> Hypothesis | N
         return findings.conclusion.chosen
     if names in attribution.selection.tried:
         return attribution.selection.tried[names].hypothesis
-    return _fitted(attribution.validation, _tried(attribution, rest), name)
+    return _fitted(findings, _tried(attribution, rest), name)
 
 
 def _tried(attribution: Attribution, names: frozenset[str]) -> Hypothesis:
@@ -94,11 +97,11 @@ def _tried(attribution: Attribution, names: frozenset[str]) -> Hypothesis:
     return known.hypothesis if known else attribution.retuned
 
 
-def _fitted(validation: CrossValidation, base: Hypothesis, name: str) -> Hypothesis | None:
+def _fitted(findings: Findings, base: Hypothesis, name: str) -> Hypothesis | None:
     """The best variant of an effect added to a hypothesis; None where it is no operator."""
-    problem = base.problem
+    problem, validation = base.problem, findings.attribution.validation
     z, there = problem.retuned(base.q), [list(values.values()) for values in problem.effect_values(base.q)]
-    library = candidates(Scale.of(validation.runs), validation.baseline.effects)
+    library = usable_effects(findings.prepared, validation.baseline.effects, (), validation.runs)
     made = [
         validation.with_causes((*problem.effects, c), problem.terms, z, [[*there, start] for start in c.starts])
         for c in library
@@ -116,7 +119,7 @@ def _families(findings: Findings) -> dict[str, Hypothesis]:
         return dict(list(tried.items())[:_MOST])
     baseline, z = findings.prepared.baseline, retuned.problem.retuned(retuned.q)
     made: dict[str, Hypothesis] = {}
-    for c in candidates(Scale.of(attribution.validation.runs), (), findings.left_out):
+    for c in usable_effects(findings.prepared, (), findings.left_out, attribution.validation.runs):
         if c.effect in _TYPICAL and c.effect not in made:
             problem = Problem(baseline, (c,))
             made[c.effect] = Hypothesis(problem, problem.start(z, [c.starts[-1]]), np.nan)

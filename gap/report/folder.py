@@ -18,7 +18,7 @@ from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import RunFolder
 
-from ..diagnosis import FORMAT, Diagnosis
+from ..diagnosis import FORMATS, Diagnosis
 from ..next.motion_design import MOTION_FILE, write_motion
 from .report_data import STAGES, Evidence
 
@@ -43,7 +43,7 @@ def require_free(folder: Path | str) -> None:
         found = json.loads((path / DIAGNOSIS_FILE).read_text(encoding="utf-8")).get("format")
     except (LogError, OSError, ValueError, AttributeError):
         found = None
-    if found != FORMAT:
+    if found not in FORMATS:
         raise ConfigError(f"{path}: is not empty and holds no diagnosis, expected a new, empty or diagnosis folder")
 
 

@@ -33,7 +33,19 @@ from .tables import (
     trials_table,
 )
 from .tracking_figure import tracking_figure
-from .words import choices, closed_sentence, floor_words, headline, in_words, next_sentence, percent, tracking_sentence
+from .words import (
+    ceiling_sentence,
+    choices,
+    closed_sentence,
+    floor_words,
+    headline,
+    in_words,
+    next_sentence,
+    order_sentences,
+    percent,
+    stability_sentence,
+    tracking_sentence,
+)
 
 MOST_HEAT, MOST_LOOPS, MOST_TIMES = 6, 6, 3
 
@@ -61,7 +73,9 @@ def _verdict(evidence: Evidence) -> Iterator[Piece]:
     diagnosis = evidence.diagnosis
     yield Heading(headline(diagnosis))
     yield Paragraph(diagnosis.reason)
-    yield Paragraph(closed_sentence(diagnosis))
+    for sentence in (closed_sentence(diagnosis), stability_sentence(diagnosis), *order_sentences(diagnosis)):
+        if sentence:
+            yield Paragraph(sentence)
     left_out = len(evidence.final) - MOST_ROWS
     yield Plot(
         closed_figure(evidence),
@@ -129,12 +143,8 @@ def _where(evidence: Evidence) -> Iterator[Piece]:
     if bins is not None:
         yield Plot(bins, "RMSE by command, angle and speed of the command; grey: share of time, of the whole height.")
     yield from _memory_and_spectrum(evidence)
-    share = evidence.explainable_share
-    if share is not None:
-        yield Paragraph(
-            f"A flexible model of no particular cause explains {percent(share)} of the structural gap "
-            "on trials left out: about what any effect can reach."
-        )
+    if ceiling := ceiling_sentence(evidence.diagnosis):
+        yield Paragraph(ceiling)
 
 
 def _memory_and_spectrum(evidence: Evidence) -> Iterator[Piece]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from hystmpc.models.identify.corrected_simulator import corrected_simulator, network_effects
 from hystmpc.models.identify.cross_validation import HeldOutErrors, gain
-from hystmpc.models.identify.uncertainty import ParameterRow, parameter_rows
+from hystmpc.models.identify.uncertainty import ParameterRow
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
@@ -23,7 +23,6 @@ from ..logs.excitation import Excitation
 from ..logs.identifiability import Confusable, confusability
 from ..next.motion_design import MotionProposal
 from ..residual.localise import Localisation
-from ..residual.memory import explainable_share
 
 Role = Literal["fit", "select", "final"]
 Side = Literal["command", "output", "sensor", "trial"]
@@ -123,7 +122,6 @@ class Evidence:
         parameters: identified values of the corrected simulator.
         localisation: of the retuned residual; None where there was none to localise.
         noise_deg: white noise of the measured angle [deg]; not-a-number where unknown.
-        explainable_share: share of the structural gap that a flexible model can explain; None where not estimated.
         proposal: motion to record next; None where nothing is open.
         cannot_show: what these trials cannot show, a sentence each.
         fixed: the corrected simulator, where it can be written as one.
@@ -143,7 +141,6 @@ class Evidence:
     parameters: tuple[ParameterRow, ...] = ()
     localisation: Localisation | None = None
     noise_deg: float = math.nan
-    explainable_share: float | None = None
     proposal: MotionProposal | None = None
     cannot_show: tuple[str, ...] = ()
     fixed: Simulator | None = None
@@ -174,10 +171,11 @@ class Evidence:
         return self.trials[0].trial.units.command
 
 
-def report_data(findings: Findings, diagnosis: Diagnosis, proposal: MotionProposal | None) -> Evidence:
+def report_data(
+    findings: Findings, diagnosis: Diagnosis, proposal: MotionProposal | None, parameters: tuple[ParameterRow, ...]
+) -> Evidence:
     """Everything that the report shows."""
     prepared, simulator = findings.prepared, findings.simulator
-    chosen = findings.conclusion.chosen
     rows = confusability(prepared.checked.excitation)
     return Evidence(
         diagnosis=diagnosis,
@@ -186,10 +184,9 @@ def report_data(findings: Findings, diagnosis: Diagnosis, proposal: MotionPropos
         excitation=prepared.checked.excitation,
         candidates=_candidates(findings, diagnosis),
         confusable=rows,
-        parameters=parameter_rows(chosen, prepared.development, {e.name: e.parameters for e in diagnosis.effects}),
+        parameters=parameters,
         localisation=findings.localisation,
         noise_deg=findings.conclusion.floor.noise_deg,
-        explainable_share=_explainable_share(findings),
         proposal=proposal,
         cannot_show=tuple(_sentence(row) for row in rows if not row.separable and not row.one_class),
         fixed=_fixed(findings),
@@ -275,15 +272,3 @@ def _row(name: str, before: HeldOutErrors, after: HeldOutErrors, probability: fl
     effects = after.hypothesis.problem.effects
     side: Side = effects[0].side if effects else "trial"
     return CandidateRow(name, side, rmse, retuned - rmse, error / (rmse + retuned), probability, chosen)
-
-
-def _explainable_share(findings: Findings) -> float | None:
-    """Share of the structural gap that a flexible model of the command's past explains held out; None without a gap."""
-    prepared, conclusion = findings.prepared, findings.conclusion
-    errors = prepared.residuals(findings.attribution.retuned)
-    mse = float(np.mean(np.concatenate(errors) ** 2))
-    structural = mse - conclusion.closed.gap.floor_rmse_deg**2
-    if structural <= 0 or conclusion.ruling.verdict == "none":
-        return None
-    explained = explainable_share(prepared.checked.trials, errors, findings.seed) * mse
-    return float(np.clip(explained / structural, 0.0, 1.0))

@@ -12,6 +12,7 @@ from .figure_style import LABEL
 from .report_data import STAGES, CandidateRow, Evidence, TrialEvidence
 from .words import in_words, percent
 
+NOT_DETERMINED = "not determined"
 _SIDES = {"command": "command side", "output": "output side", "sensor": "sensor", "trial": "trial to trial"}
 
 
@@ -90,22 +91,28 @@ def parameters_table(evidence: Evidence) -> Table:
     """Identified values and whether the logs determine them."""
     rows = []
     for row in evidence.parameters:
-        remarks = [
-            text for flag, text in ((row.at_bound, "at a bound"), (row.flat, "not determined by these logs")) if flag
-        ]
         neutral = "" if row.neutral is None else row.neutral
-        rows.append((in_words(row.owner), row.name, row.value, _interval(row.ci90), neutral, ", ".join(remarks)))
-    columns = ("of", "parameter", "value", "90 % interval", "no effect at", "remark")
-    return Table(columns, rows, "Parameters of the corrected simulator; names carry the unit.")
+        value = NOT_DETERMINED if row.flat else row.value
+        remark = "at a bound" if row.at_bound else ""
+        rows.append((in_words(row.owner), row.name, row.unit, value, _interval(row.ci90), neutral, remark))
+    columns = ("of", "parameter", "unit", "value", "90 % interval", "no effect at", "remark")
+    caption = (
+        "Parameters of the corrected simulator; unit 1: a plain number. Not determined: the interval is wider than "
+        "half of the range in which the number was looked for, or than a factor of three either way."
+    )
+    return Table(columns, rows, caption)
 
 
 def retuned_table(evidence: Evidence) -> Table:
     """Baseline quantities before and after the refit."""
+    unit = evidence.command_unit
+    units = {"gain": f"deg/{unit}", "offset": "deg", "backlash_width": unit}
     rows = [
-        (in_words(name), given, found, "" if given == 0 else f"{100 * (found / given - 1):+.1f} %")
+        (in_words(name), units[name], given, found, "" if given == 0 else f"{100 * (found / given - 1):+.1f} %")
         for name, (given, found) in evidence.diagnosis.retuned.items()
     ]
-    return Table(("quantity", "as given", "retuned", "change"), rows, "Retuning of the simulator: not an effect.")
+    caption = "Retuning of the simulator, without effects: not an effect."
+    return Table(("quantity", "unit", "as given", "retuned", "change"), rows, caption)
 
 
 def check_pieces(evidence: Evidence) -> Iterator[Piece]:

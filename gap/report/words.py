@@ -7,22 +7,23 @@ from collections.abc import Sequence
 
 from hystmpc.models.identify.uncertainty import Interval
 
-from ..diagnosis import Diagnosis, Gap, TrackingGap
+from ..diagnosis import Diagnosis, FoundEffect, Gap, TrackingGap
 from ..next.motion_design import MotionProposal
 
 
 def headline(diagnosis: Diagnosis) -> str:
     """The verdict in a few words."""
-    names = listed([in_words(effect.name) for effect in diagnosis.effects], "and")
-    if diagnosis.verdict == "named":
-        return f"Named: {names or 'no effect'}"
-    if diagnosis.verdict == "one_of":
-        return f"Not told apart: {'; '.join(choices(diagnosis)) or names}"
-    return {
+    names, stability = listed([in_words(effect.name) for effect in diagnosis.effects], "and"), diagnosis.stability
+    said = {
+        "named": f"Named: {names or 'no effect'}",
+        "one_of": f"Not told apart: {'; '.join(choices(diagnosis)) or names}",
         "unknown": "Unknown: a gap that no effect of the library explains",
         "none": "No structural gap: retuning is enough",
         "too_little": "Too little: these logs do not allow a diagnosis",
     }[diagnosis.verdict]
+    if stability is None or not stability.flips:
+        return said
+    return f"{said}. This verdict flips: it comes out in {percent(stability.share)} of the resampled splits"
 
 
 def choices(diagnosis: Diagnosis) -> list[str]:
@@ -48,6 +49,60 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
         f"{text} The effects close {percent(gap.closed_share)}{interval} of what retuning leaves above the floor; "
         f"{percent(gap.unexplained_share)} stays unexplained."
     )
+
+
+def stability_sentence(diagnosis: Diagnosis) -> str:
+    """How often the verdict comes out again; empty where the trials allow no choice."""
+    found = diagnosis.stability
+    if found is None:
+        return ""
+    same = round(found.share * found.resamples)
+    text = f"The same verdict and names come out in {same} of {found.resamples} resampled splits of these trials"
+    others = [f"{_plain(result)} in {percent(share)}" for result, share in found.otherwise]
+    return f"{text}; else {listed(others, 'and')}." if others else f"{text}."
+
+
+def _plain(result: str) -> str:
+    """Another result in words: `named: lag, creep` as `lag, creep named`."""
+    verdict, _, names = result.partition(": ")
+    return f"{in_words(verdict)} ({in_words(names)})" if names else in_words(verdict)
+
+
+def ceiling_sentence(diagnosis: Diagnosis) -> str:
+    """What a flexible model reaches, and whether that bounds the effects; empty where it was not estimated."""
+    share, closed = diagnosis.explainable_share, diagnosis.gap.closed_share
+    if share is None:
+        return ""
+    text = f"A flexible model of no particular cause explains {percent(share)} of the structural gap on trials left out"
+    if diagnosis.effects and closed > share:
+        return (
+            f"{text}, less than the {percent(closed)} that the effects close on the final trials. It knows nothing "
+            "but the past of the command within a trial, so that it is no bound here."
+        )
+    return f"{text}: about what an effect that depends on the command can reach."
+
+
+def order_sentences(diagnosis: Diagnosis) -> list[str]:
+    """What follows from an unknown order of recording; none where it is known."""
+    if diagnosis.order == "known":
+        return []
+    first = (
+        "The order in which the trials were recorded is unknown: their time stamps do not tell it, no manifest lists "
+        "them, and --ordered was not given. The result does not depend on the order of the files."
+    )
+    return [first, *(untestable.why for untestable in diagnosis.untestable)]
+
+
+def parameter_words(effect: FoundEffect) -> str:
+    """Identified values with their units; none where the logs do not determine it."""
+    return ", ".join(
+        f"{name} not determined" if name in effect.undetermined else f"{name} {value:.3g} {_unit(effect, name)}"
+        for name, value in effect.parameters.items()
+    )
+
+
+def _unit(effect: FoundEffect, name: str) -> str:
+    return f"[{effect.units.get(name, '1')}]"
 
 
 def tracking_sentence(diagnosis: Diagnosis) -> str:
@@ -84,6 +139,11 @@ def floor_words(gap: Gap) -> str:
     """What the floor comes from and what follows for the shares."""
     if gap.floor_kind == "repeats":
         return "The floor comes from repeats of a motion: what differs between them no simulator can follow."
+    if gap.unrepeatable:
+        return (
+            f"Repeats of a motion differ by {_deg(gap.repeats_rmse_deg)}, which is all that retuning leaves: that is "
+            "the gap, so that the floor is the noise in the upper band of the residual."
+        )
     return (
         "No motion was repeated: the floor is the noise in the upper band of the residual, a lower bound, and every "
         "share is relative to it."

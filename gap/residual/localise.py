@@ -41,17 +41,20 @@ class Localisation:
     memory: Mapping[str, float]
 
 
-def localise(trials: Sequence[Trial], residuals: Sequence[Vec], loop_width: float, seed: int = 0) -> Localisation:
+def localise(
+    trials: Sequence[Trial], residuals: Sequence[Vec], loop_width: float, seed: int = 0, ordered: bool = True
+) -> Localisation:
     """Share and density of the residual's energy e^2 over parts of the motion, frequencies and memories.
 
     90 % intervals come from 500 resamples of blocks of time within trials: of 2 s or, if longer, four times the lag at
     which the residual's correlation falls to 1/e; ten blocks or more.
 
     Args:
-        trials: uniform, at one rate, in recording order.
+        trials: uniform, at one rate.
         residuals: measured less simulated angle, (T,) each [deg].
         loop_width: width of the hysteresis loop along the command [cmd]; travel after a turn that is `after_reversal`.
         seed: of the resampling.
+        ordered: whether the trials stand in the order of recording.
 
     Raises:
         GapError: if there is no trial, residuals do not fit the trials or are not finite, or all are zero.
@@ -67,7 +70,7 @@ def localise(trials: Sequence[Trial], residuals: Sequence[Vec], loop_width: floa
     return Localisation(
         places=_places(power, labels, _blocks(residuals, trials[0].dt), seed),
         spectrum=spectrum_of(trials, residuals),
-        memory=memory_gains(trials, residuals, loop_width),
+        memory=memory_gains(trials, residuals, loop_width, ordered),
     )
 
 

@@ -18,7 +18,9 @@ _RANDOM = 160  # random features
 _PARTS = 4  # a single trial is cut into
 
 
-def memory_gains(trials: Sequence[Trial], residuals: Sequence[Vec], loop_width: float) -> dict[str, float]:
+def memory_gains(
+    trials: Sequence[Trial], residuals: Sequence[Vec], loop_width: float, ordered: bool = True
+) -> dict[str, float]:
     """Share of the residual's energy about its mean that each memory explains held out, by name; below 0 if none.
 
     Ridge regression on a few features of speed (|v|, v, sign), time since the last reversal and age of the hold
@@ -26,16 +28,17 @@ def memory_gains(trials: Sequence[Trial], residuals: Sequence[Vec], loop_width: 
     clock, over all trials but one, applied to that one. A trial that stands alone is cut into four.
 
     Args:
-        trials: uniform, at one rate, in recording order.
+        trials: uniform, at one rate.
         residuals: (T,) each [deg].
         loop_width: width of the hysteresis loop along the command [cmd].
+        ordered: whether the trials stand in the order of recording; if not, the clock starts anew in each.
 
     Raises:
         GapError: if residuals do not fit the trials or are not finite.
         LogError: if a trial is not uniform.
     """
     require_residuals(trials, residuals)
-    clocks = np.concatenate([[0.0], np.cumsum([trial.duration_s for trial in trials])])
+    clocks = np.concatenate([[0.0], np.cumsum([trial.duration_s if ordered else 0.0 for trial in trials])])
     features = [memory_features(trial, loop_width, float(t)) for trial, t in zip(trials, clocks[:-1], strict=True)]
     targets = _folded(residuals)
     total = float(_held_out([np.zeros((y.size, 0)) for y in targets], targets, (_RIDGE,)).sum())

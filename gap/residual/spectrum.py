@@ -10,13 +10,13 @@ from scipy.ndimage import median_filter
 from scipy.signal import csd, get_window, welch
 from scipy.stats import norm
 
+from hystmpc.models.identify.motion_lines import fundamental_hz
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mask, Vec
 
 from .memory import locked_part
 
 _SEGMENT_S = 8.0  # of the averaged spectra; resolves 0.25 Hz with a Hann window
-_PURE = 0.5  # of the command's energy within one line: then it has a fundamental frequency
 _HIGHEST_HARMONIC = 32
 _MOST_LINES = 8
 _WIDE = 2.0  # bins on either side that a Hann window spreads a line over
@@ -91,11 +91,7 @@ def _periodograms(trial: Trial, e: Vec, locked: Vec) -> _Periodograms:
     u = trial.command - trial.command.mean()
     command = np.abs(np.fft.rfft(window * u)) ** 2
     command[0] = 0.0
-    top = int(np.argmax(command))
-    near = command[max(top - 2, 0) : top + 3]
-    if near.sum() < _PURE * command.sum() or near.sum() <= 0:
-        return _Periodograms(hz, power, unlocked, command, 0.0)
-    return _Periodograms(hz, power, unlocked, command, float(near @ hz[max(top - 2, 0) : top + 3] / near.sum()))
+    return _Periodograms(hz, power, unlocked, command, fundamental_hz(trial.command, trial.dt))
 
 
 def _coherent(trials: Sequence[Trial], residuals: Sequence[Vec]) -> float:

@@ -20,7 +20,7 @@ from hystmpc.trajectories.trajectory import sample
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.report import ACCENTS, MODEL, REFERENCE, Heading, Paragraph, Piece, Plot, Table, new_figure
 
-from ..diagnosis import FORMAT, TrackingGap
+from ..diagnosis import FORMATS, TrackingGap
 from ..report.folder import DIAGNOSIS_FILE, FIXED_FILE, GIVEN_FILE
 from .expected import NEAR, UnexplainedPlant, expected_tracking
 from .measured import MeasuredRun, measured_runs
@@ -144,7 +144,7 @@ def _simulators(folder: Path) -> tuple[Simulator, Simulator]:
         found = json.loads((folder / DIAGNOSIS_FILE).read_text(encoding="utf-8")).get("format")
     except (OSError, ValueError, AttributeError):
         found = None
-    if found != FORMAT:
+    if found not in FORMATS:
         raise LogError(f"--diagnosis {folder}: got no {DIAGNOSIS_FILE}, expected a folder of `diagnose`")
     for name in (GIVEN_FILE, FIXED_FILE):
         if not (folder / name).is_file():

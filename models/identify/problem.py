@@ -15,6 +15,7 @@ from ..chain import Chain
 from ..effects.effect import CORE, Candidate
 from .baseline import Baseline
 from .free_run import StagedChain
+from .motion_lines import motions_own
 from .runs import Run
 
 _BLOCK_S = 4.0
@@ -111,8 +112,9 @@ NO_TERMS = TrialTerms()
 
 
 def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest_hz: float) -> float:
-    """Frequency at which waves with a phase of each trial explain most of the errors [Hz].
+    """Frequency at which waves with a phase of each trial explain most of the errors [Hz]; 0 where there is none.
 
+    Frequencies of the motions themselves (`motions_own`) are left out: a wave there cannot be told from the loop.
     The grid is as fine as the longest trial resolves, then refined by a parabola. Its powers come from a chirp
     z-transform: a table of all waves at all samples grows with the square of the duration, to gigabytes at ten minutes.
     """
@@ -125,11 +127,15 @@ def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest
         signal[run.counts] = error - error.mean()
         waves = zoom_fft(signal, [lowest_hz * run.dt_s, stop_hz * run.dt_s], grid.size, fs=1)
         power += np.abs(waves) ** 2 / error.size
+    power[motions_own(runs, grid)] = 0.0
     k = int(np.argmax(power))
+    if power[k] <= 0:
+        return 0.0
     if 0 < k < grid.size - 1:
         left, middle, right = power[k - 1 : k + 2]
         curve = left - 2 * middle + right
-        return float(grid[k] + 0.5 * (left - right) / curve * (grid[1] - grid[0])) if curve else float(grid[k])
+        refined = grid[k] + 0.5 * (left - right) / curve * (grid[1] - grid[0]) if curve else grid[k]
+        return float(grid[k] if motions_own(runs, np.array([refined]))[0] else refined)
     return float(grid[k])
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Protocol, final
 
 import numpy as np
 
 from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
+from .motion_lines import motions_own
 from .problem import TrialTerms, strongest_line
 
 RoundProgress = Callable[[float, str], None]
@@ -68,28 +69,42 @@ class Selection:
     tried: dict[frozenset[str], HeldOutErrors]
 
 
+class Trials(Protocol):
+    """What a selection asks for: hypotheses, and their errors on trials that their fits did not see."""
+
+    def baseline(self) -> HeldOutErrors:
+        """The retuned simulator."""
+        ...
+
+    def additions(self, base: Hypothesis) -> Sequence[Hypothesis]:
+        """The base with one more effect each, the most promising first."""
+        ...
+
+    def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
+        """A hypothesis less one of its effects; None where that is not known."""
+        ...
+
+    def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
+        """Its errors."""
+        ...
+
+    def known(self, names: frozenset[str]) -> HeldOutErrors | None:
+        """Errors of the best hypothesis with these effects; None where none was judged yet."""
+        ...
+
+
 @final
-class Selector:
-    """One selection; see `select`."""
+class _Search:
+    """One selection by the rules of `select`, on whatever trials."""
 
-    def __init__(
-        self,
-        validation: CrossValidation,
-        candidates: Sequence[Candidate],
-        settings: SelectionSettings,
-        floor_mse: float,
-        without: Sequence[str],
-        progress: RoundProgress,
-    ) -> None:
-        self._validation, self._candidates, self._settings = validation, tuple(candidates), settings
-        self._floor, self._without, self._progress = floor_mse, without, progress
-        self._baseline_mse, self._blocks = 0.0, 0.0
-        self.tried: dict[frozenset[str], HeldOutErrors] = {}
+    def __init__(self, trials: Trials, settings: SelectionSettings, floor_mse: float) -> None:
+        self._trials, self._settings, self._floor = trials, settings, floor_mse
+        self._baseline_mse = 0.0
 
-    def run(self) -> Selection:
-        """Add, drop, swap."""
-        current = baseline = self._judge(self._validation.retuned())
-        self._baseline_mse, self._blocks = baseline.mse, float(baseline.energy.size)
+    def run(self) -> tuple[HeldOutErrors, HeldOutErrors]:
+        """Add, drop, swap: the baseline and the chosen hypothesis."""
+        current = baseline = self._trials.baseline()
+        self._baseline_mse = baseline.mse
         been: set[frozenset[str]] = set()  # what is added may drop what has it added again
         while len(current.hypothesis.effects) < self._settings.most and current.hypothesis.effects not in been:
             been.add(current.hypothesis.effects)
@@ -99,17 +114,10 @@ class Selector:
             current = self._dropped(added)
         if current is not baseline:
             current = self._swapped(current, baseline)
-        return Selection(baseline, current, self.tried)
-
-    def _judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        judged = self._validation.judge(hypothesis)
-        known = self.tried.get(hypothesis.effects)
-        if known is None or judged.mse < known.mse:
-            self.tried[hypothesis.effects] = judged
-        return judged
+        return baseline, current
 
     def _best_addition(self, current: HeldOutErrors) -> HeldOutErrors | None:
-        judged = [self._judge(hypothesis) for hypothesis in self._additions(current.hypothesis)]
+        judged = [self._trials.judged(hypothesis) for hypothesis in self._trials.additions(current.hypothesis)]
         worthy = [j for j in judged if self._worth_adding(current, j)]
         if not worthy:
             return None
@@ -131,7 +139,84 @@ class Selector:
             return False
         return fall > self._settings.standard_errors * error and useful > least
 
-    def _additions(self, base: Hypothesis) -> list[Hypothesis]:
+    def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
+        """Without each cause that is not needed any more."""
+        for effect in sorted(current.hypothesis.effects):
+            if len(current.hypothesis.effects) < 2:
+                break
+            less = self._trials.without(current.hypothesis, effect)
+            if less is not None and not self._worth_adding(simpler := self._trials.judged(less), current):
+                current = simpler
+        return current
+
+    def _swapped(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
+        """With each cause exchanged for each other one; the better is kept, all are recorded for the ambiguity."""
+        for effect in sorted(current.hypothesis.effects):
+            if effect not in current.hypothesis.effects:
+                continue
+            rest: Hypothesis | None = baseline.hypothesis
+            if len(current.hypothesis.effects) > 1:
+                rest = self._trials.without(current.hypothesis, effect)
+                if rest is not None:
+                    self._trials.judged(rest)
+            for hypothesis in self._trials.additions(rest) if rest is not None else ():
+                judged = self._trials.known(hypothesis.effects) or self._trials.judged(hypothesis)
+                if self._better(current, judged, baseline):
+                    current = judged
+        return current
+
+    def _better(self, present: HeldOutErrors, other: HeldOutErrors, baseline: HeldOutErrors) -> bool:
+        """Whether an exchange is an improvement; a generic effect gives way to one that does nearly as well."""
+        if len(other.hypothesis.effects) != len(present.hypothesis.effects) or other is present:
+            return False
+        fall, error = gain(present, other)
+        left = present.hypothesis.effects - other.hypothesis.effects
+        come = other.hypothesis.effects - present.hypothesis.effects
+        for generic, usual in self._settings.gives_way:
+            drifts = generic == "trial_shift" and "drift" in come | left
+            share = self._settings.line_of_shifts if drifts else usual
+            if generic in left:
+                return fall > -share * (baseline.mse - present.mse)
+            if generic in come:
+                return fall > share * (baseline.mse - other.mse)
+        return fall > error
+
+
+@final
+class _Fits:
+    """`Trials` by fits: every hypothesis is fitted to the development runs and judged in folds."""
+
+    def __init__(
+        self,
+        validation: CrossValidation,
+        candidates: Sequence[Candidate],
+        settings: SelectionSettings,
+        without: Sequence[str],
+        progress: RoundProgress,
+    ) -> None:
+        self._validation, self._candidates, self._settings = validation, tuple(candidates), settings
+        self._without, self._progress, self._blocks = without, progress, 0.0
+        self.tried: dict[frozenset[str], HeldOutErrors] = {}
+
+    def baseline(self) -> HeldOutErrors:
+        found = self.judged(self._validation.retuned())
+        self._blocks = float(found.energy.size)
+        return found
+
+    def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
+        return self._validation.without(hypothesis, {effect})
+
+    def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
+        judged = self._validation.judge(hypothesis)
+        known = self.tried.get(hypothesis.effects)
+        if known is None or judged.mse < known.mse:
+            self.tried[hypothesis.effects] = judged
+        return judged
+
+    def known(self, names: frozenset[str]) -> HeldOutErrors | None:
+        return self.tried.get(names)
+
+    def additions(self, base: Hypothesis) -> list[Hypothesis]:
         """The best variant of every effect that is not there yet, the most promising first."""
         z = base.problem.retuned(base.q)
         there = [list(values.values()) for values in base.problem.effect_values(base.q)]
@@ -176,51 +261,35 @@ class Selector:
             runs, settings = list(self._validation.runs), self._settings
             errors = [base.problem.error(base.q, run)[0] for run in runs]
             line = strongest_line(runs, errors, settings.lowest_hz, settings.highest_hz)
-            made.append(replace(terms, frequency_hz=line))
+            if line > 0:
+                own = bool(motions_own(runs, np.array([2 * line]))[0])
+                made.append(replace(terms, frequency_hz=line, harmonics=1 if own else terms.harmonics))
         return made
 
-    def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
-        """Without each cause that is not needed any more."""
-        for effect in sorted(current.hypothesis.effects):
-            if len(current.hypothesis.effects) < 2:
-                break
-            simpler = self._judge(self._validation.without(current.hypothesis, {effect}))
-            if not self._worth_adding(simpler, current):
-                current = simpler
-        return current
 
-    def _swapped(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
-        """With each cause exchanged for each other one; the better is kept, all are recorded for the ambiguity."""
-        for effect in sorted(current.hypothesis.effects):
-            if effect not in current.hypothesis.effects:
-                continue
-            if len(current.hypothesis.effects) == 1:
-                rest = baseline.hypothesis
-            else:
-                rest = self._validation.without(current.hypothesis, {effect})
-                self._judge(rest)
-            for hypothesis in self._additions(rest):
-                known = self.tried.get(hypothesis.effects)
-                judged = known if known is not None else self._judge(hypothesis)
-                if self._better(current, judged, baseline):
-                    current = judged
-        return current
+@final
+class _Known:
+    """`Trials` of hypotheses that were judged before: nothing is fitted."""
 
-    def _better(self, present: HeldOutErrors, other: HeldOutErrors, baseline: HeldOutErrors) -> bool:
-        """Whether an exchange is an improvement; a generic effect gives way to one that does nearly as well."""
-        if len(other.hypothesis.effects) != len(present.hypothesis.effects) or other is present:
-            return False
-        fall, error = gain(present, other)
-        left = present.hypothesis.effects - other.hypothesis.effects
-        come = other.hypothesis.effects - present.hypothesis.effects
-        for generic, usual in self._settings.gives_way:
-            drifts = generic == "trial_shift" and "drift" in come | left
-            share = self._settings.line_of_shifts if drifts else usual
-            if generic in left:
-                return fall > -share * (baseline.mse - present.mse)
-            if generic in come:
-                return fall > share * (baseline.mse - other.mse)
-        return fall > error
+    def __init__(self, tried: Mapping[frozenset[str], HeldOutErrors]) -> None:
+        self._tried = tried
+
+    def baseline(self) -> HeldOutErrors:
+        return self._tried[frozenset()]
+
+    def additions(self, base: Hypothesis) -> Sequence[Hypothesis]:
+        size = len(base.effects) + 1
+        return [j.hypothesis for names, j in self._tried.items() if len(names) == size and base.effects < names]
+
+    def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
+        known = self._tried.get(hypothesis.effects - {effect})
+        return None if known is None else known.hypothesis
+
+    def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
+        return self._tried[hypothesis.effects]
+
+    def known(self, names: frozenset[str]) -> HeldOutErrors | None:
+        return self._tried.get(names)
 
 
 def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidate, ...]:
@@ -266,4 +335,18 @@ def select(
         without: effects that are left out of the library.
         progress: told the share of the present round and what is tried.
     """
-    return Selector(validation, candidates, settings, floor_mse, without, progress).run()
+    fits = _Fits(validation, candidates, settings, without, progress)
+    return Selection(*_Search(fits, settings, floor_mse).run(), fits.tried)
+
+
+def select_again(
+    tried: Mapping[frozenset[str], HeldOutErrors], settings: SelectionSettings, floor_mse: float
+) -> Selection:
+    """Choose by the same rules among hypotheses that were judged on other trials; nothing is fitted.
+
+    Args:
+        tried: their errors by the names of their causes, the baseline's among them.
+        settings: thresholds.
+        floor_mse: see `select`.
+    """
+    return Selection(*_Search(_Known(tried), settings, floor_mse).run(), dict(tried))

@@ -12,7 +12,7 @@ from scipy.stats import t as student
 from hystmpc.trials.types import Vec
 
 from ..effects.catalogue import EFFECTS
-from ..effects.effect import base_name
+from ..effects.effect import Candidate, base_name, unit_on
 from .cross_validation import Hypothesis
 from .problem import Problem
 from .runs import Run
@@ -108,11 +108,12 @@ class ParameterRow:
 
     Attributes:
         owner: effect, or `baseline`.
-        name: with its unit, as `tau_s`.
+        name: as `tau_s`.
         value, ci90: identified value and its 90 % interval, not-a-number where unknown.
         neutral: value at which it does nothing; None for a baseline quantity.
         at_bound: whether it ended at an edge of its range.
         flat: whether the logs do not determine it.
+        unit: with `cmd` for the unit of the command; 1 for a plain number.
     """
 
     owner: str
@@ -122,6 +123,7 @@ class ParameterRow:
     neutral: float | None = None
     at_bound: bool = False
     flat: bool = False
+    unit: str = "1"
 
 
 Interval = tuple[float, float]
@@ -130,6 +132,8 @@ Interval = tuple[float, float]
 UNKNOWN: Interval = (float("nan"), float("nan"))
 
 _NUDGE = 1e-3
+_BASELINE_UNITS = {"gain": "deg/cmd", "offset": "deg", "backlash_width": "cmd"}
+_ENDINGS = {"_deg_s": "deg/s", "_deg": "deg", "_hz": "Hz", "_s": "s"}  # longest first
 
 
 def parameter_rows(
@@ -146,7 +150,7 @@ def parameter_rows(
     rows = [*_baseline_rows(hypothesis, found), *_effect_rows(hypothesis, found)]
     known = {(row.owner, row.name) for row in rows}
     rows += [
-        ParameterRow(effect, name, value, UNKNOWN, _neutral(effect, name))
+        ParameterRow(effect, name, value, UNKNOWN, _neutral(effect, name), unit=_unit_of_name(name))
         for effect, parameters in estimated.items()
         for name, value in parameters.items()
         if (effect, name) not in known
@@ -165,7 +169,14 @@ def _effect_rows(hypothesis: Hypothesis, found: Uncertainty) -> Iterator[Paramet
             neutral = _neutral(c.effect, freedom.name)
             at_bound, flat = bool(found.at_bound[k]), bool(found.flat[k])
             yield ParameterRow(
-                c.effect, freedom.name, float(values[k]), UNKNOWN if at_bound else ends, neutral, at_bound, flat
+                c.effect,
+                freedom.name,
+                float(values[k]),
+                UNKNOWN if at_bound else ends,
+                neutral,
+                at_bound,
+                flat,
+                _unit(c, freedom.name),
             )
             k += 1
         in_core = {} if c.operators else problem.baseline.effects.get(c.effect, {})
@@ -178,7 +189,32 @@ def _baseline_rows(hypothesis: Hypothesis, found: Uncertainty) -> Iterator[Param
     problem, q = hypothesis.problem, hypothesis.q
     for name, value in problem.baseline.quantities(problem.retuned(q)).items():
         half = found.half_width(_slope(_quantity(problem, name), q))
-        yield ParameterRow("baseline", name, value, (value - half, value + half))
+        flat = half > _FLAT_RANGE * _reach(problem, name, q)
+        yield ParameterRow("baseline", name, value, (value - half, value + half), flat=flat, unit=_BASELINE_UNITS[name])
+
+
+def _reach(problem: Problem, name: str, q: Vec) -> float:
+    """Range of a baseline quantity where one unknown after the other goes through its bounds."""
+    quantity, reached = _quantity(problem, name), []
+    for k in range(problem.size - sum(len(c.free) for c in problem.effects)):
+        reached += [
+            quantity(np.concatenate([q[:k], [end], q[k + 1 :]])) for end in (problem.lower[k], problem.upper[k])
+        ]
+    return float(np.ptp(reached)) if reached else 0.0
+
+
+def _unit(candidate: Candidate, name: str) -> str:
+    """Unit of a free parameter, from the operator that has it."""
+    for operator in candidate.operators:
+        for parameter in operator.parameters:
+            if parameter.name == name:
+                return unit_on(parameter.unit, candidate.side)
+    return "1"
+
+
+def _unit_of_name(name: str) -> str:
+    """Unit that a name ends with, as that of `amplitude_deg`."""
+    return next((unit for ending, unit in _ENDINGS.items() if name.endswith(ending)), "1")
 
 
 def _entry(problem: Problem, at: int) -> Callable[[Vec], float]:

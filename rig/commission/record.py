@@ -16,6 +16,7 @@ from hystmpc.trials.csv_files import format_table, write_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.layouts import CANONICAL
+from hystmpc.trials.recording_order import write_manifest
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
@@ -125,7 +126,9 @@ def record(
     *,
     note: Note = lambda text: None,
 ) -> RecordResult:
-    """Play every excitation and write `trials/NAME.csv` in canonical columns. Arguments as of `run_bench`.
+    """Play every excitation and write `trials/NAME.csv` in canonical columns and a manifest.
+
+    Arguments as of `run_bench`.
 
     Trials by frames have empty cells between them, which no identification reads: `note` is told so first.
 
@@ -159,6 +162,8 @@ def record(
             written.append(file)
         else:
             cut = file
+    if written:
+        write_manifest(folder / "trials", written)  # tells a diagnosis their order
     return RecordResult(bench, tuple(written), cut)
 
 

@@ -125,7 +125,7 @@ def answered(row: Ablated, said: DiagnosisReading) -> Ablated:
 
 def _judged(trials: Sequence[Trial], simulator: Simulator) -> tuple[HeldOutErrors, float]:
     """The refitted simulator, judged on trials left out, and the floor [deg]."""
-    prepared = prepare(trials, simulator)
+    prepared = prepare(trials, simulator, ordered=False)
     validation = CrossValidation(prepared.baseline, prepared.everything)
     retuned = validation.retuned()
     errors = [run.angle - retuned.problem.angles(retuned.q, run) for run in prepared.everything]
@@ -141,7 +141,7 @@ def _row(component: str, whole: HeldOutErrors, less: HeldOutErrors, floor_deg: f
 
 def _asked(row: Ablated, trials: Sequence[Trial], less: Simulator, folder: Path, seed: int) -> Ablated:
     """The row with the diagnosis' answer."""
-    found, _ = conclude(investigate(trials, less, seed=seed))
+    found, _ = conclude(investigate(trials, less, seed=seed, ordered=False))
     data: dict[str, Any] = dict(found.as_json())
     save_simulator(less, folder / "sim.yaml")
     write_atomically(folder / "diagnosis.json", json.dumps(data, indent=1))

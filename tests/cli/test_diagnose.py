@@ -112,7 +112,7 @@ def test_json_is_all_of_standard_output_and_the_folder_is_whole(
     assert code == 0, err
     assert out == (tmp_path / "d" / "diagnosis.json").read_text(encoding="utf-8")
     found = json.loads(out)
-    assert found["format"] == "hystmpc-diagnosis/1"
+    assert found["format"] == "hystmpc-diagnosis/2"
     assert found["verdict"] in VERDICTS
     files = {path.name for path in (tmp_path / "d").iterdir()}
     assert {"config.yaml", "meta.json", "log.csv", "diagnosis.json", "report.html", "sim.fixed.yaml"} <= files
@@ -125,5 +125,5 @@ def test_help_names_the_options(capsys: pytest.CaptureFixture[str], monkeypatch:
     monkeypatch.setenv("COLUMNS", "200")
     code, out, _ = run(capsys, "diagnose", "--help")
     assert code == 0
-    for option in ("--sim", "--out", "--preset", "--json", "--seed", "--without", "--self-test"):
+    for option in ("--sim", "--out", "--preset", "--json", "--seed", "--without", "--ordered", "--self-test"):
         assert option in out

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.gap.diagnosis import Diagnosis, FoundEffect, Gap, NextMotion, Place, Verdict
+from hystmpc.gap.diagnosis import Diagnosis, FoundEffect, Gap, NextMotion, Place, Stability, Verdict
 from hystmpc.gap.logs.excitation import excitation_of
 from hystmpc.gap.logs.identifiability import confusability
 from hystmpc.gap.next.motion_design import MotionProposal, Noise, propose
@@ -71,9 +71,10 @@ def effects_of(verdict: Verdict) -> tuple[FoundEffect, ...]:
     """What was put into the simulator."""
     if verdict == "named":
         parameters = {"share": 0.16, "tau_s": 4.6}
-        return (FoundEffect("creep", 0.93, 0.95, 0.71, (0.6, 0.8), 1.9, 0.6, parameters),)
+        units = {"share": "1", "tau_s": "s"}
+        return (FoundEffect("creep", 0.93, 0.95, 0.71, (0.6, 0.8), 1.9, 0.6, parameters, units, ("tau_s",)),)
     if verdict == "one_of":
-        return (FoundEffect("lag", 0.48, 0.5, 0.8, (0.5, 0.9), 1.9, 0.7, {"tau_s": 0.1}),)
+        return (FoundEffect("lag", 0.48, 0.5, 0.8, (0.5, 0.9), 1.9, 0.7, {"tau_s": 0.1}, {"tau_s": "s"}),)
     return ()
 
 
@@ -111,6 +112,8 @@ def diagnosis_of(verdict: Verdict, trials: tuple[TrialEvidence, ...], proposal: 
         {} if verdict == "too_little" else places,
         ("Sampled at 25 Hz without gaps.", "No hold is longer than 10 s: drift and creep cannot be told apart."),
         None if proposal is None else NextMotion(**vars(proposal.summary())),
+        stability=None if verdict == "too_little" else Stability(0.9, 20, (("unknown", 0.1),)),
+        explainable_share=0.93 if verdict == "named" else None,
     )
 
 
@@ -133,12 +136,12 @@ def report_data(verdict: Verdict, count: int = 6) -> Evidence:
         ),
         confusability(excitation),
         (
+            ParameterRow("baseline", "gain", 9.95, (-162.0, 182.0), flat=True, unit="deg/mm"),
             ParameterRow("creep", "share", 0.16, (0.12, 0.2), 0.0),
-            ParameterRow("creep", "tau_s", 4.6, (2.0, 30.0), None, at_bound=True, flat=True),
+            ParameterRow("creep", "tau_s", 4.6, (2.0, 30.0), None, at_bound=True, flat=True, unit="s"),
         ),
         localise([t.trial for t in trials], [t.trial.angle - t.retuned for t in trials], 0.6),
         0.12,
-        0.93 if verdict == "named" else None,
         proposal,
         ("No load was changed: gravity and a curved map stay one class.",),
         simulator(CHAINS["pi"]),

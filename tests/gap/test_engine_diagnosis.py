@@ -65,12 +65,12 @@ def found(diagnosis: Diagnosis) -> set[str]:
 
 @pytest.mark.slow
 def test_nothing_is_found_where_there_is_nothing() -> None:
-    diagnosis, evidence = conclude(investigate(recorded(), SIMULATOR))
+    diagnosis, _ = conclude(investigate(recorded(), SIMULATOR))
     assert diagnosis.verdict == "none"
     assert not diagnosis.effects
     assert diagnosis.next_motion is None
     assert diagnosis.gap.with_effects_rmse_deg == pytest.approx(0.05, rel=0.3)
-    assert evidence.explainable_share is None
+    assert diagnosis.explainable_share is None
 
 
 def test_creep_is_named_with_its_numbers() -> None:
@@ -98,8 +98,8 @@ def test_its_evidence_is_whole() -> None:
     assert evidence.localisation is not None
     assert set(diagnosis.where) == set(evidence.localisation.places)
     assert evidence.noise_deg == pytest.approx(0.05, rel=0.3)
-    assert evidence.explainable_share is not None
-    assert 0.0 <= evidence.explainable_share <= 1.0
+    assert diagnosis.explainable_share is not None
+    assert 0.0 <= diagnosis.explainable_share <= 1.0
     assert {trial.role for trial in evidence.trials} == {"fit", "final"}
     assert tuple(t.trial.source for t in evidence.trials if t.role == "final") == diagnosis.gap.final_trials
     assert next(row for row in evidence.candidates if row.name == "creep").chosen
@@ -119,17 +119,22 @@ def test_the_corrected_simulator_holds_the_effect_and_its_own_residuals() -> Non
 def test_the_result_has_the_fixed_form() -> None:
     """Section 4 of the design: names and types of `diagnosis.json`."""
     read = json.loads(diagnosis_json(creeping()[0]))
-    assert read["format"] == "hystmpc-diagnosis/1"
+    assert read["format"] == "hystmpc-diagnosis/2"
     for key, kind in KEYS.items():
         assert isinstance(read[key], kind), key
-    assert set(read) == set(KEYS) | {"reason", "notes", "next_motion", "tracking"}
+    second = {"order", "untestable", "stability", "resamples", "otherwise", "explainable_share"}
+    assert set(read) == set(KEYS) | {"reason", "notes", "next_motion", "tracking"} | second
+    assert (read["order"], read["untestable"]) == ("known", [])
+    assert read["stability"] == 1.0
+    assert read["resamples"] >= 8
     (effect,) = read["effects"]
-    assert set(effect) == EFFECT | {"parameters"}
+    assert set(effect) == EFFECT | {"parameters", "units", "undetermined"}
+    assert effect["units"] == {"share": "1", "tau_s": "s"}
     assert all(isinstance(effect[name], float) for name in EFFECT - {"name", "closed_ci90"})
     assert [type(v) for v in effect["closed_ci90"]] == [float, float]
     assert all(isinstance(v, float) for v in effect["parameters"].values())
     gap = read["gap"]
-    assert set(gap) == GAP_NUMBERS | {"floor_kind", "final_trials", "closed_ci90"}
+    assert set(gap) == GAP_NUMBERS | {"floor_kind", "final_trials", "closed_ci90", "repeats_rmse_deg"}
     assert all(isinstance(gap[name], float) for name in GAP_NUMBERS)
     assert gap["floor_kind"] in ("repeats", "noise")
     assert gap["closed_share"] + gap["unexplained_share"] == pytest.approx(1.0)
@@ -165,6 +170,7 @@ def test_sines_leave_open_what_lag_is() -> None:
     family = {"lag", "delay", "rate_dependence"}
     assert found(diagnosis) & family
     assert diagnosis.next_motion is not None
+    assert all(dict(diagnosis.ranking)[name] >= 0.02 for name in diagnosis.next_motion.separates)
     assert len(family & set(diagnosis.next_motion.separates)) >= 2
     assert 0.5 < diagnosis.next_motion.expected_probability <= 1.0
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.decide.gap_closed import closed_interval, closed_share, shapley
+from hystmpc.gap.decide.closed_share import closed_interval, closed_share, shapley
 from hystmpc.models.identify.runs import Blocks, blocks_of
 
 from .engine_examples import device_runs

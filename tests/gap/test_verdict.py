@@ -31,6 +31,7 @@ EXPLAINED = VerdictFacts(
 NOTHING = replace(EXPLAINED, effects=frozenset(), chosen_mse=1.0, final=FinalFacts(0.0, 10.0))
 OPEN = replace(EXPLAINED, chosen_mse=0.9)
 AMBIGUOUS = replace(EXPLAINED, ambiguity=(("lag", "delay"),))
+UNPROVEN = FinalFacts(closed_share=0.0, residual_ratio=1.0, unproven=True)
 WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
 
 
@@ -52,6 +53,10 @@ WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
         (replace(EXPLAINED, final=FinalFacts(0.5, 2.4)), "explained", "named"),
         (replace(EXPLAINED, final=WEAK, sensor=True), "explained", "named"),
         (replace(EXPLAINED, final=WEAK, jumps=True), "explained", "named"),
+        (replace(EXPLAINED, final=UNPROVEN), "unproven", "unknown"),
+        (replace(EXPLAINED, final=UNPROVEN, jumps=True), "jumps", "named"),
+        (replace(NOTHING, final=FinalFacts(0.0, 1.0, at_floor=True)), "at_floor", "none"),
+        (replace(EXPLAINED, final=FinalFacts(0.9, 1.2, at_floor=True)), "explained", "named"),
         # selection
         (replace(EXPLAINED, structure_left=True), "structure_left", "unknown"),
         (OPEN, "left_open", "unknown"),
@@ -107,7 +112,7 @@ facts_ = st.builds(
     jumps=st.booleans(),
     too_little=st.booleans(),
     unrelated=st.booleans(),
-    final=st.one_of(st.none(), st.builds(FinalFacts, st.floats(-1, 1), st.floats(0, 20))),
+    final=st.one_of(st.none(), st.builds(FinalFacts, st.floats(-1, 1), st.floats(0, 20), st.booleans(), st.booleans())),
 )
 
 
@@ -123,15 +128,18 @@ def test_rules_that_hold_for_all_facts(facts: VerdictFacts) -> None:
         assert ruling.verdict in ("named", "one_of")
     if ruling.sensor:
         assert facts.sensor
-    # The final trials alone never turn a gap into none, nor an unexplained gap into an explanation by effects.
+    # The final trials alone never turn a gap into none, unless it is at their floor, nor an unexplained gap into an
+    # explanation by effects.
     before = decide_verdict(replace(facts, final=None), SETTINGS)
-    assert (before.verdict == "none") == (ruling.verdict == "none")
+    assert (before.verdict == "none") == (ruling.verdict == "none") or ruling.case == "at_floor"
+    if facts.final is not None and facts.final.unproven:
+        assert not ruling.explained or ruling.case == "sensor_alone"
     assert before.explained or not ruling.explained
 
 
 def test_the_reason_states_the_verdict_and_its_numbers() -> None:
     gap = Gap(3.0, 1.0, 0.2, 0.1, "repeats", 0.9, 0.1, (0.8, 0.95), ("a.csv",))
-    sizes = "(retuned 1.00 deg, floor 0.10 deg)"
+    sizes = "(retuned 1.00 deg, floor 0.100 deg)"
     texts = {
         "one_of": (AMBIGUOUS, "one of lag or delay: these trials cannot tell them apart; 90 % of"),
         "unknown": (NOTHING, f"a structural gap that no effect of the library explains {sizes}"),

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hystmpc.gap.logs import trial_choice
 from hystmpc.gap.logs.check import Checked, check_trials
-from hystmpc.gap.logs.motion_type import command_segments, motion_type
+from hystmpc.gap.logs.motion_type import MotionType, command_segments, motion_type
 from hystmpc.gap.logs.noise_floor import find_repeats
 from hystmpc.gap.logs.trial_choice import MOST_SAMPLES, Workload, affordable
 from hystmpc.gap.residual.memory import explainable_share
@@ -99,7 +99,11 @@ def test_what_today_is_usual_is_not_thinned() -> None:
 
 def thinned(trials: list[Trial], most: int, patch: pytest.MonkeyPatch) -> Checked:
     """Trials checked where fewer samples can be afforded."""
-    patch.setattr(trial_choice, "affordable", lambda trials, motions, seed: affordable(trials, motions, seed, most))
+
+    def few(trials: list[Trial], motions: list[MotionType], seed: int, ordered: bool) -> Workload:
+        return affordable(trials, motions, seed, most, ordered)
+
+    patch.setattr(trial_choice, "affordable", few)
     return check_trials(trials, simulator_of(BACKLASH))
 
 
@@ -136,12 +140,12 @@ def peak_mb(work: Callable[[], Any]) -> float:
 
 
 def long_runs(seconds: float, count: int) -> tuple[tuple[Run, ...], list[Trial], list[Vec]]:
-    """Runs and errors with a line of 1.234 Hz."""
+    """Runs and errors with a line of 1.281 Hz."""
     random = np.random.default_rng(0)
     t = np.arange(round(seconds / DT)) * DT
     command = 2.5 * (1 - np.cos(0.7 * t)) + 0.3 * np.sin(2.1 * t)
     trials = [trial(command, name=f"{k}.csv") for k in range(count)]
-    errors = [np.sin(2 * np.pi * 1.234 * t + k) + random.normal(0, 1, t.size) for k in range(count)]
+    errors = [np.sin(2 * np.pi * 1.281 * t + k) + random.normal(0, 1, t.size) for k in range(count)]
     return runs_of(trials), trials, errors
 
 
@@ -150,7 +154,7 @@ def test_the_search_for_a_line_holds_no_table_of_waves() -> None:
     runs, _, errors = long_runs(600.0, 1)
     lines: list[float] = []
     assert peak_mb(lambda: lines.append(strongest_line(list(runs), errors, 0.15, 5.0))) < 20
-    assert lines[0] == pytest.approx(1.234, abs=1e-4)
+    assert lines[0] == pytest.approx(1.281, abs=1e-4)
 
 
 def test_a_line_is_where_the_table_of_all_waves_has_it() -> None:

@@ -21,6 +21,7 @@ from hystmpc.studies.faults.judge import judge
 from hystmpc.studies.faults.play import PROGRAM, device_log, end, play, start, start_device
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.recording_order import by_manifest
 from hystmpc.trials.run_folder import RunFolder
 
 from ..cli.test_verbs import run as called
@@ -151,7 +152,8 @@ def test_record_writes_trials_that_read_as_the_device_moved(tmp_path: Path, caps
     (tmp_path / "record.yaml").write_text(SIMULATED + RECORD)
     done = hystmpc("record", tmp_path / "record.yaml", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
-    trials = {path.stem: read_csv(path) for path in (tmp_path / "out" / "trials").iterdir()}
+    trials = {path.stem: read_csv(path) for path in (tmp_path / "out" / "trials").glob("*.csv")}
+    assert by_manifest([str(tmp_path / "out" / "trials" / f"{name}.csv") for name in trials]) is not None
     assert set(trials) == {"steps", "file"}
     assert trials["file"].command[25] == pytest.approx(2.0)
     assert trials["file"].dt == pytest.approx(0.04)

@@ -1,0 +1,229 @@
+"""Stability of a verdict: the same rules on other splits of the same trials, with the hypotheses that were fitted."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hystmpc.models.identify.cross_validation import HeldOutErrors, Hypothesis
+from hystmpc.models.identify.runs import Blocks, Run, blocks_of
+from hystmpc.models.identify.selection import Selection, select_again
+from hystmpc.trials.types import Index
+
+from ..diagnosis import Stability, Verdict
+from ..logs.preparation import PreparedTrials
+from .ambiguity import ambiguity_of
+from .attribution import Attribution, Conclusion, DiagnosisSettings, drift_test
+from .closed_share import Shares
+from .lack_of_fit import structure_left
+from .verdict import FinalFacts, Ruling, VerdictFacts, decide_verdict
+
+RESAMPLES = 40
+_LEAST_SPLITS = 8  # with fewer, blocks of the errors are drawn as well
+
+Names = frozenset[str]
+
+
+@dataclass(frozen=True, eq=False)
+class _Split:
+    """Runs to choose on and runs to confirm on; blocks are drawn with replacement where `seed` is given."""
+
+    development: tuple[int, ...]
+    final: tuple[int, ...]
+    seed: int | None
+
+
+def stability_of(
+    prepared: PreparedTrials,
+    attribution: Attribution,
+    conclusion: Conclusion,
+    settings: DiagnosisSettings,
+    seed: int,
+) -> Stability | None:
+    """Share of resampled splits in which the same rules give the same verdict and the same set of names.
+
+    Each resample takes other trials as final ones. Every hypothesis that the selection tried has errors on all trials
+    by fits that did not see them: those of its fold on a development trial, those of the fit to all development trials
+    on a final trial. The choice of causes, their ambiguity, their confirmation and the verdict are made anew from these
+    errors; nothing is fitted, and hypotheses that the selection did not try are not found. Where fewer than eight
+    splits exist, blocks of 3 s are drawn with replacement as well. Costs the free runs of what was tried on the final
+    trials.
+
+    Args:
+        prepared: trials.
+        attribution: hypotheses tried, and facts of the verdict.
+        conclusion: the verdict.
+        settings: thresholds.
+        seed: of the resamples.
+
+    Returns:
+        None where the trials allow no choice.
+    """
+    if prepared.too_little or prepared.checked.unrelated:
+        return None
+    again = _Again(prepared, attribution, conclusion, settings, seed)
+    count = len(prepared.development), len(prepared.final)
+    told = Counter(again.verdict(split) for split in _splits(*count, prepared.order == "known", seed))
+    own = conclusion.ruling.verdict, conclusion.chosen.effects
+    rivals = [set(names) for names in conclusion.ruling.ambiguity]
+    same = sum(times for made, times in told.items() if _agree(made, own, rivals))
+    others = Counter({_label(*made): 0 for made in told})
+    for made, times in told.items():
+        others[_label(*made)] += 0 if _agree(made, own, rivals) else times
+    total = sum(told.values())
+    return Stability(same / total, total, tuple((text, n / total) for text, n in others.most_common(3) if n))
+
+
+def _agree(made: tuple[Verdict, Names], own: tuple[Verdict, Names], rivals: Sequence[set[str]]) -> bool:
+    """Whether verdict and names are the same; of a set that cannot be told apart any member counts."""
+    if made[0] != own[0] or len(made[1]) != len(own[1]):
+        return False
+    left, right = made[1] - own[1], own[1] - made[1]
+    return all(any(a in names and b in names for names in rivals for b in right) for a in left)
+
+
+def _label(verdict: Verdict, names: Names) -> str:
+    return f"{verdict}: {', '.join(sorted(names))}" if names else verdict
+
+
+def _splits(development: int, final: int, ordered: bool, seed: int) -> Iterator[_Split]:
+    """Splits of the runs that differ; a first trial whose order is known stays among those to choose on."""
+    runs = range(development + final)
+    free = runs[1:] if ordered and development > final else runs
+    random = np.random.default_rng([seed, len(runs)])
+    count = math.comb(len(free), final)
+    if count <= RESAMPLES:
+        chosen = [frozenset(part) for part in itertools.combinations(free, final)]
+    else:
+        drawn: dict[frozenset[int], None] = {}
+        while len(drawn) < RESAMPLES:
+            drawn[frozenset(random.choice(free, final, replace=False).tolist())] = None
+        chosen = list(drawn)
+    repeats = 1 if count >= _LEAST_SPLITS else math.ceil(RESAMPLES / 2 / count)
+    for k, part in enumerate(itertools.product(chosen, range(repeats))):
+        rest = tuple(run for run in runs if run not in part[0])
+        yield _Split(rest, tuple(sorted(part[0])), None if repeats == 1 else seed + k)
+
+
+class _Again:
+    """The verdict on other splits."""
+
+    def __init__(
+        self,
+        prepared: PreparedTrials,
+        attribution: Attribution,
+        conclusion: Conclusion,
+        settings: DiagnosisSettings,
+        seed: int,
+    ) -> None:
+        self._facts, self._settings, self._seed = conclusion.facts, settings, seed
+        self._floor, self._form_mse = conclusion.floor, prepared.form_mse
+        self._spread = conclusion.closed.spread
+        validation, selection = attribution.validation, attribution.selection
+        self._tried = {names: _everywhere(judged, prepared.final) for names, judged in selection.tried.items()}
+        self._drift_shows = drift_test(validation, settings.verdict)
+        baseline, floor_mse = selection.baseline, attribution.facts.floor_mse
+        self._structure_left = functools.cache(
+            lambda chosen: structure_left(Selection(baseline, chosen, {}), validation.runs, floor_mse, settings.verdict)
+        )
+
+    def verdict(self, split: _Split) -> tuple[Verdict, Names]:
+        """Verdict and names of the effects on that split."""
+        tried = {names: _part(judged, split.development, split.seed) for names, judged in self._tried.items()}
+        final: dict[Names, Blocks] = {n: _part(judged, split.final, split.seed) for n, judged in self._tried.items()}
+        settings = self._settings.verdict
+        selection = select_again(tried, self._settings.selection, self._facts.floor_mse)
+        names = selection.chosen.hypothesis.effects
+        facts = replace(
+            self._facts,
+            effects=names,
+            retuned_mse=selection.baseline.mse,
+            chosen_mse=selection.chosen.mse,
+            structure_left=self._structure_left(self._tried[names]),
+            ambiguity=ambiguity_of(selection, settings, self._drift_shows),
+        )
+        explained = decide_verdict(facts, settings).explained
+        kept = self._proven(names, final) if explained else frozenset()
+        ruling = self._ruling(facts, kept, selection.chosen.hypothesis, tried, final)
+        return ruling.verdict, kept if ruling.explained else frozenset()
+
+    def _proven(self, names: Names, final: Mapping[Names, Blocks]) -> Names:
+        """Causes left once those are dropped that do not surely lower the error of the final runs."""
+        while names:
+            subsets = [frozenset(s) for k in range(len(names) + 1) for s in itertools.combinations(names, k)]
+            shares = self._shares(names, final)
+            together = shares.interval(final[frozenset()], final[names])
+            least = dict.fromkeys(names, together[0])
+            if all(subset in final for subset in subsets):
+                for name, (_, ci90) in shares.of_causes(names, final.__getitem__).items():
+                    least[name] = min(ci90[0], together[0])
+            weakest = min(sorted(least), key=lambda name: least[name])
+            if least[weakest] > 0:
+                break
+            names = names - {weakest}
+            if names not in final:
+                return frozenset()
+        return names
+
+    def _shares(self, names: Names, final: Mapping[Names, Blocks]) -> Shares:
+        before, after = final[frozenset()], final[names]
+        return Shares(before, min(self._floor.rmse_deg**2, before.mse, after.mse), self._spread, self._seed)
+
+    def _ruling(
+        self,
+        facts: VerdictFacts,
+        kept: Names,
+        chosen: Hypothesis,
+        tried: Mapping[Names, HeldOutErrors],
+        final: Mapping[Names, Blocks],
+    ) -> Ruling:
+        shares, settings = self._shares(kept, final), self._settings.verdict
+        ratio = 1.0
+        if self._form_mse > 0:
+            ratio = math.sqrt(final[kept].mse / max(self._form_mse, self._floor.noise_deg**2, 1e-9))
+        closed = FinalFacts(
+            shares.closed(final[kept].mse),
+            ratio,
+            unproven=bool(chosen.effects) and not kept,
+            at_floor=shares.before.mse < settings.at_floor * self._floor.noise_deg**2,
+        )
+        if kept and kept != facts.effects:
+            ambiguity = tuple(names for names in facts.ambiguity if names[0] in kept)
+            facts = replace(facts, effects=kept, chosen_mse=tried[kept].mse, ambiguity=ambiguity)
+        return decide_verdict(replace(facts, final=closed), settings)
+
+
+def _everywhere(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
+    """Errors on the development runs by the fits of the folds, then on the final runs by the fit to all of these."""
+    hypothesis = judged.hypothesis
+    errors = tuple(hypothesis.problem.held_out_error(hypothesis.q, run) for run in final)
+    found = blocks_of(errors, final)
+    return replace(
+        judged,
+        energy=np.concatenate([judged.energy, found.energy]),
+        samples=np.concatenate([judged.samples, found.samples]),
+        run=np.concatenate([judged.run, found.run + len(judged.errors)]),
+        errors=(*judged.errors, *errors),
+    )
+
+
+def _part(judged: HeldOutErrors, runs: Sequence[int], seed: int | None) -> HeldOutErrors:
+    """Errors on some of the runs; with a seed, on as many blocks of each, drawn with replacement."""
+    places = [np.flatnonzero(judged.run == k) for k in runs]
+    if seed is not None:
+        random = np.random.default_rng(seed)
+        places = [own[random.integers(0, own.size, own.size)] for own in places]
+    at: Index = np.concatenate(places)
+    return replace(
+        judged,
+        energy=judged.energy[at],
+        samples=judged.samples[at],
+        run=judged.run[at],
+        errors=tuple(judged.errors[k] for k in runs),
+    )

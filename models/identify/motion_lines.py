@@ -1,0 +1,58 @@
+"""Lines of periodic motions: frequencies at which a disturbance cannot be told from the motion itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import get_window
+
+from hystmpc.trials.types import Mask, Vec
+
+from .runs import Run
+
+_PURE = 0.5  # of the command's energy within one line: then it has a fundamental frequency
+_LOW_ORDERS = 5  # harmonics in which a loop has so much energy that it leaks as far as a trial resolves
+_ROUNDING = 0.01  # of a trial's resolution, by which its fundamental is known
+_PERIODS = 3.0  # in a run, below which a motion has no higher harmonics to speak of
+_MOST = 0.5  # of the recorded time, in which a frequency has to be the motion's own
+
+
+def fundamental_hz(command: Vec, dt_s: float) -> float:
+    """Frequency of a motion that has most of its energy in one line [Hz]; 0 where it has not."""
+    hz = np.fft.rfftfreq(command.size, dt_s)
+    power = np.abs(np.fft.rfft(get_window("hann", command.size) * (command - command.mean()))) ** 2
+    power[0] = 0.0
+    top = int(np.argmax(power))
+    near = slice(max(top - 2, 0), top + 3)
+    if power[near].sum() < _PURE * power.sum() or power[near].sum() <= 0:
+        return 0.0
+    return float(power[near] @ hz[near] / power[near].sum())
+
+
+def motions_own(runs: Sequence[Run], hz: Vec) -> Mask:
+    """Frequencies (F,) that are a periodic motion's own in half of the recorded time or more.
+
+    A frequency is a motion's own where its fundamental or a harmonic lies nearer than 1 / T, with T the time of all
+    runs together. Each run has a phase of its own, and resolves no more than one over its own time: that is the limit
+    for the first five harmonics, whose size differs from run to run with the width of the loop. A few
+    slow moves are no periodic motion: of fewer than three periods only these five count, and no nearer than 1 / T.
+
+    Args:
+        runs: all that were recorded.
+        hz: to judge [Hz].
+    """
+    seconds = np.array([run.command.size * run.dt_s for run in runs])
+    own = np.zeros(hz.size)
+    for run, length in zip(runs, seconds, strict=True):
+        fundamental = fundamental_hz(run.command, run.dt_s)
+        if fundamental <= 0:
+            continue
+        order = np.maximum(np.rint(hz / fundamental), 1.0)
+        together = 1.0 / seconds.sum()
+        low, high = 1.0 / length, together + _ROUNDING * order / length
+        if fundamental * length < _PERIODS:
+            low, high = together, np.zeros(hz.size)
+        nearest = np.where(order <= _LOW_ORDERS, low, high)
+        own += length * (np.abs(hz - order * fundamental) <= nearest)
+    return np.asarray(own >= _MOST * seconds.sum())
