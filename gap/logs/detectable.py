@@ -10,7 +10,7 @@ import numpy as np
 
 from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS, candidates
 from hystmpc.models.effects.effect import Candidate, Scale
-from hystmpc.models.effects.place import unit_on
+from hystmpc.models.operators.operator import unit_on
 from hystmpc.models.identify.baseline import Baseline
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.runs import Run
