@@ -20,7 +20,9 @@ from hystmpc.trials.types import Progress
 
 from .decide.ambiguity import probability, ranking
 from .decide.attribution import DiagnosisSettings, attribute, confirm
+from .decide.configuration import SHIFT, UNITS, Configuration, configuration_of
 from .decide.findings import Findings
+from .decide.retuning import moved_numbers, retuned_with
 from .decide.stability import stability_of
 from .decide.verdict import reason_for
 from .diagnosis import Diagnosis, FoundEffect, Untestable
@@ -77,7 +79,7 @@ def investigate(
         for line in filter(None, (*prepared.checked.left_out, prepared.checked.workload.estimate)):
             say(line)
     validation = CrossValidation(prepared.baseline, prepared.development)
-    retuned = validation.retuned()
+    prepared, validation, retuned = retuned_with(prepared, validation)
     clock.lap("check and retune")
     attribution = attribute(prepared, validation, retuned, left_out, settings, seed, _selection_progress(progress))
     clock.lap("which")
@@ -166,24 +168,33 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
     ruling, jumps, hypothesis = conclusion.ruling, attribution.jumps, attribution.retuned
     probabilities = _probabilities(findings)
-    effects = _effects(findings, probabilities, parameters)
+    grouped = configuration_of(conclusion.chosen, prepared.everything)
+    effects = _effects(findings, probabilities, parameters, grouped)
+    ambiguity = tuple(tuple(_called(name, grouped) for name in names) for names in ruling.ambiguity)
     nominal = prepared.baseline.quantities(prepared.baseline.nominal)
     retuned = prepared.baseline.quantities(hypothesis.problem.retuned(hypothesis.q))
     library = [name for name in LIBRARY if name not in findings.left_out]
+    moved = moved_numbers(prepared, hypothesis, parameters) if ruling.verdict == "retuned" else ()
+    sizes, checked = conclusion.closed.gap, prepared.checked
+    ranked = ranking(probabilities, attribution.inclusion, ruling.ambiguity or (unseparated(findings),), library)
     return Diagnosis(
         verdict=ruling.verdict,
-        reason=reason_for(ruling, effects, conclusion.closed.gap, prepared.too_little, prepared.checked.unrelated),
+        reason=reason_for(
+            replace(ruling, ambiguity=ambiguity), effects, sizes, prepared.too_little, checked.unrelated, moved
+        ),
         effects=effects,
-        ambiguity=ruling.ambiguity,
-        ranking=ranking(probabilities, attribution.inclusion, ruling.ambiguity or (unseparated(findings),), library),
-        gap=conclusion.closed.gap,
+        ambiguity=ambiguity,
+        ranking=tuple((_called(name, grouped), probability) for name, probability in ranked),
+        gap=sizes,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
         where=dict(findings.localisation.places) if findings.localisation else {},
-        notes=(*prepared.checked.notes, *([jumps.note] if jumps else [])),
+        notes=(*checked.notes, *([jumps.note] if jumps else [])),
         order=prepared.order,
         untestable=_untestable(findings),
         stability=findings.stability,
         explainable_share=_explainable_share(findings),
+        moved=moved,
+        groups=grouped.groups if grouped else (),
     )
 
 
@@ -193,7 +204,7 @@ def _explainable_share(findings: Findings) -> float | None:
     errors = prepared.residuals(findings.attribution.retuned)
     mse = float(np.mean(np.concatenate(errors) ** 2))
     structural = mse - conclusion.closed.gap.floor_rmse_deg**2
-    if structural <= 0 or conclusion.ruling.verdict == "none":
+    if structural <= 0 or conclusion.ruling.case == "moved" or conclusion.ruling.verdict == "none":
         return None
     explained = explainable_share(prepared.checked.trials, errors, findings.seed) * mse
     return float(np.clip(explained / structural, 0.0, 1.0))
@@ -227,22 +238,30 @@ def _probabilities(findings: Findings) -> dict[str, float]:
     }
 
 
+def _called(name: str, grouped: Configuration | None) -> str:
+    """What an effect is called: shifts of whole groups of trials have a name of their own."""
+    return grouped.name(name) if grouped else name
+
+
 def _effects(
-    findings: Findings, probabilities: Mapping[str, float], parameters: Sequence[ParameterRow]
+    findings: Findings,
+    probabilities: Mapping[str, float],
+    parameters: Sequence[ParameterRow],
+    grouped: Configuration | None,
 ) -> tuple[FoundEffect, ...]:
     """Effects found, largest share first."""
     closed = findings.conclusion.closed
     return tuple(
         FoundEffect(
-            name=name,
+            name=_called(name, grouped),
             probability=probabilities[name],
             inclusion=findings.attribution.inclusion.get(name, 1.0),
             closed_share=cause.share,
             closed_ci90=cause.ci90,
             rmse_before_deg=cause.rmse_without_deg,
             rmse_after_deg=closed.gap.with_effects_rmse_deg,
-            parameters=cause.parameters,
-            units={row.name: row.unit for row in parameters if row.owner == name},
+            parameters=grouped.sizes if grouped and name == SHIFT else cause.parameters,
+            units=UNITS if grouped and name == SHIFT else {r.name: r.unit for r in parameters if r.owner == name},
             undetermined=tuple(row.name for row in parameters if row.owner == name and row.flat),
         )
         for name, cause in sorted(closed.causes.items(), key=lambda item: -item[1].share)

@@ -16,7 +16,7 @@ FORMAT = "hystmpc-diagnosis/2"
 FORMATS = ("hystmpc-diagnosis/1", FORMAT)
 """What readers accept; version 2 has all keys of version 1, with their meaning."""
 
-Verdict = Literal["named", "one_of", "unknown", "none", "too_little"]
+Verdict = Literal["named", "one_of", "retuned", "unknown", "none", "too_little"]
 FloorKind = Literal["repeats", "noise"]
 Order = Literal["known", "unknown"]
 """Whether the order in which the trials were recorded is known."""
@@ -100,6 +100,24 @@ class Place:
 
     share: float
     density: float
+    ci90: Interval
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A number of the simulator's core that retuning has moved.
+
+    Attributes:
+        name: `gain`, `offset`, `backlash_width`, or as the core calls it.
+        unit: of it; 1 for a plain number.
+        given, value: as given, and retuned.
+        ci90: 90 % interval of the retuned value.
+    """
+
+    name: str
+    unit: str
+    given: float
+    value: float
     ci90: Interval
 
 
@@ -199,13 +217,16 @@ class Diagnosis:
     """Where the gap lies, which effects cause it, how far it shrinks, and what to record next.
 
     Attributes:
-        verdict: named | one_of (see `ambiguity`) | unknown | none | too_little.
+        verdict: named | one_of (see `ambiguity`) | retuned (see `moved`) | unknown | none | too_little.
         reason: the verdict in one sentence.
         effects: chosen effects, largest share first.
         ambiguity: sets of effects that these trials cannot tell apart.
         ranking: every effect with its probability, most likely first.
         gap: sizes.
         retuned: baseline quantities, each (nominal, retuned).
+        moved: numbers that retuning has surely moved; empty but for the verdict `retuned`.
+        groups: names of the trials that share a configuration, the largest group first; empty but with the effect
+            `configuration_change`.
         where: share of the residual by part of the motion.
         notes: faults and shortcomings of the trials, a sentence each.
         next_motion: the motion to record next; None where nothing is open.
@@ -232,6 +253,8 @@ class Diagnosis:
     untestable: tuple[Untestable, ...] = ()
     stability: Stability | None = None
     explainable_share: float | None = None
+    moved: tuple[Moved, ...] = ()
+    groups: tuple[tuple[str, ...], ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The fixed form `hystmpc-diagnosis/2`: plain dicts, lists, numbers and strings."""

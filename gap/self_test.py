@@ -208,7 +208,7 @@ def _sets(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
 def _recovered(diagnosis: Diagnosis, truth: tuple[str, ...]) -> bool:
     """Whether each effect of the truth has one set of its own, and none is left over."""
     if not truth:
-        return diagnosis.verdict == "none"
+        return diagnosis.verdict in ("none", "retuned")
     sets = _sets(diagnosis)
     if diagnosis.verdict not in ("named", "one_of") or len(sets) != len(truth):
         return False

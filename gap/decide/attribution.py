@@ -23,6 +23,7 @@ from .ambiguity import ambiguity_of, drift_is_significant, inclusion_shares
 from .gap_closed import GapClosed, measure
 from .jumps import Jumps, find_jumps
 from .lack_of_fit import structure_left
+from .retuning import Retuning, retuning_of
 from .verdict import FinalFacts, Ruling, VerdictFacts, VerdictSettings, decide_verdict
 
 _LEAST_MSE = 1e-9
@@ -133,6 +134,7 @@ def attribute(
             jumps=jumping,
             too_little=bool(prepared.too_little),
             unrelated=bool(prepared.checked.unrelated),
+            retuning=Retuning() if unusable else retuning_of(prepared, retuned, selection.baseline.mse),
         ),
     )
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
-from ..diagnosis import FoundEffect, Gap, Verdict
+from ..diagnosis import FoundEffect, Gap, Moved, Verdict
+from .retuning import Retuning
 
 VerdictCase = Literal[
     "too_little",
@@ -24,6 +25,8 @@ VerdictCase = Literal[
     "jumps",
     "sensor_beside_unknown",
     "at_floor",
+    "moved",
+    "reshaped",
 ]
 
 VERDICTS: Mapping[VerdictCase, Verdict] = {
@@ -42,8 +45,13 @@ VERDICTS: Mapping[VerdictCase, Verdict] = {
     "jumps": "named",
     "sensor_beside_unknown": "named",
     "at_floor": "none",
+    "moved": "retuned",
+    "reshaped": "retuned",
 }
 _UNUSABLE = ("too_little", "unrelated")
+_MENDS_FORM = frozenset(
+    {"asymmetry", "nonlinear_gain", "trial_shift"}
+)  # what the form error of a simple core of friction looks like
 
 
 @dataclass(frozen=True)
@@ -70,6 +78,10 @@ class VerdictSettings:
         noise_share: share of the remaining error from which noise and resolution of the sensor are named.
         mended_share: the same for outliers and dropouts.
         simplicity: share of the structural error that a resample has to gain by one more cause.
+        moved: MSE of the simulator as given over that of the retuned one, from which numbers were off ...
+        lowered: ... and the same where the retuned one leaves more than its form error had been.
+        friction: share of the retuned error that plays of other weights and widths have to explain for it to be the
+            form error of a friction that has changed.
     """
 
     no_gap: float = 2.2
@@ -89,6 +101,9 @@ class VerdictSettings:
     noise_share: float = 0.3
     mended_share: float = 0.1
     simplicity: float = 0.04
+    moved: float = 2.0
+    lowered: float = 1.2
+    friction: float = 0.6
 
 
 @dataclass(frozen=True)
@@ -123,6 +138,7 @@ class VerdictFacts:
         sensor: whether the sensor's faults are a good part of the error that the effects leave.
         jumps: whether the tip sticks and slips in steady motion.
         too_little, unrelated: whether the trials are too short, or no angle follows its command.
+        retuning: what retuning did.
         final: errors on the final trials with the causes that were selected; None before these are evaluated.
     """
 
@@ -138,6 +154,7 @@ class VerdictFacts:
     jumps: bool = False
     too_little: bool = False
     unrelated: bool = False
+    retuning: Retuning = field(default_factory=Retuning)
     final: FinalFacts | None = None
 
 
@@ -192,6 +209,10 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
     | jumps                 | in place of (a) and (b): the tip sticks and slips                           | named      |
     | sensor_beside_unknown | in place of (b): repairing the sensor closes >= `least_closed` of the gap   | named      |
     | at_floor              | in place of any other unknown: the retuned error is that of the noise       | none       |
+    | moved                 | in place of any none: the error fell by retuning                            | retuned    |
+    | reshaped              | in place of any unknown, and of asymmetry, curved gain, shifts: the error   | retuned    |
+    |                       | fell by retuning, and the rest is form error, of a loop that is so much     |            |
+    |                       | higher, or of a friction that plays of other weights and widths would follow|            |
 
     Effects that are not in the library are imitated by others, mostly several at once, that close a part of the gap:
     therefore several effects have to close more on the final trials than one alone.
@@ -223,8 +244,22 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
         case = "sensor_beside_unknown" if facts.final.closed_share >= settings.least_closed else case
     if usable and VERDICTS[case] == "unknown" and facts.final is not None and facts.final.at_floor:
         case = "at_floor"
-    sensor = usable and facts.sensor and VERDICTS[case] != "none"
+    case = _retuned_case(case, facts, settings) if usable else case
+    sensor = usable and facts.sensor and VERDICTS[case] not in ("none", "retuned")
     return Ruling(case, facts.ambiguity if case == "ambiguous" else (), sensor)
+
+
+def _retuned_case(case: VerdictCase, facts: VerdictFacts, settings: VerdictSettings) -> VerdictCase:
+    """The case, or that of retuning where the error fell by it and what it leaves is form error."""
+    found, verdict = facts.retuning, VERDICTS[case]
+    if verdict == "none":
+        return "moved" if found.moved >= settings.moved else case
+    retuned = min(facts.retuned_mse, facts.retuned_fit_mse)
+    form_error = retuned < settings.no_gap * found.grown_form_mse or found.friction_share >= settings.friction
+    mended = verdict in ("named", "one_of") and bool(facts.effects) and facts.effects <= _MENDS_FORM
+    mended = mended and not facts.sensor and not facts.jumps
+    form_error = form_error and found.moved >= settings.lowered
+    return "reshaped" if form_error and (verdict == "unknown" or mended) else case
 
 
 def _confirmed(facts: VerdictFacts, settings: VerdictSettings) -> bool:
@@ -235,7 +270,14 @@ def _confirmed(facts: VerdictFacts, settings: VerdictSettings) -> bool:
     return facts.final.closed_share >= enough or facts.final.residual_ratio <= settings.confirmed_left
 
 
-def reason_for(ruling: Ruling, effects: Sequence[FoundEffect], gap: Gap, too_little: str, unrelated: str) -> str:
+def reason_for(
+    ruling: Ruling,
+    effects: Sequence[FoundEffect],
+    gap: Gap,
+    too_little: str,
+    unrelated: str,
+    moved: Sequence[Moved] = (),
+) -> str:
     """The verdict in one sentence, with its numbers; `too_little` and `unrelated` say why trials are unusable."""
     sizes = f"retuned {gap.retuned_rmse_deg:#.3g} deg, floor {gap.floor_rmse_deg:#.3g} deg"
     names = ", ".join(effect.name.replace("_", " ") for effect in effects)
@@ -249,6 +291,25 @@ def reason_for(ruling: Ruling, effects: Sequence[FoundEffect], gap: Gap, too_lit
         "named": f"{names}: {closed}, {100 * gap.unexplained_share:.0f} % unexplained ({sizes})",
         "one_of": f"one of {sets}: these trials cannot tell them apart; {closed} ({sizes})",
         "unknown": f"{unrelated or unexplained} ({sizes})",
+        "retuned": f"{_retuned(ruling, gap, moved)} ({sizes})",
         "none": f"no structural gap: retuning leaves no more than noise and the simulator's own form error ({sizes})",
         "too_little": f"too little: {too_little} ({sizes})",
     }[ruling.verdict]
+
+
+def _retuned(ruling: Ruling, gap: Gap, moved: Sequence[Moved]) -> str:
+    """What moved, and by how much the error falls with it."""
+    numbers = ", ".join(moved_words(row) for row in moved) or "numbers of the core, none of them for sure"
+    fall = f"the RMSE falls from {gap.nominal_rmse_deg:#.3g} to {gap.retuned_rmse_deg:#.3g} deg"
+    said = f"numbers of the same structure have moved, nothing is missing in it: {numbers}; {fall}"
+    if ruling.case == "moved":
+        return said
+    return f"{said}; the rest is the form error of this simulator, which is larger with the friction as it is now"
+
+
+def moved_words(row: Moved) -> str:
+    """A number before and after, as `gain 10.2 to 11.4 deg/mm (90 % interval 11.3 to 11.5)`."""
+    low, high = row.ci90
+    unit = "" if row.unit == "1" else f" {row.unit}"
+    name = row.name.replace("_", " ")
+    return f"{name} {row.given:.3g} to {row.value:.3g}{unit} (90 % interval {low:.3g} to {high:.3g})"

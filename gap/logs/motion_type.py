@@ -214,15 +214,16 @@ def _past(u: Vec, dt: float) -> Mat:
     late = [np.concatenate([np.full(min(k, u.size), u[0]), u[:-k]])[: u.size] for k in lags]
     v = np.gradient(u, dt)
     slow = [u[0] + lfilter([dt / (tau + dt)], [1, -tau / (tau + dt)], u - u[0]) for tau in _AGES_S]
-    return np.column_stack([u, u**2, u**3, v, np.abs(v), np.sign(v), *late, *slow, *_plays(u).T])
+    return np.column_stack(
+        [u, u**2, u**3, v, np.abs(v), np.sign(v), *late, *slow, *play_states(u, 0.5 * np.array(_WIDTHS)).T]
+    )
 
 
-def _plays(u: Vec) -> Mat:
-    """Play states (T, widths) of half width r: p = max(u - r, min(u + r, p))."""
-    half = 0.5 * np.array(_WIDTHS)
+def play_states(u: Vec, half: Vec, side: float = 0.0) -> Mat:
+    """States (T, R) of plays of half-widths r (R,): p = max(u - r, min(u + r, p)), from u + `side` r on."""
     lower, upper = u[:, None] - half, u[:, None] + half
     p = np.empty_like(lower)
-    now = np.full(half.size, u[0])
+    now = u[0] + side * half
     for k in range(u.size):
         now = np.minimum(np.maximum(now, lower[k]), upper[k])
         p[k] = now

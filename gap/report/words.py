@@ -18,7 +18,8 @@ def headline(diagnosis: Diagnosis) -> str:
         "named": f"Named: {names or 'no effect'}",
         "one_of": f"Not told apart: {'; '.join(choices(diagnosis)) or names}",
         "unknown": "Unknown: a gap that no effect of the library explains",
-        "none": "No structural gap: retuning is enough",
+        "retuned": f"Retuned: {listed([in_words(row.name) for row in diagnosis.moved], 'and') or 'numbers'} moved",
+        "none": "No structural gap: the simulator as given is enough",
         "too_little": "Too little: these logs do not allow a diagnosis",
     }[diagnosis.verdict]
     if stability is None or not stability.flips:

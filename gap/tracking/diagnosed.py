@@ -82,7 +82,7 @@ def _why_not(evidence: Evidence) -> str:
     if diagnosis.verdict == "unknown" or evidence.fixed is None:
         return "the gap has a cause that is not known, so that no simulator stands for the device"
     closed = diagnosis.gap.closed_share
-    if diagnosis.verdict != "none" and not closed >= LEAST_CLOSED:
+    if diagnosis.verdict not in ("none", "retuned") and not closed >= LEAST_CLOSED:
         return (
             f"the corrected simulator closes {100 * closed:.0f} % of the structural gap, expected "
             f"{100 * LEAST_CLOSED:.0f} % or more for it to stand for the device in a closed loop"

@@ -1,10 +1,10 @@
-"""What retuning of the nominal simulator may change: gain, offset, width; never what has an effect's name."""
+"""What retuning of the nominal simulator may change: gain, offset, widths, weights; never what has an effect's name."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -32,6 +32,7 @@ class Baseline(ABC):
         nominal, lower, upper, scale: of z.
         effects: position in z of what retuning leaves alone, because it is an effect: {effect: {name: position}}.
         held: positions in z of what is chosen and never fitted.
+        width: position in z of the width of the loop, -1 for none.
         roughness: rows (R, Z) [deg per unit of z] whose products with z count as errors of single samples: they tie
             together what few samples determine (Eilers, Marx, Flexible smoothing with B-splines and penalties,
             Statistical Science 11, 1996, with differences of first order).
@@ -44,6 +45,7 @@ class Baseline(ABC):
     scale: Vec
     effects: Mapping[str, Mapping[str, int]]
     held: tuple[int, ...] = ()
+    width: int = -1
     roughness: Vec = np.empty((0, 0))
 
     @abstractmethod
@@ -53,6 +55,10 @@ class Baseline(ABC):
     @abstractmethod
     def quantities(self, z: Vec) -> Mapping[str, float]:
         """`gain` [deg/cmd], `offset` [deg at the middle of the command's range], `backlash_width` [cmd]."""
+
+    def freed(self) -> Baseline:
+        """The same with the widths of its plays free, where retuning usually holds them; itself where none are held."""
+        return self
 
 
 @final
@@ -82,6 +88,7 @@ class BacklashBaseline(Baseline):
         ):
             object.__setattr__(self, name, np.array(value))
         object.__setattr__(self, "effects", {"asymmetry": {"slope_ratio": 3}})
+        object.__setattr__(self, "width", 2)
 
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
         m_lo, m_up, c_lo, c_up = self.chain.core.values
@@ -112,10 +119,12 @@ class FreeCoreBaseline(Baseline):
     Attributes:
         chain: the nominal chain.
         command: range of the command [cmd].
+        free_widths: whether the half-widths of curved plays are free, too.
     """
 
     chain: Chain
     command: Range
+    free_widths: bool = False
 
     def __post_init__(self) -> None:
         core, values = self.chain.core, np.array(self.chain.core.values)
@@ -135,12 +144,18 @@ class FreeCoreBaseline(Baseline):
             if p.name in _EFFECTS_BY_ANOTHER_NAME
         }
         object.__setattr__(self, "effects", named)
+        names = [p.name for p in core.parameters]
+        object.__setattr__(self, "width", names.index("alpha") if "alpha" in names else -1)
         if isinstance(core, CurvedPlays):
-            object.__setattr__(self, "held", tuple(range(len(slopes) + 1, values.size)))
+            widths = core.plays if self.free_widths else 0
+            object.__setattr__(self, "held", tuple(range(len(slopes) + 1 + widths, values.size)))
             object.__setattr__(self, "roughness", _ROUGHNESS * span * _differences(core, values.size))
 
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
         return np.clip(z, self.lower, self.upper), np.eye(z.size)
+
+    def freed(self) -> Baseline:
+        return replace(self, free_widths=True) if isinstance(self.chain.core, CurvedPlays) else self
 
     def quantities(self, z: Vec) -> Mapping[str, float]:
         """Read off the major loop of the core over the command's range."""
@@ -174,6 +189,7 @@ class ScaledBaseline(Baseline):
         ):
             object.__setattr__(self, name, np.array(value))
         object.__setattr__(self, "effects", {})
+        object.__setattr__(self, "width", 2)
 
     def core_values(self, z: Vec) -> tuple[Vec, Vec]:
         nominal, slope = np.array(self.chain.core.values), np.zeros((len(self.chain.core.values), 3))

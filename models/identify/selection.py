@@ -237,9 +237,10 @@ class _Fits:
             self._candidates = _favourites(reached, self._settings.variants)
         for terms in self._terms(base):
             made = self._validation.with_causes(base.problem.effects, terms, z, [there])
-            best[terms.names[-1] if terms.frequency_hz and not base.problem.terms.frequency_hz else "trial_shift"] = (
-                made
-            )
+            name = next(name for name in terms.names if name not in base.problem.terms.names)
+            expected = made.mse * self._expected((3 if terms.width >= 0 else 2) * len(self._validation.runs))
+            if name not in best or expected < predicted[name]:
+                best[name], predicted[name] = made, expected
         order = sorted(best.values(), key=lambda h: h.mse)
         return order[: self._settings.judged]
 
@@ -256,7 +257,9 @@ class _Fits:
         """Terms of the base with one more."""
         terms, made = base.problem.terms, []
         if not terms.shift and "trial_shift" not in self._without and len(self._validation.runs) > 1:
+            width = self._validation.baseline.width
             made.append(replace(terms, shift=True))
+            made += [replace(terms, shift=True, width=width)] if width >= 0 else []
         if not terms.frequency_hz and "periodic_disturbance" not in self._without:
             runs, settings = list(self._validation.runs), self._settings
             errors = [base.problem.error(base.q, run)[0] for run in runs]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -132,6 +133,7 @@ Interval = tuple[float, float]
 UNKNOWN: Interval = (float("nan"), float("nan"))
 
 _NUDGE = 1e-3
+_OF_PLAYS = re.compile(r"a\d+|alpha|r\d+")  # weights, spacing of half-widths, half-widths
 _BASELINE_UNITS = {"gain": "deg/cmd", "offset": "deg", "backlash_width": "cmd"}
 _ENDINGS = {"_deg_s": "deg/s", "_deg": "deg", "_hz": "Hz", "_s": "s"}  # longest first
 
@@ -155,6 +157,29 @@ def parameter_rows(
         for name, value in parameters.items()
         if (effect, name) not in known
     ]
+    return tuple(rows)
+
+
+def core_rows(hypothesis: Hypothesis, runs: Sequence[Run]) -> tuple[ParameterRow, ...]:
+    """Weights and widths of the core's plays, as far as retuning fits them; `neutral` is the given value.
+
+    Args:
+        hypothesis: the retuned simulator, at its optimum.
+        runs: what it was fitted on.
+    """
+    problem, q = hypothesis.problem, hypothesis.q
+    baseline, z = problem.baseline, problem.retuned(hypothesis.q)
+    names = [p.name for p in baseline.chain.core.parameters]
+    held = {*baseline.held, *(k for own in baseline.effects.values() for k in own.values())}
+    plays = [k for k, name in enumerate(names) if _OF_PLAYS.fullmatch(name) and k not in held]
+    if z.size != len(names) or not plays:
+        return ()
+    found, rows = uncertainty(problem, q, runs), []
+    for k in plays:
+        half = found.half_width(_slope(_entry(problem, k), q))
+        ends, bound = (float(z[k] - half), float(z[k] + half)), half == 0.0
+        nominal, unit = float(baseline.nominal[k]), baseline.chain.core.parameters[k].unit
+        rows.append(ParameterRow("core", names[k], float(z[k]), UNKNOWN if bound else ends, nominal, bound, unit=unit))
     return tuple(rows)
 
 

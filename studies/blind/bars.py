@@ -249,7 +249,7 @@ def bars(cases: Sequence[ScoredCase]) -> list[Bar]:
 
 def alarm(case: ScoredCase) -> bool:
     """Whether a structural gap is claimed, with a name or without."""
-    return case.reading.verdict not in ("none", "too_little")
+    return case.reading.verdict not in ("none", "retuned", "too_little")
 
 
 def confidently_wrong(case: ScoredCase) -> bool:

@@ -13,7 +13,7 @@ from hystmpc.trials.errors import LogError
 from .run import BESIDE, DIAGNOSIS, FAILURE
 from .sealed import DENSE, REGIONS, Answer, open_answers
 
-VERDICTS = ("named", "one_of", "unknown", "none", "too_little")
+VERDICTS = ("named", "one_of", "retuned", "unknown", "none", "too_little")
 FAILED = "failed"
 LARGE = 3.0
 """Gap in floors from which on the bars hold."""
@@ -143,13 +143,13 @@ class ScoredCase:
     def right(self) -> bool:
         """Whether the verdict is right.
 
-        With nothing to find: `none`. With a foreign cause: `unknown` or `too_little`. Else the first name is the
-        largest cause, or either of a pair; on motions that do not separate it from its confounders, leaving it open or
-        `too_little` is right too.
+        With nothing to find: `none`, or `retuned`, as devices are off their nominal numbers. With a foreign cause:
+        `unknown` or `too_little`. Else the first name is the largest cause, or either of a pair; on motions that do not
+        separate it from its confounders, leaving it open or `too_little` is right too.
         """
         truth, said = self.answer.truth, self.reading
         if truth == "none":
-            return said.verdict == "none"
+            return said.verdict in ("none", "retuned")
         if truth == "unknown":
             return said.verdict in ("unknown", "too_little")
         if said.guess == truth or said.guess in self.answer.labels:

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.gap.diagnosis import Diagnosis, FoundEffect, Gap, NextMotion, Place, Stability, Verdict
+from hystmpc.gap.diagnosis import Diagnosis, FoundEffect, Gap, Moved, NextMotion, Place, Stability, Verdict
 from hystmpc.gap.logs.excitation import excitation_of
 from hystmpc.gap.logs.identifiability import confusability
 from hystmpc.gap.next.motion_design import MotionProposal, Noise, propose
@@ -22,10 +22,11 @@ from ..models.zoo import CHAINS, simulator
 from .contenders import CREEP, DELAY, LAG, angle, baseline, creep
 
 DT = 0.04
-VERDICTS: tuple[Verdict, ...] = ("named", "one_of", "unknown", "none", "too_little")
+VERDICTS: tuple[Verdict, ...] = ("named", "one_of", "retuned", "unknown", "none", "too_little")
 REASON = {
     "named": "Creep explains the gap: probability 93 %, and the held-out error falls by two thirds.",
     "one_of": "Lag and delay explain these trials equally well.",
+    "retuned": "The same structure with other numbers explains the gap: gain 10.2 to 10.9 deg/mm.",
     "unknown": "A gap of 1.9 deg remains above the floor, and no effect of the library explains it.",
     "none": "Retuned, the simulator lies within the floor.",
     "too_little": "One sine of 10 s: too little to split, select and test.",
@@ -80,7 +81,7 @@ def effects_of(verdict: Verdict) -> tuple[FoundEffect, ...]:
 
 def proposal_of(verdict: Verdict) -> MotionProposal | None:
     """What to record next."""
-    if verdict in ("none", "named"):
+    if verdict in ("none", "retuned", "named"):
         return None
     pair = (LAG, DELAY) if verdict == "one_of" else (LAG, DELAY, CREEP)
     return propose(pair, menu(CommandLimits(0.0, 6.0, 12.0), DT), Noise(0.14))
@@ -114,6 +115,7 @@ def diagnosis_of(verdict: Verdict, trials: tuple[TrialEvidence, ...], proposal: 
         None if proposal is None else NextMotion(**vars(proposal.summary())),
         stability=None if verdict == "too_little" else Stability(0.9, 20, (("unknown", 0.1),)),
         explainable_share=0.93 if verdict == "named" else None,
+        moved=(Moved("gain", "deg/mm", 10.2, 10.9, (10.8, 11.0)),) if verdict == "retuned" else (),
     )
 
 

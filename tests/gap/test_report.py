@@ -102,6 +102,7 @@ def test_headlines_tell_verdicts_apart() -> None:
     lines = {verdict: headline(report_data(verdict, 1).diagnosis) for verdict in VERDICTS}
     assert lines["named"] == "Named: creep"
     assert lines["one_of"] == "Not told apart: lag or delay"
+    assert lines["retuned"] == "Retuned: gain moved"
     assert lines["unknown"].startswith("Unknown")
     assert lines["none"].startswith("No structural gap")
     assert lines["too_little"].startswith("Too little")

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hystmpc.gap.decide.retuning import Retuning
 from hystmpc.gap.decide.verdict import (
     VERDICTS,
     FinalFacts,
@@ -32,6 +33,7 @@ NOTHING = replace(EXPLAINED, effects=frozenset(), chosen_mse=1.0, final=FinalFac
 OPEN = replace(EXPLAINED, chosen_mse=0.9)
 AMBIGUOUS = replace(EXPLAINED, ambiguity=(("lag", "delay"),))
 UNPROVEN = FinalFacts(closed_share=0.0, residual_ratio=1.0, unproven=True)
+GROWN = Retuning(2.0, 0.5, 0.6)
 WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
 
 
@@ -74,6 +76,17 @@ WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
         (replace(OPEN, sensor=True, final=None), "left_open", "unknown"),
         (replace(OPEN, jumps=True), "jumps", "named"),
         (replace(NOTHING, jumps=True, form_mse=0.5), "jumps", "named"),
+        # retuning
+        (replace(EXPLAINED, retuned_fit_mse=0.02, retuning=Retuning(2.0)), "moved", "retuned"),
+        (replace(NOTHING, final=FinalFacts(0.0, 1.0, at_floor=True), retuning=Retuning(2.0)), "moved", "retuned"),
+        (replace(NOTHING, retuning=Retuning(2.0, 0.5)), "reshaped", "retuned"),
+        (replace(NOTHING, retuning=Retuning(2.0, 0.4, 0.6)), "reshaped", "retuned"),
+        (replace(NOTHING, retuning=Retuning(1.1, 0.5, 0.6)), "no_effect", "unknown"),
+        (replace(NOTHING, retuning=Retuning(9.0, 0.4, 0.5)), "no_effect", "unknown"),
+        (replace(EXPLAINED, retuning=GROWN), "explained", "named"),
+        (replace(EXPLAINED, effects=frozenset({"asymmetry"}), retuning=GROWN), "reshaped", "retuned"),
+        (replace(EXPLAINED, effects=frozenset({"asymmetry"}), retuning=GROWN, jumps=True), "explained", "named"),
+        (replace(NOTHING, jumps=True, retuning=GROWN), "jumps", "named"),
         # trials
         (replace(EXPLAINED, too_little=True), "too_little", "too_little"),
         (replace(EXPLAINED, too_little=True, unrelated=True), "too_little", "too_little"),
@@ -112,6 +125,7 @@ facts_ = st.builds(
     jumps=st.booleans(),
     too_little=st.booleans(),
     unrelated=st.booleans(),
+    retuning=st.builds(Retuning, st.floats(0, 9), mse, st.floats(0, 1)),
     final=st.one_of(st.none(), st.builds(FinalFacts, st.floats(-1, 1), st.floats(0, 20), st.booleans(), st.booleans())),
 )
 
@@ -128,6 +142,9 @@ def test_rules_that_hold_for_all_facts(facts: VerdictFacts) -> None:
         assert ruling.verdict in ("named", "one_of")
     if ruling.sensor:
         assert facts.sensor
+    if ruling.verdict == "retuned":
+        assert facts.retuning.moved >= SETTINGS.lowered
+        assert not ruling.explained
     # The final trials alone never turn a gap into none, unless it is at their floor, nor an unexplained gap into an
     # explanation by effects.
     before = decide_verdict(replace(facts, final=None), SETTINGS)

@@ -1,0 +1,110 @@
+"""Retuning: what it frees, how large the simulator's form error has become with it, and which numbers moved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis, gain
+from hystmpc.models.identify.uncertainty import ParameterRow, core_rows
+
+from ..diagnosis import Moved
+from ..logs.preparation import PreparedTrials
+from ..logs.sensor import white_noise
+from ..residual.memory import friction_share
+
+_ASKED = 1.5  # held-out error over model-form error, from which the widths of curved plays are freed
+_GAINED = 0.5  # of the error above the model-form error, by which it has to fall with them
+_MOST_NOISE = 0.9  # of the model-form error
+_LEAST_MOVE = 0.01  # of a number: less has no meaning for a device
+
+
+@dataclass(frozen=True)
+class Retuning:
+    """What retuning did.
+
+    Attributes:
+        moved: error of the simulator as given over that of the retuned one on development trials that the fit did not
+            see, mean squares.
+        grown_form_mse: model-form error that is to be expected of the retuned simulator [deg^2]; zero where the
+            simulator's own is unknown.
+        friction_share: of the retuned error above the noise, that plays of other weights and widths explain.
+    """
+
+    moved: float = 1.0
+    grown_form_mse: float = 0.0
+    friction_share: float = 0.0
+
+
+def retuned_with(
+    prepared: PreparedTrials, validation: CrossValidation
+) -> tuple[PreparedTrials, CrossValidation, Hypothesis]:
+    """The retuned simulator, and trials and validation with the freedom that it has.
+
+    The half-widths of curved plays are free where the error asks for it: it is 1.5 times the model-form error, and
+    they explain half of what is above that, by more than two standard errors on trials left out.
+    """
+    retuned, freed = validation.retuned(), prepared.baseline.freed()
+    if freed is prepared.baseline or retuned.mse < _ASKED * prepared.form_mse or not prepared.form_mse:
+        return prepared, validation, retuned
+    wider = replace(validation, baseline=freed)
+    other = wider.retuned()
+    fall, error = gain(before := validation.judge(retuned), wider.judge(other))
+    if fall < 2 * error or fall < _GAINED * (before.mse - prepared.form_mse):
+        return prepared, validation, retuned
+    return replace(prepared, baseline=freed), wider, other
+
+
+def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: float) -> Retuning:
+    """What retuning did.
+
+    The form error of a simulator of friction grows with the height h of its loop, gain times width: the noise n does
+    not.
+
+        e' = n^2 + max(1, h' / h)^2 (e - n^2)
+
+    Args:
+        prepared: trials and the baseline.
+        retuned: the simulator refitted.
+        left_out_mse: its error on development trials that its fit did not see [deg^2].
+    """
+    residuals = prepared.residuals(retuned)
+    noise, form, baseline = white_noise(residuals), prepared.form_mse, prepared.baseline
+    given, found = (baseline.quantities(z) for z in (baseline.nominal, retuned.problem.retuned(retuned.q)))
+    before, after = (q["gain"] * q["backlash_width"] for q in (given, found))
+    grown = max(1.0, after / before) if before > 0 else 1.0
+    still = min(noise**2, _MOST_NOISE * form)
+    start = retuned.problem.start(baseline.nominal, [])
+    nominal = np.concatenate([retuned.problem.error(start, run)[0] for run in prepared.development])
+    return Retuning(
+        float(np.mean(nominal**2)) / max(left_out_mse, 1e-12),
+        still + grown**2 * (form - still) if form else 0.0,
+        friction_share(prepared.checked.trials, residuals, noise),
+    )
+
+
+def moved_numbers(
+    prepared: PreparedTrials, retuned: Hypothesis, quantities: Iterable[ParameterRow]
+) -> tuple[Moved, ...]:
+    """Numbers of the simulator that retuning has surely moved: their 90 % interval lies off the given value.
+
+    Gain, offset and width come first, then weights and widths of the core's plays.
+
+    Args:
+        prepared: trials and the baseline.
+        retuned: the simulator refitted.
+        quantities: gain, offset and width of it.
+    """
+    baseline = prepared.baseline
+    given = dict(baseline.quantities(baseline.nominal))
+    command = prepared.checked.trials[0].units.command
+    rows = [(row, given[row.name]) for row in quantities if row.owner == "baseline"]
+    rows += [(row, float(row.neutral or 0.0)) for row in core_rows(retuned, prepared.development)]
+    found = []
+    for row, before in rows:
+        sure = not row.flat and np.isfinite(row.ci90).all() and not row.ci90[0] <= before <= row.ci90[1]
+        if sure and abs(row.value - before) > _LEAST_MOVE * max(abs(before), abs(row.value)):
+            found.append(Moved(row.name, row.unit.replace("cmd", command), before, row.value, row.ci90))
+    return tuple(found)

@@ -1,0 +1,65 @@
+"""Trials that share a configuration are found by their groups; scatter from trial to trial has none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystmpc.gap.decide.configuration import NAME, configuration_of
+from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.models.chain import Chain
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.problem import Problem, TrialTerms
+from hystmpc.models.identify.runs import runs_of
+
+from ..models.zoo import BACKLASH
+from .engine_examples import BASELINES, moves, simulator_of, trials_of
+
+COMMANDS = [moves(k, 10.0) for k in range(8)]
+
+
+def shifted(shifts: list[float], seed: int = 0) -> tuple[Hypothesis, tuple[str, ...], CrossValidation]:
+    """The known device with an offset of each trial [deg]."""
+    runs = runs_of(trials_of(Chain(BACKLASH), COMMANDS, seed=seed, shifts=tuple(shifts)))
+    baseline = BASELINES["backlash"]
+    problem = Problem(baseline, (), TrialTerms(shift=True))
+    found = Hypothesis(problem, problem.start(baseline.nominal, []), 0.0)
+    return found, tuple(run.name for run in runs), CrossValidation(baseline, runs)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.permutations([0, 0, 0, 1, 1, 1, 1, 1]), st.floats(0.5, 8.0), st.booleans())
+def test_groups_are_found_whatever_their_order_and_size(group: list[int], size: float, down: bool) -> None:
+    hypothesis, names, validation = shifted([(-size if down else size) * g for g in group])
+    found = configuration_of(hypothesis, validation.runs)
+    assert found is not None
+    assert found.groups == tuple(tuple(n for n, g in zip(names, group, strict=True) if g == k) for k in (1, 0))
+    assert found.sizes["offset_deg"] == pytest.approx(size, rel=0.1, abs=0.1)
+    assert abs(found.sizes["gain_share"]) < 0.04
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_scatter_and_a_single_odd_trial_are_no_configuration(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    even = np.linspace(-3.0, 3.0, 8)[random.permutation(8)]
+    for shifts in (even.tolist(), [0.0] * 7 + [4.0]):
+        hypothesis, _, validation = shifted(shifts, seed)
+        found = configuration_of(hypothesis, validation.runs)
+        assert found is None or len(found.groups) > 2
+
+
+def test_without_shifts_there_are_no_groups() -> None:
+    *_, validation = shifted([0.0] * 8)
+    assert configuration_of(validation.retuned(), validation.runs) is None
+
+
+def test_the_diagnosis_names_it_with_its_groups() -> None:
+    trials = trials_of(Chain(BACKLASH), COMMANDS, shifts=(0.0, 3.0, 3.0, 0.0, 0.0, 3.0, 0.0, 3.0))
+    found = conclude(investigate(trials, simulator_of(BACKLASH), only=("trial_shift", "drift")))[0]
+    assert found.verdict in ("named", "one_of")
+    assert found.effects[0].name == NAME
+    assert {len(names) for names in found.groups} == {4}
+    assert dict(found.ranking)[NAME] == found.effects[0].probability
+    assert found.effects[0].units["offset_deg"] == "deg"

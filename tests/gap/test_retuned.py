@@ -1,0 +1,86 @@
+"""A gap that is numbers of the core alone is retuned: no unknown gap, and no effect."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hystmpc.gap.decide.retuning import retuned_with
+from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnosis import Moved
+from hystmpc.gap.logs.motion_type import play_states
+from hystmpc.gap.logs.preparation import prepare
+from hystmpc.gap.report.words import headline
+from hystmpc.gap.residual.memory import friction_share
+from hystmpc.models.chain import Chain
+from hystmpc.models.identify.cross_validation import CrossValidation
+from hystmpc.models.operators.curved_plays import CurvedPlays
+from hystmpc.models.operators.hysteresis import Backlash
+from hystmpc.models.simulator import Residual
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from ..models.zoo import BACKLASH, CURVED
+from .engine_examples import DT, moves, simulator_of, sine, trials_of
+
+COMMANDS = [moves(1, 20.0), sine(0.1), moves(2, 20.0), sine(0.2), moves(3, 20.0)]
+KNOWN = (Residual(log="a.csv", motion="continuous", samples=100, rmse_deg=0.06, bias_deg=0.0, lag_one=0.1),)
+
+
+def wider(more: float) -> Backlash:
+    """The device with a width that is larger by this [mm]."""
+    m_lo, m_up, c_lo, c_up = BACKLASH.values
+    return Backlash(m_lo, m_up, c_lo + more / 2, c_up - more / 2)
+
+
+TRIALS = [Trial(DT * np.arange(u.size), u, np.zeros(u.size), source=f"{k}") for k, u in enumerate(COMMANDS)]
+
+
+def test_a_friction_that_has_grown_is_retuned_and_said_with_its_interval() -> None:
+    trials = trials_of(Chain(wider(0.8)), COMMANDS)
+    found = conclude(investigate(trials, simulator_of(BACKLASH, KNOWN)))[0]
+    assert (found.verdict, found.effects) == ("retuned", ())
+    (width,) = [row for row in found.moved if row.name == "backlash_width"]
+    assert (width.unit, width.given) == ("mm", found.retuned["backlash_width"][0])
+    assert width.value == pytest.approx(width.given + 0.8, abs=0.03)
+    assert width.ci90[0] <= width.value <= width.ci90[1] < width.given + 0.9
+    assert "backlash width" in headline(found)
+    assert f"{width.given:.3g} to {width.value:.3g} mm" in found.reason
+    assert found.as_json()["moved"][0].keys() == Moved.__dataclass_fields__.keys()
+    same = conclude(investigate(trials_of(Chain(BACKLASH), COMMANDS), simulator_of(BACKLASH, KNOWN)))[0]
+    assert (same.verdict, same.moved) == ("none", ())
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(0.05, 1.0), st.floats(0.5, 3), st.sampled_from([-1.0, 0.0, 1.0]))
+def test_plays_of_any_width_are_friction(half: float, weight: float, side: float) -> None:
+    assert share([weight * (play_states(t.command, np.array([half]), side)[:, 0] - t.command) for t in TRIALS]) > 0.6
+
+
+def test_a_curve_a_wave_and_noise_are_no_friction() -> None:
+    assert share([0.1 * (t.command - 3.0) ** 2 for t in TRIALS]) < 0.5
+    assert share([np.sin(2.0 * t.t) for t in TRIALS]) < 0.2
+    assert share([0.0 * t.t for t in TRIALS]) < 0.4
+
+
+def share(residuals: list[Vec]) -> float:
+    """Share of these residuals with noise [deg] that plays explain, as a number that can be compared."""
+    random = np.random.default_rng(1)
+    return float(friction_share(TRIALS, [y + 0.05 * random.standard_normal(y.size) for y in residuals], 0.049))
+
+
+def test_widths_of_curved_plays_are_freed_where_the_error_asks_for_it() -> None:
+    values = CURVED.values
+    spread = CURVED.with_values(
+        [v * (2.5 if p.name == "r2" else 1.0) for v, p in zip(values, CURVED.parameters, strict=True)]
+    )
+    assert isinstance(spread, CurvedPlays)
+    for device, free in ((spread, True), (CURVED, False)):
+        prepared = prepare(trials_of(Chain(device), COMMANDS), simulator_of(CURVED, KNOWN))
+        plain = CrossValidation(prepared.baseline, prepared.development)
+        after, validation, retuned = retuned_with(prepared, plain)
+        assert (after.baseline is not prepared.baseline) == free
+        assert validation.baseline is after.baseline is retuned.problem.baseline
+        assert retuned.mse <= plain.retuned().mse * (0.5 if free else 1.0)
