@@ -16,8 +16,9 @@ from hystmpc.trials.types import Mat, Vec
 NAME = "configuration_change"
 SHIFT = "trial_shift"
 UNITS = {"offset_deg": "deg", "gain_share": "1", "width_deg": "deg"}
-_MOST_GROUPS, _LEAST_OF_GROUP = 3, 2
-_EXPLAINED = 0.8  # of what shifts of each trial explain, that shifts of the groups have to explain on trials left out
+_LEAST_OF_GROUP = 2
+# What shifts of 2 or 3 groups have to explain on trials left out, of what shifts of each trial explain.
+_EXPLAINED = {2: 0.87, 3: 0.95}
 _RIDGE = 1e-9
 
 
@@ -82,8 +83,8 @@ def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configurati
         share = (E_all - E_groups) / (E_all - E_own)
 
     with the squared errors of one shift for all others, of the groups', and of each trial's own. The fewest groups, of
-    two trials or more, that reach 0.8 count. Scatter from trial to trial does not: two halves of a normal distribution
-    explain 0.64 of it at most.
+    two trials or more, that reach 0.87 (0.95 for three groups) count. Scatter from trial to trial rarely does: two
+    halves of a normal distribution explain 0.64 of it on average.
 
     Args:
         hypothesis: the corrected simulator.
@@ -99,13 +100,13 @@ def configuration_of(hypothesis: Hypothesis, runs: Sequence[Run]) -> Configurati
     if together <= alone:
         return None
     tree = linkage(np.array(own) * shifts.spread, "ward")
-    for count in range(2, _MOST_GROUPS + 1):
+    for count, least in _EXPLAINED.items():
         labels = fcluster(tree, count, "maxclust")
         groups = sorted(([k for k in everyone if labels[k] == g] for g in set(labels)), key=lambda g: (-len(g), g))
         if min(len(g) for g in groups) < _LEAST_OF_GROUP:
             continue
         explained = (together - shifts.left_out(groups)) / (together - alone)
-        if explained >= _EXPLAINED:
+        if explained >= least:
             found = np.array([shifts.shared(g) for g in groups])
             names = tuple(UNITS)[: found.shape[1]]
             found[:, 2:] *= shifts.spread[2:]

@@ -30,9 +30,12 @@ class SelectionSettings:
         least_share: of the structural error that remains, by which it has to fall.
         shift_share: the same for `trial_shift`, which can explain any single bad trial.
         gap_share, form_share: least fall by the whole structural error, and by the floor.
+        sure_share, sure_errors, most_share: the same by the whole structural error for a cause that explains so much of
+            what remains, by so many standard errors: beside a large cause a smaller one is no less sure.
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
         gives_way: generic effects, and the share of what they explain by which another cause may be worse and is still
             preferred.
+        width_share: error with a width of each trial, over that with its offset and gain alone, below which it has one.
         line_of_shifts: the same for `trial_shift` where the other is a drift, which has one number for all trials.
         variants: forms of one effect that are tried again once it was tried alone.
         judged: candidates of a round that are judged on held-out trials; the others only by their fit.
@@ -45,8 +48,12 @@ class SelectionSettings:
     shift_share: float = 0.25
     gap_share: float = 0.08
     form_share: float = 0.1
+    sure_share: float = 0.03
+    sure_errors: float = 4.0
+    most_share: float = 0.5
     recurs: float = 0.25
     gives_way: tuple[tuple[str, float], ...] = (("trial_shift", 0.06), ("nonlinear_gain", 0.015), ("asymmetry", 0.015))
+    width_share: float = 0.6
     line_of_shifts: float = 0.2
     variants: int = 2
     judged: int = 5
@@ -102,18 +109,16 @@ class _Search:
         self._baseline_mse = 0.0
 
     def run(self) -> tuple[HeldOutErrors, HeldOutErrors]:
-        """Add, drop, swap: the baseline and the chosen hypothesis."""
+        """Add, drop, swap, until nothing changes: the baseline and the chosen hypothesis."""
         current = baseline = self._trials.baseline()
         self._baseline_mse = baseline.mse
         been: set[frozenset[str]] = set()  # what is added may drop what has it added again
-        while len(current.hypothesis.effects) < self._settings.most and current.hypothesis.effects not in been:
+        while current.hypothesis.effects not in been:
             been.add(current.hypothesis.effects)
-            added = self._best_addition(current)
-            if added is None:
-                break
-            current = self._dropped(added)
-        if current is not baseline:
-            current = self._swapped(current, baseline)
+            if len(current.hypothesis.effects) < self._settings.most and (added := self._best_addition(current)):
+                current = self._dropped(added)
+            elif current is not baseline:
+                current = self._swapped(current, baseline)
         return baseline, current
 
     def _best_addition(self, current: HeldOutErrors) -> HeldOutErrors | None:
@@ -130,9 +135,11 @@ class _Search:
         new = after.hypothesis.effects - before.hypothesis.effects
         share = self._settings.shift_share if "trial_shift" in new else self._settings.least_share
         useful = before.mse - max(after.mse, self._floor)
+        remaining = before.mse - self._floor
+        sure = fall > self._settings.sure_errors * error and useful > self._settings.most_share * remaining
         least = max(
-            share * (before.mse - self._floor),
-            self._settings.gap_share * (self._baseline_mse - self._floor),
+            share * remaining,
+            (self._settings.sure_share if sure else self._settings.gap_share) * (self._baseline_mse - self._floor),
             self._settings.form_share * self._floor,
         )
         if new & OWN_TO_TRIALS and not _recurs(before, after, self._settings.recurs):
@@ -238,9 +245,8 @@ class _Fits:
         for terms in self._terms(base):
             made = self._validation.with_causes(base.problem.effects, terms, z, [there])
             name = next(name for name in terms.names if name not in base.problem.terms.names)
-            expected = made.mse * self._expected((3 if terms.width >= 0 else 2) * len(self._validation.runs))
-            if name not in best or expected < predicted[name]:
-                best[name], predicted[name] = made, expected
+            if name not in best or made.mse < self._settings.width_share * best[name].mse:
+                best[name] = made
         order = sorted(best.values(), key=lambda h: h.mse)
         return order[: self._settings.judged]
 
