@@ -11,6 +11,7 @@ from hystmpc.models.identify.runs import Run
 from hystmpc.models.identify.selection import Selection
 from hystmpc.trials.types import Mat, Vec
 
+from .configuration import configuration_of
 from .verdict import VerdictSettings
 
 _KNOTS = 10  # of a curve, in each direction
@@ -21,7 +22,8 @@ def structure_left(selection: Selection, runs: Sequence[Run], floor_mse: float, 
     """Whether the only effect selected leaves structure that it would not leave if it were the cause.
 
     A curved gain leaves no other curve of the angle (`remaining_curvature`). Shifts between trials leave no slow change
-    within them (`slow_mse`).
+    within them (`slow_mse`). Widths of single trials belong to groups of trials: else they follow the speed of the
+    motions, as with a friction that depends on it.
 
     Args:
         selection: of the causes.
@@ -30,6 +32,8 @@ def structure_left(selection: Selection, runs: Sequence[Run], floor_mse: float, 
         settings: thresholds.
     """
     chosen, retuned = selection.chosen.hypothesis, selection.baseline.hypothesis
+    if chosen.problem.terms.shift and chosen.problem.terms.width >= 0 and configuration_of(chosen, runs) is None:
+        return True
     if chosen.effects == {"nonlinear_gain"}:
         before = retuned.mse - floor_mse
         if before <= 0 or chosen.mse < settings.still_open * floor_mse:
