@@ -12,18 +12,29 @@ from ..next.motion_design import MotionProposal
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """The verdict in a few words."""
-    names, stability = listed([in_words(effect.name) for effect in diagnosis.effects], "and"), diagnosis.stability
+    """The verdict in one sentence, without a full stop."""
+    causes, stability = _causes(diagnosis), diagnosis.stability
+    verb = "explain" if len(causes) > 1 else "explains"
+    names, closed = listed(causes, "and") or "no effect", diagnosis.gap.closed_share
+    much = f"{percent(closed)} of the gap" if math.isfinite(closed) and closed > 0 else "the gap"
     said = {
-        "named": f"Named: {names or 'no effect'}",
-        "one_of": f"Not told apart: {'; '.join(choices(diagnosis)) or names}",
-        "unknown": "Unknown: a gap that no effect of the library explains",
-        "none": "No structural gap: retuning is enough",
-        "too_little": "Too little: these logs do not allow a diagnosis",
+        "named": f"{names} {verb} {much}",
+        "one_of": f"{names} {verb} {much}: these trials cannot tell which",
+        "unknown": "no effect of the library explains the gap",
+        "none": "the simulator has no structural gap",
+        "too_little": "these logs are too little for a diagnosis",
     }[diagnosis.verdict]
+    said = f"{said[0].upper()}{said[1:]}"
     if stability is None or not stability.flips:
         return said
     return f"{said}. This verdict flips: it comes out in {percent(stability.share)} of the resampled splits"
+
+
+def _causes(diagnosis: Diagnosis) -> list[str]:
+    """Effects found, each with those that it may stand for, as `lag or delay`."""
+    sets = {name: words for names, words in zip(diagnosis.ambiguity, choices(diagnosis), strict=True) for name in names}
+    found = dict.fromkeys(sets.get(effect.name, in_words(effect.name)) for effect in diagnosis.effects)
+    return list(found) or choices(diagnosis)
 
 
 def choices(diagnosis: Diagnosis) -> list[str]:
@@ -152,6 +163,11 @@ def floor_words(gap: Gap) -> str:
 
 _ORDER_HIDES = " What is marked `order unknown` needs the order in which the trials were recorded."
 DETECTABLE_COLUMNS = ("effect", "least size", "hidden", "remark")
+
+
+def baseline_units(command: str) -> dict[str, str]:
+    """Unit of each quantity that retuning changes."""
+    return {"gain": f"deg/{command}", "offset": "deg", "backlash_width": command}
 
 
 def detectable_rows(found: DetectableSizes) -> list[tuple[str, ...]]:
