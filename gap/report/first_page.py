@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
+from hystmpc.models.effects.catalogue import effect_of
 from hystmpc.models.identify.corrected_simulator import EFFECTS_FILE
+from hystmpc.models.simulator import Simulator
 
 from ..diagnosis import Diagnosis, NextMotion, Place
 from .report_data import FIXED_FILE, Evidence
@@ -20,6 +22,8 @@ from .words import (
     tracking_sentence,
 )
 
+_NEVER_HELD = ("trial_shift", "sensor", "configuration_change")  # of the trials or the sensor, not of the simulator
+_BY_SIGNS = ("stick_slip",)  # found by its jumps, it is in the simulator only where a fit found it as well
 _DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a place is worth a sentence
 
 
@@ -110,15 +114,12 @@ def _corrected(evidence: Evidence) -> str:
     if _unrelated(evidence):
         return "Look for a wrong file or column, a loose sensor, or a tendon or line that is broken."
     names = listed([in_words(effect.name) for effect in diagnosis.effects], "and")
-    if evidence.fixed is None:
-        held = names and EFFECTS_FILE in evidence.files
-        return f"The file {EFFECTS_FILE} holds {names}, to be used beside the network." if held else ""
     if names and diagnosis.stability is not None and diagnosis.stability.flips:
         return f"Do not rely on {names}: the verdict flips. Record more trials and diagnose all logs together."
-    if diagnosis.verdict == "named":
-        return f"Use {FIXED_FILE}: it is the simulator with {names}." if names else ""
-    if diagnosis.verdict == "one_of":
-        return f"The corrected simulator, {FIXED_FILE}, holds {names}: it lowers the error, but proves no cause."
+    if evidence.fixed is None:
+        return f"Use {EFFECTS_FILE} beside the network." if EFFECTS_FILE in evidence.files else ""
+    if diagnosis.verdict in ("named", "one_of"):
+        return _with_effects(evidence, evidence.fixed)
     if diagnosis.verdict == "unknown":
         return f"Do not take {FIXED_FILE} for a cure: it is retuned, and the cause is not in it."
     if diagnosis.verdict == "too_little":
@@ -128,6 +129,24 @@ def _corrected(evidence: Evidence) -> str:
         fall = f"from {given:.3g} deg to {retuned:.3g} deg"
         return f"Use {FIXED_FILE}: its retuned numbers lower the RMSE on the {evidence.measured_on} {fall}."
     return f"Keep the simulator as given: retuning does not lower the RMSE on the {evidence.measured_on}."
+
+
+def _with_effects(evidence: Evidence, fixed: Simulator) -> str:
+    """What to do with a corrected simulator that holds all of the effects, some of them or none."""
+    diagnosis, chain = evidence.diagnosis, fixed.chain
+    built_in = {effect_of(operator.name) for operator in (*chain.before, *chain.after)}
+    found = [effect.name for effect in diagnosis.effects]
+    left_out = [n for n in found if n in _NEVER_HELD or (n in _BY_SIGNS and n not in built_in)]
+    held, lacking = (
+        listed([in_words(name) for name in found if (name in left_out) == out], "and") for out in (False, True)
+    )
+    if not held:
+        return f"The file {FIXED_FILE} is retuned only: it does not hold {lacking}." if lacking else ""
+    if diagnosis.verdict == "named":
+        said = f"Use {FIXED_FILE}: it is the simulator with {held}."
+    else:
+        said = f"The corrected simulator, {FIXED_FILE}, holds {held}: it lowers the error, but proves no cause."
+    return f"{said} It does not hold {lacking}." if lacking else said
 
 
 def _recording(motion: NextMotion) -> list[str]:

@@ -107,6 +107,19 @@ def test_a_correction_that_is_not_proven_is_not_recommended(verdict: Verdict) ->
     assert f"Use {FIXED_FILE}" not in " ".join(what_next(report_data(verdict, 6)))
 
 
+@pytest.mark.parametrize("name", ["trial_shift", "sensor", "stick_slip"])
+def test_what_the_corrected_simulator_cannot_hold_is_not_said_to_be_in_it(name: str) -> None:
+    evidence = report_data("named", 3)
+    creep = evidence.diagnosis.effects[0]
+    alone, both = (
+        " ".join(what_next(replace(evidence, diagnosis=replace(evidence.diagnosis, effects=effects))))
+        for effects in ((replace(creep, name=name),), (creep, replace(creep, name=name)))
+    )
+    words = name.replace("_", " ")
+    assert alone == f"The file {FIXED_FILE} is retuned only: it does not hold {words}."
+    assert both == f"Use {FIXED_FILE}: it is the simulator with creep. It does not hold {words}."
+
+
 @given(st.floats(0.1, 5), st.floats(0.1, 5))
 def test_without_a_gap_the_better_simulator_is_recommended(given_deg: float, retuned_deg: float) -> None:
     evidence = report_data("none", 6)
