@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS, candidates
-from hystmpc.models.effects.effect import Candidate, Scale
-from hystmpc.models.operators.operator import unit_on
+from hystmpc.models.effects.effect import Candidate, Scale, unit_on
 from hystmpc.models.identify.baseline import Baseline
 from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.runs import Run
