@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from hystmpc.ctrl.guarded import GuardedController
     from hystmpc.ctrl.limits import CommandLimits
     from hystmpc.gap.diagnosis import Diagnosis
-    from hystmpc.investigation.run import Investigated
+    from hystmpc.investigation.story import Investigated
     from hystmpc.models.contract.equivalence import EquivalenceReport
     from hystmpc.models.evaluate import Errors, TrialEvaluation
     from hystmpc.models.kinds.kind import Identified

@@ -17,7 +17,7 @@ from .console import INTERRUPTED, bar, errors, out, table
 
 if TYPE_CHECKING:
     from hystmpc.investigation.config import InvestigateSettings
-    from hystmpc.investigation.run import Investigated
+    from hystmpc.investigation.story import Investigated
 
 ENDED_EARLY = 1
 
@@ -43,8 +43,7 @@ def investigate(
     """
     from hystmpc.investigation.config import load_investigation, located_investigation
 
-    if folder is None and not dry_run:
-        raise ConfigError("investigate: lacks --out, expected a folder")
+    _check(folder, dry_run)
     settings = located_investigation(load_investigation(config, overrides or ()), config.parent, model, minutes)
     if not as_json:
         _print_plan(settings)
@@ -64,6 +63,12 @@ def investigate(
         sys.stdout.write(json.dumps(made.as_json(), indent=1, allow_nan=False) + "\n")
     else:
         _print_end(made)
+
+
+def _check(folder: Path | None, dry_run: bool) -> None:
+    """Refuse a call that lacks something."""
+    if folder is None and not dry_run:
+        raise ConfigError("investigate: lacks --out, expected a folder")
 
 
 def _done(

@@ -22,8 +22,8 @@ from .plan import Plan, least_seconds, plan_next
 
 Ending = Literal["", "named", "no_gap", "nothing_gained", "budget"]
 DIAGNOSIS = "diagnosis"
-_STABLE = {"named": 2, "none": 3}  # rounds in a row with the same result
-_STUCK = 3  # rounds in a row with the same open question
+_SURE = 2  # rounds in a row that name the same single effect
+_STABLE = 3  # rounds in a row with any other result: several effects may mend the simulator's form, a gap be small
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,9 @@ def with_next(
 ) -> Judged:
     """The verdict with what follows from it: an end and its reason, or the next round.
 
-    Ends, in this order: the same effects named in two rounds in a row, or no gap in three; the same unknown or
-    ambiguous result in three rounds in a row; too little device time for one more motion; no motion that tells enough.
+    Ends, in this order: the same effect named in two rounds in a row, several in three, or no gap in three; the same
+    unknown or ambiguous result in three rounds in a row; too little device time for one more motion; no motion that
+    tells enough.
 
     Args:
         before: verdicts of earlier rounds.
@@ -138,12 +139,12 @@ def with_next(
     """
     alike = _alike([*before, judged])
     names = " and ".join(name.replace("_", " ") for name in judged.effects)
-    if judged.verdict == "named" and alike >= _STABLE["named"]:
+    if judged.verdict == "named" and alike >= (_SURE if len(judged.effects) == 1 else _STABLE):
         why = f"{names} named in {alike} rounds in a row, the last of which was to tell it from its neighbours"
         return replace(judged, ended="named", why=why)
-    if judged.verdict == "none" and alike >= _STABLE["none"]:
+    if judged.verdict == "none" and alike >= _STABLE:
         return replace(judged, ended="no_gap", why=f"no structural gap in {alike} rounds in a row")
-    if judged.verdict in ("unknown", "one_of") and alike >= _STUCK:
+    if judged.verdict in ("unknown", "one_of") and alike >= _STABLE:
         open_one = "an unknown cause" if judged.verdict == "unknown" else "the same effects not told apart"
         why = f"{open_one} in {alike} rounds in a row: motions that were to decide did not"
         return replace(judged, ended="nothing_gained", why=why)

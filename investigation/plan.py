@@ -48,7 +48,7 @@ class Plan:
         separates: explanations that they are to tell apart.
         probability: expected one of the right explanation; `bits` the same as information.
         confirms: whether the trials so far decide already, so that the motion only puts their answer to the test.
-        menu: the menu's best motion in the same time, empty where none fits; `menu_gain` by how much more information
+        menu: the menu's best motion, empty where none fits the device time; `menu_gain` by how much more information
             per second is expected of this one.
         looked_at: motions that were compared.
     """
@@ -145,7 +145,7 @@ def plan_next(
         family,
         question.noise,
         SearchSettings([wanted, number], run_seconds(settings, 0), LEAST_MOTION_S, allowed=allowed(settings)),
-        menu(family.limits, family.dt),
+        [motion for motion in menu(family.limits, family.dt) if motion.duration_s <= left_s],
     )
     if searched is None or searched.bits < LEAST_BITS:
         return None

@@ -30,7 +30,7 @@ from hystmpc.trials.run_folder import RunFolder
 
 from .judge import DIAGNOSIS, Ending
 from .plan import Plan
-from .run import FIRST, Investigated, Round, round_folder
+from .story import FIRST, Investigated, Round, round_folder
 
 TO_DO: dict[Ending, str] = {
     "": "",

@@ -109,11 +109,17 @@ class MotionFamily:
         return np.concatenate([legs.ravel(), x[3 * LEGS :]])
 
     def _numbers_of(self, template: MotionTemplate) -> Vec:
-        legs = [part for part in template.parts if isinstance(part, Leg)][:LEGS]
         bursts = [part for part in template.parts if isinstance(part, SineBurst)]
+        at = template.parts.index(bursts[0]) if bursts else len(template.parts)
+        before = [part for part in template.parts[:at] if isinstance(part, Leg)]
+        after = [part for part in template.parts[at:] if isinstance(part, Leg)][:_BURST_AFTER]
+        rest = Leg(0.0, _HOLD_S[0], 1.0)
+        if bursts:
+            before = ([rest] * _BURST_AFTER + before)[-_BURST_AFTER:]
+        legs = [*before, *after][:LEGS]
         rate, reach = RATE_SHARE * self.limits.rate, self.limits.upper - self.limits.lower
         rows = []
-        for leg in legs + [Leg(0.0, _HOLD_S[0], 1.0)] * (LEGS - len(legs)):
+        for leg in legs + [rest] * (LEGS - len(legs)):
             speed = min(leg.speed, reach / (rate * leg.stroke_s)) if leg.stroke_s else leg.speed
             rows += [leg.target, _share((_SLOWEST, 1.0), speed), _share(_HOLD_S, max(leg.hold_s, _HOLD_S[0]))]
         if not bursts:

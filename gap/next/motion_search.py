@@ -48,7 +48,7 @@ class SearchedMotion:
         numbers: of it in the family (22,).
         bits: expected information of it.
         seconds: device time of it, the run around it included [s].
-        menu: the best motion of the menu, played in the time allowed; None where none can be simulated.
+        menu: the best motion of the menu by the same measure; None where none can be simulated.
         menu_bits, menu_seconds: of that.
         looked_at: motions that were simulated.
     """
@@ -91,7 +91,7 @@ def search_motion(
         open_ones: two explanations or more.
         family: motions that are allowed.
         noise: of the device, and form error of the explanations.
-        menu: motions to compare with, as `motion_menu.menu` makes them; longer ones than the family's are left out.
+        menu: motions to compare with, as `motion_menu.menu` makes them, of any duration.
 
     Returns:
         The motion; None where no motion can be simulated that is allowed.
@@ -105,9 +105,8 @@ def search_motion(
         option = option_on(open_ones, motion, noise)
         if option is None or not settings.allowed(option):
             return -1.0, None
-        bits = information_bits(option.probability, count)
         short = max(settings.least_s / motion.duration_s, 1.0)
-        return bits / (motion.duration_s + settings.overhead_s) / short**2, option
+        return _rate(option, count, settings) / short**2, option
 
     def cost(x: Vec) -> float:
         value, option = value_of(family.motion(x, "designed"))
@@ -118,8 +117,8 @@ def search_motion(
     _evolve(cost, family, settings)
     if not best:
         return None
-    known = [pair for motion in menu if motion.duration_s <= family.longest_s if (pair := value_of(motion))[1]]
-    compared = max(known, key=lambda pair: pair[0], default=(0.0, None))[1]
+    options = [option for motion in menu if (option := option_on(open_ones, motion, noise))]
+    compared = max(options, key=lambda option: _rate(option, count, settings), default=None)
     chosen = best[0][1]
     return SearchedMotion(
         chosen=chosen,
@@ -131,6 +130,11 @@ def search_motion(
         menu_seconds=compared.motion.duration_s + settings.overhead_s if compared else math.nan,
         looked_at=looked[0],
     )
+
+
+def _rate(option: Option, count: int, settings: SearchSettings) -> float:
+    """Expected information per second of device time."""
+    return information_bits(option.probability, count) / (option.motion.duration_s + settings.overhead_s)
 
 
 def _evolve(cost: Callable[[Vec], float], family: MotionFamily, settings: SearchSettings) -> None:
