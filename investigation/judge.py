@@ -23,6 +23,9 @@ from .plan import Plan, least_seconds, plan_next
 Ending = Literal["", "named", "no_gap", "nothing_gained", "budget"]
 DIAGNOSIS = "diagnosis"
 _SURE = 2  # rounds in a row that name the same single effect
+_STUCK = 4  # rounds in a row with the same open result, each with a longer motion than before
+_LONGER = 2
+_OPEN = ("unknown", "one_of", "too_little")
 _STABLE = 3  # rounds in a row with any other result: several effects may mend the simulator's form, a gap be small
 
 
@@ -92,10 +95,11 @@ def judge(
         evidence, folder / DIAGNOSIS, {"logs": list(map(str, files)), "sim": str(model), "seed": seed}, models=(model,)
     )
     judged = judged_of(diagnosis, len(files))
+    longer = _LONGER ** (_alike([*before, judged]) - 1) if judged.verdict in _OPEN else 1
 
     def planned() -> Plan | None:
         asked = question(findings)
-        return None if asked is None else plan_next(settings, asked, left_s, len(files) + 1, folder)
+        return None if asked is None else plan_next(settings, asked, left_s, len(files) + 1, longer, folder)
 
     return with_next(judged, before, planned, left_s, least_seconds(settings))
 
@@ -128,7 +132,7 @@ def with_next(
     """The verdict with what follows from it: an end and its reason, or the next round.
 
     Ends, in this order: the same effect named in two rounds in a row, several in three, or no gap in three; the same
-    unknown or ambiguous result in three rounds in a row; too little device time for one more motion; no motion that
+    unknown or ambiguous result in four rounds in a row; too little device time for one more motion; no motion that
     tells enough.
 
     Args:
@@ -144,9 +148,9 @@ def with_next(
         return replace(judged, ended="named", why=why)
     if judged.verdict == "none" and alike >= _STABLE:
         return replace(judged, ended="no_gap", why=f"no structural gap in {alike} rounds in a row")
-    if judged.verdict in ("unknown", "one_of") and alike >= _STABLE:
+    if judged.verdict in ("unknown", "one_of") and alike >= _STUCK:
         open_one = "an unknown cause" if judged.verdict == "unknown" else "the same effects not told apart"
-        why = f"{open_one} in {alike} rounds in a row: motions that were to decide did not"
+        why = f"{open_one} in {alike} rounds in a row: motions that were to decide did not, each longer than before"
         return replace(judged, ended="nothing_gained", why=why)
     if left_s < least_s:
         why = f"{left_s:.0f} s of device time are left, one more motion takes {least_s:.0f} s or more"

@@ -126,17 +126,18 @@ def _first_longest_s(settings: InvestigateSettings, left_s: float) -> float:
 
 
 def plan_next(
-    settings: InvestigateSettings, question: Question, left_s: float, number: int, folder: Path
+    settings: InvestigateSettings, question: Question, left_s: float, number: int, longer: int, folder: Path
 ) -> Plan | None:
     """Design the motion that is worth most and write it; None where no motion tells enough.
 
     Args:
         left_s: device time that is left [s].
         number: of the recording that it becomes.
+        longer: factor on the motion's duration, where shorter ones did not decide.
     """
-    longest = min(
-        left_s - round_seconds(settings, {}) - run_seconds(settings, 0), settings.investigate.longest_motion_s
-    )
+    room = left_s - round_seconds(settings, {}) - run_seconds(settings, 0)
+    longest = min(room, longer * settings.investigate.longest_motion_s)
+    least = LEAST_MOTION_S if longer == 1 else 0.5 * longest
     if longest < LEAST_MOTION_S:
         return None
     family, wanted = _family(settings, longest), settings.investigate.seed
@@ -144,7 +145,7 @@ def plan_next(
         question.hypotheses,
         family,
         question.noise,
-        SearchSettings([wanted, number], run_seconds(settings, 0), LEAST_MOTION_S, allowed=allowed(settings)),
+        SearchSettings([wanted, number], run_seconds(settings, 0), least, allowed=allowed(settings)),
         [motion for motion in menu(family.limits, family.dt) if motion.duration_s <= left_s],
     )
     if searched is None or searched.bits < LEAST_BITS:
