@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from hystmpc.gap.next.motion_search import SearchSettings
+from hystmpc.investigation import plan
 from hystmpc.investigation import run as whole
 from hystmpc.investigation.config import InvestigateSettings
 from hystmpc.investigation.plan import plan_first
@@ -77,7 +80,9 @@ def test_interrupted_it_goes_on_to_the_same_result_and_ends_with_the_device_time
 
 
 @pytest.mark.slow
-def test_a_lag_is_named_in_two_minutes_and_the_story_is_told(tmp_path: Path) -> None:
+def test_a_lag_is_named_in_two_minutes_and_the_story_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hystmpc.gap.report.page.write_report", lambda *arguments: None)  # figures that take seconds
+    monkeypatch.setattr(plan, "SearchSettings", partial(SearchSettings, generations=1))
     two, sent = settings(tmp_path, investigate={"minutes": 2.0}), list[float]()
     made = investigated(two, tmp_path / "run", sent)
     check_laws(made, two, sent)
