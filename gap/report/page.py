@@ -25,6 +25,7 @@ from .tables import (
     candidates_table,
     check_pieces,
     confusable_table,
+    detectable_table,
     effects_table,
     made_by,
     parameters_table,
@@ -37,6 +38,7 @@ from .words import (
     ceiling_sentence,
     choices,
     closed_sentence,
+    detectable_sentence,
     floor_words,
     headline,
     in_words,
@@ -192,6 +194,11 @@ def _behind(evidence: Evidence) -> Iterator[Piece]:
         yield candidates_table(evidence)
     yield Heading("Checks and notes")
     yield from check_pieces(evidence)
+    if (detectable := evidence.diagnosis.detectable) is not None:
+        yield Heading("What these logs would show")
+        yield Paragraph(detectable_sentence(detectable))
+        if detectable.effects:
+            yield detectable_table(detectable)
     yield Heading("What these trials cannot show")
     if evidence.confusable:
         yield confusable_table(evidence)

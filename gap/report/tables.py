@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 from hystmpc.trials.report import KeyValues, Paragraph, Piece, Table
 
-from ..diagnosis import TrackingGap
+from ..diagnosis import DetectableSizes, TrackingGap
 from .figure_style import LABEL
 from .report_data import STAGES, CandidateRow, Evidence, TrialEvidence
-from .words import in_words, percent
+from .words import DETECTABLE_COLUMNS, detectable_rows, in_words, percent
 
 NOT_DETERMINED = "not determined"
 _SIDES = {"command": "command side", "output": "output side", "sensor": "sensor", "trial": "trial to trial"}
@@ -85,6 +85,11 @@ def confusable_table(evidence: Evidence) -> Table:
         "other reproduces on a single 0.2 Hz sine, and on a ramp with a hold of 8 s."
     )
     return Table(columns, rows, caption)
+
+
+def detectable_table(found: DetectableSizes) -> Table:
+    """The least size of each effect that these logs would show."""
+    return Table(DETECTABLE_COLUMNS, detectable_rows(found), "These logs would show each effect from this size on.")
 
 
 def parameters_table(evidence: Evidence) -> Table:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from hystmpc.models.identify.uncertainty import Interval
 
-from ..diagnosis import Diagnosis, FoundEffect, Gap, TrackingGap
+from ..diagnosis import Detectable, DetectableSizes, Diagnosis, FoundEffect, Gap, TrackingGap
 from ..next.motion_design import MotionProposal
 
 
@@ -147,6 +147,46 @@ def floor_words(gap: Gap) -> str:
     return (
         "No motion was repeated: the floor is the noise in the upper band of the residual, a lower bound, and every "
         "share is relative to it."
+    )
+
+
+_ORDER_HIDES = " What is marked `order unknown` needs the order in which the trials were recorded."
+DETECTABLE_COLUMNS = ("effect", "least size", "hidden", "remark")
+
+
+def detectable_rows(found: DetectableSizes) -> list[tuple[str, ...]]:
+    """A row for each effect, in the order of `DETECTABLE_COLUMNS`."""
+    return [
+        (
+            in_words(one.effect),
+            _size(one),
+            percent(one.hidden) if math.isfinite(one.hidden) else "",
+            _detectable_remark(one),
+        )
+        for one in found.effects
+    ]
+
+
+def _size(one: Detectable) -> str:
+    if not math.isfinite(one.size):
+        return "none shows"
+    return f"{one.parameter} {one.size:.2g}" + (f" {one.unit}" if one.unit != "1" else "")
+
+
+def _detectable_remark(one: Detectable) -> str:
+    if one.untestable:
+        return "order unknown"
+    return "jumps need more" if one.effect == "stick_slip" else ""
+
+
+def detectable_sentence(found: DetectableSizes) -> str:
+    """What the least sizes mean, or why there are none."""
+    return found.why_not or (
+        f"An effect has to leave {_deg(found.needed_rmse_deg)} RMS after retuning: less passes for the simulator's own "
+        "model-form error. Each size is that of one effect alone in a free run over these commands; no measured angle "
+        "was looked at, but for the first of each trial. Hidden: share of the effect's energy that retuning takes up. "
+        "Stick-slip is seen by its jumps, which needs about 2.5 times its size."
+        + (_ORDER_HIDES if any(one.untestable for one in found.effects) else "")
     )
 
 

@@ -32,6 +32,7 @@ SECTIONS = (
     "What to record next",
     "Tables",
     "Checks and notes",
+    "What these logs would show",
     "What these trials cannot show",
     "How it was made",
 )
@@ -205,6 +206,9 @@ def test_json_is_the_fixed_form_and_strict() -> None:
     assert read["format"] == "hystmpc-diagnosis/2"
     assert read["verdict"] == "too_little"
     assert read["gap"]["closed_share"] is None
+    assert read["detectable"]["why_not"]
+    sizes = json.loads(diagnosis_json(report_data("named", 3).diagnosis))["detectable"]["effects"]
+    assert [(one["effect"], one["size"]) for one in sizes] == [("lag", 0.0277), ("drift", None), ("creep", 0.068)]
     assert json.loads(diagnosis_json(report_data("one_of", 3).diagnosis))["ambiguity"] == [["lag", "delay"]]
 
 
