@@ -14,7 +14,7 @@ from hystmpc.commissioning.motions import LEAST_SHARE, prepare_seconds, recordin
 from hystmpc.commissioning.plants import plants_in
 from hystmpc.commissioning.run import EndedEarlyError
 from hystmpc.commissioning.stages import StageStore, begun_folder, fingerprint
-from hystmpc.gap.report.folder import FIXED_FILE
+from hystmpc.gap.report.report_data import FIXED_FILE
 from hystmpc.models.simulator import load_simulator
 from hystmpc.rig.bench import Note
 from hystmpc.rig.recording.recorder_process import Views
