@@ -103,7 +103,6 @@ def test_every_verdict_has_its_sections_and_its_sizes(verdict: Verdict) -> None:
     texts = [piece.text for piece in behind(evidence) if isinstance(piece, Paragraph)]
     assert texts[0] == REASON[verdict]
     assert "RMSE" in texts[1]
-    assert any(isinstance(piece, Plot) for piece in pieces[3:5]), "one figure on how far comes first"
     assert all("nan" not in text for text in texts)
 
 
