@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         evaluate,
         export,
         fit,
+        investigate,
         load_model,
         load_simulator,
         simulate,
@@ -63,6 +64,7 @@ __all__ = [
     "evaluate",
     "export",
     "fit",
+    "investigate",
     "load_model",
     "load_simulator",
     "read_trials",
@@ -77,8 +79,8 @@ if not TYPE_CHECKING:  # a type checker knows the names above and no others
         __name__,
         (
             "hystmpc.api",
-            "Evaluation Fit build_controller commission diagnose evaluate export fit load_model load_simulator "
-            "simulate tune",
+            "Evaluation Fit build_controller commission diagnose evaluate export fit investigate load_model "
+            "load_simulator simulate tune",
         ),
         ("hystmpc.ctrl.limits", "Limits=CommandLimits"),
         ("hystmpc.ctrl.planner.tip_controller", "TipController"),

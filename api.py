@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from hystmpc.ctrl.guarded import GuardedController
     from hystmpc.ctrl.limits import CommandLimits
     from hystmpc.gap.diagnosis import Diagnosis
+    from hystmpc.investigation.story import Investigated
     from hystmpc.models.contract.equivalence import EquivalenceReport
     from hystmpc.models.evaluate import Errors, TrialEvaluation
     from hystmpc.models.kinds.kind import Identified
@@ -421,6 +422,52 @@ def commission(
     if reset:
         reset_latch(settings)
     return commission_device(settings, opened_device(settings, folder), out, progress)
+
+
+def investigate(
+    config: Settings,
+    out: Path | str,
+    *,
+    model: Path | str | None = None,
+    minutes: float | None = None,
+    overrides: Iterable[str] = (),
+    reset: bool = False,
+    progress: Progress | None = None,
+) -> Investigated:
+    """Find out why a simulator and its device differ: record, diagnose, record what decides most, until it has a name.
+
+    The device moves for the minutes given at most, in real time; one of `kind: simulated` is computed faster. The same
+    call goes on after the last complete part.
+
+    Args:
+        config: a bench with the block `investigate`: a YAML file or a mapping.
+        out: a new or empty folder, or one in which the same investigation was begun.
+        model: simulator to be judged, in place of that of the block; one is identified first where there is none.
+        minutes: of device time, in place of those of the block.
+        overrides: changes of a file's settings, such as `investigate.seed=2`.
+        reset: release a latched stop first: somebody has looked at the device.
+        progress: called with device time used, device time allowed [s] and a note.
+
+    Returns:
+        The verdict round by round, what ended it, and files of report and corrected simulator.
+
+    Raises:
+        HystmpcError: if a setting is wrong, the folder holds something else, the device does not answer, or a motion
+            was stopped safely; complete trials are kept.
+    """
+    from hystmpc.investigation.config import InvestigateSettings, load_investigation, located_investigation
+    from hystmpc.investigation.run import investigate_device, opened_device
+    from hystmpc.rig.bench import reset_latch
+
+    folder = Path()
+    if isinstance(config, Path | str):
+        folder, settings = Path(config).resolve().parent, load_investigation(config, overrides)
+    else:
+        settings = InvestigateSettings.parse(dict(config))
+    settings = located_investigation(settings, folder, model, minutes)
+    if reset:
+        reset_latch(settings)
+    return investigate_device(settings, opened_device(settings, folder), out, progress)
 
 
 def simulate(

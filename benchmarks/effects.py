@@ -42,11 +42,11 @@ def main() -> None:
         print(
             f"{len(CHAIN.operators)} operators, {rows} rows: {commands.size / spent / 1e6:.1f} million sample-steps/s"
         )
-    state, slope = staged.settled(float(u[0]), 30.0, DT_S)
+    state, slope = staged.settled(u[:1], np.array([30.0]), DT_S)
     spent = _best(lambda: staged.differentiate(u, DT_S, state, slope))
     count = staged.parameter_count
     print(f"the same with derivatives by {count} parameters, 1 row: {u.size / spent / 1e6:.2f} million sample-steps/s")
-    print(f"greatest deviation from the step-by-step reference: {_deviation(staged, u, state):.1e} deg")
+    print(f"greatest deviation from the step-by-step reference: {_deviation(staged, u, state[:, 0]):.1e} deg")
 
 
 def _commands(samples: int) -> NDArray[np.float64]:

@@ -10,28 +10,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hystmpc.models.contract.load import OnnxModel, load_onnx
-from hystmpc.models.simulator import Simulator, load_simulator
-from hystmpc.trials.errors import ConfigError, LogError, ModelError
+from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import require_writable
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
 from .console import Bar, bar, errors, out, table
-from .options import Layout, warn_of_units
+from .options import Layout, Sim, simulator_at, warn_of_units
 
 if TYPE_CHECKING:
     from hystmpc.gap.diagnosis import Diagnosis
 
 FAILED = 1
-_READABLE = (".yaml", ".yml")
 
 Logs = Annotated[
     list[Path] | None,
     typer.Argument(metavar="LOG...", help="Trials of one device, or folders of *.csv."),
 ]
-Sim = Annotated[Path | None, typer.Option("--sim", help="Simulator: .yaml of `fit`, or an exported .onnx model.")]
 
 
 def diagnose(
@@ -79,7 +75,7 @@ def _diagnosed(
 
     require_writable(folder)
     require_free(folder)
-    simulator = _simulator(sim)
+    simulator = simulator_at(sim)
     trials = _recorded(files, preset)
     from hystmpc.gap.diagnose import conclude, investigate  # compiles: kept out of the way of refusals
     from hystmpc.gap.tracking.diagnosed import with_tracking
@@ -139,16 +135,6 @@ def _complete(logs: list[Path] | None, sim: Path | None, folder: Path | None) ->
         gone = [name for name, value in given.items() if not value]
         raise ConfigError(f"diagnose: lacks {', '.join(gone)}, expected LOG... --sim SIM --out DIR, or --self-test")
     return logs, sim, folder
-
-
-def _simulator(path: Path) -> Simulator | OnnxModel:
-    """A simulator as a chain of operators, a network as the model that it is."""
-    suffix = path.suffix.lower()
-    if suffix in _READABLE:
-        return load_simulator(path)
-    if suffix == ".onnx":
-        return load_onnx(path)
-    raise ModelError(f"--sim {path}: ending {suffix or 'missing'}, expected a .yaml simulator or an .onnx model")
 
 
 def _recorded(files: Sequence[Path], layout: str) -> list[Trial]:

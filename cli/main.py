@@ -26,6 +26,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "simulate": "Simulate the closed loop; write a run folder and its report.",
         "tune": "Search the settings of a controller on simulated plants.",
         "commission": "From a device to a verified controller, in five minutes of device time.",
+        "investigate": "Record and diagnose, round by round, until a simulator's gap has a name.",
         "run": "Track a reference on a device.",
         "record": "Record identification trials on a device.",
         "device": "Serve a simulated device over UDP or DDS.",

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,13 +15,17 @@ from hystmpc.models.contract.checks import parse_model
 from hystmpc.models.contract.metadata import PREFIX
 from hystmpc.trials.check import Severity, check, require_seconds
 from hystmpc.trials.config import read_yaml
-from hystmpc.trials.errors import ConfigError, HystmpcError
+from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError
 from hystmpc.trials.files import require_writable
 from hystmpc.trials.layouts import PRESETS
 from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.trial import Trial, resample
 
 from .console import errors
+
+if TYPE_CHECKING:
+    from hystmpc.models.contract.load import OnnxModel
+    from hystmpc.models.simulator import Simulator
 
 _LAYOUTS = ", ".join(preset.name for preset in PRESETS)
 
@@ -31,6 +35,7 @@ Logs = Annotated[
 Layout = Annotated[
     str, typer.Option("--preset", help=f"Layout of the logs: auto, {_LAYOUTS}, or a mapping file *.yaml.")
 ]
+Sim = Annotated[Path | None, typer.Option("--sim", help="Simulator: .yaml of `fit`, or an exported .onnx model.")]
 SkipFirstFlexure = Annotated[
     bool, typer.Option("--skip-first-flexure", help="Count each trial only from the command's first reversal on.")
 ]
@@ -68,6 +73,24 @@ def trials_at(logs: Sequence[Path], layout: str, rate_hz: float) -> list[Trial]:
     trials = [resample(trial, rate_hz) for trial in recorded]
     warn_of_units(trials)
     return trials
+
+
+def simulator_at(path: Path) -> Simulator | OnnxModel:
+    """The simulator of `--sim`: a chain of operators as such, a network as the model that it is.
+
+    Raises:
+        ModelError: if it has another ending, or cannot be opened.
+    """
+    suffix = path.suffix.lower()
+    if suffix in (".yaml", ".yml"):
+        from hystmpc.models.simulator import load_simulator
+
+        return load_simulator(path)
+    if suffix == ".onnx":
+        from hystmpc.models.contract.load import load_onnx
+
+        return load_onnx(path)
+    raise ModelError(f"--sim {path}: ending {suffix or 'missing'}, expected a .yaml simulator or an .onnx model")
 
 
 def warn_of_units(trials: Sequence[Trial]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -73,6 +73,9 @@ class CommissionSettings(BenchSettings):
         return low + _MARGIN * (high - low), high - _MARGIN * (high - low)
 
 
+C = TypeVar("C", bound=CommissionSettings)
+
+
 def load_commission(path: Path | str, overrides: Iterable[str] = ()) -> CommissionSettings:
     """Read a bench file with the block `commission`; file names in it start at its own folder and come out absolute.
 
@@ -83,7 +86,7 @@ def load_commission(path: Path | str, overrides: Iterable[str] = ()) -> Commissi
     return located_commission(settings, Path(path).resolve().parent)
 
 
-def located_commission(settings: CommissionSettings, folder: Path) -> CommissionSettings:
+def located_commission(settings: C, folder: Path) -> C:
     """The settings with file names that start at `folder`."""
     changes: dict[str, Any] = located(settings, folder)
     motions = settings.commission.motions

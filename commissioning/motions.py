@@ -33,7 +33,8 @@ _SLOPE_SHARE = 0.35  # of the greatest speed that a fast scan may ask for
 _WHOLE_SHARE = (0.5, 0.85)  # of the reached angles that a reference takes
 _EDGE = 0.08  # of the reached angles at either end, which references leave out
 _LEAST_MOTION_S = 4.0
-_LEAST_SHARE = 0.15  # of the full recordings: with less a device is not identified
+LEAST_SHARE = 0.15
+"""Of the full recordings: with less a device is not identified."""
 
 
 @dataclass(frozen=True)
@@ -122,20 +123,19 @@ def budget(settings: CommissionSettings) -> Budget:
         ConfigError: if the minutes are too few for what has to be done.
     """
     whole, prepare = 60.0 * settings.commission.minutes, prepare_seconds(settings)
-    safe = settings.safe_command
     ways = directions(settings)
-    first = sum(climb_seconds(settings, end, settings.commission.range_steps) + _away(settings) for end in ways)
-    first += dash(settings, ways[0]).seconds + _away(settings)
+    first = sum(climb_seconds(settings, end, settings.commission.range_steps) + away_seconds(settings) for end in ways)
+    first += dash(settings, ways[0]).seconds + away_seconds(settings)
     left = whole - 3 * prepare - first
-    ways_s = _RECORDINGS * (2 * _REST_S + _away(settings) + _ways_seconds(settings, safe))
+    ways_s = recordings_seconds(settings, 0.0)
     share = min((_RECORD_SHARE * left - ways_s) / WHOLE_S, 1.0)
     own = settings.commission.motions
     count = len(CONTROLLERS) * (len(own) if own else 1 + len(SCANS_HZ))
-    around = _BETWEEN_S + _return_seconds(settings) + 1.5
+    around = _BETWEEN_S + return_seconds(settings) + 1.5
     record = ways_s + WHOLE_S * share
     motion = (left - record) / count - around
     least = f"expected more minutes (at most 5), faster ramps or less preparation; commission.minutes is {whole / 60:g}"
-    if share < _LEAST_SHARE:
+    if share < LEAST_SHARE:
         raise ConfigError(
             f"commission: got {max(WHOLE_S * share, 0.0):.0f} s for recordings after {first + 3 * prepare:.0f} s of "
             f"preparation and range, {least}"
@@ -158,19 +158,20 @@ def directions(bench: BenchSettings) -> tuple[float, ...]:
     return tuple(end for end in ends if abs(end - safe) > 0.02 * (high - low))
 
 
-def _away(bench: BenchSettings) -> float:
-    """Contact, approach and the end of a run at the safe command [s]."""
+def away_seconds(bench: BenchSettings) -> float:
+    """Contact, approach and the end of a run at the safe command [s], from a device that rests there."""
     return _BETWEEN_S + 7 * bench.dt_s
 
 
-def _ways_seconds(bench: BenchSettings, safe: float) -> float:
-    """Ways to the start of a recording and back to rest, at the longest [s]."""
-    low, high = bench.limits.lower, bench.limits.upper
-    near = min(safe - low, high - safe)
-    return (near + max(safe - low, high - safe)) / (_RETURN * bench.limits.rate_per_s)
+def recordings_seconds(bench: BenchSettings, share: float) -> float:
+    """Device time of all recordings, at the longest [s]; with a share of 0 that of their ways and rests alone."""
+    low, high, safe = bench.limits.lower, bench.limits.upper, bench.safe_command
+    ways = (min(safe - low, high - safe) + max(safe - low, high - safe)) / (_RETURN * bench.limits.rate_per_s)
+    return _RECORDINGS * (2 * _REST_S + away_seconds(bench) + ways) + WHOLE_S * share
 
 
-def _return_seconds(bench: BenchSettings) -> float:
+def return_seconds(bench: BenchSettings) -> float:
+    """Way back to the safe command from the farther end of the range [s]."""
     safe, low, high = bench.safe_command, bench.limits.lower, bench.limits.upper
     far = low if safe - low > high - safe else high
     return ramp_commands(far, 0.0, safe, bench.ramps, bench.dt_s).size * bench.dt_s

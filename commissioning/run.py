@@ -14,11 +14,11 @@ from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.rig.bench import Note
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.recording.recorder_process import Views
-from hystmpc.sim.jobs.runner import alone_in, resumed_folder
+from hystmpc.sim.jobs.runner import alone_in
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.read import expand_logs, read_trials
-from hystmpc.trials.run_folder import RunFolder, require_vacant
+from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 
 from .bounded import bounded
@@ -39,7 +39,7 @@ from .identify import (
 )
 from .motions import CONTROLLERS, SCANS_HZ, Budget, budget, directions, recordings
 from .plants import plants_in
-from .stages import NAMES, Figure, StageStore, differing, fingerprint
+from .stages import NAMES, Figure, StageStore, begun_folder, differing, fingerprint
 from .verify import Tracks, Verified, judge, load_tracks, track_all
 
 RANGE, RECORD, CHECK, FIT, DIAGNOSE, CONTROLLER, VERIFY = NAMES
@@ -170,7 +170,7 @@ def commission_device(
         KeyboardInterrupt: if the user ended it while something was computed.
     """
     planned = budget(settings)
-    root = _begun(out, settings.model_dump(mode="json"), settings.commission.seed)
+    root = begun_folder(out, "commissioning", settings.model_dump(mode="json"), settings.commission.seed)
     with alone_in(root):
         bar = _Bar(progress, 0.0)
         moved = device(root, bar.tick)
@@ -206,7 +206,7 @@ def commission_logs(
     subject, words = _from_logs(files, settings)
     plain: dict[str, Any] = {} if settings is None else settings.model_dump(mode="json")
     hashes = _hashes(files)
-    root = _begun(out, plain | {"logs": hashes}, subject.block.seed)
+    root = begun_folder(out, "commissioning", plain | {"logs": hashes}, subject.block.seed)
     stages = [FIT, CONTROLLER] + ([DIAGNOSE] if subject.block.diagnose else [])
     with alone_in(root):
         store = StageStore(root, fingerprint(plain | {"logs": hashes}))
@@ -259,22 +259,6 @@ def opened_device(
 
 def _hashes(files: Sequence[Path]) -> dict[str, str]:
     return {str(path): fingerprint(path.read_bytes().hex()) for path in files}
-
-
-def _begun(out: Path | str, plain: Mapping[str, Any], seed: int) -> Path:
-    """The folder, new or of the same settings."""
-    plain = {"commissioning": 1, **plain}
-
-    def refusal(earlier: Any) -> str:
-        if not isinstance(earlier, Mapping) or "commissioning" not in earlier:
-            return "holds another kind of run, expected a new, empty or commissioning folder"
-        text = differing(earlier, plain)
-        return f"{text}; expected equal settings, or another --out" if text else ""
-
-    folder = Path(out)
-    if not (folder / "meta.json").exists():
-        require_vacant(folder)
-    return resumed_folder(folder, plain, seed, refusal).path
 
 
 def _on_device(

@@ -12,8 +12,10 @@ from typing import Annotated, Any, TypeVar, final
 
 from pydantic import BeforeValidator, TypeAdapter
 
+from hystmpc.sim.jobs.runner import resumed_folder
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.run_folder import require_vacant
 
 FORMAT = "hystmpc-commissioning/1"
 RESULT, BEGUN = "result.json", "begun.json"
@@ -44,7 +46,7 @@ class StageStore:
         """The result of a stage, kept or done now, and the store for the next stage.
 
         Args:
-            name: of `NAMES`.
+            name: of its folder under `root`, such as one of `NAMES`.
             kind: dataclass of the result.
             do: does the stage in its folder; where it raises, the folder keeps what is there.
 
@@ -68,9 +70,9 @@ class StageStore:
         else:
             write_atomically(begun, json.dumps({"format": FORMAT, "fingerprint": self.mark}) + "\n")
             result = do(folder)
-            data = {"format": FORMAT, "stage": name, "result": _plain(adapter.dump_python(result, mode="json"))}
+            data = {"format": FORMAT, "stage": name, "result": plain_numbers(adapter.dump_python(result, mode="json"))}
             write_atomically(folder / RESULT, json.dumps(data, indent=1, allow_nan=False) + "\n")
-        told = json.dumps(_plain(adapter.dump_python(result, mode="json")), sort_keys=True)
+        told = json.dumps(plain_numbers(adapter.dump_python(result, mode="json")), sort_keys=True)
         return result, replace(self, mark=fingerprint([self.mark, name, told]))
 
     def _begun(self, file: Path) -> str:
@@ -88,6 +90,30 @@ class StageStore:
         except (OSError, ValueError, KeyError, TypeError) as error:
             reason = " ".join(str(error).split())
             raise LogError(f"{file}: not the result of a stage ({reason}); remove its folder to repeat it") from None
+
+
+def begun_folder(out: Path | str, kind: str, plain: Mapping[str, Any], seed: int) -> Path:
+    """The folder of a commissioning or investigation: new, or the one in which the same was begun.
+
+    Args:
+        kind: `commissioning` or `investigation`.
+        plain: settings.
+
+    Raises:
+        ConfigError: if it holds something else, or was begun with other settings.
+    """
+    plain = {kind: 1, **plain}
+
+    def refusal(earlier: Any) -> str:
+        if not isinstance(earlier, Mapping) or kind not in earlier:
+            return f"holds another kind of run, expected a new, empty or {kind} folder"
+        text = differing(earlier, plain)
+        return f"{text}; expected equal settings, or another --out" if text else ""
+
+    folder = Path(out)
+    if not (folder / "meta.json").exists():
+        require_vacant(folder)
+    return resumed_folder(folder, plain, seed, refusal).path
 
 
 def fingerprint(parts: object) -> str:
@@ -109,9 +135,10 @@ def differing(before: Any, now: Mapping[str, Any], at: str = "") -> str:
     return ""
 
 
-def _plain(value: Any) -> Any:
+def plain_numbers(value: Any) -> Any:
+    """Plain data with null for numbers that are none, as JSON has it."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return {key: plain_numbers(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_numbers(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

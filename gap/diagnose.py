@@ -25,7 +25,8 @@ from .decide.findings import Findings
 from .decide.retuning import moved_numbers, retuned_with
 from .decide.stability import stability_of
 from .decide.verdict import reason_for
-from .diagnosis import Diagnosis, FoundEffect, Untestable
+from .diagnosis import DetectableSizes, Diagnosis, FoundEffect, Untestable
+from .logs.detectable import sizes_shown
 from .logs.preparation import PreparedTrials, prepare
 from .logs.recording_order import NEEDS_ORDER
 from .next.open_hypotheses import next_step, unseparated
@@ -78,6 +79,7 @@ def investigate(
     if say:
         for line in filter(None, (*prepared.checked.left_out, prepared.checked.workload.estimate)):
             say(line)
+    detectable = sizes_shown(prepared, settings.verdict.no_gap, left_out)
     validation = CrossValidation(prepared.baseline, prepared.development)
     prepared, validation, retuned = retuned_with(prepared, validation)
     clock.lap("check and retune")
@@ -94,6 +96,7 @@ def investigate(
     return Findings(
         simulator=simulator,
         prepared=prepared,
+        detectable=detectable,
         attribution=attribution,
         conclusion=conclusion,
         localisation=localisation,
@@ -118,6 +121,23 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
     evidence = report_data(findings, diagnosis, proposal, rows)
     (progress or _no_progress)(_CONCLUDED, _STEPS, diagnosis.verdict)
     return diagnosis, evidence
+
+
+def what_logs_would_show(
+    trials: Sequence[Trial], simulator: Simulator | LoadedModel, settings: DiagnosisSettings = DEFAULT_SETTINGS
+) -> DetectableSizes:
+    """The least size of each effect at which a diagnosis of these trials would see a gap, from their commands alone.
+
+    Args:
+        trials: of one device, in any order.
+        simulator: a chain of operators or an exported model.
+        settings: thresholds.
+
+    Raises:
+        GapError: on unusable trials (`check_trials`).
+        ModelError: if the simulator is an inverse map.
+    """
+    return sizes_shown(prepare(trials, simulator, ordered=False), settings.verdict.no_gap)
 
 
 def _no_progress(done: float, total: float, note: str = "", /) -> None:
@@ -195,6 +215,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
         explainable_share=_explainable_share(findings),
         moved=moved,
         groups=grouped.groups if grouped else (),
+        detectable=findings.detectable,
     )
 
 

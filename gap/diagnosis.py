@@ -130,6 +130,42 @@ class Untestable:
 
 
 @dataclass(frozen=True)
+class Detectable:
+    """The least size of one effect that would count as a gap.
+
+    Attributes:
+        effect: its public name.
+        parameter, unit: in which the size is stated, and its unit.
+        size: distance of the parameter from where the effect is absent; infinite where no size shows.
+        hidden: share of the effect's energy that retuning takes up at that size, 0 to 1; not-a-number where no size
+            shows.
+        untestable: whether it needs the order of recording, which is unknown.
+    """
+
+    effect: str
+    parameter: str
+    unit: str
+    size: float
+    hidden: float
+    untestable: bool = False
+
+
+@dataclass(frozen=True)
+class DetectableSizes:
+    """What some logs would show, from their commands alone.
+
+    Attributes:
+        needed_rmse_deg: RMSE that an effect has to leave after retuning to count as a gap [deg].
+        effects: the least size of each; empty where it cannot be said.
+        why_not: why it cannot be said, in one sentence; empty where it can.
+    """
+
+    needed_rmse_deg: float
+    effects: tuple[Detectable, ...] = ()
+    why_not: str = ""
+
+
+@dataclass(frozen=True)
 class Stability:
     """How often the verdict comes out again on other splits of the trials.
 
@@ -236,6 +272,7 @@ class Diagnosis:
         stability: of the verdict over resampled splits; None where the trials allow no choice.
         explainable_share: share of the structural gap that a flexible model of the command's past explains on trials
             left out; None without a gap.
+        detectable: the least size at which these logs would show each effect; None where it was not asked for.
     """
 
     verdict: Verdict
@@ -255,6 +292,7 @@ class Diagnosis:
     explainable_share: float | None = None
     moved: tuple[Moved, ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()
+    detectable: DetectableSizes | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The fixed form `hystmpc-diagnosis/2`: plain dicts, lists, numbers and strings."""

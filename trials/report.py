@@ -119,6 +119,13 @@ class Paragraph:
 
 
 @dataclass(frozen=True)
+class Points:
+    """Short sentences, a point each."""
+
+    texts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class KeyValues:
     """A short two-column table of names and values."""
 
@@ -142,7 +149,15 @@ class Plot:
     caption: str = ""
 
 
-Piece = Heading | Paragraph | KeyValues | Table | Plot
+@dataclass(frozen=True)
+class Folded:
+    """A section that is closed until its heading is clicked; printed, it stays as it is on the screen."""
+
+    heading: str
+    pieces: tuple[Piece, ...]
+
+
+Piece = Heading | Paragraph | Points | KeyValues | Table | Plot | Folded
 
 
 @dataclass(frozen=True)
@@ -160,16 +175,20 @@ class Report:
     subtitle: str = ""
 
     def html(self) -> str:
-        """The page: styles and figures inside, no scripts, nothing fetched; the same pieces give the same text."""
-        blocks = [_block(piece, number) for number, piece in enumerate(self.pieces, start=1)]
-        contents = [block for block in blocks if block["kind"] == "heading"]
+        """The page: styles and figures inside, no scripts, nothing fetched; the same pieces give the same text.
+
+        Headings are listed at its top, unless folded sections, closed, are a list themselves.
+        """
+        blocks = [_block(piece, str(number)) for number, piece in enumerate(self.pieces, start=1)]
+        folded = any(isinstance(piece, Folded) for piece in self.pieces)
+        contents = [] if folded else [block for block in blocks if block["kind"] == "heading"]
         css = Markup(_resource("report.css"))
         return _template().render(title=self.title, subtitle=self.subtitle, blocks=blocks, contents=contents, css=css)
 
     def fragment(self) -> str:
         """Title and pieces alone, for a cell of a notebook; figures are bitmaps, so that no two cells share an id."""
         title = f"{self.title}: {self.subtitle}" if self.subtitle else self.title
-        return _template().render(title=title, blocks=[_block(piece, 0, _bitmap) for piece in self.pieces], css="")
+        return _template().render(title=title, blocks=[_block(piece, "", _bitmap) for piece in self.pieces], css="")
 
     def save(self, path: Path | str) -> Path:
         """Write the page, whole or not at all."""
@@ -216,12 +235,17 @@ def _bitmap(figure: Figure, prefix: str) -> str:
     return f'<img alt="" src="data:image/png;base64,{base64.b64encode(_png(figure)).decode()}">'
 
 
-def _block(piece: Piece, number: int, drawn: Callable[[Figure, str], str] = figure_svg) -> dict[str, Any]:
+def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figure_svg) -> dict[str, Any]:
     """What the template needs of one piece."""
     if isinstance(piece, Heading):
         return {"kind": "heading", "text": piece.text, "level": piece.level, "id": f"section-{number}"}
     if isinstance(piece, Paragraph):
         return {"kind": "paragraph", "text": piece.text}
+    if isinstance(piece, Points):
+        return {"kind": "points", "texts": piece.texts}
+    if isinstance(piece, Folded):
+        inside = [_block(each, f"{number}-{k}", drawn) for k, each in enumerate(piece.pieces, start=1)]
+        return {"kind": "folded", "text": piece.heading, "id": f"section-{number}", "blocks": inside}
     if isinstance(piece, KeyValues):
         return {"kind": "key_values", "rows": [(key, _cell(value)) for key, value in piece.rows.items()]}
     if isinstance(piece, Table):

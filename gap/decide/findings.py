@@ -9,7 +9,7 @@ from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 
-from ..diagnosis import Stability
+from ..diagnosis import DetectableSizes, Stability
 from ..logs.preparation import PreparedTrials, prepare
 from ..residual.localise import Localisation
 from .attribution import Attribution, Conclusion
@@ -23,6 +23,7 @@ class Findings:
     Attributes:
         simulator: as given.
         prepared: trials and the baseline.
+        detectable: the least size at which the trials would show each effect, from their commands alone.
         attribution: causes selected on the development trials.
         conclusion: ruling, corrected simulator and sizes on the final trials.
         localisation: of the retuned residual; None where there is none.
@@ -34,6 +35,7 @@ class Findings:
 
     simulator: Simulator | LoadedModel
     prepared: PreparedTrials
+    detectable: DetectableSizes
     attribution: Attribution
     conclusion: Conclusion
     localisation: Localisation | None

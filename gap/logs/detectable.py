@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,30 +15,40 @@ from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.runs import Run
 from hystmpc.trials.types import Mat, Vec
 
+from ..diagnosis import Detectable, DetectableSizes
+from .preparation import PreparedTrials
+from .recording_order import NEEDS_ORDER
+
 _SIZES = np.geomspace(0.02, 20.0, 10)
 """Sizes that are tried, as shares of the size from which a fit starts."""
 
 _TYPICAL = {"drift": 0.02, "nonlinear_gain": 0.1}  # share of the angle's range, where a fit starts at nothing
 _NONE = 1e-9  # mean square [deg^2] below which nothing shows
+_NO_FORM = (
+    "The least size of each effect is not computed: the simulator's model-form error is unknown, because its file "
+    "stores no residuals of its identification or it was identified on these very trials."
+)
 
 
-@dataclass(frozen=True)
-class Detectable:
-    """The least size of one effect that would count as a gap.
+def sizes_shown(prepared: PreparedTrials, no_gap: float, without: Collection[str] = ()) -> DetectableSizes:
+    """The least size at which each effect would end the verdict that there is no gap.
 
-    Attributes:
-        effect: its public name.
-        parameter, unit: in which the size is stated, and its unit.
-        size: distance of the parameter from where the effect is absent; infinite where no size shows.
-        hidden: share of the effect's energy that retuning takes up at that size, 0 to 1; not-a-number where no size
-            shows.
+        needed_mse = (no_gap - 1) model-form error
+
+    Without an effect a retuned simulator leaves its model-form error, and up to `no_gap` times that is no gap.
+
+    Args:
+        prepared: trials and the simulator's baseline.
+        no_gap: retuned mean square error over the model-form error, below which there is no gap.
+        without: effects left out.
     """
-
-    effect: str
-    parameter: str
-    unit: str
-    size: float
-    hidden: float
+    needed_mse, units = (no_gap - 1.0) * prepared.form_mse, prepared.checked.trials[0].units
+    if needed_mse <= 0:
+        return DetectableSizes(math.nan, why_not=_NO_FORM)
+    found = detectable_sizes(prepared.baseline, prepared.everything, needed_mse, units.command, units.angle)
+    unordered = () if prepared.order == "known" else tuple(NEEDS_ORDER)
+    kept = tuple(replace(one, untestable=one.effect in unordered) for one in found if one.effect not in without)
+    return DetectableSizes(math.sqrt(needed_mse), kept)
 
 
 def detectable_sizes(

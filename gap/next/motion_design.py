@@ -88,12 +88,14 @@ class Option:
         probability: expected probability of naming the right candidate.
         angles: of every candidate on it [deg], (K, T).
         separation: greatest difference of a pair after retuning at each sample [deg], (T,).
+        distances: of candidate i from candidate j retuned to it, in units of the noise, (K, K).
     """
 
     motion: MenuMotion
     probability: float
     angles: Vec
     separation: Vec
+    distances: Vec
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +141,7 @@ def propose(candidates: Sequence[OpenHypothesis], motions: Sequence[MenuMotion],
     """
     if len(candidates) < 2 or not motions:
         raise FitError(f"next motion: got {len(candidates)} candidates and {len(motions)} motions, expected 2 and 1")
-    options = tuple(option for motion in motions if (option := _option(candidates, motion, noise)))
+    options = tuple(option for motion in motions if (option := option_on(candidates, motion, noise)))
     if not options:
         raise FitError(f"next motion: none of {len(motions)} motions gives finite angles with all candidates")
     fewest = min(1 - option.probability for option in options)
@@ -182,7 +184,7 @@ def write_motion(path: Path | str, proposal: MotionProposal, command_unit: str =
     return write_atomically(path, format_table(columns))
 
 
-def _option(candidates: Sequence[OpenHypothesis], motion: MenuMotion, noise: Noise) -> Option | None:
+def option_on(candidates: Sequence[OpenHypothesis], motion: MenuMotion, noise: Noise) -> Option | None:
     """Expected result of one motion; None where a simulator does not give finite angles on it."""
     angles, directions = separations(candidates, motion.command, motion.dt)
     if not all(np.isfinite(part).all() for part in (angles, *directions)):
@@ -194,7 +196,7 @@ def _option(candidates: Sequence[OpenHypothesis], motion: MenuMotion, noise: Noi
         left = _left(angles[others] - angles[j], basis, noise)
         distances[others, j] = _distance(left, noise)
         separation = np.maximum(separation, np.abs(left).max(axis=0))
-    return Option(motion, expected_probability(distances), angles, separation)
+    return Option(motion, expected_probability(distances), angles, separation, distances)
 
 
 def _distance(left: Vec, noise: Noise) -> Vec:

@@ -201,7 +201,7 @@ def _motion(template: MotionTemplate, limits: CommandLimits, dt: float) -> MenuM
             piece = np.array([0.0, way, way + part.hold_s]), reach * np.array([at, part.target, part.target])
             at = part.target
         else:
-            piece = _burst(part, at * reach, reach, rate, dt)
+            piece = sampled_burst(part, at * reach, reach, rate, dt)
         pieces.append((piece[0] + start, piece[1]))
         start = float(pieces[-1][0][-1])
     knots, values = (np.concatenate(rows) for rows in zip(*pieces, strict=True))
@@ -230,7 +230,7 @@ def _duration_s(template: MotionTemplate, reach: float, rate: float) -> float:
     return seconds
 
 
-def _burst(part: SineBurst, centre: float, reach: float, rate: float, dt: float) -> tuple[Vec, Vec]:
+def sampled_burst(part: SineBurst, centre: float, reach: float, rate: float, dt: float) -> tuple[Vec, Vec]:
     """Times and commands of a burst, on a grid of its own with linear interpolation.
 
     Slopes of A w(t) sum_i sin(2 pi f_i t) / n are at most A (2 pi mean f + 1 / edge), w rising within the edge.

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import ModelMetadata
+from hystmpc.models.effects.catalogue import confounders
 from hystmpc.models.identify.corrected_simulator import settled
 from hystmpc.models.identify.cross_validation import Hypothesis
 from hystmpc.models.identify.free_run import StagedChain
@@ -27,6 +30,9 @@ _STEP = 0.3  # of the unknowns' typical changes
 
 _LEAST_NOISE_DEG = 1e-3
 _TYPICAL = ("lag", "creep", "stick_slip", "contact")  # one of each family, where fewer than two effects were tried
+NOTHING = "nothing"
+"""Name of the explanation that nothing is missing."""
+
 _MOST = 4  # hypotheses for a gap that nothing explains
 
 
@@ -43,9 +49,58 @@ def next_step(findings: Findings) -> MotionProposal | None:
     fitted = {} if findings.prepared.checked.unrelated else _open(findings)
     if len(fitted) < 2:
         return None
+    question = _question(fitted, findings)
+    return propose(question.hypotheses, menu(_limits(findings), findings.prepared.checked.dt), question.noise)
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """Explanations between which a further motion is to decide.
+
+    Attributes:
+        hypotheses: the explanations, two or more.
+        noise: of the device, and form error of the explanations.
+        confirms: whether the trials so far decide already, so that the motion only puts their answer to the test.
+    """
+
+    hypotheses: tuple[OpenHypothesis, ...]
+    noise: Noise
+    confirms: bool = False
+
+
+def question(findings: Findings) -> Question | None:
+    """What is open after these trials; where nothing is, what would put the verdict to the test.
+
+    A named effect is tested against those that it is taken for, each fitted in its place; no gap is tested against a
+    single effect of each family. None where no angle follows its command.
+    """
+    if findings.prepared.checked.unrelated:
+        return None
+    fitted = _open(findings)
+    if len(fitted) >= 2:
+        return _question(fitted, findings)
+    tested = _rivals(findings)
+    return replace(_question(tested, findings), confirms=True) if len(tested) >= 2 else None
+
+
+def _question(fitted: Mapping[str, Hypothesis], findings: Findings) -> Question:
     prepared = findings.prepared
-    hypotheses = [open_hypothesis(name, hypothesis, prepared) for name, hypothesis in fitted.items()]
-    return propose(hypotheses, menu(_limits(findings), prepared.checked.dt), _noise(findings))
+    made = tuple(open_hypothesis(name, hypothesis, prepared) for name, hypothesis in fitted.items())
+    return Question(made, _noise(findings))
+
+
+def _rivals(findings: Findings) -> dict[str, Hypothesis]:
+    """The verdict, and what could be there in its place."""
+    chosen, attribution = findings.conclusion.chosen, findings.attribution
+    if not chosen.effects:
+        return {NOTHING: attribution.retuned, **_families(findings)}
+    strongest = max(findings.conclusion.closed.causes.items(), key=lambda item: item[1].share, default=("", None))[0]
+    name = strongest or min(chosen.effects)
+    others = sorted((confounders(name) - chosen.effects) - set(findings.left_out))[:_MOST]
+    rest = chosen.effects - {name}
+    fitted = {name: chosen} | {other: _with(findings, rest, other) for other in others}
+    found = {other: hypothesis for other, hypothesis in fitted.items() if hypothesis is not None}
+    return found if len(found) >= 2 else {NOTHING: attribution.retuned, name: chosen}
 
 
 def _open(findings: Findings) -> dict[str, Hypothesis]:
@@ -163,19 +218,29 @@ def open_hypothesis(name: str, hypothesis: Hypothesis, prepared: PreparedTrials)
 
 def _simulator(problem: Problem, q: Vec, prepared: PreparedTrials) -> Simulate:
     """Free run of a chain from a settled start at the motion's first command."""
-    chain, runs = problem.fitted_chain(q), prepared.everything
-    staged = StagedChain(chain)
-    carried = {c.carries for c in problem.effects}
+    carried, runs = {c.carries for c in problem.effects}, prepared.everything
     last = runs[-1]
     bent = max(last.bent_before, float(last.command.max())) if "bend" in carried else -np.inf
     clock = last.clock_s + last.command.size * last.dt_s if "clock" in carried else 0.0
+    return free_run(problem.fitted_chain(q), runs[0].rest_angle, bent, clock)
 
+
+def free_run(chain: Chain, rest_angle: float, bent: float = -np.inf, clock_s: float = 0.0) -> Simulate:
+    """Free run of a chain from a long rest at the motion's first command.
+
+    Args:
+        chain: with its numbers.
+        rest_angle: approximate angle of the device at rest [deg].
+        bent: greatest command that the device has seen [mm or bar]; minus infinity for a new one.
+        clock_s: of the device [s].
+    """
+    staged = StagedChain(chain)
     rested: dict[float, Vec] = {}  # every motion of a menu starts at one command
 
     def simulate(command: Vec, dt: float) -> Vec:
         first = float(command[0])
         if first not in rested:
-            rested[first] = settled(chain, first, runs[0].rest_angle, bent, clock)
+            rested[first] = settled(chain, first, rest_angle, bent, clock_s)
         state = rested[first]
         return np.asarray(staged.simulate(command[:, None], dt, state[:, None])[0][:, 0])
 

@@ -20,9 +20,9 @@ from hystmpc.trials.run_folder import RunFolder
 
 from ..diagnosis import FORMATS, Diagnosis
 from ..next.motion_design import MOTION_FILE, write_motion
-from .report_data import STAGES, Evidence
+from .report_data import FIXED_FILE, STAGES, Evidence
 
-DIAGNOSIS_FILE, FIXED_FILE, GIVEN_FILE = "diagnosis.json", "sim.fixed.yaml", "sim.given.yaml"
+DIAGNOSIS_FILE, GIVEN_FILE = "diagnosis.json", "sim.given.yaml"
 _SOMETIMES = (FIXED_FILE, GIVEN_FILE, MOTION_FILE, "log.mcap")
 _GAP_S = 1.0  # between trials in one log
 

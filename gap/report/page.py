@@ -1,18 +1,20 @@
-"""Page of the report: verdict, effects, localisation, next motion, and the tables behind them."""
+"""Page of the report: the verdict on one page, and folded behind it all figures and tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from hystmpc.trials.report import Heading, Paragraph, Piece, Plot, Report, Table
+from hystmpc.trials.report import Folded, Heading, Paragraph, Piece, Plot, Points, Report, Table
 
 from ..next.motion_design import MOTION_FILE
 from .effect_figures import MOST_ROWS, closed_figure, effects_figure, next_figure
-from .figure_style import shown, worst_first
+from .figure_style import LABEL, shown, worst_first
+from .first_page import how_sure, what_next, why
 from .report_data import Evidence
 from .residual_figures import (
+    before_after_figure,
     bins_figure,
     heat_figure,
     loop_figure,
@@ -25,6 +27,7 @@ from .tables import (
     candidates_table,
     check_pieces,
     confusable_table,
+    detectable_table,
     effects_table,
     made_by,
     parameters_table,
@@ -37,6 +40,7 @@ from .words import (
     ceiling_sentence,
     choices,
     closed_sentence,
+    detectable_sentence,
     floor_words,
     headline,
     in_words,
@@ -56,22 +60,36 @@ def write_report(evidence: Evidence, folder: Path | str) -> Path:
 
 
 def diagnosis_report(evidence: Evidence) -> Report:
-    """The page of a diagnosis, whatever its verdict."""
-    pieces = (
-        *_verdict(evidence),
-        *_closed_loop(evidence),
-        *_which(evidence),
-        *_where(evidence),
-        *_next(evidence),
-        *_behind(evidence),
-    )
+    """The page of a diagnosis, whatever its verdict: what to know and to do, then everything else, folded."""
+    folded = (Folded(heading, tuple(made(evidence))) for heading, made in _SECTIONS)
+    pieces = (*_first_page(evidence), *(section for section in folded if section.pieces))
     subtitle = f"simulator {evidence.simulator}, {len(evidence.trials)} logs"
     return Report("Sim-to-real gap", pieces, subtitle)
 
 
-def _verdict(evidence: Evidence) -> Iterator[Piece]:
+def _first_page(evidence: Evidence) -> Iterator[Piece]:
     diagnosis = evidence.diagnosis
     yield Heading(headline(diagnosis))
+    blocks = {
+        "Why": why(diagnosis, evidence.command_unit),
+        "What to do next": what_next(evidence),
+        "How sure it is": how_sure(diagnosis),
+    }
+    for heading, sentences in blocks.items():
+        if sentences:
+            yield Heading(heading, 3)
+            yield Points(sentences)
+    worst, after = worst_first(evidence.final)[0], evidence.stages[-1]
+    yield Heading("Measured angle and simulated angle, before and after the correction", 3)
+    yield Plot(
+        before_after_figure(worst, after),
+        f"{worst.name}, the one of the {evidence.measured_on} with the largest error. Its RMSE is "
+        f"{worst.rmse('nominal'):.3g} deg {LABEL['nominal']} and {worst.rmse(after):.3g} deg {LABEL[after]}.",
+    )
+
+
+def _sizes(evidence: Evidence) -> Iterator[Piece]:
+    diagnosis = evidence.diagnosis
     yield Paragraph(diagnosis.reason)
     for sentence in (closed_sentence(diagnosis), stability_sentence(diagnosis), *order_sentences(diagnosis)):
         if sentence:
@@ -89,7 +107,6 @@ def _closed_loop(evidence: Evidence) -> Iterator[Piece]:
     found = evidence.diagnosis.tracking
     if found is None:
         return
-    yield Heading("Tracking in closed loop")
     yield Paragraph(tracking_sentence(evidence.diagnosis))
     if found.motions:
         yield tracking_table(found)
@@ -103,7 +120,6 @@ def _closed_loop(evidence: Evidence) -> Iterator[Piece]:
 
 def _which(evidence: Evidence) -> Iterator[Piece]:
     diagnosis = evidence.diagnosis
-    yield Heading("Which effect")
     if diagnosis.ranking or diagnosis.effects:
         yield Plot(
             effects_figure(evidence),
@@ -124,7 +140,6 @@ def _which(evidence: Evidence) -> Iterator[Piece]:
 
 def _where(evidence: Evidence) -> Iterator[Piece]:
     unit, final, after = evidence.command_unit, evidence.final, evidence.stages[1:]
-    yield Heading("Where the gap lies")
     heat = shown(evidence.trials, MOST_HEAT)
     rest = len(evidence.trials) - len(heat)
     more = f" Drawn are the final trials and the worst others; {rest} more are in the table below." if rest else ""
@@ -163,10 +178,8 @@ def _memory_and_spectrum(evidence: Evidence) -> Iterator[Piece]:
 
 
 def _next(evidence: Evidence) -> Iterator[Piece]:
-    yield Heading("What to record next")
     proposal = evidence.proposal
     if proposal is None:
-        yield Paragraph("Nothing is open that a motion of the safe menu would settle.")
         return
     yield Paragraph(next_sentence(proposal))
     yield Plot(
@@ -181,8 +194,7 @@ def _next(evidence: Evidence) -> Iterator[Piece]:
     yield Table(("motion", "duration [s]", "expected probability", "what it shows"), rows, "The whole menu.")
 
 
-def _behind(evidence: Evidence) -> Iterator[Piece]:
-    yield Heading("Tables")
+def _numbers(evidence: Evidence) -> Iterator[Piece]:
     yield trials_table(evidence)
     if evidence.diagnosis.retuned:
         yield retuned_table(evidence)
@@ -190,17 +202,40 @@ def _behind(evidence: Evidence) -> Iterator[Piece]:
         yield parameters_table(evidence)
     if evidence.candidates:
         yield candidates_table(evidence)
-    yield Heading("Checks and notes")
-    yield from check_pieces(evidence)
-    yield Heading("What these trials cannot show")
+
+
+def _detectable(evidence: Evidence) -> Iterator[Piece]:
+    if (found := evidence.diagnosis.detectable) is not None:
+        yield Paragraph(detectable_sentence(found))
+        if found.effects:
+            yield detectable_table(found)
+
+
+def _cannot_show(evidence: Evidence) -> Iterator[Piece]:
     if evidence.confusable:
         yield confusable_table(evidence)
     for sentence in evidence.cannot_show:
         yield Paragraph(sentence)
     if not evidence.confusable and not evidence.cannot_show:
         yield Paragraph("Nothing was found that these motions leave hidden.")
-    yield Heading("How it was made")
+
+
+def _made(evidence: Evidence) -> Iterator[Piece]:
     yield made_by(evidence, _versions())
+
+
+_SECTIONS: tuple[tuple[str, Callable[[Evidence], Iterator[Piece]]], ...] = (
+    ("How large the gap is: error of every final trial, and the floor", _sizes),
+    ("What the controller gains: tracking error before and after", _closed_loop),
+    ("Which effect: probability, gain and closed share of each", _which),
+    ("Where the gap lies: by time, part of the motion, command, frequency and memory", _where),
+    ("What to record next: the motion, and what each explanation expects of it", _next),
+    ("Numbers: every trial, retuning, parameters, candidates", _numbers),
+    ("Checks of the logs, and notes", check_pieces),
+    ("What these logs would show: the least size of each effect", _detectable),
+    ("What these logs cannot tell apart", _cannot_show),
+    ("How it was made: simulator, seed, time, versions", _made),
+)
 
 
 def _versions() -> dict[str, str]:

@@ -27,6 +27,9 @@ from ..residual.localise import Localisation
 Role = Literal["fit", "select", "final"]
 Side = Literal["command", "output", "sensor", "trial"]
 Stage = Literal["nominal", "retuned", "with_effects"]
+FIXED_FILE = "sim.fixed.yaml"
+"""Name of the file of the corrected simulator."""
+
 STAGES: tuple[Stage, ...] = ("nominal", "retuned", "with_effects")
 
 

@@ -27,6 +27,7 @@ _ROUNDING = 1e-9
 _COLUMNS = 400  # more cannot be told apart across a page
 
 _PER_LINE = 3
+_WINDOW_S = 40.0
 _LOOK: dict[Stage, Any] = {
     "nominal": {"color": COLOUR["nominal"], "linewidth": 0.9, "label": LABEL["nominal"]},
     "retuned": {"color": COLOUR["retuned"], "linewidth": 1.0, "label": LABEL["retuned"]},
@@ -124,6 +125,35 @@ def time_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Fig
         rows[-1].set_xlabel("time [s]")
         figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
+
+
+def before_after_figure(trial: TrialEvidence, after: Stage) -> Figure:
+    """Angle over time, measured and simulated before and after the correction, and the error of both; of a long trial
+    the part around the largest error."""
+    t = trial.trial.t - trial.trial.t[0]
+    start = _densest_start(trial)
+    part = (t >= t[start]) & (t <= t[start] + _WINDOW_S)
+    with new_figure(7.0, 3.4) as figure:
+        angle, error = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        angle.plot(t[part], trial.trial.angle[part], **{**REAL, "label": "measured"})
+        for stage in ("nominal", after):
+            run = getattr(trial, stage)
+            angle.plot(t[part], run[part], **_LOOK[stage])
+            error.plot(t[part], (run - trial.trial.angle)[part], **{**_LOOK[stage], "linestyle": "-"})
+        error.axhline(0.0, **QUIET)
+        angle.set_ylabel("tip angle [deg]")
+        error.set(ylabel="simulated less\nmeasured [deg]", xlabel="time [s]")
+        figure.legend(*angle.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    return figure
+
+
+def _densest_start(trial: TrialEvidence) -> int:
+    """First sample of the window with the largest error as given, among the samples that count."""
+    size = round(_WINDOW_S / trial.trial.dt)
+    energy = np.cumsum(np.r_[0.0, trial.residual("nominal") ** 2])
+    if energy.size <= size:
+        return trial.start
+    return trial.start + int(np.argmax(energy[size:] - energy[:-size]))
 
 
 def _runs(trial: TrialEvidence, stages: Sequence[Stage]) -> list[NDArray[np.float64]]:

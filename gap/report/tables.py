@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 from hystmpc.trials.report import KeyValues, Paragraph, Piece, Table
 
-from ..diagnosis import TrackingGap
+from ..diagnosis import DetectableSizes, TrackingGap
 from .figure_style import LABEL
 from .report_data import STAGES, CandidateRow, Evidence, TrialEvidence
-from .words import in_words, percent
+from .words import DETECTABLE_COLUMNS, baseline_units, detectable_rows, in_words, percent
 
 NOT_DETERMINED = "not determined"
 _SIDES = {"command": "command side", "output": "output side", "sensor": "sensor", "trial": "trial to trial"}
@@ -87,6 +87,11 @@ def confusable_table(evidence: Evidence) -> Table:
     return Table(columns, rows, caption)
 
 
+def detectable_table(found: DetectableSizes) -> Table:
+    """The least size of each effect that these logs would show."""
+    return Table(DETECTABLE_COLUMNS, detectable_rows(found), "These logs would show each effect from this size on.")
+
+
 def parameters_table(evidence: Evidence) -> Table:
     """Identified values and whether the logs determine them."""
     rows = []
@@ -105,8 +110,7 @@ def parameters_table(evidence: Evidence) -> Table:
 
 def retuned_table(evidence: Evidence) -> Table:
     """Baseline quantities before and after the refit."""
-    unit = evidence.command_unit
-    units = {"gain": f"deg/{unit}", "offset": "deg", "backlash_width": unit}
+    units = baseline_units(evidence.command_unit)
     rows = [
         (in_words(name), units[name], given, found, "" if given == 0 else f"{100 * (found / given - 1):+.1f} %")
         for name, (given, found) in evidence.diagnosis.retuned.items()

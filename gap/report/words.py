@@ -7,24 +7,37 @@ from collections.abc import Sequence
 
 from hystmpc.models.identify.uncertainty import Interval
 
-from ..diagnosis import Diagnosis, FoundEffect, Gap, TrackingGap
+from ..diagnosis import Detectable, DetectableSizes, Diagnosis, FoundEffect, Gap, TrackingGap
 from ..next.motion_design import MotionProposal
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """The verdict in a few words."""
-    names, stability = listed([in_words(effect.name) for effect in diagnosis.effects], "and"), diagnosis.stability
+    """The verdict in one sentence, without a full stop."""
+    causes, stability = _causes(diagnosis), diagnosis.stability
+    verb = "explain" if len(causes) > 1 else "explains"
+    names, closed = listed(causes, "and") or "no effect", diagnosis.gap.closed_share
+    much = f"{percent(closed)} of the gap" if math.isfinite(closed) and closed > 0 else "the gap"
+    moved = listed([in_words(row.name) for row in diagnosis.moved], "and") or "numbers"
+    moved += " have moved" if len(diagnosis.moved) != 1 else " has moved"
     said = {
-        "named": f"Named: {names or 'no effect'}",
-        "one_of": f"Not told apart: {'; '.join(choices(diagnosis)) or names}",
-        "unknown": "Unknown: a gap that no effect of the library explains",
-        "retuned": f"Retuned: {listed([in_words(row.name) for row in diagnosis.moved], 'and') or 'numbers'} moved",
-        "none": "No structural gap: the simulator as given is enough",
-        "too_little": "Too little: these logs do not allow a diagnosis",
+        "named": f"{names} {verb} {much}",
+        "one_of": f"{names} {verb} {much}: these trials cannot tell which",
+        "unknown": "no effect of the library explains the gap",
+        "retuned": f"the simulator needs other numbers: {moved}",
+        "none": "the simulator has no structural gap",
+        "too_little": "these logs are too little for a diagnosis",
     }[diagnosis.verdict]
+    said = f"{said[0].upper()}{said[1:]}"
     if stability is None or not stability.flips:
         return said
     return f"{said}. This verdict flips: it comes out in {percent(stability.share)} of the resampled splits"
+
+
+def _causes(diagnosis: Diagnosis) -> list[str]:
+    """Effects found, each with those that it may stand for, as `lag or delay`."""
+    sets = {name: words for names, words in zip(diagnosis.ambiguity, choices(diagnosis), strict=True) for name in names}
+    found = dict.fromkeys(sets.get(effect.name, in_words(effect.name)) for effect in diagnosis.effects)
+    return list(found) or choices(diagnosis)
 
 
 def choices(diagnosis: Diagnosis) -> list[str]:
@@ -148,6 +161,51 @@ def floor_words(gap: Gap) -> str:
     return (
         "No motion was repeated: the floor is the noise in the upper band of the residual, a lower bound, and every "
         "share is relative to it."
+    )
+
+
+_ORDER_HIDES = " What is marked `order unknown` needs the order in which the trials were recorded."
+DETECTABLE_COLUMNS = ("effect", "least size", "hidden", "remark")
+
+
+def baseline_units(command: str) -> dict[str, str]:
+    """Unit of each quantity that retuning changes."""
+    return {"gain": f"deg/{command}", "offset": "deg", "backlash_width": command}
+
+
+def detectable_rows(found: DetectableSizes) -> list[tuple[str, ...]]:
+    """A row for each effect, in the order of `DETECTABLE_COLUMNS`."""
+    return [
+        (
+            in_words(one.effect),
+            _size(one),
+            percent(one.hidden) if math.isfinite(one.hidden) else "",
+            _detectable_remark(one),
+        )
+        for one in found.effects
+    ]
+
+
+def _size(one: Detectable) -> str:
+    if not math.isfinite(one.size):
+        return "none shows"
+    return f"{one.parameter} {one.size:.2g}" + (f" {one.unit}" if one.unit != "1" else "")
+
+
+def _detectable_remark(one: Detectable) -> str:
+    if one.untestable:
+        return "order unknown"
+    return "jumps need more" if one.effect == "stick_slip" else ""
+
+
+def detectable_sentence(found: DetectableSizes) -> str:
+    """What the least sizes mean, or why there are none."""
+    return found.why_not or (
+        f"An effect has to leave {_deg(found.needed_rmse_deg)} RMS after retuning: less passes for the simulator's own "
+        "model-form error. Each size is that of one effect alone in a free run over these commands; no measured angle "
+        "was looked at, but for the first of each trial. Hidden: share of the effect's energy that retuning takes up. "
+        "Stick-slip is seen by its jumps, which needs about 2.5 times its size."
+        + (_ORDER_HIDES if any(one.untestable for one in found.effects) else "")
     )
 
 

@@ -21,7 +21,8 @@ from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
 from hystmpc.trials.report import ACCENTS, MODEL, REFERENCE, Heading, Paragraph, Piece, Plot, Table, new_figure
 
 from ..diagnosis import FORMATS, TrackingGap
-from ..report.folder import DIAGNOSIS_FILE, FIXED_FILE, GIVEN_FILE
+from ..report.folder import DIAGNOSIS_FILE, GIVEN_FILE
+from ..report.report_data import FIXED_FILE
 from .expected import NEAR, UnexplainedPlant, expected_tracking
 from .measured import MeasuredRun, measured_runs
 

@@ -16,7 +16,7 @@ from ..chain import Chain
 from ..model import FitProgress
 from .chain_fit import ChainFit, ChainTask, Tracker
 from .free_run import FreeRuns, StagedChain
-from .runs import check_trial_set
+from .runs import check_trial_set, end_to_end
 
 
 @dataclass(frozen=True)
@@ -75,12 +75,10 @@ class WindowLoss:
 
     def gradient(self, p: Vec, windows: Windows) -> Vec:
         """Derivative (P,) of the loss by p."""
-        total = np.zeros(p.size)
-        for commands, angles in zip(windows.commands, windows.angles, strict=True):
-            start = self._staged.rest_with_slope(float(commands[0]), float(angles[0]), p)
-            theta, by_p = self._staged.differentiate(commands, self._dt, *start, p)
-            total += 2 * (theta - angles) @ by_p
-        return total / windows.commands.size
+        start = self._staged.rest_with_slope(windows.commands[:, 0], windows.angles[:, 0], p)
+        commands, first = end_to_end(list(windows.commands))
+        theta, by_p = self._staged.differentiate(commands, self._dt, *start, p, first=first)
+        return 2 * (theta - windows.angles.ravel()) @ by_p / commands.size
 
 
 def fit_by_adam(task: ChainTask, settings: AdamSettings, progress: FitProgress | None = None) -> ChainFit:

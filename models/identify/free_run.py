@@ -4,50 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Index, Vec
 
 from ..chain import Chain
-from ..kernels.chain_kernels import StageKernels, stage_kernels
-from .runs import check_trial_set
-
-_ROUNDS, _CLOSE, _FLAT, _WITHIN = 8, 1e-9, 1e-3, 1e-6
-
-
-class _Held(NamedTuple):
-    """One row held at a command, its core told to show an angle.
-
-    Attributes:
-        state, slope: (S,), and its derivative by the parameters and that angle (S, P + 1).
-        shown, by_shown: angle that the chain shows one sample later [deg], and its derivative (P + 1,).
-        core: angle that the core shows then [deg]; the one it was told where it can hold it.
-    """
-
-    state: Vec
-    slope: Vec
-    shown: float
-    by_shown: Vec
-    core: float
-
-
-class _Led(NamedTuple):
-    """One row held at a command, up to some operator.
-
-    Attributes:
-        state, slope: as of `_Held`, filled up to that operator.
-        signal, by_signal: what it hands on one sample later, and its derivative (P + 1,).
-    """
-
-    state: Vec
-    slope: Vec
-    signal: float
-    by_signal: Vec
+from ..kernels.chain_kernels import DIRECTIONS, stage_kernels
+from .runs import check_trial_set, end_to_end
+from .settling import Settling, Stage
 
 
 @final
@@ -64,7 +33,7 @@ class StagedChain:
 
     def __init__(self, chain: Chain) -> None:
         self.chain = chain
-        self._stages: list[tuple[StageKernels, slice, slice]] = []
+        self._stages: list[Stage] = []
         states = parameters = 0
         for operator in chain.operators:
             s, p = len(operator.states), len(operator.parameters)
@@ -77,12 +46,25 @@ class StagedChain:
         """States (S, N) at rest at commands (N,) [cmd] where the device shows angles (N,) [deg].
 
         The rule is the chain's: up to the core the signal is the command, from the core on the angle.
+
+        Args:
+            values: parameters (P,) of all rows or (P, N) of each; the chain's where left out.
         """
-        p = self._rows(values, command.size)
+        return self.rest_with_slope(command, angle, values, np.empty((self.parameter_count, 0)))[0]
+
+    def rest_with_slope(
+        self, command: Vec, angle: Vec, values: Vec | None = None, seeds: Vec | None = None
+    ) -> tuple[Vec, Vec]:
+        """States (S, N) at rest, see `rest`, and their derivatives (S, N, D) in the directions of `differentiate`."""
+        p, seeds = self._rows(values, command.size), self._seeds(seeds)
         x = np.empty((self.state_size, command.size))
-        for n in range(command.size):
-            x[:, n] = self._rest_of(float(command[n]), float(angle[n]), p[:, n], None)
-        return x
+        m = np.empty((*x.shape, seeds.shape[1]))
+        signals = [np.ascontiguousarray(signal, dtype=np.float64) for signal in (command, angle)]
+        still = np.zeros((command.size, seeds.shape[1]))
+        for k, (kernels, state, own) in enumerate(self._stages):
+            u, seen = signals[k > self._core], signals[k >= self._core]
+            kernels.rest(u, still, seen, still, p[own], kernels.constants[2], seeds[own], x[state], m[state])
+        return x, m
 
     def simulate(self, commands: Vec, dt_s: float, states: Vec, values: Vec | None = None) -> tuple[Vec, Vec]:
         """Run N rows freely.
@@ -110,127 +92,79 @@ class StagedChain:
             signal = following
         return signal, x
 
-    def rest_with_slope(self, command: float, angle: float, values: Vec | None = None) -> tuple[Vec, Vec]:
-        """State (S,) of one row at rest, see `rest`, and its derivative by the parameters (S, P)."""
-        slope = np.zeros((self.state_size, self.parameter_count))
-        return self._rest_of(command, angle, self._rows(values, 1)[:, 0], slope), slope
-
-    def settled(self, command: float, angle: float, dt_s: float, values: Vec | None = None) -> tuple[Vec, Vec]:
-        """State (S,) of one row that was held at a command and shows an angle, and its derivative (S, P).
+    def settled(
+        self, command: Vec, angle: Vec, dt_s: float, values: Vec | None = None, seeds: Vec | None = None
+    ) -> tuple[Vec, Vec]:
+        """States (S, N) of rows that were held at a command and show an angle, and their derivatives (S, N, D).
 
         Unlike `rest`, every operator starts at what the one before it really hands on, and the core at the angle for
         which the whole chain shows the one that was seen: a creep, a stop or a curve behind the core is no offset.
         Newton's method on the core's angle a; dx/dp = dx/dp|_a - dx/da (dy/dp|_a) / (dy/da) by the implicit function
         theorem. Where that is beyond what the core can hold at the command, the search goes on from the edge of what it
-        can; and where it cannot show the angle at all it shows the nearest that it can.
+        can; and where it cannot show the angle at all it shows the nearest that it can. Rows do not depend on others.
 
         Args:
-            command: held [cmd].
-            angle: seen [deg].
+            command: held (N,) [cmd].
+            angle: seen (N,) [deg].
             dt_s: sample time [s].
             values: parameters (P,); the chain's where left out.
+            seeds: see `differentiate`.
         """
-        p, at = self._rows(values, 1), angle
-        before = self._before_core(command, dt_s, p)
-        held, side = self._held(before, at, dt_s, p), 0.0
-        beyond: _Held | None = None
-        for _ in range(_ROUNDS):
-            if abs(angle - held.shown) < _CLOSE:
-                break
-            if abs(held.by_shown[-1]) < _FLAT:  # beyond what the core can hold: go on from the edge, a little within
-                past, side, beyond = side, float(np.sign(angle - held.shown)), beyond or held
-                at = held.core + side * _WITHIN
-                held = self._held(before, at, dt_s, p)
-                if side == past or abs(held.by_shown[-1]) < _FLAT:  # nothing within leads any further
-                    held = beyond
-                    break
-            at += (angle - held.shown) / float(held.by_shown[-1])
-            held = self._held(before, at, dt_s, p)
-        x, slope, by = held.state, held.slope, held.by_shown
-        follows = slope[:, :-1]
-        if abs(by[-1]) >= _FLAT:
-            follows = follows - slope[:, -1:] * (by[:-1] / by[-1])[None]
-        return x, np.ascontiguousarray(follows, dtype=np.float64)
-
-    def _before_core(self, command: float, dt_s: float, p: Vec) -> _Led:
-        """What stands before the core, held at a command."""
-        count = self.parameter_count + 1
-        led = _Led(np.empty(self.state_size), np.zeros((self.state_size, count)), command, np.zeros(count))
-        for k in range(self._core):
-            led = self._next_held(k, led, (led.signal, led.by_signal), dt_s, p)
-        return led
-
-    def _held(self, before: _Led, core_angle: float, dt_s: float, p: Vec) -> _Held:
-        """The whole row; what stands before the core does not depend on the core's angle, and is found once."""
-        led = _Led(before.state.copy(), before.slope.copy(), before.signal, before.by_signal)
-        told = np.zeros(self.parameter_count + 1)
-        told[-1] = 1.0
-        led = self._next_held(self._core, led, (core_angle, told), dt_s, p)
-        core = led.signal
-        for k in range(self._core + 1, len(self._stages)):
-            led = self._next_held(k, led, (led.signal, led.by_signal), dt_s, p)
-        return _Held(led.state, led.slope, led.signal, led.by_signal, core)
-
-    def _next_held(self, k: int, led: _Led, seen: tuple[float, Vec], dt_s: float, p: Vec) -> _Led:
-        """One operator further; it fills its own states, and starts at rest at what it sees (value and derivative)."""
-        kernels, states, parameters = self._stages[k]
-        x, slope, moving = led.state, led.slope, led.by_signal[None]
-        own, by_input, by_output = _stage_at_rest(kernels, led.signal, seen[0], p[parameters, 0], x[states])
-        slope[states] = by_input[:, None] * moving + by_output[:, None] * seen[1]
-        slope[states, parameters] += own
-        kept = np.empty((kernels.kept[1], 1))
-        kernels.prepare_slopes(p[parameters], dt_s, kernels.constants[1], kept)
-        following, moved = np.empty(1), np.zeros_like(moving)
-        kernels.differentiate(
-            x[states].copy(),
-            slope[states].copy(),
-            np.array([led.signal]),
-            moving,
-            kept,
-            parameters.start,
-            moving.shape[1],
-            following,
-            moved,
-        )
-        return _Led(x, slope, float(following[0]), moved[0])
+        seeds = np.column_stack([self._seeds(seeds), np.zeros(self.parameter_count)])
+        settling = Settling(self._stages, self._core, self._rows(values, 1), self._kept(dt_s, values), seeds)
+        held = settling.rows(np.asarray(command, dtype=np.float64), np.asarray(angle, dtype=np.float64))
+        by, leads = held.by_signal, held.leads[:, None]
+        turned = np.divide(by, by[:, -1:], out=np.zeros_like(by), where=leads)
+        return held.state, np.ascontiguousarray((held.slope - held.slope[:, :, -1:] * turned)[:, :, :-1])
 
     def differentiate(
-        self, commands: Vec, dt_s: float, state: Vec, slope: Vec, values: Vec | None = None
+        self,
+        commands: Vec,
+        dt_s: float,
+        state: Vec,
+        slope: Vec,
+        values: Vec | None = None,
+        seeds: Vec | None = None,
+        first: Index | None = None,
     ) -> tuple[Vec, Vec]:
-        """One row's free run, and its derivative by every parameter.
+        """Free runs of N rows laid end to end, and their derivatives in D directions.
 
         Args:
-            commands: (T,) [cmd].
+            commands: of all runs (T,) [cmd].
             dt_s: sample time [s].
-            state, slope: before the first sample (S,), and its derivative by the parameters (S, P).
+            state, slope: before the first sample of each run (S, N), and its derivative (S, N, D).
             values: parameters (P,); the chain's where left out.
+            seeds: derivative of the parameters in each direction (P, D); of every parameter alone where left out.
+            first: first sample of each run, and T (N + 1,); one run where left out.
 
         Returns:
-            Angles (T,) [deg] and their derivatives (T, P).
+            Angles (T,) [deg] and their derivatives (T, D).
         """
-        p, x, m = self._rows(values, 1), state.copy(), slope.copy()
-        signal = np.ascontiguousarray(commands, dtype=np.float64)
-        moving = np.zeros((commands.size, self.parameter_count))
-        ahead = False  # whether a state so far depends on parameters of later operators, as the settled ones do
-        for kernels, states, parameters in self._stages:
-            ahead = ahead or bool(m[states, parameters.stop :].any())
-            reach = self.parameter_count if ahead else parameters.stop
-            kept = np.empty((kernels.kept[1], 1))
-            kernels.prepare_slopes(p[parameters], dt_s, kernels.constants[1], kept)
-            following, moved = np.empty_like(signal), np.zeros_like(moving)
-            kernels.differentiate(x[states], m[states], signal, moving, kept, parameters.start, reach, following, moved)
-            signal, moving = following, moved
+        seeds, first = self._seeds(seeds), np.array([0, commands.size]) if first is None else first
+        if seeds.shape[1] > DIRECTIONS:
+            parts = [slice(a, a + DIRECTIONS) for a in range(0, seeds.shape[1], DIRECTIONS)]
+            runs = [
+                self.differentiate(commands, dt_s, state, slope[:, :, d], values, seeds[:, d], first) for d in parts
+            ]
+            return runs[0][0], np.hstack([moving for _, moving in runs])
+        x, m = np.ascontiguousarray(state), np.ascontiguousarray(slope)
+        signal, moving = np.array(commands, dtype=np.float64), np.zeros((commands.size, seeds.shape[1]))
+        room = np.empty((self.state_size + self.parameter_count) * DIRECTIONS)
+        for (kernels, states, own), kept in zip(self._stages, self._kept(dt_s, values), strict=True):
+            kernels.differentiate(x[states], m[states], signal, moving, seeds[own], kept, first, room)
         return signal, moving
 
-    def _rest_of(self, command: float, angle: float, p: Vec, slope: Vec | None) -> Vec:
-        """State (S,) of one row at rest; `slope` (S, P) receives its derivative."""
-        x = np.empty(self.state_size)
-        for k, (kernels, state, parameters) in enumerate(self._stages):
-            seen_in, seen_out = (command if k <= self._core else angle), (command if k < self._core else angle)
-            own, _, _ = _stage_at_rest(kernels, seen_in, seen_out, p[parameters], x[state])
-            if slope is not None:
-                slope[state, parameters] = own
-        return x
+    def _seeds(self, seeds: Vec | None) -> Vec:
+        """Directions (P, D): those of every parameter alone where none are given."""
+        return np.eye(self.parameter_count) if seeds is None else np.ascontiguousarray(seeds, dtype=np.float64)
+
+    def _kept(self, dt_s: float, values: Vec | None) -> list[Vec]:
+        """Of every operator, what follows from parameters and sample time alone."""
+        p, found = self._rows(values, 1), []
+        for kernels, _, own in self._stages:
+            found.append(np.empty((kernels.kept[1], 1)))
+            kernels.prepare_slopes(p[own], dt_s, kernels.constants[1], found[-1])
+        return found
 
     def _rows(self, values: Vec | None, rows: int) -> Vec:
         """Parameters (P, N)."""
@@ -248,13 +182,6 @@ class StagedChain:
                 f"got commands of shape {commands.shape} and states of shape {states.shape}, expected (T, N) and "
                 f"({self.state_size}, N)"
             )
-
-
-def _stage_at_rest(kernels: StageKernels, u: float, seen: float, p: Vec, x: Vec) -> tuple[Vec, Vec, Vec]:
-    """Fill one operator's state (S,) at rest; its derivatives by own parameters (S, P), input (S,) and output (S,)."""
-    own, by_u, by_seen = np.zeros((x.size, p.size)), np.zeros(x.size), np.zeros(x.size)
-    kernels.rest(u, seen, np.ascontiguousarray(p), kernels.constants[2], x, own, by_u, by_seen)
-    return own, by_u, by_seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,9 +252,11 @@ class FreeRuns:
         r = (theta(p) - measured) / sqrt(T_trial n_trials), so that sum r^2 is the mean square error of `mse`.
         """
         residuals, jacobians = [], []
-        for run in self.runs:
-            start = self._staged.rest_with_slope(float(run.commands[0]), float(run.angle[0]), p)
-            theta, gradient = self._staged.differentiate(run.commands, self._dt, *start, p)
+        commands, first = end_to_end([run.commands for run in self.runs])
+        start = self._staged.rest_with_slope(commands[first[:-1]], np.array([run.angle[0] for run in self.runs]), p)
+        thetas, gradients = self._staged.differentiate(commands, self._dt, *start, p, first=first)
+        parts = zip(self.runs, *(np.split(part, first[1:-1]) for part in (thetas, gradients)), strict=True)
+        for run, theta, gradient in parts:
             error = self._error(run, theta)
             by_p = gradient[-error.size :]
             if self._offset_free:

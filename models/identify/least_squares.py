@@ -17,7 +17,7 @@ from ..model import FitProgress
 from .chain_fit import ChainFit, ChainTask, ConvergenceReport, FreeParameters, chain_from, nothing_found
 from .free_run import FreeRuns
 from .problem import Problem
-from .runs import Run
+from .runs import Run, RunsTogether
 
 RESTART_SPREAD = 0.2
 
@@ -183,7 +183,7 @@ class _CondensedSearch:
     """
 
     def __init__(self, problem: Problem, runs: Sequence[Run], start: Vec) -> None:
-        self._problem, self._runs, self._start = problem, runs, start
+        self._problem, self._start, self._groups = problem, start, RunsTogether.groups(runs)
         self._samples = sum(int(run.counts.sum()) for run in runs)
         self._at: Vec | None = None
         self._energy = 0.0
@@ -195,15 +195,14 @@ class _CondensedSearch:
         return self._energy / self._samples
 
     def evaluate(self, q: Vec) -> tuple[Vec, Mat]:
-        square, common = np.zeros((q.size + 1, q.size + 1)), []
-        for run in self._runs:
-            (error, by_q), (own, own_by_q) = self._problem.error_and_common(q, run)
-            both = np.column_stack([by_q, error])
-            square += both.T @ both
-            common.append(np.column_stack([own_by_q, own]))
-        mean = np.mean(common, axis=0)
+        found = [self._problem.products(q, group) for group in self._groups]
+        square, common = np.sum([own for own, _ in found], axis=0), [row for _, rows in found for row in rows]
         self._at, self._energy = q.copy(), float(square[-1, -1])
-        triangle = _triangle(square + self._pull(square, q) + _COMMON * self._samples * mean.T @ mean)
+        square = square + self._pull(square, q)
+        if common:
+            mean = np.mean(common, axis=0)
+            square += _COMMON * self._samples * mean.T @ mean
+        triangle = _triangle(square)
         return triangle[:, -1], triangle[:, :-1]
 
     def _pull(self, square: Vec, q: Vec) -> Vec:

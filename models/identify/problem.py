@@ -16,7 +16,7 @@ from ..effects.effect import CORE, Candidate
 from .baseline import Baseline
 from .free_run import StagedChain
 from .motion_lines import motions_own
-from .runs import Run
+from .runs import Run, RunsTogether
 
 _BLOCK_S = 4.0
 _RIDGE = 1e-9
@@ -73,25 +73,28 @@ class TrialTerms:
         columns = self.columns(run, theta[run.counts], by_q[run.counts])
         return np.asarray(np.linalg.lstsq(columns, (theta - run.angle)[run.counts], rcond=None)[0], dtype=np.float64)
 
-    def common(self, run: Run, theta: Vec, error: Vec, by_q: Vec) -> tuple[Vec, Vec]:
-        """Offset and gain of a run against the others (2,) [deg], and their derivative (2, Q); none without a shift.
+    @property
+    def apart(self) -> bool:
+        """Whether a trial has an offset of its own, which `common` finds."""
+        return self.shift or self.own_offset
 
-        The gain counts by what it moves: the coefficient of theta times the spread of theta.
+    def common(self, run: Run, theta: Vec, both: Vec) -> Vec:
+        """Offset and gain of a run against the others [deg] (2, Q + 1), the derivative first, as in `projected`.
+
+        The gain counts by what it moves: the coefficient of theta times the spread of theta. An own offset has no gain
+        (1, Q + 1).
         """
-        if not (self.shift or self.own_offset):
-            return np.empty(0), np.empty((0, by_q.shape[1]))
-        columns = self.columns(run, theta, by_q)
+        columns = self.columns(run, theta, both)
         scale = np.array([1.0, max(float(theta.std()), 1e-9)] if self.shift else [1.0])[:, None]
-        found = scale * np.linalg.pinv(columns)[: len(scale)]
-        return found @ error, found @ by_q
+        return np.asarray(scale * np.linalg.pinv(columns)[: len(scale)] @ both)
 
-    def projected(self, run: Run, theta: Vec, error: Vec, by_q: Vec) -> tuple[Vec, Vec]:
-        """Error (C,) and derivative (C, Q) less what the terms explain of them."""
-        columns = self.columns(run, theta, by_q)
+    def projected(self, run: Run, theta: Vec, both: Vec) -> Vec:
+        """Derivative and, in the last column, error (C, Q + 1), less what the terms explain of them."""
+        columns = self.columns(run, theta, both)
         if not columns.shape[1]:
-            return error, by_q
+            return both
         basis = np.linalg.qr(columns)[0]
-        return error - basis @ (basis.T @ error), by_q - basis @ (basis.T @ by_q)
+        return both - basis @ (basis.T @ both)
 
     def cross_fitted(self, run: Run, theta: Vec, error: Vec, by_q: Vec) -> Vec:
         """Error (C,) less the terms, whose coefficients come from every other block of four seconds."""
@@ -164,7 +167,7 @@ class Problem:
             (*(operator for _, operator in leading), *nominal.before),
             (*nominal.after, *(operator for _, operator in trailing)),
         )
-        self._staged = StagedChain(self.chain)
+        self._staged, self._given = StagedChain(self.chain), self.chain.values
         at, states = self._places()
         core = len(self.chain.before)
         self._core = slice(at[core], at[core + 1])
@@ -238,34 +241,50 @@ class Problem:
     def angles(self, q: Vec, run: Run) -> Vec:
         """Angles (T,) of a free run [deg]."""
         p = self._values(q)[0]
-        state = self._start(run, p)[0]
-        return self._staged.simulate(run.command[:, None], run.dt_s, state[:, None], p)[0][:, 0] + run.correction
+        state = self._start(RunsTogether.of([run]), p, np.empty((p.size, 0)))[0]
+        return self._staged.simulate(run.command[:, None], run.dt_s, state, p)[0][:, 0] + run.correction
 
     def linearised(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angles (T,) and their derivative (T, Q)."""
-        p, slope = self._values(q)
-        theta, by_p = self._staged.differentiate(run.command, run.dt_s, *self._start(run, p), p)
-        return theta + run.correction, by_p @ slope
+        theta, both = self._pass(q, RunsTogether.of([run]))
+        return theta, both[:, :-1]
 
     def error(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angle less measurement where it counts (C,) and its derivative (C, Q), a trial's own terms projected out."""
-        theta, error, by_q = self._counted(q, run)
-        return self.terms.projected(run, theta, error, by_q)
-
-    def error_and_common(self, q: Vec, run: Run) -> tuple[tuple[Vec, Vec], tuple[Vec, Vec]]:
-        """The error, and the trial's own offset and gain (2,) [deg] with their derivative (2, Q)."""
-        theta, error, by_q = self._counted(q, run)
-        return self.terms.projected(run, theta, error, by_q), self.terms.common(run, theta, error, by_q)
-
-    def _counted(self, q: Vec, run: Run) -> tuple[Vec, Vec, Vec]:
-        """Angle, error and derivative of the samples that count."""
-        theta, by_q = self.linearised(q, run)
-        return theta[run.counts], (theta - run.angle)[run.counts], by_q[run.counts]
+        theta, both = self._pass(q, RunsTogether.of([run]))
+        left = self.terms.projected(run, theta[run.scored], both[run.scored])
+        return left[:, -1], left[:, :-1]
 
     def held_out_error(self, q: Vec, run: Run) -> Vec:
         """Angle less measurement where it counts (C,); what belongs to the trial alone is estimated on other blocks."""
-        theta, by_q = self.linearised(q, run)
-        return self.terms.cross_fitted(run, theta[run.counts], (theta - run.angle)[run.counts], by_q[run.counts])
+        theta, both = self._pass(q, RunsTogether.of([run]))
+        scored = both[run.scored]
+        return self.terms.cross_fitted(run, theta[run.scored], scored[:, -1], scored[:, :-1])
+
+    def products(self, q: Vec, together: RunsTogether) -> tuple[Vec, list[Vec]]:
+        """What a fit needs of one pass over many runs, derivatives first and the error last.
+
+        Returns:
+            Sum over the samples that count of the products of both (Q + 1, Q + 1), a trial's own terms projected out,
+            and the trials' own offsets and gains (2, Q + 1) each [deg]; none where trials have no offset.
+        """
+        theta, both = self._pass(q, together)
+        parts, common = [both[a:b] for a, b in together.spans], []
+        if self.terms != NO_TERMS:
+            scored = [(run, theta[at][run.scored], both[at][run.scored]) for run, at in together.each()]
+            parts = [self.terms.projected(*own) for own in scored]
+            common = [self.terms.common(*own) for own in scored] if self.terms.apart else []
+        return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common
+
+    def _pass(self, q: Vec, together: RunsTogether) -> tuple[Vec, Vec]:
+        """Angles (T,), their derivative and, in the last column, their error (T, Q + 1) over all samples."""
+        p, slope = self._values(q)
+        seeds = np.column_stack([slope, np.zeros(p.size)])
+        start = self._start(together, p, seeds)
+        theta, both = self._staged.differentiate(together.command, together.dt_s, *start, p, seeds, together.first)
+        theta += together.correction
+        np.subtract(theta, together.angle, out=both[:, -1])
+        return theta, both
 
     def _values(self, q: Vec) -> tuple[Vec, Vec]:
         """Parameters (P,) of the chain and their derivative by the unknowns (P, Q); the last ones are kept.
@@ -279,7 +298,7 @@ class Problem:
 
     def _values_at(self, q: Vec) -> tuple[Vec, Vec]:
         values = self.plain(q)
-        p, slope = self.chain.values, np.zeros((len(self.chain.parameters), q.size))
+        p, slope = self._given.copy(), np.zeros((self._given.size, q.size))
         core, by_z = self.baseline.core_values(self.retuned(q))
         p[self._core], slope[self._core, : self._z] = core, (by_z * self.baseline.scale)[:, self._active]
         for k, (freedom, indices) in enumerate(self._freedoms, self._z):
@@ -299,10 +318,13 @@ class Problem:
                 found.append(at[k] + names.index(name))
         return found
 
-    def _start(self, run: Run, p: Vec) -> tuple[Vec, Vec]:
-        state, slope = self._staged.settled(run.rest_command, run.rest_angle, run.dt_s, p)
+    def _start(self, together: RunsTogether, p: Vec, seeds: Vec) -> tuple[Vec, Vec]:
+        """States (S, N) before the first sample of each run, and their derivatives (S, N, D)."""
+        command, angle = np.array([(run.rest_command, run.rest_angle) for run in together.runs]).T
+        state, slope = self._staged.settled(command, angle, together.dt_s, p, seeds)
         for what, index in self._carried:
-            state[index], slope[index] = (run.bent_before if what == "bend" else run.clock_s), 0.0
+            state[index] = [run.bent_before if what == "bend" else run.clock_s for run in together.runs]
+            slope[index] = 0.0
         return state, slope
 
     def _places(self) -> tuple[list[int], list[int]]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,12 @@ from numpy.typing import NDArray
 
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Index, Vec
 
 from ..contract.metadata import DeviceLimits, InitialRule, ModelMetadata, Range
 
 _SETTLED_SHARE = 0.002  # of the command's range: a start that moves less is at rest
+_GROUP = 32768  # samples of a group of runs: some MB of derivatives
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +48,77 @@ class Run:
     clock_s: float
     correction: Vec
 
+    @cached_property
+    def scored(self) -> slice | NDArray[np.bool_]:
+        """Index of the samples that are scored: a slice, which copies nothing, where they follow one another."""
+        spans = spans_of(self.counts)
+        return slice(*spans[0]) if len(spans) == 1 else self.counts
+
     def blocks(self, seconds: float) -> NDArray[np.intp]:
         """Number of the block that each counted sample belongs to."""
         length = max(round(seconds / self.dt_s), 1)
         return np.flatnonzero(self.counts) // length
+
+
+def spans_of(counts: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First sample and end of each stretch of samples that count (T,)."""
+    edges = np.flatnonzero(np.diff(counts, prepend=False, append=False)).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
+def end_to_end(signals: Sequence[Vec]) -> tuple[Vec, Index]:
+    """Signals laid end to end (T,), and the first sample of each, and T (N + 1,)."""
+    return np.concatenate(signals), np.cumsum([0, *(signal.size for signal in signals)])
+
+
+@dataclass(frozen=True, eq=False)
+class RunsTogether:
+    """N runs of one rate laid end to end, T samples in all, as one call of the engine takes them.
+
+    Attributes:
+        runs: in order.
+        command, angle, correction: of all runs (T,), see `Run`.
+        first: first sample of each run, and T (N + 1,).
+        spans: first sample and end of each stretch that is scored.
+    """
+
+    runs: tuple[Run, ...]
+    command: Vec
+    angle: Vec
+    correction: Vec
+    first: Index
+    spans: list[tuple[int, int]]
+
+    @classmethod
+    def of(cls, runs: Sequence[Run]) -> RunsTogether:
+        """Of some runs."""
+        command, first = end_to_end([run.command for run in runs])
+        angle, correction = (
+            np.concatenate(signals) for signals in zip(*((r.angle, r.correction) for r in runs), strict=True)
+        )
+        return cls(tuple(runs), command, angle, correction, first, spans_of(np.concatenate([r.counts for r in runs])))
+
+    @classmethod
+    def groups(cls, runs: Sequence[Run]) -> tuple[RunsTogether, ...]:
+        """Of all runs, in groups whose derivatives fit in a processor's cache."""
+        found, size = [[runs[0]]], runs[0].command.size
+        for run in runs[1:]:
+            size += run.command.size
+            if size > _GROUP:
+                found.append([])
+                size = run.command.size
+            found[-1].append(run)
+        return tuple(cls.of(group) for group in found)
+
+    @property
+    def dt_s(self) -> float:
+        """Sample time [s]."""
+        return self.runs[0].dt_s
+
+    def each(self) -> Iterator[tuple[Run, slice]]:
+        """Every run and its place."""
+        for run, a, b in zip(self.runs, self.first[:-1].tolist(), self.first[1:].tolist(), strict=True):
+            yield run, slice(a, b)
 
 
 @dataclass(frozen=True)

@@ -74,6 +74,9 @@ def _compile(serialized: str) -> ChainKernels:
     )
 
 
+DIRECTIONS = 264
+"""Greatest number of directions of one call; no power of two, so that rows of that length share no place in a cache."""
+
 _STATE, _INPUT = 0, 1  # arguments of an operator's function that change from sample to sample
 _ARGUMENTS = ("x", "u", "p", "dt")
 _NOGIL = '@njit(cache=True, error_model="numpy", nogil=True)'
@@ -88,8 +91,9 @@ _CHOICES = {
     "if_else_zero": "b if a != 0.0 else 0.0",
     "fmin": "a if a <= b else b",
     "fmax": "a if a >= b else b",
+    "sign": "(1.0 if a > b else 0.0) - (1.0 if a < b else 0.0)",
 }
-_TEMPLATES = {**SCALAR, **{name: f"choose_{name}({{0}}, {{1}})" for name in _CHOICES}}
+_TEMPLATES = {**SCALAR, **{name: f"choose_{name}({{0}}, {{1}})" for name in _CHOICES}, "sign": "choose_sign({0}, 0.0)"}
 _HEADER = "import math\n" + "".join(
     f"\n\n{_INLINED}\ndef choose_{name}(a, b):\n    return {value}\n" for name, value in _CHOICES.items()
 )
@@ -103,11 +107,12 @@ class StageKernels:
     Attributes:
         prepare: (p (P, N), dt, k, c) fills c, everything that does not change from sample to sample, for `simulate`.
         simulate: (x (S, N), u (T, N), c, y (T, N)) runs all rows; x is updated.
-        prepare_slopes, differentiate: the same for one row with tangents, (x (S,), m (S, Q), u (T,), du (T, Q), c,
-            own, count, y (T,), dy (T, Q)): of the Q directions the first `count` are in use, the operator's own
-            parameters from `own` on.
-        rest: (u, seen, p (P,), k, x (S,), slope (S, P), by_u (S,), by_seen (S,)) the state at rest at input u and
-            output seen, and its derivatives.
+        prepare_slopes, differentiate: the same for runs laid end to end, with derivatives in D <= `DIRECTIONS`
+            directions: (x (S, N), m (S, N, D), y (T,), dy (T, D), s (P, D), c, first (N + 1,), w). Run n has samples
+            first[n] to first[n + 1]; y and dy hold the input and receive the output; s is the derivative of the
+            operator's own parameters; w is room for (S + P) `DIRECTIONS` numbers.
+        rest: (u (N,), du (N, D), seen (N,), dseen (N, D), p (P, N) or (P, 1), k, s (P, D), x (S, N), m (S, N, D))
+            fills x and m, the states at rest at input u and output seen, and their derivatives.
         constants: arguments k of `prepare`, `prepare_slopes` and `rest`.
         kept: rows of c for `simulate` and `differentiate`.
     """
@@ -134,18 +139,18 @@ def _compile_stages(kind: type[Operator], structure: tuple[tuple[str, Any], ...]
     following, y = (ca.densify(ca.SX(part)) for part in operator.equation(x, u, p, dt))
     plain = _split(dense("step", [x, u, p, dt], [y, following]))
     slopes = _Slopes.of(following, y, x, u, p)
-    exact = _split(dense("slopes", [x, u, p, dt], [y, following, slopes.values]))
+    exact = _split(dense("slopes", [x, u, p, dt], ca.cse([y, following, slopes.values])))
     seen = ca.SX.sym("seen")
     rest = ca.densify(ca.SX(operator.at_rest(u, seen, p)))
-    by = [ca.jacobian(rest, variable) for variable in (p, u, seen)]
-    at_rest = _split(dense("rest", [seen, u, p, dt], [rest, *by]))
+    rest_slopes = _Slopes.of(rest, ca.SX(0, 1), seen, u, p)
+    at_rest = _split(dense("rest", [seen, u, p, dt], [seen, rest, rest_slopes.values]))
     functions = (
         _HEADER,
         _prepare("prepare", plain),
         _prepare("prepare_slopes", exact),
         _simulate(plain, x.numel()),
         _differentiate(exact, slopes, x.numel()),
-        _rest(at_rest, x.numel(), p.numel()),
+        _rest(at_rest, rest_slopes, x.numel()),
     )
     module = generated_module("\n\n".join(functions))
     plain_k, exact_k, rest_k = (np.array(s.constants, dtype=np.float64) for s in (plain, exact, at_rest))
@@ -208,6 +213,16 @@ class _Slopes:
                 output.append(((name, column), len(values)))
                 values.append(value)
         return cls(ca.vertcat(*values) if values else ca.SX(0, 1), tuple(state), tuple(output))
+
+    @property
+    def own(self) -> list[int]:
+        """Parameters by which anything has a derivative."""
+        terms = [*self.output, *((what, k) for _, what, k in self.state)]
+        return sorted({j for (what, j), _ in terms if what == "p"})
+
+    def of_state(self, i: int) -> list[tuple[tuple[str, int], int]]:
+        """(what, position) of one state's."""
+        return [(what, k) for row, what, k in self.state if row == i]
 
 
 def _nonzeros(matrix: Any) -> list[tuple[int, int, Any]]:
@@ -273,37 +288,47 @@ def _simulate(split: _Split, size: int) -> str:
 
 
 def _differentiate(split: _Split, slopes: _Slopes, size: int) -> str:
-    """`differentiate(x, m, u, du, c, own, y, dy)`: one row; tangents m (S, Q), du and dy (T, Q); own parameters
-    are the directions from `own` on."""
-    states = [f"x{i} = x[{i}]" for i in range(size)]
+    """`differentiate(x, m, y, dy, s, c, first, w)`: runs laid end to end, see `StageKernels`.
+
+    What is read and written in all directions stands in rows of w, whose distance is a number that the compiler knows:
+    of arrays it could not tell whether they overlap, and would take one direction after the other.
+    """
+    own = slopes.own
+    row = {f"m{i}": i for i in range(size)} | {f"s{j}": size + k for k, j in enumerate(own)}
+    held = {name: f"w[{DIRECTIONS * k} + q]" for name, k in row.items()}
     kept = [f"{value} = c[{i}, 0]" for i, value in enumerate(split.kept)]
-    value = {position: split.outputs[2, position] for position in range(slopes.values.numel())}
-    factor = {"x": "m{0}", "u": "d"}
-    moving = ["d = du[t, q]", *(f"m{i} = m[{i}, q]" for i in range(size))]
-    terms = [f"{value[k]} * {factor[n].format(j)}" for (n, j), k in slopes.output if n != "p"]
-    moving.append(f"dy[t, q] = {' + '.join(terms) or '0.0'}")
-    for i in range(size):
-        terms = [f"{value[k]} * {factor[n].format(j)}" for row, (n, j), k in slopes.state if row == i and n != "p"]
-        moving.append(f"m[{i}, q] = {' + '.join(terms) or '0.0'}")
-    own = [f"dy[t, own + {j}] += {value[k]}" for (n, j), k in slopes.output if n == "p"]
-    own += [f"m[{i}, own + {j}] += {value[k]}" for i, (n, j), k in slopes.state if n == "p"]
+    taken = [f"{held[f'm{i}']} = m[{i}, n, q]" for i in range(size)] + [f"{held[f's{j}']} = s[{j}, q]" for j in own]
+    moving = ["d = dy[t, q]", *(f"{name} = {place}" for name, place in held.items())]
+    moving.append(f"dy[t, q] = {_product(split, slopes.output)}")
+    moving += [f"{held[f'm{i}']} = {_product(split, slopes.of_state(i))}" for i in range(size)]
     goes_on = [f"x{i} = {split.outputs[1, i]}" for i in range(size)]
-    body = ["u0 = u[t]", *split.always, f"y[t] = {split.outputs[0, 0]}", "for q in range(count):", *_deeper(moving)]
-    end = [f"x[{i}] = x{i}" for i in range(size)]
+    body = ["u0 = y[t]", *split.always, f"y[t] = {split.outputs[0, 0]}", *_each_direction("dy", moving), *goes_on]
+    run = [f"x{i} = x[{i}, n]" for i in range(size)] + (_each_direction("dy", taken) if taken else [])
+    run += ["for t in range(first[n], first[n + 1]):", *_deeper(body)]
     return _function(
-        "differentiate(x, m, u, du, c, own, count, y, dy)",
-        [*states, *kept, "for t in range(u.size):", *_deeper(body + own + goes_on), *end],
+        "differentiate(x, m, y, dy, s, c, first, w)", [*kept, "for n in range(first.size - 1):", *_deeper(run)]
     )
 
 
-def _rest(split: _Split, size: int, count: int) -> str:
-    """`rest(u, seen, p, k, x, slope, by_u, by_seen)`: one row's state (S,) and its derivatives."""
-    reads = [f"p{j} = p[{j}]" for j in sorted(set(split.parameters))] + ["x0 = seen", "u0 = u"]
-    writes = [f"x[{i}] = {split.outputs[0, i]}" for i in range(size)]
-    writes += [f"slope[{i}, {j}] = {split.outputs[1, i + j * size]}" for j in range(count) for i in range(size)]
-    writes += [f"by_u[{i}] = {split.outputs[2, i]}" for i in range(size)]
-    writes += [f"by_seen[{i}] = {split.outputs[3, i]}" for i in range(size)]
-    return _function("rest(u, seen, p, k, x, slope, by_u, by_seen)", [*reads, *split.once, *split.always, *writes])
+def _rest(split: _Split, slopes: _Slopes, size: int) -> str:
+    """`rest(u, du, seen, dseen, p, k, s, x, m)`: states (S, N) of all rows and their derivatives (S, N, D)."""
+    reads = ["r = n if p.shape[1] > 1 else 0", "x0 = seen[n]", "u0 = u[n]"]
+    reads += [f"p{j} = p[{j}, r]" for j in sorted(set(split.parameters))]
+    writes = [f"x[{i}, n] = {split.outputs[1, i]}" for i in range(size)]
+    moving = ["d = du[n, q]", "m0 = dseen[n, q]", *(f"s{j} = s[{j}, q]" for j in slopes.own)]
+    moving += [f"m[{i}, n, q] = {_product(split, slopes.of_state(i))}" for i in range(size)]
+    body = [*reads, *split.once, *split.always, *writes, *_each_direction("du", moving)]
+    return _function("rest(u, du, seen, dseen, p, k, s, x, m)", ["for n in range(u.size):", *_deeper(body)])
+
+
+def _product(split: _Split, terms: Sequence[tuple[tuple[str, int], int]]) -> str:
+    """Derivatives times what they are derivatives by: sum of v m{j}, v d and v s{j}."""
+    factor = {"x": "m{0}", "u": "d", "p": "s{0}"}
+    return " + ".join(f"{split.outputs[2, k]} * {factor[what].format(j)}" for (what, j), k in terms) or "0.0"
+
+
+def _each_direction(array: str, lines: Sequence[str]) -> list[str]:
+    return [f"for q in range({array}.shape[1]):", *_deeper(lines)]
 
 
 def _function(header: str, lines: Sequence[str]) -> str:

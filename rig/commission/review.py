@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,7 @@ class Review:
     offset_deg: float
     gain: float
     corrected_deg: float
-    change: str = ""
+    change: str = field(default="", kw_only=True)
 
     @property
     def lines(self) -> tuple[str, ...]:

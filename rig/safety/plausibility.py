@@ -11,7 +11,9 @@ from hystmpc.trials.config import Settings
 
 _S = 1e-9
 _SMOOTH_S = 0.2  # time constant over which noise of the angle is averaged
-_TRAVEL_SHARE = 0.3  # of the command's range
+TRAVEL_SHARE = 0.3
+"""Of the command's range: travel without motion that is implausible where nothing else is said."""
+
 _ANGLE_SHARE = 0.025  # of the sensor's plausible range
 _AT_ONCE = 1.5  # times `travel`: no time is given to a command that goes so far
 
@@ -55,7 +57,7 @@ class MotionWatch:
 
     def __init__(self, settings: PlausibilitySettings, command_range: float, angle_range_deg: float) -> None:
         self._on, self._hold_ns = settings.watch_motion, settings.travel_s / _S
-        self._travel = settings.travel or _TRAVEL_SHARE * command_range
+        self._travel = settings.travel or TRAVEL_SHARE * command_range
         self._moves = settings.moves_deg or _ANGLE_SHARE * angle_range_deg
         self._smooth, self._seen_ns = math.nan, 0
         self._low = self._high = self._least = self._most = math.nan

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from hystmpc.cli import diagnose
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.gap.next.motion_design import Noise, propose, write_motion
 from hystmpc.gap.next.motion_menu import menu
-from hystmpc.models.simulator import ChainModel, save_simulator
+from hystmpc.models.simulator import ChainModel, Residual, load_simulator, save_simulator
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.trial import Trial
 
@@ -119,6 +120,25 @@ def test_json_is_all_of_standard_output_and_the_folder_is_whole(
     assert ("next_motion.csv" in files) == (found["next_motion"] is not None)
     page = html.unescape((tmp_path / "d" / "report.html").read_text(encoding="utf-8"))
     assert page.count(f"<p>{found['reason']}</p>") == 1
+
+
+def test_a_check_with_a_simulator_says_what_the_logs_would_show(
+    inputs: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, _ = run(capsys, "check", inputs["log"], "--sim", inputs["sim"])
+    said = " ".join(out.split())
+    assert (code, "model-form error is unknown" in said) == (0, True)
+    known = load_simulator(Path(inputs["sim"]))
+    residual = Residual(log="other.csv", motion="continuous", samples=99, rmse_deg=0.3, bias_deg=0.0, lag_one=0.5)
+    identified = known.identification.model_copy(update={"residuals": (residual,)})
+    path = save_simulator(replace(known, identification=identified), Path(inputs["sim"]).parent / "known.yaml")
+    code, out, _ = run(capsys, "check", inputs["log"], "--sim", path)
+    assert code == 0
+    assert "These logs would show" in out
+    assert "tau_s" in next(line for line in out.splitlines() if line.strip().startswith("lag "))
+    code, out, err = run(capsys, "check", inputs["log"], "--sim", inputs["log"])
+    assert (code, out) == (2, ""), "a wrong simulator is refused before anything else"
+    assert "ending .csv" in err
 
 
 def test_help_names_the_options(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -47,7 +47,7 @@ BENCH: dict[str, Any] = {
 
 def make_quick(patch: pytest.MonkeyPatch) -> None:
     """Short recordings, a quick kind of model, short tuning motions: the order of things stays the same."""
-    patch.setattr(motions, "_LEAST_SHARE", 0.05)
+    patch.setattr(motions, "LEAST_SHARE", 0.05)
     patch.setattr(identify, "_KIND", "pi")
     patch.setattr(controller, "_TUNED_S", 2.0)
     patch.setattr(motions, "SCANS_HZ", {"fast_scan": 0.6})

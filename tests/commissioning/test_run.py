@@ -198,7 +198,7 @@ def test_recordings_keep_to_a_range_that_is_narrower_than_the_limits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The range ends where the tip comes near its angle limit; no recording goes farther."""
-    monkeypatch.setattr(motions, "_LEAST_SHARE", 0.05)
+    monkeypatch.setattr(motions, "LEAST_SHARE", 0.05)
 
     def refused(subject: Subject) -> None:
         raise LogError("far enough")

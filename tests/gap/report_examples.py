@@ -8,7 +8,18 @@ from functools import cache
 import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.gap.diagnosis import Diagnosis, FoundEffect, Gap, Moved, NextMotion, Place, Stability, Verdict
+from hystmpc.gap.diagnosis import (
+    Detectable,
+    DetectableSizes,
+    Diagnosis,
+    FoundEffect,
+    Gap,
+    Moved,
+    NextMotion,
+    Place,
+    Stability,
+    Verdict,
+)
 from hystmpc.gap.logs.excitation import excitation_of
 from hystmpc.gap.logs.identifiability import confusability
 from hystmpc.gap.next.motion_design import MotionProposal, Noise, propose
@@ -31,6 +42,14 @@ REASON = {
     "none": "Retuned, the simulator lies within the floor.",
     "too_little": "One sine of 10 s: too little to split, select and test.",
 }
+SIZES = DetectableSizes(
+    0.33,
+    (
+        Detectable("lag", "tau_s", "s", 0.0277, 0.32),
+        Detectable("drift", "offset_per_min", "deg/min", math.inf, math.nan, untestable=True),
+        Detectable("creep", "share", "1", 0.068, 0.91),
+    ),
+)
 _NAMES = ("creep", "drift", "lag", "delay", "first_flexure", "rate_dependence", "stick_slip", "slack")
 
 
@@ -116,6 +135,7 @@ def diagnosis_of(verdict: Verdict, trials: tuple[TrialEvidence, ...], proposal: 
         stability=None if verdict == "too_little" else Stability(0.9, 20, (("unknown", 0.1),)),
         explainable_share=0.93 if verdict == "named" else None,
         moved=(Moved("gain", "deg/mm", 10.2, 10.9, (10.8, 11.0)),) if verdict == "retuned" else (),
+        detectable=SIZES if len(trials) > 1 else DetectableSizes(math.nan, why_not="The least sizes are not computed."),
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from hystmpc.models.identify.least_squares import fit_problem
 from hystmpc.models.identify.problem import Problem, TrialTerms
-from hystmpc.models.identify.runs import Run
+from hystmpc.models.identify.runs import Run, RunsTogether
 
 from .engine_examples import BASELINES, device_runs
 
@@ -33,7 +33,7 @@ def test_a_fit_goes_to_the_mean_of_the_shifts_from_any_gain(name: str, shifts: t
     runs = moved(problem, truth, shifts)
     away = np.clip(truth + 1.5, problem.lower, problem.upper)
     found = fit_problem(problem, runs, away, 60, 1e-10)
-    own = np.array([problem.error_and_common(found.q, run)[1][0] for run in runs])
+    own = np.array([row[:, -1] for row in problem.products(found.q, RunsTogether.of(runs))[1]])
     assert np.abs(own.mean(axis=0)).max() < 0.15
     gain, true_gain = (baseline.quantities(problem.retuned(q))["gain"] for q in (found.q, truth))
     assert gain == pytest.approx(true_gain, rel=0.1)
@@ -44,6 +44,4 @@ def test_a_fit_goes_to_the_mean_of_the_shifts_from_any_gain(name: str, shifts: t
 def test_without_shifts_there_is_nothing_in_common() -> None:
     problem = Problem(BASELINES["backlash"])
     q = problem.start(BASELINES["backlash"].nominal, [])
-    own, by_q = problem.error_and_common(q, RUNS[0])[1]
-    assert own.size == 0
-    assert by_q.shape == (0, problem.size)
+    assert problem.products(q, RunsTogether.of(RUNS))[1] == []

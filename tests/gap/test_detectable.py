@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from hystmpc.gap.logs.detectable import Detectable, detectable_sizes
+from hystmpc.gap.decide.verdict import VerdictSettings
+from hystmpc.gap.diagnose import what_logs_would_show
+from hystmpc.gap.diagnosis import Detectable
+from hystmpc.gap.logs.detectable import detectable_sizes, sizes_shown
+from hystmpc.gap.logs.preparation import prepare
+from hystmpc.gap.report.words import DETECTABLE_COLUMNS, detectable_rows, detectable_sentence
 from hystmpc.models.effects.catalogue import DIAGNOSABLE
 from hystmpc.models.identify.baseline import Baseline, baseline_of
 from hystmpc.models.identify.runs import Run, runs_of
+from hystmpc.models.simulator import Residual
 from hystmpc.trials.trial import Trial
 
-from ..models.zoo import CHAINS, simulator
+from ..models.zoo import BACKLASH, CHAINS, simulator
+from .engine_examples import moves, simulator_of, trials_of
 
 DT, NEEDED = 0.04, 0.02
 SIMULATOR = simulator(CHAINS["pi"])
@@ -71,3 +79,55 @@ def test_one_trial_shows_no_shift_between_trials() -> None:
 def test_sizes_carry_the_units_of_the_device() -> None:
     bar = {one.effect: one.unit for one in detectable_sizes(*posed(trials()), NEEDED, "bar", "um")}
     assert (bar["slack"], bar["trial_shift"], bar["drift"]) == ("bar", "um", "um/min")
+
+
+FORM_DEG = 0.3
+RESIDUAL = Residual(log="other.csv", motion="continuous", samples=500, rmse_deg=FORM_DEG, bias_deg=0.0, lag_one=0.5)
+KNOWN = simulator_of(BACKLASH, (RESIDUAL,))
+
+
+def device_trials() -> list[Trial]:
+    return trials_of(KNOWN.chain, [moves(1), moves(2), moves(3)])
+
+
+def clocked() -> list[Trial]:
+    """The same, one after the other by their time stamps."""
+    return [replace(trial, t=trial.t + 1e9 + 100.0 * k) for k, trial in enumerate(device_trials())]
+
+
+def test_what_counts_as_a_gap_is_what_the_verdict_says() -> None:
+    no_gap = VerdictSettings().no_gap
+    shown = what_logs_would_show(device_trials(), KNOWN)
+    assert shown.needed_rmse_deg**2 == pytest.approx((no_gap - 1.0) * FORM_DEG**2)
+    assert f"{shown.needed_rmse_deg:.3g} deg" in detectable_sentence(shown)
+    shift = next(one for one in shown.effects if one.effect == "trial_shift")
+    assert shift.size == pytest.approx(shown.needed_rmse_deg * np.sqrt(3 / 2)), "of three shifts one is common"
+
+
+def test_without_a_model_form_error_no_size_is_stated_and_one_line_says_why() -> None:
+    shown = what_logs_would_show(device_trials(), simulator_of(BACKLASH))
+    assert (shown.effects, detectable_rows(shown)) == ((), [])
+    assert "model-form error is unknown" in detectable_sentence(shown)
+    assert "\n" not in shown.why_not
+
+
+def test_what_needs_the_order_is_marked_only_where_that_is_unknown() -> None:
+    unknown, known = (what_logs_would_show(given, KNOWN) for given in (device_trials(), clocked()))
+    assert [one.effect for one in unknown.effects if one.untestable] == ["drift"]
+    assert not any(one.untestable for one in known.effects)
+    assert ("order" in detectable_sentence(unknown), "order" in detectable_sentence(known)) == (True, False)
+
+
+def test_every_row_has_the_size_and_the_unit_of_its_effect() -> None:
+    shown = sizes_shown(prepare(clocked(), KNOWN), VerdictSettings().no_gap, without=("creep",))
+    rows = {row[0].replace(" ", "_"): row for row in detectable_rows(shown)}
+    assert "creep" not in rows
+    for one in shown.effects:
+        assert len(rows[one.effect]) == len(DETECTABLE_COLUMNS)
+        size = rows[one.effect][1]
+        if np.isinf(one.size):
+            assert size == "none shows"
+        else:
+            name, value, *unit = size.split()
+            assert (name, unit) == (one.parameter, [] if one.unit == "1" else [one.unit])
+            assert float(value) == pytest.approx(one.size, rel=0.06)

@@ -21,20 +21,28 @@ from hystmpc.gap.report.residual_figures import amplitude_density, binned
 from hystmpc.gap.report.words import closed_sentence, headline, listed
 from hystmpc.models.simulator import load_simulator
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.report import Heading, Paragraph, Plot, Table
+from hystmpc.trials.report import Folded, Paragraph, Piece, Plot, Table
 from hystmpc.trials.run_folder import RunFolder
 
 from .report_examples import REASON, VERDICTS, report_data, trial_evidence
 
 SECTIONS = (
+    "How large the gap is",
     "Which effect",
     "Where the gap lies",
     "What to record next",
-    "Tables",
-    "Checks and notes",
-    "What these trials cannot show",
+    "Numbers",
+    "Checks of the logs",
+    "What these logs would show",
+    "What these logs cannot tell apart",
     "How it was made",
 )
+
+
+def behind(evidence: Evidence) -> list[Piece]:
+    """All pieces of the folded sections."""
+    sections = [piece for piece in diagnosis_report(evidence).pieces if isinstance(piece, Folded)]
+    return [piece for section in sections for piece in section.pieces]
 
 
 class Page(HTMLParser):
@@ -75,8 +83,9 @@ def test_the_page_opens_offline_and_shows_everything(named: Evidence, tmp_path: 
     assert not {"script", "link", "iframe"} & set(page.tags)
     assert page.tags.count("svg") >= 8
     for section in SECTIONS:
-        assert section in page.text
-    assert "Named: creep" in page.text
+        assert (section in page.text) == (section != "What to record next"), "nothing is open"
+    assert page.tags.count("details") == len(SECTIONS) - 1
+    assert "Creep explains 90 % of the gap" in page.text
     assert REASON["named"] in page.text
     for trial in named.trials:
         assert trial.name in page.text
@@ -86,33 +95,32 @@ def test_the_page_opens_offline_and_shows_everything(named: Evidence, tmp_path: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_every_verdict_has_all_sections_and_says_so(verdict: Verdict) -> None:
+def test_every_verdict_has_its_sections_and_its_sizes(verdict: Verdict) -> None:
     evidence = report_data(verdict, 3)
-    pieces = diagnosis_report(evidence).pieces
-    headings = [piece.text for piece in pieces if isinstance(piece, Heading)]
-    assert headings == [headline(evidence.diagnosis), *SECTIONS]
-    texts = [piece.text for piece in pieces if isinstance(piece, Paragraph)]
+    headings = [piece.heading for piece in diagnosis_report(evidence).pieces if isinstance(piece, Folded)]
+    expected = [name for name in SECTIONS if evidence.proposal or name != "What to record next"]
+    assert all(heading.startswith(name) for heading, name in zip(headings, expected, strict=True))
+    texts = [piece.text for piece in behind(evidence) if isinstance(piece, Paragraph)]
     assert texts[0] == REASON[verdict]
     assert "RMSE" in texts[1]
-    assert isinstance(pieces[3], Plot), "one figure on how far comes first"
     assert all("nan" not in text for text in texts)
 
 
 def test_headlines_tell_verdicts_apart() -> None:
     lines = {verdict: headline(report_data(verdict, 1).diagnosis) for verdict in VERDICTS}
-    assert lines["named"] == "Named: creep"
-    assert lines["one_of"] == "Not told apart: lag or delay"
-    assert lines["retuned"] == "Retuned: gain moved"
-    assert lines["unknown"].startswith("Unknown")
-    assert lines["none"].startswith("No structural gap")
-    assert lines["too_little"].startswith("Too little")
+    assert lines["named"] == "Creep explains 90 % of the gap"
+    assert lines["one_of"] == "Lag or delay explains 80 % of the gap: these trials cannot tell which"
+    assert lines["unknown"] == "No effect of the library explains the gap"
+    assert lines["retuned"] == "The simulator needs other numbers: gain has moved"
+    assert lines["none"] == "The simulator has no structural gap"
+    assert lines["too_little"] == "These logs are too little for a diagnosis"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 30])
 def test_few_and_many_trials(count: int) -> None:
     evidence = report_data("one_of", count)
-    pieces = diagnosis_report(evidence).pieces
+    pieces = behind(evidence)
     table = next(piece for piece in pieces if isinstance(piece, Table) and piece.columns[0] == "trial")
     assert {row[0] for row in table.rows} == {trial.name for trial in evidence.trials}
     heat = shown(evidence.trials, MOST_HEAT)
@@ -125,7 +133,7 @@ def test_few_and_many_trials(count: int) -> None:
 
 def test_ambiguity_is_spelled_out_and_no_effect_is_drawn_where_none_was_chosen() -> None:
     one_of, unknown = report_data("one_of", 3), report_data("unknown", 3)
-    texts = [piece.text for piece in diagnosis_report(one_of).pieces if isinstance(piece, Paragraph)]
+    texts = [piece.text for piece in behind(one_of) if isinstance(piece, Paragraph)]
     assert any(text.startswith("Set A: lag or delay.") for text in texts)
     assert one_of.stages == ("nominal", "retuned", "with_effects")
     assert unknown.stages == ("nominal", "retuned")
@@ -206,6 +214,9 @@ def test_json_is_the_fixed_form_and_strict() -> None:
     assert read["format"] == "hystmpc-diagnosis/2"
     assert read["verdict"] == "too_little"
     assert read["gap"]["closed_share"] is None
+    assert read["detectable"]["why_not"]
+    sizes = json.loads(diagnosis_json(report_data("named", 3).diagnosis))["detectable"]["effects"]
+    assert [(one["effect"], one["size"]) for one in sizes] == [("lag", 0.0277), ("drift", None), ("creep", 0.068)]
     assert json.loads(diagnosis_json(report_data("one_of", 3).diagnosis))["ambiguity"] == [["lag", "delay"]]
 
 

@@ -19,6 +19,7 @@ TIERS = (
     ("sim", "rig"),
     ("gap",),
     ("commissioning",),
+    ("investigation",),
     ("studies",),
     ("front",),
     ("cli",),

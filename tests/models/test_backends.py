@@ -133,7 +133,7 @@ def test_parameter_sensitivity_is_that_of_finite_differences(chain: Chain) -> No
         kernels.simulate(x, u[None], values, dt, kernels.step_constants, theta)
         return theta[0]
 
-    theta, gradient = StagedChain(chain).differentiate(u, DT, state, np.zeros((state.size, p.size)), p)
+    theta, gradient = StagedChain(chain).differentiate(u, DT, state[:, None], np.zeros((state.size, 1, p.size)), p)
     np.testing.assert_allclose(theta, run(p), atol=1e-10)
     for j in range(p.size):
         shift = np.zeros(p.size)

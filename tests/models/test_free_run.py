@@ -68,23 +68,28 @@ def forward_sensitivity(chain: Chain, u: np.ndarray, p: np.ndarray) -> tuple[np.
 def test_sensitivities_equal_those_of_the_whole_chain(chain: Chain) -> None:
     u, p = wandering(), chain.values
     staged = StagedChain(chain)
-    theta, gradient = staged.differentiate(u, DT, *staged.rest_with_slope(float(u[0]), ANGLE))
+    theta, gradient = staged.differentiate(u, DT, *staged.rest_with_slope(u[:1], np.array([ANGLE])))
     reference, by_p = forward_sensitivity(chain, u, p)
     np.testing.assert_allclose(theta, reference, rtol=0, atol=1e-9)
     np.testing.assert_allclose(gradient, by_p, rtol=1e-8, atol=1e-8)
+
+
+def settled(staged: StagedChain, angle: float, values: np.ndarray | None = None) -> np.ndarray:
+    """State (S,) of one row."""
+    return staged.settled(np.array([HELD]), np.array([angle]), DT, values)[0][:, 0]
 
 
 @pytest.mark.parametrize("chain", CASES, ids=IDS)
 def test_a_settled_chain_shows_what_was_seen_and_knows_its_derivative(chain: Chain) -> None:
     staged, held = StagedChain(chain), np.full((3, 1), HELD)
     p = chain.values
-    x, slope = staged.settled(HELD, ANGLE, DT, p)
+    x, slope = (found[:, 0] for found in staged.settled(np.array([HELD]), np.array([ANGLE]), DT, p))
     shown = staged.simulate(held, DT, x[:, None], p)[0]
-    reachable = staged.simulate(held[:1], DT, staged.settled(HELD, float(shown[0, 0]), DT, p)[0][:, None], p)[0]
+    reachable = staged.simulate(held[:1], DT, staged.settled(np.array([HELD]), shown[0], DT, p)[0], p)[0]
     np.testing.assert_allclose(reachable, shown[:1], atol=1e-6)  # what it shows once, it can show again
     for k, value in enumerate(p):
         step = 1e-6 * max(abs(value), 1.0)
-        ends = [staged.settled(HELD, ANGLE, DT, p + s * step * np.eye(p.size)[k])[0] for s in (1, -1)]
+        ends = [settled(staged, ANGLE, p + s * step * np.eye(p.size)[k]) for s in (1, -1)]
         sides = [(ends[0] - x) / step, (x - ends[1]) / step]
         near = np.minimum(np.abs(slope[:, k] - sides[0]), np.abs(slope[:, k] - sides[1]))  # one side of a kink
         assert np.all(near < 1e-3 * (1 + np.abs(slope[:, k]))), chain.labels[k]
@@ -103,11 +108,11 @@ BEHIND = {
 def test_any_angle_that_the_chain_can_hold_is_shown_wherever_the_core_stands(chain: Chain, share: float) -> None:
     """The angle seen, taken for the core's own, may lie beyond what the core can hold at that command."""
     staged = StagedChain(chain)
-    ends = [staged.settled(HELD, angle, DT)[0] for angle in (-400.0, 400.0)]
+    ends = [settled(staged, angle) for angle in (-400.0, 400.0)]
     low, high = (float(staged.simulate(np.full((1, 1), HELD), DT, x[:, None])[0][0, 0]) for x in ends)
     assert low < high
     angle = low + share * (high - low)
-    x, _ = staged.settled(HELD, angle, DT)
+    x = settled(staged, angle)
     assert staged.simulate(np.full((1, 1), HELD), DT, x[:, None])[0][0, 0] == pytest.approx(angle, abs=1e-6)
 
 
@@ -116,15 +121,15 @@ def test_a_run_from_a_settled_start_has_exact_derivatives(chain: Chain) -> None:
     """The core's start depends on what stands behind it, and so does everything after it."""
     staged, p = StagedChain(chain), chain.values
     u = np.concatenate([np.full(5, HELD), wandering()[:80]])
-    ends = [staged.settled(HELD, angle, DT)[0] for angle in (-400.0, 400.0)]
+    ends = [settled(staged, angle) for angle in (-400.0, 400.0)]
     low, high = (float(staged.simulate(u[:1, None], DT, x[:, None])[0][0, 0]) for x in ends)
     angle = 0.5 * (low + high)
 
     def run(values: np.ndarray) -> np.ndarray:
-        x, _ = staged.settled(HELD, angle, DT, values)
+        x = settled(staged, angle, values)
         return staged.simulate(u[:, None], DT, x[:, None], values)[0][:, 0]
 
-    theta, by = staged.differentiate(u, DT, *staged.settled(HELD, angle, DT, p), p)
+    theta, by = staged.differentiate(u, DT, *staged.settled(np.array([HELD]), np.array([angle]), DT, p), p)
     np.testing.assert_allclose(theta, run(p), atol=1e-9)
     for k, value in enumerate(p):
         step = 1e-6 * max(abs(value), 1.0) * np.eye(p.size)[k]
@@ -156,6 +161,36 @@ def test_a_run_cut_in_two_is_the_run() -> None:
     np.testing.assert_array_equal(end, last)
 
 
+@pytest.mark.parametrize("name", ["shifted", "stopped"])
+def test_runs_laid_end_to_end_are_the_runs_alone(name: str) -> None:
+    """Rows that can show their angle and rows that cannot, of several lengths, in directions that mix parameters."""
+    chain = BEHIND[name]
+    staged, p = StagedChain(chain), chain.values
+    signals = [wandering(count, seed) for seed, count in enumerate((90, 40, 1, 130))]
+    signals[2] = signals[0][:1].copy()
+    angles = np.array([-400.0, 20.0, 41.0, 400.0])
+    seeds = np.random.default_rng(1).standard_normal((p.size, 3))
+    first = np.cumsum([0, *(u.size for u in signals)])
+    commands = np.concatenate(signals)
+    start = staged.settled(commands[first[:-1]], angles, DT, p, seeds)
+    theta, by = staged.differentiate(commands, DT, *start, p, seeds, first)
+    for k, u in enumerate(signals):
+        alone = staged.settled(u[:1], angles[k : k + 1], DT, p)
+        np.testing.assert_array_equal(start[0][:, k], alone[0][:, 0])
+        own, by_p = staged.differentiate(u, DT, *alone, p)
+        np.testing.assert_array_equal(theta[first[k] : first[k + 1]], own)
+        np.testing.assert_allclose(by[first[k] : first[k + 1]], by_p @ seeds, rtol=1e-9, atol=1e-9)
+
+
+def test_any_number_of_directions_is_taken() -> None:
+    staged, u = StagedChain(Chain(BACKLASH)), wandering(60)
+    start = staged.rest_with_slope(u[:1], np.array([ANGLE]))
+    by = staged.differentiate(u, DT, *start)[1]
+    seeds = np.tile(np.eye(4), 70)
+    many = staged.differentiate(u, DT, *staged.rest_with_slope(u[:1], np.array([ANGLE]), seeds=seeds), seeds=seeds)[1]
+    np.testing.assert_array_equal(many, np.tile(by, 70))
+
+
 def test_order_matters_and_needs_no_new_kernel() -> None:
     """A static curve and a play do not commute: the engine keeps the order of the signal."""
     u = wandering()[:, None]
@@ -170,6 +205,6 @@ def test_order_matters_and_needs_no_new_kernel() -> None:
 def test_wrong_shapes_are_refused() -> None:
     staged = StagedChain(Chain(BACKLASH))
     with pytest.raises(ModelError, match=r"got parameters of shape \(3,\), expected \(4,\) or \(4, 1\)"):
-        staged.rest_with_slope(0.0, ANGLE, np.zeros(3))
+        staged.rest_with_slope(np.zeros(1), np.array([ANGLE]), np.zeros(3))
     with pytest.raises(ModelError, match=r"states of shape \(2, 1\), expected \(T, N\) and \(1, N\)"):
         staged.simulate(wandering()[:, None], DT, np.zeros((2, 1)))

@@ -11,7 +11,19 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from hystmpc.trials.report import PALETTE, Heading, KeyValues, Paragraph, Plot, Report, Table, figure_svg, new_figure
+from hystmpc.trials.report import (
+    PALETTE,
+    Folded,
+    Heading,
+    KeyValues,
+    Paragraph,
+    Plot,
+    Points,
+    Report,
+    Table,
+    figure_svg,
+    new_figure,
+)
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
 
@@ -158,3 +170,15 @@ def test_powers_of_ten_on_a_logarithmic_axis_stay_mathematics() -> None:
         assert shown
         assert all(label.get_parse_math() for label in shown)
     assert r"<!-- $\mathdefault{10^{0}}$ -->" in svg
+
+
+def test_a_folded_section_is_closed_without_a_script_and_mixes_up_no_figure() -> None:
+    inside = (Plot(draw()), Plot(draw()), Folded("c < d", (Paragraph("deep"),)))
+    page = Page(Report("a", (Heading("top"), Points(("one.", "two < three.")), Folded("b", inside))).html())
+    assert page.open == []
+    assert page.tags.count("details") == page.tags.count("summary") == 2
+    assert "open" not in [name for name, _ in page.attributes]
+    assert not {"script", "nav"} & set(page.tags), "the folded headings are the list of contents"
+    assert len(page.values("id")) == len(set(page.values("id")))
+    assert page.tags.count("li") == 2
+    assert {"c < d", "two < three.", "deep"} <= {text.strip() for text in page.text}

@@ -14,7 +14,19 @@ import pytest
 
 CHECKOUT = os.environ.get("HYSTMPC_CHECKOUT", "")
 WHEEL = os.environ.get("HYSTMPC_WHEEL", "")
-ROOMS = ("trials", "models", "trajectories", "ctrl", "sim", "rig", "gap", "commissioning", "studies", "cli")
+ROOMS = (
+    "trials",
+    "models",
+    "trajectories",
+    "ctrl",
+    "sim",
+    "rig",
+    "gap",
+    "commissioning",
+    "investigation",
+    "studies",
+    "cli",
+)
 # These wrap packages of an extra, and may ask for it when they are imported.
 EXTRAS = {
     "torch",

@@ -1,0 +1,177 @@
+"""The first page of a report in sentences: why the verdict, what to do next, how sure it is."""
+
+from __future__ import annotations
+
+import math
+
+from hystmpc.models.effects.catalogue import effect_of
+from hystmpc.models.identify.corrected_simulator import EFFECTS_FILE
+from hystmpc.models.simulator import Simulator
+
+from ..diagnosis import Diagnosis, NextMotion, Place
+from .report_data import FIXED_FILE, Evidence
+from .words import (
+    baseline_units,
+    closed_sentence,
+    floor_words,
+    in_words,
+    listed,
+    parameter_words,
+    percent,
+    stability_sentence,
+    tracking_sentence,
+)
+
+_NEVER_HELD = ("trial_shift", "sensor", "configuration_change")  # of the trials or the sensor, not of the simulator
+_BY_SIGNS = ("stick_slip",)  # found by its jumps, it is in the simulator only where a fit found it as well
+_DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a place is worth a sentence
+
+
+def why(diagnosis: Diagnosis, command_unit: str) -> tuple[str, ...]:
+    """Facts behind the verdict, each with its number."""
+    if diagnosis.verdict in ("named", "one_of"):
+        said = (closed_sentence(diagnosis), _values(diagnosis))
+    else:
+        reason, usable = _sentence(diagnosis.reason), diagnosis.verdict != "too_little"
+        more = _densest(diagnosis) if diagnosis.verdict == "unknown" else _moved(diagnosis, command_unit)
+        said = (reason, more if usable else "")
+    return tuple(filter(None, said))
+
+
+def what_next(evidence: Evidence) -> tuple[str, ...]:
+    """What to do with the corrected simulator, what that brings, and what to record."""
+    diagnosis, motion = evidence.diagnosis, evidence.diagnosis.next_motion
+    said = [_corrected(evidence)]
+    if (tracking := diagnosis.tracking) is not None and not tracking.why_not:
+        said.append(tracking_sentence(diagnosis))
+    if motion is not None:
+        said += _recording(motion)
+    elif diagnosis.verdict == "too_little":
+        said.append("Record more motion of this device and diagnose all logs together.")
+    elif diagnosis.verdict in ("one_of", "unknown") and not _unrelated(evidence):
+        said.append("No motion of the safe menu is expected to settle what is open.")
+    return tuple(filter(None, said))
+
+
+def how_sure(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Probability, stability over splits, interval, floor, and what could not be tested."""
+    untested = ""
+    if diagnosis.untestable:
+        names = listed([in_words(each.name) for each in diagnosis.untestable], "and")
+        untested = f"The order of recording is unknown, so that these cannot be tested: {names}."
+    if diagnosis.verdict == "too_little":
+        return tuple(filter(None, ("Nothing is named, and no share is worth reading.", untested)))
+    floor = floor_words(diagnosis.gap) if diagnosis.gap.floor_kind == "noise" else ""
+    said = (_probability(diagnosis), stability_sentence(diagnosis), _intervals(diagnosis), floor, untested)
+    return tuple(filter(None, said))
+
+
+def _intervals(diagnosis: Diagnosis) -> str:
+    each = [
+        f"{in_words(e.name)} closes {percent(e.closed_ci90[0])} to {percent(e.closed_ci90[1])} of the gap"
+        for e in diagnosis.effects
+        if all(map(math.isfinite, e.closed_ci90))
+    ]
+    return f"By the 90 % interval{'s' if len(each) > 1 else ''}, {listed(each, 'and')}." if each else ""
+
+
+def _moved(diagnosis: Diagnosis, command_unit: str) -> str:
+    """Numbers of the simulator that retuning moves by more than it is shown with."""
+    units = baseline_units(command_unit)
+    each = [
+        f"{in_words(name)} from {given:.3g} to {found:.3g} {units.get(name, '')}"
+        for name, (given, found) in diagnosis.retuned.items()
+        if f"{given:.3g}" != f"{found:.3g}"
+    ]
+    return f"Retuning moves {listed(each, 'and')}." if each else ""
+
+
+def _values(diagnosis: Diagnosis) -> str:
+    found = [f"{in_words(effect.name)}: {parameter_words(effect)}" for effect in diagnosis.effects if effect.parameters]
+    return f"The identified values are, of {'; of '.join(found)}.".replace(" [1]", "") if found else ""
+
+
+def _densest(diagnosis: Diagnosis) -> str:
+    """The part of the motion where the error is densest, if that stands out."""
+    places: list[tuple[str, Place]] = [
+        (name, place) for name, place in diagnosis.where.items() if place.density > _DENSE and place.share > _MOST
+    ]
+    if not places:
+        return ""
+    name, place = max(places, key=lambda item: item[1].share)
+    share, time = percent(place.share), percent(place.share / place.density)
+    return f"The error is densest in the part called {in_words(name)}: {share} of it in {time} of the time."
+
+
+def _unrelated(evidence: Evidence) -> bool:
+    """Whether no angle follows its command: no simulator is corrected then."""
+    return evidence.nominal is not None and evidence.fixed is None
+
+
+def _corrected(evidence: Evidence) -> str:
+    """What to do with the file of the correction."""
+    diagnosis = evidence.diagnosis
+    if _unrelated(evidence):
+        return "Look for a wrong file or column, a loose sensor, or a tendon or line that is broken."
+    names = listed([in_words(effect.name) for effect in diagnosis.effects], "and")
+    if names and diagnosis.stability is not None and diagnosis.stability.flips:
+        return f"Do not rely on {names}: the verdict flips. Record more trials and diagnose all logs together."
+    if evidence.fixed is None:
+        return f"Use {EFFECTS_FILE} beside the network." if EFFECTS_FILE in evidence.files else ""
+    if diagnosis.verdict in ("named", "one_of"):
+        return _with_effects(evidence, evidence.fixed)
+    if diagnosis.verdict == "unknown":
+        return f"Do not take {FIXED_FILE} for a cure: it is retuned, and the cause is not in it."
+    if diagnosis.verdict == "too_little":
+        return f"Do not use {FIXED_FILE}: these logs are too little to retune on."
+    given, retuned = diagnosis.gap.nominal_rmse_deg, diagnosis.gap.retuned_rmse_deg
+    if retuned < given:
+        fall = f"from {given:.3g} deg to {retuned:.3g} deg"
+        return f"Use {FIXED_FILE}: its retuned numbers lower the RMSE on the {evidence.measured_on} {fall}."
+    return f"Keep the simulator as given: retuning does not lower the RMSE on the {evidence.measured_on}."
+
+
+def _with_effects(evidence: Evidence, fixed: Simulator) -> str:
+    """What to do with a corrected simulator that holds all of the effects, some of them or none."""
+    diagnosis, chain = evidence.diagnosis, fixed.chain
+    built_in = {effect_of(operator.name) for operator in (*chain.before, *chain.after)}
+    found = [effect.name for effect in diagnosis.effects]
+    left_out = [n for n in found if n in _NEVER_HELD or (n in _BY_SIGNS and n not in built_in)]
+    held, lacking = (
+        listed([in_words(name) for name in found if (name in left_out) == out], "and") for out in (False, True)
+    )
+    if not held:
+        return f"The file {FIXED_FILE} is retuned only: it does not hold {lacking}." if lacking else ""
+    if diagnosis.verdict == "named":
+        said = f"Use {FIXED_FILE}: it is the simulator with {held}."
+    else:
+        said = f"The corrected simulator, {FIXED_FILE}, holds {held}: it lowers the error, but proves no cause."
+    return f"{said} It does not hold {lacking}." if lacking else said
+
+
+def _recording(motion: NextMotion) -> list[str]:
+    names = listed([in_words(name) for name in motion.separates], "and")
+    return [
+        f"Record {motion.file} ({motion.duration_s:.0f} s) and diagnose all logs together again: the right one of "
+        f"{names} is then named with an expected probability of {percent(motion.expected_probability)}.",
+        "Look at its command below before the device plays it.",
+    ]
+
+
+def _probability(diagnosis: Diagnosis) -> str:
+    """Probabilities of the effects found and of those they may stand for; else of the most likely one."""
+    chance = dict(diagnosis.ranking) | {effect.name: effect.probability for effect in diagnosis.effects}
+    found = [effect.name for effect in diagnosis.effects]
+    shown = list(dict.fromkeys([*found, *(name for names in diagnosis.ambiguity for name in names)]))
+    if not shown:
+        if not diagnosis.ranking or diagnosis.verdict != "unknown":
+            return ""
+        name, p = diagnosis.ranking[0]
+        return f"The most likely effect of the library, {in_words(name)}, has a probability of {percent(p)}."
+    each = [f"{in_words(name)} with {percent(chance[name])}" for name in shown if name in chance]
+    return _sentence(f"{listed(each, 'and')} probability".replace(" with", " is present with", 1)) if each else ""
+
+
+def _sentence(text: str) -> str:
+    """A text with a capital and a full stop."""
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}" if text else ""

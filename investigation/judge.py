@@ -1,0 +1,172 @@
+"""A round's verdict on all trials so far, what is open after it, and whether the investigation ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from hystmpc.commissioning.stages import Figure
+from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnosis import Diagnosis, Verdict
+from hystmpc.gap.next.open_hypotheses import question
+from hystmpc.gap.report.folder import save_diagnosis
+from hystmpc.gap.report.words import closed_sentence, headline
+from hystmpc.models.simulator import load_simulator
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.types import Progress
+
+from .config import InvestigateSettings
+from .plan import Plan, least_seconds, plan_next
+
+Ending = Literal["", "named", "no_gap", "nothing_gained", "budget"]
+DIAGNOSIS = "diagnosis"
+_SURE = 2  # rounds in a row that name the same single effect
+_STUCK = 4  # rounds in a row with the same open result, each with a longer motion than before
+_LONGER = 2
+_OPEN = ("unknown", "one_of", "too_little")
+_STABLE = 3  # rounds in a row with any other result: several effects may mend the simulator's form, a gap be small
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a diagnosis of all trials so far says.
+
+    Attributes:
+        verdict, effects, ambiguity, reason: of the diagnosis; effects by name, the largest share first.
+        headline, closed: the verdict and the closed share in words.
+        probability: of the first effect; NaN without one.
+        closed_share: of the structural gap on the final trials.
+        retuned_deg, left_deg: RMSE on the final trials without and with the effects [deg].
+        trials: that were diagnosed.
+        next: motions of the next round; None where the investigation ends.
+        ended: why it ends, empty where it goes on.
+        why: that in one sentence.
+    """
+
+    verdict: Verdict
+    effects: tuple[str, ...]
+    ambiguity: tuple[tuple[str, ...], ...]
+    reason: str
+    headline: str
+    closed: str
+    probability: Figure
+    closed_share: Figure
+    retuned_deg: Figure
+    left_deg: Figure
+    trials: int
+    next: Plan | None = None
+    ended: Ending = ""
+    why: str = ""
+
+    @property
+    def result(self) -> tuple[str, frozenset[str], frozenset[frozenset[str]]]:
+        """Verdict, names and sets that could not be told apart: what has to stay the same."""
+        return self.verdict, frozenset(self.effects), frozenset(frozenset(names) for names in self.ambiguity)
+
+
+def judge(
+    settings: InvestigateSettings,
+    model: Path,
+    files: Sequence[Path],
+    before: Sequence[Judged],
+    left_s: float,
+    folder: Path,
+    progress: Progress | None = None,
+) -> Judged:
+    """Diagnose all trials, write the diagnosis, and plan the next round where there is to be one.
+
+    Args:
+        model: simulator that is judged.
+        files: recordings in their order.
+        before: verdicts of earlier rounds.
+        left_s: device time that is left [s].
+        folder: of this stage.
+
+    Raises:
+        GapError: if the recordings cannot be compared with the simulator.
+        KeyboardInterrupt: if the user ended it; nothing of this stage is kept.
+    """
+    seed = settings.investigate.seed
+    findings = investigate(read_trials(files), load_simulator(model), seed=seed, progress=progress)
+    diagnosis, evidence = conclude(findings, progress)
+    save_diagnosis(
+        evidence, folder / DIAGNOSIS, {"logs": list(map(str, files)), "sim": str(model), "seed": seed}, models=(model,)
+    )
+    judged = judged_of(diagnosis, len(files))
+    longer = _LONGER ** (_alike([*before, judged]) - 1) if judged.verdict in _OPEN else 1
+
+    def planned() -> Plan | None:
+        asked = question(findings)
+        return None if asked is None else plan_next(settings, asked, left_s, len(files) + 1, longer, folder)
+
+    return with_next(judged, before, planned, left_s, least_seconds(settings))
+
+
+def judged_of(diagnosis: Diagnosis, trials: int) -> Judged:
+    """A diagnosis as a round keeps it."""
+    gap = diagnosis.gap
+    return Judged(
+        verdict=diagnosis.verdict,
+        effects=tuple(effect.name for effect in diagnosis.effects),
+        ambiguity=diagnosis.ambiguity,
+        reason=diagnosis.reason,
+        headline=headline(diagnosis),
+        closed=closed_sentence(diagnosis),
+        probability=diagnosis.effects[0].probability if diagnosis.effects else float("nan"),
+        closed_share=gap.closed_share,
+        retuned_deg=gap.retuned_rmse_deg,
+        left_deg=gap.with_effects_rmse_deg,
+        trials=trials,
+    )
+
+
+def with_next(
+    judged: Judged,
+    before: Sequence[Judged],
+    planned: Callable[[], Plan | None],
+    left_s: float,
+    least_s: float,
+) -> Judged:
+    """The verdict with what follows from it: an end and its reason, or the next round.
+
+    Ends, in this order: the same effect named in two rounds in a row, several in three, or no gap in three; the same
+    unknown or ambiguous result in four rounds in a row; too little device time for one more motion; no motion that
+    tells enough.
+
+    Args:
+        before: verdicts of earlier rounds.
+        planned: makes the plan of the next round; None where no motion tells enough.
+        left_s: device time that is left [s].
+        least_s: that the shortest round takes [s].
+    """
+    alike = _alike([*before, judged])
+    names = " and ".join(name.replace("_", " ") for name in judged.effects)
+    if judged.verdict == "named" and alike >= (_SURE if len(judged.effects) == 1 else _STABLE):
+        why = f"{names} named in {alike} rounds in a row, the last of which was to tell it from its neighbours"
+        return replace(judged, ended="named", why=why)
+    if judged.verdict == "none" and alike >= _STABLE:
+        return replace(judged, ended="no_gap", why=f"no structural gap in {alike} rounds in a row")
+    if judged.verdict in ("unknown", "one_of") and alike >= _STUCK:
+        open_one = "an unknown cause" if judged.verdict == "unknown" else "the same effects not told apart"
+        why = f"{open_one} in {alike} rounds in a row: motions that were to decide did not, each longer than before"
+        return replace(judged, ended="nothing_gained", why=why)
+    if left_s < least_s:
+        why = f"{left_s:.0f} s of device time are left, one more motion takes {least_s:.0f} s or more"
+        return replace(judged, ended="budget", why=why)
+    plan = planned()
+    if plan is None:
+        why = "no motion within limits and device time is expected to tell more"
+        return replace(judged, ended="nothing_gained", why=why)
+    return replace(judged, next=plan)
+
+
+def _alike(verdicts: Sequence[Judged]) -> int:
+    """How many of the last verdicts are equal."""
+    count = 0
+    for verdict in reversed(verdicts):
+        if verdict.result != verdicts[-1].result:
+            break
+        count += 1
+    return count

@@ -1,0 +1,140 @@
+"""Laws of an investigation: limits and device time are kept, it goes on to the same result, it ends with a reason."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from hystmpc.gap.next.motion_search import SearchSettings
+from hystmpc.investigation import plan
+from hystmpc.investigation import run as whole
+from hystmpc.investigation.config import InvestigateSettings
+from hystmpc.investigation.plan import plan_first
+from hystmpc.investigation.run import identification_share, plan_rows
+from hystmpc.investigation.story import Investigated
+from hystmpc.models.load import model_path
+from hystmpc.models.simulator import load_simulator
+from hystmpc.trials.csv_files import read_csv
+from hystmpc.trials.errors import ConfigError, FitError, HystmpcError, ModelError
+
+from ..commissioning.small import within
+from .small import bench, investigated, settings
+
+SIMULATOR = load_simulator(model_path("builtin:tendon-catheter"))
+
+
+def recorded(out: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(out)): f.read_bytes() for f in sorted(out.glob("round-*/record/trials/*.csv"))}
+
+
+def story(made: Investigated) -> dict[str, object]:
+    return made.as_json()
+
+
+def check_laws(made: Investigated, settings: InvestigateSettings, sent: list[float]) -> None:
+    assert within(sent, settings)
+    assert made.device_s <= settings.budget_s
+    assert made.device_s == pytest.approx(len(sent) * settings.dt_s, abs=2.0)
+    assert made.ended
+    assert made.why
+    assert json.loads((made.folder / "investigation.json").read_text()) == made.as_json()
+    page = made.report.read_text()
+    assert made.why in page
+    assert all(f"Round {found.number}" in page for found in made.rounds)
+
+
+def test_interrupted_it_goes_on_to_the_same_result_and_ends_with_the_device_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half a minute, and a device as its simulator says: one round, and no time for another."""
+    monkeypatch.setattr("hystmpc.gap.report.page.write_report", lambda *arguments: None)  # figures that take seconds
+    changes = {"transport": {"kind": "simulated", "plant": {"simulator": "builtin:tendon-catheter"}}}
+    block = {"minutes": 0.56, "first_motions": 2}
+    short, sent = settings(tmp_path, investigate=block, **changes), list[float]()
+    out = tmp_path / "run"
+    real, calls = whole.write_csv, []
+
+    def interrupted(*arguments: object) -> object:
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return real(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(whole, "write_csv", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        investigated(short, out, sent)
+    kept = recorded(out)
+    assert len(kept) == 1
+    made = investigated(short, out, sent)
+    check_laws(made, short, sent)
+    assert made.ended == "budget"
+    assert {name: recorded(out)[name] for name in kept} == kept
+    moved = len(sent)
+    assert story(investigated(short, out, sent)) == story(made)
+    assert len(sent) == moved  # complete: nothing moves again
+    with pytest.raises(ConfigError, match=r"investigate.seed 1, now it is 2"):
+        investigated(settings(tmp_path, investigate=block | {"seed": 2}, **changes), out, sent)
+
+
+@pytest.mark.slow
+def test_a_lag_is_named_in_two_minutes_and_the_story_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hystmpc.gap.report.page.write_report", lambda *arguments: None)  # figures that take seconds
+    monkeypatch.setattr(plan, "SearchSettings", partial(SearchSettings, generations=1))
+    two, sent = settings(tmp_path, investigate={"minutes": 2.0}), list[float]()
+    made = investigated(two, tmp_path / "run", sent)
+    check_laws(made, two, sent)
+    assert (made.ended, made.verdict.effects) == ("named", ("lag",))
+    assert len(made.rounds) >= 2
+    assert made.fixed is not None
+    assert any(operator.name == "lag" for operator in load_simulator(made.fixed).chain.before)
+    first, second = made.rounds[0], made.rounds[1]
+    assert "lag" in second.plan.separates
+    assert first.recorded.names[0].partition("-")[2] == first.recorded.names[-1].partition("-")[2]
+
+
+def test_the_plan_is_within_limits_and_time_and_needs_no_angle(tmp_path: Path) -> None:
+    rows = plan_rows(settings(tmp_path))
+    assert rows[-1] == ("all", "at most", 1.0)
+    assert sum(minutes for _, _, minutes in rows[:-1]) == pytest.approx(1.0)
+    made = settings(tmp_path, safe_command=1.0)
+    first = plan_first(made, SIMULATOR, 60.0, tmp_path)
+    assert 0 < first.seconds <= 0.6 * 60.0
+    assert first.probability > 2 / len(first.separates)
+    for name in first.motions:
+        commands = read_csv(tmp_path / f"{name}.csv").command
+        assert within(commands.tolist(), made)
+        assert commands[0] == commands[-1] == 1.0
+
+
+def test_without_a_simulator_time_is_kept_for_recordings_to_identify_one(tmp_path: Path) -> None:
+    none = settings(tmp_path, investigate={"model": None, "minutes": 5.0})
+    assert 0.4 < identification_share(none) < 1.0
+    assert [name for name, _, _ in plan_rows(none)] == ["identify", "round 1", "further rounds", "all"]
+    with pytest.raises(ConfigError, match="more minutes, or --model"):
+        identification_share(settings(tmp_path, investigate={"model": None}))
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected", "kind"),
+    [
+        ({"investigate": {"minutes": 0.3}}, "more minutes, or fewer first_motions", ConfigError),
+        ({"investigate": {"model": "none.yaml"}}, "none.yaml", HystmpcError),
+        ({"command_unit": "bar"}, "takes commands in mm", ModelError),
+        ({"commission": {"angle_limits_deg": [60, 70]}}, "leaves the angle limits", FitError),
+    ],
+)
+def test_what_cannot_be_done_is_said_before_anything_moves(
+    changes: dict[str, object], expected: str, kind: type[Exception], tmp_path: Path
+) -> None:
+    sent = list[float]()
+    with pytest.raises(kind, match=expected):
+        investigated(settings(tmp_path, **changes), tmp_path / "run", sent)
+    assert sent == []
+
+
+def test_unknown_keys_are_errors() -> None:
+    with pytest.raises(ConfigError, match="minute"):
+        InvestigateSettings.parse(bench(investigate={"minute": 3}))
