@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from hystmpc.rig.recording.recording import RecordingMeta
 
 STOPPED = 3
+ENDED_EARLY = 1
 
 Folder = Annotated[Path, typer.Option("--out", help="Run folder, new or empty.")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="Change a setting: rate_hz=50.")]
@@ -101,6 +103,28 @@ def end(result: BenchResult) -> None:
     """
     if result.outcome.cause:
         raise typer.Exit(STOPPED)
+
+
+@contextmanager
+def stages_kept(folder: Path) -> Iterator[None]:
+    """Say how a device that was moved stage by stage has stopped, as `run` says it, or why a stage was not completed.
+
+    Raises:
+        Exit: of typer.
+    """
+    from hystmpc.commissioning.device import DeviceStoppedError
+    from hystmpc.commissioning.run import EndedEarlyError
+
+    try:
+        yield
+    except DeviceStoppedError as stop:
+        finish(stop.settings, stop.result)
+        tell(f"complete trials are kept in {folder}; look at the device, then the same command with --reset goes on")
+        end(stop.result)
+        raise
+    except EndedEarlyError as error:
+        errors.print(f"error: {error}", style="red", soft_wrap=True, highlight=False)
+        raise typer.Exit(ENDED_EARLY) from None
 
 
 def _row(name: str, times: TimingSummary) -> list[str]:

@@ -10,14 +10,12 @@ import typer
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress
 
-from .at_bench import InTerminal, OnPage, Overrides, Reset, end, finish, tell
+from .at_bench import InTerminal, OnPage, Overrides, Reset, stages_kept, tell
 from .console import INTERRUPTED, bar, errors, out, table
 
 if TYPE_CHECKING:
     from hystmpc.commissioning.config import CommissionSettings
     from hystmpc.commissioning.run import Commissioned
-
-ENDED_EARLY = 1
 
 
 def commission(
@@ -82,8 +80,7 @@ def _done(
     progress: Progress,
 ) -> Commissioned:
     """From logs, or on the device; a safe stop is said as `run` says it."""
-    from hystmpc.commissioning.device import DeviceStoppedError
-    from hystmpc.commissioning.run import EndedEarlyError, commission_device, commission_logs, opened_device
+    from hystmpc.commissioning.run import commission_device, commission_logs, opened_device
     from hystmpc.rig.bench import reset_latch
     from hystmpc.rig.recording.recorder_process import Views
 
@@ -92,16 +89,8 @@ def _done(
     if reset:
         reset_latch(settings)
     device = opened_device(settings, config.resolve().parent, Views(*views), tell)
-    try:
+    with stages_kept(folder):
         return commission_device(settings, device, folder, progress)
-    except DeviceStoppedError as stop:
-        finish(stop.settings, stop.result)
-        tell(f"complete trials are kept in {folder}; look at the device, then the same command with --reset goes on")
-        end(stop.result)
-        raise
-    except EndedEarlyError as error:
-        errors.print(f"error: {error}", style="red", soft_wrap=True, highlight=False)
-        raise typer.Exit(ENDED_EARLY) from None
 
 
 def _print_plan(settings: CommissionSettings) -> None:

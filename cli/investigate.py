@@ -12,14 +12,12 @@ import typer
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Progress
 
-from .at_bench import InTerminal, OnPage, Overrides, Reset, end, finish, tell
+from .at_bench import InTerminal, OnPage, Overrides, Reset, stages_kept, tell
 from .console import INTERRUPTED, bar, errors, out, table
 
 if TYPE_CHECKING:
     from hystmpc.investigation.config import InvestigateSettings
     from hystmpc.investigation.story import Investigated
-
-ENDED_EARLY = 1
 
 
 def investigate(
@@ -80,8 +78,6 @@ def _done(
     progress: Progress,
 ) -> Investigated:
     """On the device; a safe stop is said as `run` says it."""
-    from hystmpc.commissioning.device import DeviceStoppedError
-    from hystmpc.commissioning.run import EndedEarlyError
     from hystmpc.investigation.run import investigate_device, opened_device
     from hystmpc.rig.bench import reset_latch
     from hystmpc.rig.recording.recorder_process import Views
@@ -89,16 +85,8 @@ def _done(
     if reset:
         reset_latch(settings)
     device = opened_device(settings, config.resolve().parent, Views(*views), tell)
-    try:
+    with stages_kept(folder):
         return investigate_device(settings, device, folder, progress)
-    except DeviceStoppedError as stop:
-        finish(stop.settings, stop.result)
-        tell(f"complete trials are kept in {folder}; look at the device, then the same command with --reset goes on")
-        end(stop.result)
-        raise
-    except EndedEarlyError as error:
-        errors.print(f"error: {error}", style="red", soft_wrap=True, highlight=False)
-        raise typer.Exit(ENDED_EARLY) from None
 
 
 def _print_plan(settings: InvestigateSettings) -> None:

@@ -50,6 +50,11 @@ class Change:
         """Whether a change is said."""
         return self.probability >= _SAID
 
+    @property
+    def sign(self) -> str:
+        """The change and its likeliest sign, in the same words from second to second."""
+        return f"the device has changed since identification: {self.signs[0][0]}"
+
     def __str__(self) -> str:
         named = ", ".join(f"{name} {share:.2f}" for name, share in self.signs if share >= _NAMED)
         return (
@@ -154,7 +159,7 @@ class ChangeMonitor:
             return Change(math.nan, math.nan, ())
         square = max(float(state.sums[-1, -1]) - 0.5 * state.changes, 0.0) / weight
         level = math.sqrt(square) / self._usual
-        log = math.log(max(level, 1e-3))
+        log = math.log(min(max(level, 1e-3), 1e3))
         odds = _PRIOR / (1.0 - _PRIOR) * math.exp(_log_normal(log, *_CHANGED) - _log_normal(log, *_HEALTHY))
         probability = odds / (1.0 + odds) if log > 0 else 0.0
         return Change(probability, level, self._signs(state.sums, state.changes))

@@ -218,7 +218,7 @@ class Tracking(Phase):
         self._judged = self._monitor.advance(self._judged, model, angle_deg)
         if self._k % max(round(1.0 / self._tip.dt), 1) == 0:
             change = self._monitor.change(self._judged)
-            self._changed = f"; {change}" if change.certain else ""
+            self._changed = f"; {change.sign}" if change.certain else ""
 
     def _waits(self, now: PhaseInput) -> bool:
         """Whether the hand-over lasts; it starts with the first usable angle, without a sensor at once."""

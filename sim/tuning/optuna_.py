@@ -74,6 +74,8 @@ def run_ticket(ticket: Ticket) -> TicketOutcome:
     problems: list[HystmpcError] = []
 
     def objective(trial: optuna.Trial) -> float:
+        # Killed before the first heartbeat of Optuna's own thread, a trial would count as running for ever.
+        _storage(ticket.storage).record_heartbeat(trial._trial_id)
         try:
             return _value(settings, study, trial, ticket.slot)
         except HystmpcError as error:
