@@ -26,6 +26,7 @@ _SURE = 2  # rounds in a row that name the same single effect
 _STUCK = 4  # rounds in a row with the same open result, each with a longer motion than before
 _LONGER = 2
 _OPEN = ("unknown", "one_of", "too_little")
+_NO_GAP = ("none", "retuned")  # nothing is missing in the simulator, whatever its numbers
 _STABLE = 3  # rounds in a row with any other result: several effects may mend the simulator's form, a gap be small
 
 
@@ -62,8 +63,12 @@ class Judged:
 
     @property
     def result(self) -> tuple[str, frozenset[str], frozenset[frozenset[str]]]:
-        """Verdict, names and sets that could not be told apart: what has to stay the same."""
-        return self.verdict, frozenset(self.effects), frozenset(frozenset(names) for names in self.ambiguity)
+        """Verdict, names and sets that could not be told apart: what has to stay the same.
+
+        Without a gap it is the same whether numbers have moved: that is a matter of size.
+        """
+        verdict = _NO_GAP[0] if self.verdict in _NO_GAP else self.verdict
+        return verdict, frozenset(self.effects), frozenset(frozenset(names) for names in self.ambiguity)
 
 
 def judge(
@@ -146,8 +151,9 @@ def with_next(
     if judged.verdict == "named" and alike >= (_SURE if len(judged.effects) == 1 else _STABLE):
         why = f"{names} named in {alike} rounds in a row, the last of which was to tell it from its neighbours"
         return replace(judged, ended="named", why=why)
-    if judged.verdict == "none" and alike >= _STABLE:
-        return replace(judged, ended="no_gap", why=f"no structural gap in {alike} rounds in a row")
+    if judged.verdict in _NO_GAP and alike >= _STABLE:
+        moved = " with the simulator's numbers retuned" if judged.verdict == "retuned" else ""
+        return replace(judged, ended="no_gap", why=f"no structural gap{moved} in {alike} rounds in a row")
     if judged.verdict in ("unknown", "one_of") and alike >= _STUCK:
         open_one = "an unknown cause" if judged.verdict == "unknown" else "the same effects not told apart"
         why = f"{open_one} in {alike} rounds in a row: motions that were to decide did not, each longer than before"

@@ -32,9 +32,9 @@ def why(diagnosis: Diagnosis, command_unit: str) -> tuple[str, ...]:
     if diagnosis.verdict in ("named", "one_of"):
         said = (closed_sentence(diagnosis), _values(diagnosis))
     else:
-        reason, usable = _sentence(diagnosis.reason), diagnosis.verdict != "too_little"
-        more = _densest(diagnosis) if diagnosis.verdict == "unknown" else _moved(diagnosis, command_unit)
-        said = (reason, more if usable else "")
+        unknown, none = diagnosis.verdict == "unknown", diagnosis.verdict == "none"
+        more = _densest(diagnosis) if unknown else _retuned(diagnosis, command_unit) if none else ""
+        said = (_sentence(diagnosis.reason), more)
     return tuple(filter(None, said))
 
 
@@ -75,7 +75,7 @@ def _intervals(diagnosis: Diagnosis) -> str:
     return f"By the 90 % interval{'s' if len(each) > 1 else ''}, {listed(each, 'and')}." if each else ""
 
 
-def _moved(diagnosis: Diagnosis, command_unit: str) -> str:
+def _retuned(diagnosis: Diagnosis, command_unit: str) -> str:
     """Numbers of the simulator that retuning moves by more than it is shown with."""
     units = baseline_units(command_unit)
     each = [

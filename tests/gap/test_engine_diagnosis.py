@@ -122,7 +122,17 @@ def test_the_result_has_the_fixed_form() -> None:
     assert read["format"] == "hystmpc-diagnosis/2"
     for key, kind in KEYS.items():
         assert isinstance(read[key], kind), key
-    second = {"order", "untestable", "stability", "resamples", "otherwise", "explainable_share", "detectable"}
+    second = {
+        "order",
+        "untestable",
+        "stability",
+        "resamples",
+        "otherwise",
+        "explainable_share",
+        "detectable",
+        "moved",
+        "groups",
+    }
     assert set(read) == set(KEYS) | {"reason", "notes", "next_motion", "tracking"} | second
     assert (read["order"], read["untestable"]) == ("known", [])
     assert read["stability"] == 1.0

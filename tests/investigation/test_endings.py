@@ -24,6 +24,7 @@ def ended(*verdicts: Judged, left_s: float = 100.0, plan: Plan | None = PLAN) ->
 
 
 LAG, CREEP, NONE, UNKNOWN = judged("named", "lag"), judged("named", "creep"), judged("none"), judged("unknown")
+RETUNED = judged("retuned")
 BOTH = judged("named", "lag", "creep")
 EITHER = judged("one_of", "lag", ambiguity=(("lag", "delay"),))
 
@@ -40,6 +41,8 @@ EITHER = judged("one_of", "lag", ambiguity=(("lag", "delay"),))
         ((BOTH, BOTH, BOTH), "named"),
         ((NONE, NONE), ""),
         ((NONE, NONE, NONE), "no_gap"),
+        ((RETUNED, NONE, RETUNED), "no_gap"),
+        ((LAG, NONE, RETUNED), ""),
         ((UNKNOWN, UNKNOWN, UNKNOWN), ""),
         ((UNKNOWN,) * 4, "nothing_gained"),
         ((EITHER,) * 4, "nothing_gained"),
