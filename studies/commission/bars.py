@@ -102,12 +102,6 @@ def bars(outcome: CommissionOutcome) -> list[Bar]:
     ]
 
 
-def _learning(outcome: CommissionOutcome, name: str) -> tuple[Bar, Bar]:
-    """Learning over none on a device that has changed."""
-    figure, text = over(name, f"{name}_off"), f"{name} changed, learning over none"
-    return _median(outcome, f"{text}: median", figure, 0.5), _worst(outcome, f"{text}: worst", figure, 1.05)
-
-
 def _values(outcome: CommissionOutcome, figure: Callable[[Figures], float]) -> tuple[tuple[str, ...], Vec]:
     names = tuple(outcome.figures)
     return names, np.array([figure(outcome.figures[name]) for name in names])
