@@ -32,7 +32,7 @@ _ORDER = (
     *(verdict for verdict in VERDICTS if verdict not in ("named", "one_of")),
     FAILED,
 )
-_RESAMPLES = 1000
+_RESAMPLES = 500
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,10 @@ def bars_plot(score: Score) -> Plot:
         axes.set_xlim(-0.03, 1.03)
         axes.grid(axis="y", visible=False)
         axes.set_xlabel("share or mean")
-    return Plot(figure, "Grey: where the number should lie; dot and line: the number and its 90 % interval.")
+    return Plot(
+        figure,
+        "Grey: where the number should lie. Dot and line: the number and its 90 % interval, orange where it misses.",
+    )
 
 
 def rates_figure(tables: Sequence[tuple[str, dict[str, Rate]]]) -> Figure:
