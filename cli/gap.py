@@ -1,4 +1,4 @@
-"""`hystmpc gap blind make|run|order|score|record|ablate`: the blind check of the diagnosis."""
+"""`hystmpc gap blind make|run|order|investigate|score|record|ablate`: the blind check of the diagnosis."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 gap = typer.Typer(no_args_is_help=True, help="The sim-to-real diagnosis put to the test.")
-blind = typer.Typer(no_args_is_help=True, help="Sealed cases with known causes: make, run, order, score.")
+blind = typer.Typer(no_args_is_help=True, help="Sealed cases with known causes: make, run, order, investigate, score.")
 gap.add_typer(blind, name="blind")
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of `hystmpc gap blind make`.")]
@@ -134,6 +134,31 @@ def order(
     out.print(table(f"names in {orders} orders of the files", ("case", "orders", "sets of names"), lines))
     low, high = found.rate.ci90
     out.print(f"same names: {found.rate.value:.3f} ({low:.2f} to {high:.2f}) of {found.rate.cases}, goal {found.goal}")
+
+
+@blind.command()
+def investigate(
+    folder: Folder,
+    minutes: Annotated[float, typer.Option(min=1, max=30, help="Device time of each at most.")] = 5.0,
+    jobs: Jobs = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the investigations.")] = 1,
+) -> None:
+    """Play `hystmpc investigate` on the device of every single effect; Ctrl-C keeps what is done."""
+    from hystmpc.studies.blind.investigated import FOLDER, investigate_blind
+
+    try:
+        with bar("investigate") as show:
+            failed = investigate_blind(
+                folder, minutes, jobs or _cores(), seed, lambda done, total, note="": show(done, note, total=total)
+            )
+    except KeyboardInterrupt:
+        errors.print(
+            f"interrupted: finished investigations are kept in {folder}, the same command goes on", style="yellow"
+        )
+        raise typer.Exit(INTERRUPTED) from None
+    if failed:
+        errors.print(f"{failed} investigations failed, see failure.txt in their folders; the same command tries again")
+    out.print(f"investigations: {folder / FOLDER}")
 
 
 @blind.command()

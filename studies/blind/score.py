@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,8 +54,22 @@ def score_blind(folder: Path, partial: bool = False) -> Score:
         LogError: if diagnoses are missing, or the answers are not those that were sealed.
     """
     result = score_of(load_scored(folder, partial))
+    result = replace(result, bars=(*result.bars, *_investigation_bars(folder)))
     write_atomically(folder / "score.json", json.dumps(score_json(result), indent=1))
     return result
+
+
+def _investigation_bars(folder: Path) -> tuple[Bar, Bar]:
+    """Whether `hystmpc investigate` names the cause of single effects, and in which share of the battery's time."""
+    from .investigated import NEEDED, named_right, scored_investigations, time_share  # with the bench behind it
+
+    found = scored_investigations(folder)
+    named, wrong = named_right(found), tuple(one.case for one in found if not one.right)
+    long = tuple(one.case for one in found if one.device_s > NEEDED * one.battery_s)
+    return (
+        Bar("investigate names the class", named.value, (0.95, 1.0), named.cases, wrong, named.ci90),
+        Bar("investigate: device time over the battery's", time_share(found), (0.0, NEEDED), len(found), long),
+    )
 
 
 def score_of(cases: Sequence[ScoredCase]) -> Score:
