@@ -60,7 +60,7 @@ _MOVES: tuple[tuple[str, float], ...] = (
     ("weights", 2.0),
     ("weights", 0.45),
 )
-_TAKEN_UP = ("contact", "nonlinear_gain")
+_SMALL_ON_A_MUSCLE = ("contact", "nonlinear_gain", "rate_dependence")
 _MEANT = ("width", "gain", "offset", "all of them")  # what a new configuration changes
 _SHARED = 0.6  # of the wanted ratio for each of the three
 _ALIASES = ("friction by trial", "no disturbance", "disturbance")
@@ -136,9 +136,10 @@ def device_of(suite: Suite, number: int) -> type[Core]:
 def _labels(kind: type[Core]) -> tuple[str, ...]:
     """Effects that a case of this device can have at three floors.
 
-    The curves of a muscle's simulator take up a wall or a weight of any size when they are retuned.
+    The curves of a muscle's simulator take up a wall or a weight of any size when they are retuned, and its friction
+    cannot grow beyond its pull, so that friction which grows with speed stays small, too.
     """
-    return tuple(label for label in LABELS if kind is not MuscleCore or label not in _TAKEN_UP)
+    return tuple(label for label in LABELS if kind is not MuscleCore or label not in _SMALL_ON_A_MUSCLE)
 
 
 def _retuned(key: tuple[int, int, int], kind: type[Core], number: int) -> Case:
