@@ -152,13 +152,7 @@ def blind_report(score: Score) -> Report:
             "Goal: what the winner reached on an engine. Detection: a structural gap is claimed, named or not.",
         ),
         *_misses(score),
-        Heading("Confusion matrix"),
-        Plot(
-            confusion_figure(score.confusion),
-            f"{int(score.confusion.counts.sum())} cases, all but the aliased. "
-            "Truth: the largest cause; answer: the first name or the verdict. Shade: "
-            "share of the row. Framed: pairs that some motions cannot tell apart.",
-        ),
+        *_confusion(score),
         *_rates(score),
         *_shares(score),
     ]
@@ -170,6 +164,18 @@ def bar_row(bar: Bar) -> tuple[str, str, str, str, int, str]:
     number = f"{bar.value:.3f}" if math.isfinite(bar.value) else "-"
     interval = f"{bar.ci90[0]:.2f} to {bar.ci90[1]:.2f}" if bar.ci90 and bar.cases else "-"
     return bar.name, number, interval, bar.goal, bar.cases, bar.state
+
+
+def _confusion(score: Score) -> Iterator[Piece]:
+    if not score.confusion.counts.size:
+        return
+    yield Heading("Confusion matrix")
+    yield Plot(
+        confusion_figure(score.confusion),
+        f"{int(score.confusion.counts.sum())} cases, all but the aliased. "
+        "Truth: the largest cause; answer: the first name or the verdict. Shade: "
+        "share of the row. Framed: pairs that some motions cannot tell apart.",
+    )
 
 
 def _rates(score: Score) -> Iterator[Piece]:
