@@ -148,11 +148,11 @@ def test_random_guesses_score_near_chance() -> None:
     random = np.random.default_rng(0)
     cases = [
         ScoredCase(str(k), answer("single", [str(random.choice(LABELS))]), named(str(random.choice(LABELS))))
-        for k in range(3000)
+        for k in range(400)
     ]
     found = by_name(cases)["class top-1"]
-    assert found == pytest.approx(1 / len(LABELS), abs=0.02)
-    assert chance(cases) == pytest.approx(found, abs=0.02)
+    assert found == pytest.approx(1 / len(LABELS), abs=0.04)
+    assert chance(cases) == pytest.approx(found, abs=0.04)
 
 
 def test_leaving_it_open_is_right_only_where_the_motions_cannot_tell() -> None:
