@@ -15,7 +15,8 @@ from hystmpc.gap.diagnosis import TrackingGap
 from hystmpc.gap.tracking.expected import NEAR
 from hystmpc.trials.types import Vec
 
-from ..blind.bars import Bar, Rate
+from ..blind.bars import Bar
+from ..blind.measures import Rate
 from ..identify.device import FAMILIES
 from ..identify.scores import rmse_of
 from .job import WORN, CommissionResult
