@@ -41,7 +41,7 @@ DEFAULT_SETTINGS = DiagnosisSettings()
 _STEPS, _CONCLUDED = 100, 97  # of the progress
 
 
-def investigate(
+def find_causes(
     trials: Sequence[Trial],
     simulator: Simulator | LoadedModel,
     *,

@@ -175,10 +175,10 @@ def _diagnose(
     trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The diagnosis in its fixed form, and what goes beside it; the motion that it proposes is written."""
-    from hystmpc.gap.diagnose import conclude, investigate
+    from hystmpc.gap.diagnose import conclude, find_causes
     from hystmpc.gap.next.motion_design import write_motion
 
-    findings = investigate(trials, simulator, seed=job.seed, without=job.without, only=job.only or None)
+    findings = find_causes(trials, simulator, seed=job.seed, without=job.without, only=job.only or None)
     found, evidence = conclude(findings)
     if evidence.proposal is not None:
         write_motion(job.out / NEXT_MOTION, evidence.proposal, simulator.command_unit)
