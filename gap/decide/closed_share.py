@@ -80,13 +80,17 @@ def closed_interval(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: f
 
 
 def _drawn_shares(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Vec:
-    """The share in every resample of the blocks (D,)."""
+    """The share in every resample of the blocks (D,).
+
+    Where the blocks drawn have no gap above the floor, it is 1 or -1 by the sign of the fall: an error that falls in
+    every resample is not taken for one that might not fall.
+    """
     rng = np.random.default_rng(seed)
     draws = rng.integers(0, retuned.energy.size, (_DRAWS, retuned.energy.size))
     total = retuned.samples[draws].sum(axis=1)
     gap = retuned.energy[draws].sum(axis=1) / total - floor_mse
     fall = (before.energy - after.energy)[draws].sum(axis=1) / total
-    return np.clip(fall / np.where(gap > 0, gap, np.inf), -1.0, 1.0)
+    return np.where(gap > np.abs(fall), fall / np.where(gap > 0, gap, 1.0), np.sign(fall))
 
 
 def _ends(shares: Vec) -> Interval:
