@@ -1,4 +1,4 @@
-"""`hystmpc gap blind make|run|score|record|ablate`: the blind check of the diagnosis."""
+"""`hystmpc gap blind make|run|investigate|score|record|ablate`: the blind check of the diagnosis."""
 
 from __future__ import annotations
 
@@ -95,6 +95,31 @@ def run(
     if failed:
         errors.print(f"{failed} diagnoses failed, see failure.txt beside them; the same command tries again")
     out.print(f"diagnoses: {folder / 'diagnoses'}")
+
+
+@blind.command()
+def investigate(
+    folder: Folder,
+    minutes: Annotated[float, typer.Option(min=1, max=30, help="Device time of each at most.")] = 5.0,
+    jobs: Jobs = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the investigations.")] = 1,
+) -> None:
+    """Play `hystmpc investigate` on the device of every single effect; Ctrl-C keeps what is done."""
+    from hystmpc.studies.blind.investigated import FOLDER, investigate_blind
+
+    try:
+        with bar("investigate") as show:
+            failed = investigate_blind(
+                folder, minutes, jobs or _cores(), seed, lambda done, total, note="": show(done, note, total=total)
+            )
+    except KeyboardInterrupt:
+        errors.print(
+            f"interrupted: finished investigations are kept in {folder}, the same command goes on", style="yellow"
+        )
+        raise typer.Exit(INTERRUPTED) from None
+    if failed:
+        errors.print(f"{failed} investigations failed, see failure.txt in their folders; the same command tries again")
+    out.print(f"investigations: {folder / FOLDER}")
 
 
 @blind.command()

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.cli.options import trials_at
-from hystmpc.models.contract.export import export_onnx
+from hystmpc.models.contract.export import ExportBundle, export_onnx
 from hystmpc.models.contract.load import OnnxModel, load_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, ModelMetadata
 from hystmpc.models.evaluate import evaluate, mean_errors
@@ -130,24 +130,24 @@ def test_impossible_weights_are_refused(changes: dict[str, object]) -> None:
         PlayKernelWeights(**{**vars(weights()), **changes})
 
 
-@pytest.fixture(scope="module", params=["best", "rate_independent", "inverse"])
-def found(request: pytest.FixtureRequest) -> Identified:
-    """Identified from a backlash plant, forward by both presets and inverse."""
+@pytest.fixture(scope="module", params=["with a lag", "rate_independent", "inverse"])
+def found(request: pytest.FixtureRequest) -> ExportBundle:
+    """Identified from a backlash plant, forward with a lag and without, and inverse."""
     trials = [t.swapped() for t in four_trials()] if request.param == "inverse" else four_trials()
-    preset = "best" if request.param == "inverse" else request.param
-    return PlayKernelKind().fit(trials, FitRequest(preset=preset))
+    lags_s = (0.04,) if request.param == "with a lag" else (0.0,)
+    settings = PlayKernelSettings(plays=8, segments=10, lags_s=lags_s, smoothness=(3e-6,))
+    return play_kernel_bundle(fit_play_kernel(trials, settings), trials, settings, DeviceLimits())
 
 
 @pytest.fixture(scope="module")
-def model(found: Identified, tmp_path_factory: pytest.TempPathFactory) -> OnnxModel:
+def model(found: ExportBundle, tmp_path_factory: pytest.TempPathFactory) -> OnnxModel:
     path = tmp_path_factory.mktemp("play_kernel") / "model.onnx"
-    assert export_onnx(found.bundle, path).kinks <= 25
+    assert export_onnx(found, path).kinks <= 25
     return load_onnx(path, start="conditioned")
 
 
-@pytest.mark.slow
-def test_weights_come_back_from_the_file(found: Identified, model: OnnxModel) -> None:
-    reference = found.bundle.reference
+def test_weights_come_back_from_the_file(found: ExportBundle, model: OnnxModel) -> None:
+    reference = found.reference
     assert isinstance(reference, PlayKernelStep)
     for name, value in vars(PlayKernelWeights.from_arrays(model.initializers)).items():
         np.testing.assert_allclose(value, getattr(reference.weights, name), rtol=1e-12) if value is not None else None
@@ -155,9 +155,9 @@ def test_weights_come_back_from_the_file(found: Identified, model: OnnxModel) ->
         PlayKernelWeights.from_arrays({})
 
 
-def test_kernels_are_the_graph(found: Identified, model: OnnxModel) -> None:
+def test_kernels_are_the_graph(found: ExportBundle, model: OnnxModel) -> None:
     """Kernels, CasADi's derivative of the graph and onnxruntime, over a plan that turns and leaves the range."""
-    reference = found.bundle.reference
+    reference = found.reference
     assert isinstance(reference, PlayKernelStep)
     fast = PlayKernelPredictor(reference.weights, model.metadata)
     slow = CasadiPredictor(model.casadi_function(), model.metadata)
@@ -197,11 +197,9 @@ def test_forward_after_inverse_is_the_identity(history: list[float], wanted: flo
     assert predictor.advance(state, inverse.command(state, wanted, history[-1]))[0] == pytest.approx(wanted, abs=1e-8)
 
 
-def test_a_controller_gets_the_exact_inverse(tmp_path: Path) -> None:
-    export_onnx(
-        PlayKernelKind().fit(four_trials()[:2], FitRequest(preset="rate_independent")).bundle, tmp_path / "m.onnx"
-    )
-    predictor, inverse = predictor_and_inverse(load_onnx(tmp_path / "m.onnx"))
+@pytest.mark.parametrize("found", ["rate_independent"], indirect=True)
+def test_a_controller_gets_the_exact_inverse(model: OnnxModel) -> None:
+    predictor, inverse = predictor_and_inverse(model)
     assert isinstance(predictor, PlayKernelPredictor)
     assert isinstance(inverse, CompiledInverse)
 
@@ -212,7 +210,8 @@ def test_a_plant_of_plays_is_found() -> None:
     shifted = [
         Trial(t.t, t.command, t.angle + b, source=t.source) for t, b in zip(trials, (2.0, -2.0, 1.0, -1.0), strict=True)
     ]
-    plain, moved = fit_play_kernel(trials), fit_play_kernel(shifted)
+    settings = PlayKernelSettings(plays=8, segments=10, lags_s=(0.0, 0.04), smoothness=(3e-6,))
+    plain, moved = fit_play_kernel(trials, settings), fit_play_kernel(shifted, settings)
     assert plain.choice.lag_s == 0.0
     assert plain.rmse < 0.35
     assert moved.rmse < 0.45
