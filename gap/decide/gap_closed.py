@@ -116,7 +116,7 @@ def measure(
             _sensor_parameters(prepared),
         )
     if jumps is not None and "stick_slip" not in chosen.effects:
-        left = _less_sawtooth(final_errors.after, jumps.mse)
+        left = less_sawtooth(final_errors.after, jumps.mse)
         share = shares.closed(left.mse) - shares.closed(final_errors.after.mse)
         if share >= _LEAST_JUMPS:
             ci90, rmse = shares.interval(final_errors.after, left), float(np.sqrt(final_errors.after.mse))
@@ -125,7 +125,7 @@ def measure(
     return GapClosed(final_errors.gap(), causes, shares.spread)
 
 
-def _less_sawtooth(blocks: Blocks, mse: float) -> Blocks:
+def less_sawtooth(blocks: Blocks, mse: float) -> Blocks:
     """Errors less the energy of jumps, block by block and to nothing at most."""
     return replace(blocks, energy=np.maximum(blocks.energy - mse * blocks.samples, 0.0))
 
