@@ -112,6 +112,11 @@ class ScoredInvestigation:
     battery_s: float
 
     @property
+    def first(self) -> bool:
+        """Whether its best single answer is the cause, as the blind check counts a diagnosis."""
+        return self.verdict in ("named", "one_of") and self.said[:1] == (self.truth,)
+
+    @property
     def right(self) -> bool:
         """Whether it names the cause and nothing else."""
         return self.verdict == "named" and self.said == (self.truth,)
@@ -219,6 +224,11 @@ def scored_investigations(folder: Path) -> tuple[ScoredInvestigation, ...]:
         except (OSError, ValueError, KeyError) as error:
             raise LogError(f"{path}: not an investigation ({type(error).__name__}: {error})") from None
     return tuple(found)
+
+
+def named_first(found: Sequence[ScoredInvestigation]) -> Rate:
+    """Share of investigations whose best single answer is the cause."""
+    return Rate(sum(one.first for one in found), len(found))
 
 
 def named_right(found: Sequence[ScoredInvestigation]) -> Rate:
