@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from hystmpc.commissioning.stages import Figure
-from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis, Verdict
 from hystmpc.gap.next.open_hypotheses import question
 from hystmpc.gap.report.folder import save_diagnosis
@@ -95,7 +95,7 @@ def judge(
     """
     seed = settings.investigate.seed
     simulator = load_simulator(model)
-    findings = investigate(read_trials(files), simulator, seed=seed, progress=progress)
+    findings = find_causes(read_trials(files), simulator, seed=seed, progress=progress)
     diagnosis, evidence = conclude(findings, progress)
     save_diagnosis(
         evidence, folder / DIAGNOSIS, {"logs": list(map(str, files)), "sim": str(model), "seed": seed}, models=(model,)

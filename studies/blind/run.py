@@ -184,11 +184,11 @@ def _diagnose(
     trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The diagnosis in its fixed form, and what goes beside it; the motion that it proposes is written."""
-    from hystmpc.gap.diagnose import conclude, investigate
+    from hystmpc.gap.diagnose import conclude, find_causes
     from hystmpc.gap.next.motion_design import write_motion
 
     told = job.shuffled is None
-    findings = investigate(
+    findings = find_causes(
         trials if told else _renamed(trials, job),
         simulator,
         seed=job.seed,
