@@ -34,6 +34,7 @@ class SelectionSettings:
             what remains, by so many standard errors: beside a large cause a smaller one is no less sure.
         clear_errors, clear_share, clear_most: by so many standard errors a fall is clear, and these shares of what
             remains replace `least_share` and `most_share`: a third cause may leave no doubt and still be small.
+        drift_errors: by so many standard errors a drift beside shifts of trials needs no share of the whole error.
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
         gives_way: generic effects, and the share of what they explain by which another cause may be worse and is still
             preferred.
@@ -56,6 +57,7 @@ class SelectionSettings:
     clear_errors: float = 8.0
     clear_share: float = 0.1
     clear_most: float = 0.3
+    drift_errors: float = 3.0
     recurs: float = 0.25
     gives_way: tuple[tuple[str, float], ...] = (("trial_shift", 0.06), ("nonlinear_gain", 0.015), ("asymmetry", 0.015))
     width_share: float = 0.6
@@ -146,7 +148,8 @@ class _Search:
         most = settings.clear_most if clear else settings.most_share
         sure = fall > settings.sure_errors * error and useful > most * remaining
         whole = (settings.sure_share if sure else settings.gap_share) * (self._baseline_mse - self._floor)
-        if new == {"drift"} and "trial_shift" in before.hypothesis.effects:
+        within = new == {"drift"} and "trial_shift" in before.hypothesis.effects
+        if within and fall > settings.drift_errors * error:
             whole = 0.0  # shifts explain what it does between trials: by the whole error it would always seem small
         if new & OWN_TO_TRIALS and not _recurs(before, after, settings.recurs):
             return False
