@@ -70,7 +70,7 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], las
     """A table whose first column is text and whose others are numbers; the last row may stand apart."""
     grid = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for k, name in enumerate(columns):
-        grid.add_column(name, justify="left" if k == 0 else "right", no_wrap=k == 0)
+        grid.add_column(name, justify="left" if k == 0 else "right", overflow="fold")
     for k, row in enumerate(rows):
         if last_apart and k == len(rows) - 1:
             grid.add_section()
