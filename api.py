@@ -360,7 +360,7 @@ def diagnose(
         require_free(out)
     opened, recorded = _opened(simulator), read_trials(trials, preset)
     nominal = opened.simulator if isinstance(opened, ChainModel) else opened
-    findings = gap.investigate(
+    findings = gap.find_causes(
         recorded, nominal, seed=seed, without=without, only=only, progress=progress, ordered=ordered
     )
     evidence = with_tracking(gap.conclude(findings, progress)[1], progress)

@@ -22,7 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.models.identify.least_squares import OperatorFitSettings
 from hystmpc.models.identify.methods import identify
 from hystmpc.models.simulator import Simulator
@@ -107,7 +107,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     trials, simulator = recorded(args)
     for k in range(args.repeat):
         laps = Laps()
-        diagnosis, _ = conclude(investigate(trials, simulator, seed=args.seed, progress=laps, say=console.print), laps)
+        diagnosis, _ = conclude(find_causes(trials, simulator, seed=args.seed, progress=laps, say=console.print), laps)
         laps(100, 100)
         names = ", ".join(effect.name for effect in diagnosis.effects) or "-"
         show(console, laps, f"diagnosis {k + 1}: {diagnosis.verdict}, {names}")

@@ -77,12 +77,12 @@ def _diagnosed(
     require_free(folder)
     simulator = simulator_at(sim)
     trials = _recorded(files, preset)
-    from hystmpc.gap.diagnose import conclude, investigate  # compiles: kept out of the way of refusals
+    from hystmpc.gap.diagnose import conclude, find_causes  # compiles: kept out of the way of refusals
     from hystmpc.gap.tracking.diagnosed import with_tracking
 
     with bar("diagnose") as show:
         told = _progress(show)
-        findings = investigate(trials, simulator, seed=seed, without=without, progress=told, say=_say, ordered=ordered)
+        findings = find_causes(trials, simulator, seed=seed, without=without, progress=told, say=_say, ordered=ordered)
         evidence = with_tracking(conclude(findings, told)[1], told)
         show(100, "writing the report", total=100)
         settings = {

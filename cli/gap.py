@@ -1,4 +1,4 @@
-"""`hystmpc gap blind make|run|score|record|ablate`: the blind check of the diagnosis."""
+"""`hystmpc gap blind make|run|order|investigate|score|record|ablate`: the blind check of the diagnosis."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 gap = typer.Typer(no_args_is_help=True, help="The sim-to-real diagnosis put to the test.")
-blind = typer.Typer(no_args_is_help=True, help="Sealed cases with known causes: make, run, score.")
+blind = typer.Typer(no_args_is_help=True, help="Sealed cases with known causes: make, run, order, investigate, score.")
 gap.add_typer(blind, name="blind")
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of `hystmpc gap blind make`.")]
@@ -36,9 +36,15 @@ def _group() -> None:
 def make(
     folder: Annotated[Path, typer.Option("--out", help="Folder to make; new or empty.")],
     seed: Annotated[int, typer.Option(min=0, help="Of everything; one never used in development.")],
-    cases: Annotated[int, typer.Option(min=1, help="How many.")] = 60,
+    cases: Annotated[
+        int | None, typer.Option(min=1, help="How many; else one round of all suites: 223, or 239 with logs.")
+    ] = None,
     suite: Annotated[
-        str, typer.Option(help="all, single, none, misset, pairs, contaminated, unknown, without, controls, injection.")
+        str,
+        typer.Option(
+            help="all, single, none, misset, controls, retuned, pairs, triple, contaminated, unknown, without, "
+            "configuration, aliased, injection."
+        ),
     ] = "all",
     logs: Annotated[
         list[Path] | None, typer.Option(help="Real logs of one device or a folder of them, for injection; repeatable.")
@@ -49,7 +55,7 @@ def make(
     """Write cases without labels, and their answers in one sealed file."""
     from hystmpc.studies.blind.make import make_blind  # kept out of the way of the other verbs' start
 
-    with bar("make cases", cases) as show:
+    with bar("make cases") as show:
         workers = jobs or _cores()
         manifest = make_blind(
             folder,
@@ -98,6 +104,64 @@ def run(
 
 
 @blind.command()
+def order(
+    folder: Folder,
+    cases: Annotated[int, typer.Option(min=1, help="How many of the cases, the first ones.")] = 20,
+    orders: Annotated[int, typer.Option(min=1, help="Random orders of the files of each.")] = 10,
+    jobs: Jobs = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the diagnoses and the orders.")] = 0,
+) -> None:
+    """Diagnose cases in random orders of their files, order unknown; the names should be the same."""
+    from hystmpc.studies.blind.order import orders_of, run_orders
+
+    try:
+        with bar("diagnose in orders") as show:
+            failed = run_orders(
+                folder,
+                cases,
+                orders,
+                jobs or _cores(),
+                seed,
+                lambda done, total, note="": show(done, note, total=total),
+            )
+    except KeyboardInterrupt:
+        errors.print(f"interrupted: finished diagnoses are kept in {folder}, the same command goes on", style="yellow")
+        raise typer.Exit(INTERRUPTED) from None
+    if failed:
+        errors.print(f"{failed} diagnoses failed, see failure.txt beside them; the same command tries again")
+    found = orders_of(folder)
+    lines = [[row.case, str(row.orders), row.sets] for row in found.rows]
+    out.print(table(f"names in {orders} orders of the files", ("case", "orders", "sets of names"), lines))
+    low, high = found.rate.ci90
+    out.print(f"same names: {found.rate.value:.3f} ({low:.2f} to {high:.2f}) of {found.rate.cases}, goal {found.goal}")
+
+
+@blind.command()
+def investigate(
+    folder: Folder,
+    minutes: Annotated[float, typer.Option(min=1, max=30, help="Device time of each at most.")] = 5.0,
+    jobs: Jobs = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the investigations.")] = 1,
+) -> None:
+    """Play `hystmpc investigate` on the device of every single effect; Ctrl-C keeps what is done."""
+    from hystmpc.studies.blind.investigated import FOLDER, investigate_blind
+
+    try:
+        with bar("investigate") as show:
+            failed = investigate_blind(
+                folder, minutes, jobs or _cores(), seed, lambda done, total, note="": show(done, note, total=total)
+            )
+    except KeyboardInterrupt:
+        errors.print(
+            f"interrupted: finished investigations are kept in {folder}, the same command goes on", style="yellow"
+        )
+        raise typer.Exit(INTERRUPTED) from None
+    if failed:
+        errors.print(f"{failed} investigations failed, see failure.txt in their folders; the same command tries again")
+    out.print(f"investigations: {folder / FOLDER}")
+
+
+@blind.command()
 def score(
     folder: Folder,
     partial: Annotated[bool, typer.Option("--partial", help="Score what is diagnosed so far.")] = False,
@@ -112,12 +176,14 @@ def score(
     for name in ("suite", "gap in floors", "recording plan"):
         groups = [[key, f"{r.value:.2f}", str(r.cases)] for key, r in found.groups[name].items()]
         out.print(table("right verdicts", (name, "right", "cases"), groups))
+    rows = [[str(cell) for cell in bar_row(item)] for item in found.metrics]
+    out.print(table("the metrics of the DX 2025 competition; goal: its winner", BAR_COLUMNS, rows))
     misses = [miss_json(case) for case in found.misses()]
     lines = [
-        [m["case"], m["suite"], m["truth"], m["verdict"], ", ".join(m["said"]) or "-", f"{m['ratio']:.1f}", m["plan"]]
+        [m["case"], m["suite"], m["truth"], m["verdict"], ", ".join(m["said"]) or "-", f"{m['ratio']:.1f}", m["miss"]]
         for m in misses
     ]
-    columns = ("case", "suite", "truth", "verdict", "said", "floors", "plan")
+    columns = ("case", "suite", "truth", "verdict", "said", "floors", "what is wrong")
     out.print(table(f"wrong verdicts: {len(misses)} of {len(found.cases)}", columns, lines))
     out.print(f"report: {write_report(found, folder)}")
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.planner.reach import angles_at_rest
-from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.folder import save_diagnosis
 from hystmpc.gap.report.words import closed_sentence, headline
@@ -183,7 +183,7 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
         KeyboardInterrupt: if the user ended it; nothing is kept.
     """
     trials, simulator, seed = uniform_trials(subject), load_simulator(model), subject.block.seed
-    findings = investigate(trials, simulator, seed=seed, progress=progress)
+    findings = find_causes(trials, simulator, seed=seed, progress=progress)
     diagnosis, evidence = conclude(findings, progress)
     settings = {"logs": [str(f) for f in subject.trials], "sim": str(model), "seed": seed}
     save_diagnosis(evidence, folder / "diagnosis", settings, models=(model,))

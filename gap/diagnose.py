@@ -39,9 +39,10 @@ if TYPE_CHECKING:
 LIBRARY = DIAGNOSABLE
 DEFAULT_SETTINGS = DiagnosisSettings()
 _STEPS, _CONCLUDED = 100, 97  # of the progress
+_STABILITY_UNKNOWN = 0.5
 
 
-def investigate(
+def find_causes(
     trials: Sequence[Trial],
     simulator: Simulator | LoadedModel,
     *,
@@ -253,8 +254,9 @@ def _probabilities(findings: Findings) -> dict[str, float]:
     ambiguous = {name for names in findings.conclusion.ruling.ambiguity for name in names}
     gone = {untestable.name for untestable in _untestable(findings)}
     ambiguous |= {name for name in causes if gone & set(EFFECTS[name].also_taken_for)}
+    stable = findings.stability.share if findings.stability else _STABILITY_UNKNOWN
     return {
-        name: probability(name, cause.share, len(causes) > 1, name in ambiguous, bool(confounders(name) & missing))
+        name: probability(name, cause.share, name in ambiguous, stable, bool(confounders(name) & missing))
         for name, cause in causes.items()
     }
 

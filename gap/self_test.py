@@ -25,7 +25,7 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress, Vec
 
-from .diagnose import conclude, investigate
+from .diagnose import conclude, find_causes
 from .diagnosis import Diagnosis
 
 _DT_S, _TRIAL_S, _SPAN, _SPEED = 0.04, 20.0, 6.0, 12.0
@@ -187,7 +187,7 @@ def _legs(levels: Sequence[float] | Vec, holds: Sequence[float] | Vec) -> tuple[
 
 def _row(name: str, case: _Case, simulator: Simulator, seed: int) -> SelfTestRow:
     started = time.perf_counter()
-    diagnosis, _ = conclude(investigate(record(case, seed), simulator, seed=seed))
+    diagnosis, _ = conclude(find_causes(record(case, seed), simulator, seed=seed))
     return SelfTestRow(
         name=name,
         truth=", ".join(case.truth) or "none",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from hystmpc.commissioning.stages import Figure
-from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis, Verdict
 from hystmpc.gap.next.open_hypotheses import question
 from hystmpc.gap.report.folder import save_diagnosis
@@ -18,16 +18,16 @@ from hystmpc.trials.read import read_trials
 from hystmpc.trials.types import Progress
 
 from .config import InvestigateSettings
-from .plan import Plan, least_seconds, plan_next
+from .plan import Plan, least_seconds, plan_more, plan_next
 
 Ending = Literal["", "named", "no_gap", "nothing_gained", "budget"]
 DIAGNOSIS = "diagnosis"
 _SURE = 2  # rounds in a row that name the same single effect
-_STUCK = 4  # rounds in a row with the same open result, each with a longer motion than before
+_STUCK = 4  # rounds in a row that name nothing for sure, each with a longer motion than before: slow effects take time
 _LONGER = 2
 _OPEN = ("unknown", "one_of", "too_little")
 _NO_GAP = ("none", "retuned")  # nothing is missing in the simulator, whatever its numbers
-_STABLE = 3  # rounds in a row with any other result: several effects may mend the simulator's form, a gap be small
+_STABLE = 3  # rounds in a row that name several: they may mend the simulator's form
 
 
 @dataclass(frozen=True)
@@ -94,17 +94,23 @@ def judge(
         KeyboardInterrupt: if the user ended it; nothing of this stage is kept.
     """
     seed = settings.investigate.seed
-    findings = investigate(read_trials(files), load_simulator(model), seed=seed, progress=progress)
+    simulator = load_simulator(model)
+    findings = find_causes(read_trials(files), simulator, seed=seed, progress=progress)
     diagnosis, evidence = conclude(findings, progress)
     save_diagnosis(
         evidence, folder / DIAGNOSIS, {"logs": list(map(str, files)), "sim": str(model), "seed": seed}, models=(model,)
     )
     judged = judged_of(diagnosis, len(files))
-    longer = _LONGER ** (_alike([*before, judged]) - 1) if judged.verdict in _OPEN else 1
+    nothing_named = judged.verdict in _OPEN
+    sought = nothing_named or judged.verdict in _NO_GAP
+    longer = _LONGER ** (_alike([*before, judged]) - 1) if sought else 1
 
     def planned() -> Plan | None:
-        asked = question(findings)
-        return None if asked is None else plan_next(settings, asked, left_s, len(files) + 1, longer, folder)
+        asked, number = question(findings), len(files) + 1
+        designed = None if asked is None else plan_next(settings, asked, left_s, number, longer, folder)
+        if designed is None and nothing_named:
+            return plan_more(settings, simulator, left_s, number, _LONGER * longer, folder)
+        return designed
 
     return with_next(judged, before, planned, left_s, least_seconds(settings))
 
@@ -136,9 +142,9 @@ def with_next(
 ) -> Judged:
     """The verdict with what follows from it: an end and its reason, or the next round.
 
-    Ends, in this order: the same effect named in two rounds in a row, several in three, or no gap in three; the same
-    unknown or ambiguous result in four rounds in a row; too little device time for one more motion; no motion that
-    tells enough.
+    Ends, in this order: the same effect named in two rounds in a row, or several in three; no gap, or the same unknown
+    or ambiguous result, in four rounds in a row; too little device time for one more motion; no motion that tells
+    enough.
 
     Args:
         before: verdicts of earlier rounds.
@@ -151,7 +157,7 @@ def with_next(
     if judged.verdict == "named" and alike >= (_SURE if len(judged.effects) == 1 else _STABLE):
         why = f"{names} named in {alike} rounds in a row, the last of which was to tell it from its neighbours"
         return replace(judged, ended="named", why=why)
-    if judged.verdict in _NO_GAP and alike >= _STABLE:
+    if judged.verdict in _NO_GAP and alike >= _STUCK:
         moved = " with the simulator's numbers retuned" if judged.verdict == "retuned" else ""
         return replace(judged, ended="no_gap", why=f"no structural gap{moved} in {alike} rounds in a row")
     if judged.verdict in ("unknown", "one_of") and alike >= _STUCK:

@@ -21,7 +21,7 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.safety.plausibility import TRAVEL_SHARE, MotionWatch
 from hystmpc.trials.csv_files import read_csv
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, FitError
 from hystmpc.trials.types import Vec
 
 from .config import InvestigateSettings
@@ -48,6 +48,7 @@ class Plan:
         separates: explanations that they are to tell apart.
         probability: expected one of the right explanation; `bits` the same as information.
         confirms: whether the trials so far decide already, so that the motion only puts their answer to the test.
+        undirected: whether nothing is known that the motion could decide between: it is chosen as the first ones were.
         menu: the menu's best motion, empty where none fits the device time; `menu_gain` by how much more information
             per second is expected of this one.
         looked_at: motions that were compared.
@@ -59,6 +60,7 @@ class Plan:
     probability: Figure
     bits: Figure
     confirms: bool = False
+    undirected: bool = False
     menu: str = ""
     menu_gain: Figure = np.nan
     looked_at: int = 0
@@ -162,6 +164,40 @@ def plan_next(
         menu=searched.menu.motion.name if searched.menu else "",
         menu_gain=searched.gain,
         looked_at=searched.looked_at,
+    )
+
+
+def plan_more(
+    settings: InvestigateSettings, simulator: Simulator, left_s: float, number: int, longer: int, folder: Path
+) -> Plan | None:
+    """A motion that tells most by itself, longer each time, where nothing is known that it could decide between.
+
+    None where the device time is too short, or by the simulator no motion is allowed.
+
+    Args:
+        left_s: device time that is left [s].
+        number: of the recording that it becomes.
+        longer: factor on the motion's duration.
+    """
+    room = left_s - round_seconds(settings, {}) - run_seconds(settings, 0)
+    longest = min(room, longer * settings.investigate.longest_motion_s)
+    if longest < LEAST_MOTION_S:
+        return None
+    try:
+        found = first_motions(simulator, _family(settings, longest), 2, allowed(settings), run_seconds(settings, 0))
+    except FitError:
+        return None
+    best = next(iter(found.options))
+    name = f"{number}-more"
+    commands = _written(folder, name, found.options[best], found.numbers[best], settings, longest)
+    return Plan(
+        motions=(name,),
+        seconds=round_seconds(settings, {name: commands}),
+        separates=found.explanations,
+        probability=found.probability,
+        bits=information_bits(found.probability, len(found.explanations)),
+        undirected=True,
+        looked_at=len(found.options),
     )
 
 

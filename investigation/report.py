@@ -123,6 +123,11 @@ def why_these(plan: Plan) -> str:
             f"Before any angle was seen, {len(plan.motions)} motions were chosen from the commands and the simulator "
             f"alone, to tell apart {names}: {odds}. The last one repeats the first."
         )
+    if plan.undirected:
+        return (
+            "No explanation of the gap is known that a designed motion could decide on. The motion was chosen from the "
+            f"commands and the simulator alone, as the first ones were, to tell apart {names}: {odds}."
+        )
     aim = "to put the verdict to the test against" if plan.confirms else "to tell apart"
     said = f"The motion was designed {aim} {names}: {odds}. {plan.looked_at} motions were compared."
     if plan.menu and math.isfinite(plan.menu_gain):

@@ -19,6 +19,7 @@ T = TypeVar("T", float, Vec)
 
 _DRAWS = 400
 _LEAST_SHARE = 0.1
+_LEAST_GAP = 0.1  # of the whole gap, in a resample
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,17 +81,22 @@ def closed_interval(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: f
 
 
 def _drawn_shares(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: float, seed: int) -> Vec:
-    """The share in every resample of the blocks (D,)."""
+    """The share in every resample of the blocks (D,), zeros where there is no gap.
+
+    A resample may have less of a gap than the floor is high. Its fall then counts against a tenth of the whole gap, so
+    that the sign of the fall, which is what proves a cause, is kept.
+    """
     rng = np.random.default_rng(seed)
     draws = rng.integers(0, retuned.energy.size, (_DRAWS, retuned.energy.size))
     total = retuned.samples[draws].sum(axis=1)
     gap = retuned.energy[draws].sum(axis=1) / total - floor_mse
     fall = (before.energy - after.energy)[draws].sum(axis=1) / total
-    return np.clip(fall / np.where(gap > 0, gap, np.inf), -1.0, 1.0)
+    whole = retuned.mse - floor_mse
+    return np.asarray(fall / np.maximum(gap, _LEAST_GAP * whole) if whole > 0 else np.zeros(_DRAWS))
 
 
 def _ends(shares: Vec) -> Interval:
-    low, high = np.quantile(shares, (0.05, 0.95))
+    low, high = np.clip(np.quantile(shares, (0.05, 0.95)), -1.0, 1.0)
     return float(low), float(high)
 
 

@@ -13,7 +13,7 @@ from ..diagnosis import DetectableSizes, Stability
 from ..logs.preparation import PreparedTrials, prepare
 from ..residual.localise import Localisation
 from .attribution import Attribution, Conclusion
-from .gap_closed import FinalErrors
+from .gap_closed import FinalErrors, less_sawtooth
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ def closed_again(findings: Findings, trials: Sequence[Trial]) -> float:
     """Share of the gap that the corrected simulator closes on trials of a later session, over the floor found before.
 
     The 90 % interval of the closed share refers to this quantity: the corrected simulator on more such trials, not a
-    perfect model.
+    perfect model. As in `measure`, what jumps leave by their nature counts as closed.
 
     Args:
         findings: of a diagnosis.
@@ -65,4 +65,7 @@ def closed_again(findings: Findings, trials: Sequence[Trial]) -> float:
     errors = FinalErrors(
         fresh, attribution.validation, attribution.retuned, conclusion.chosen, conclusion.floor, sensor, findings.seed
     )
-    return errors.shares.closed(errors.after.mse)
+    after, jumps = errors.after, attribution.jumps
+    if jumps and "stick_slip" in conclusion.closed.causes and "stick_slip" not in conclusion.chosen.effects:
+        after = less_sawtooth(after, jumps.mse)
+    return errors.shares.closed(after.mse)

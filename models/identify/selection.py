@@ -32,6 +32,8 @@ class SelectionSettings:
         gap_share, form_share: least fall by the whole structural error, and by the floor.
         sure_share, sure_errors, most_share: the same by the whole structural error for a cause that explains so much of
             what remains, by so many standard errors: beside a large cause a smaller one is no less sure.
+        clear_errors, clear_share, clear_most: by so many standard errors a fall is clear, and these shares of what
+            remains replace `least_share` and `most_share`: a third cause may leave no doubt and still be small.
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
         gives_way: generic effects, and the share of what they explain by which another cause may be worse and is still
             preferred.
@@ -51,6 +53,9 @@ class SelectionSettings:
     sure_share: float = 0.03
     sure_errors: float = 4.0
     most_share: float = 0.5
+    clear_errors: float = 8.0
+    clear_share: float = 0.1
+    clear_most: float = 0.3
     recurs: float = 0.25
     gives_way: tuple[tuple[str, float], ...] = (("trial_shift", 0.06), ("nonlinear_gain", 0.015), ("asymmetry", 0.015))
     width_share: float = 0.6
@@ -131,20 +136,22 @@ class _Search:
         return min(tied, key=lambda j: (_freedoms(j.hypothesis), j.mse))
 
     def _worth_adding(self, before: HeldOutErrors, after: HeldOutErrors) -> bool:
-        fall, error = gain(before, after)
+        settings, (fall, error) = self._settings, gain(before, after)
         new = after.hypothesis.effects - before.hypothesis.effects
-        share = self._settings.shift_share if "trial_shift" in new else self._settings.least_share
+        clear = fall > settings.clear_errors * error
+        share = settings.clear_share if clear else settings.least_share
+        share = settings.shift_share if "trial_shift" in new else share
         useful = before.mse - max(after.mse, self._floor)
         remaining = before.mse - self._floor
-        sure = fall > self._settings.sure_errors * error and useful > self._settings.most_share * remaining
-        least = max(
-            share * remaining,
-            (self._settings.sure_share if sure else self._settings.gap_share) * (self._baseline_mse - self._floor),
-            self._settings.form_share * self._floor,
-        )
-        if new & OWN_TO_TRIALS and not _recurs(before, after, self._settings.recurs):
+        most = settings.clear_most if clear else settings.most_share
+        sure = fall > settings.sure_errors * error and useful > most * remaining
+        whole = (settings.sure_share if sure else settings.gap_share) * (self._baseline_mse - self._floor)
+        if new == {"drift"} and "trial_shift" in before.hypothesis.effects:
+            whole = 0.0  # shifts explain what it does between trials: by the whole error it would always seem small
+        if new & OWN_TO_TRIALS and not _recurs(before, after, settings.recurs):
             return False
-        return fall > self._settings.standard_errors * error and useful > least
+        least = max(share * remaining, whole, settings.form_share * self._floor)
+        return fall > settings.standard_errors * error and useful > least
 
     def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
         """Without each cause that is not needed any more."""

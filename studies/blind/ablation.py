@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.logs.noise_floor import find_floor
 from hystmpc.gap.logs.preparation import prepare
 from hystmpc.models.chain import Chain
@@ -141,7 +141,7 @@ def _row(component: str, whole: HeldOutErrors, less: HeldOutErrors, floor_deg: f
 
 def _asked(row: Ablated, trials: Sequence[Trial], less: Simulator, folder: Path, seed: int) -> Ablated:
     """The row with the diagnosis' answer."""
-    found, _ = conclude(investigate(trials, less, seed=seed, ordered=False))
+    found, _ = conclude(find_causes(trials, less, seed=seed, ordered=False))
     data: dict[str, Any] = dict(found.as_json())
     save_simulator(less, folder / "sim.yaml")
     write_atomically(folder / "diagnosis.json", json.dumps(data, indent=1))

@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import DeviceLimits, Range
+from hystmpc.models.effects.effect import Scale
 from hystmpc.models.identify.chain_kinds import backlash_starts, prandtl_ishlinskii_starts
 from hystmpc.models.identify.least_squares import OperatorFitSettings, fit_chain
 from hystmpc.models.identify.methods import simulator_of
+from hystmpc.models.identify.parts import core_forms
+from hystmpc.models.identify.runs import runs_of
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .cores import TRAVEL_MM, Core, Mounting
-from .device import DEVICES, BlindDevice
-from .generators import Withheld, generators_of
+from .cores import Core, Mounting
+from .device import BlindDevice
+from .generators import CONFIGURATION, Withheld, generators_of
+from .muscle import MuscleCore
 from .plan import Plan, draw_plan
 from .retuning import GapRuler, retune, rms
 from .sealed import Answer, Case, EffectAnswer, Suite, densities
 
-_RATE_MM_S = 40.0
+_STROKES_PER_S = 20 / 3
 _TRIES = 5
 _PLAYS = 3
 _TOLERANCE = 0.055
@@ -73,11 +78,20 @@ class Bench:
         }
 
 
-def set_up(seed: Sequence[int], spread: float = 1.0, plan: str | None = None) -> Bench:
+def set_up(
+    seed: Sequence[int],
+    kind: type[Core],
+    spread: float = 1.0,
+    plan: str | None = None,
+    moved: Callable[[Core], Core] | None = None,
+) -> Bench:
     """Draw a device, identify its simulator, draw what it is off by and what is recorded.
 
     Args:
+        kind: of the device.
         spread: of the mounting; 0 keeps the device as it was identified.
+        plan: of the recording; drawn where left out.
+        moved: what became of the device since it was identified; its friction is then mounted as it is.
 
     Raises:
         FitError: if no drawn device can be identified.
@@ -85,37 +99,55 @@ def set_up(seed: Sequence[int], spread: float = 1.0, plan: str | None = None) ->
     for attempt in range(_TRIES):
         random = np.random.default_rng([*seed, attempt])
         try:
-            return _bench(random, spread, plan)
+            return _bench(random, kind, spread, plan, moved)
         except FitError:
             continue
     raise FitError(f"blind case {list(seed)}: no simulator could be identified on {_TRIES} drawn devices")
 
 
-def _bench(random: np.random.Generator, spread: float, plan: str | None) -> Bench:
-    core = DEVICES[int(random.integers(len(DEVICES)))].draw(random)
-    baseline = str(random.choice(["backlash", "pi"]))
+def _bench(
+    random: np.random.Generator,
+    kind: type[Core],
+    spread: float,
+    plan: str | None,
+    moved: Callable[[Core], Core] | None,
+) -> Bench:
+    core = kind.draw(random)
+    drawn = str(random.choice(["backlash", "pi"]))
+    # The angle of a muscle saturates: either would miss it by a tenth of the range.
+    baseline = "curved" if isinstance(core, MuscleCore) else drawn
     noise, resolution = float(random.choice([0.03, 0.06, 0.12])), 0.01
     nominal = BlindDevice(core, noise, resolution, int(random.integers(2**31)))
-    recorded = nominal.record(draw_plan(random, "short").commands)
+    recorded = nominal.record(draw_plan(random, "short", core.travel).commands)
     named = [replace(trial, source=f"fit_{k + 1:02d}.csv") for k, trial in enumerate(recorded)]
-    simulator = _identified(baseline, named)
+    simulator = _identified(baseline, named, core.travel)
+    core = moved(core) if moved else core
     mounting = Mounting(
         gain=float(1 + spread * random.uniform(-0.12, 0.12)),
-        friction=float(1 + spread * random.uniform(-0.25, 0.25)),
+        friction=float(1 + (0 if moved else spread) * random.uniform(-0.25, 0.25)),
         offset_deg=float(spread * random.uniform(-2, 2)),
     )
     device = replace(nominal, core=core.mounted(mounting), seed=int(random.integers(2**31)))
-    recording = draw_plan(random, plan)
+    recording = draw_plan(random, plan, core.travel)
     ruler = GapRuler.of(simulator, recording.commands, device.true_angles(recording.commands))
     return Bench(core, mounting, device, simulator, baseline, recording, ruler, random)
 
 
-def _identified(baseline: str, trials: Sequence[Trial]) -> Simulator:
+def _identified(baseline: str, trials: Sequence[Trial], travel: float) -> Simulator:
     """As `hystmpc fit` does it, from one start instead of several."""
-    start = backlash_starts(trials)[0] if baseline == "backlash" else prandtl_ishlinskii_starts(trials, _PLAYS)[1]
+    start = _start(baseline, trials)
     chain = fit_chain([start], trials, OperatorFitSettings(restarts=0, evaluations=30, tolerance=1e-5)).chain
-    limits = DeviceLimits(Range(lower=0.0, upper=TRAVEL_MM), _RATE_MM_S)
+    limits = DeviceLimits(Range(lower=0.0, upper=travel), _STROKES_PER_S * travel)
     return simulator_of(chain, trials, limits, "least_squares, preset best", seed=1)
+
+
+def _start(baseline: str, trials: Sequence[Trial]) -> Chain:
+    if baseline == "backlash":
+        return backlash_starts(trials)[0]
+    if baseline == "pi":
+        return prandtl_ishlinskii_starts(trials, _PLAYS)[1]
+    forms = core_forms(trials, Scale.of(runs_of(trials)))
+    return next(form.starts[0] for form in forms if form.label.startswith("curved_plays"))
 
 
 def sized(effect: Withheld, wanted_deg: float, gap: Callable[[Withheld], float]) -> tuple[Withheld, float]:
@@ -162,12 +194,14 @@ class Wish:
         ratio: gap after retuning, in floors.
         main: a cause, or a smaller contaminant.
         pick: which of the label's generators, counted round; drawn where left out.
+        shape: numbers of the generator; drawn where left out.
     """
 
     label: str
     ratio: float
     main: bool = True
     pick: int | None = None
+    shape: Mapping[str, float] | None = None
 
 
 def affected_case(
@@ -185,6 +219,7 @@ def affected_case(
             "variant": variant,
             "effects": answers,
             "without": without,
+            "second": _second(effects, len(trials)),
             "separable": all(bench.plan.separates(wish.label) for wish in wishes),
             **gap,
         }
@@ -192,11 +227,18 @@ def affected_case(
     return Case(tuple(trials), bench.simulator, answer)
 
 
+def _second(effects: Sequence[Withheld], trials: int) -> tuple[int, ...]:
+    """Numbers of the trials, from 1, that were recorded in a second configuration."""
+    bits = [int(e.shape["second"]) for e in effects if e.generator.label == CONFIGURATION]
+    return tuple(k + 1 for k in range(trials) if bits and bits[0] >> k & 1)
+
+
 def _effect(bench: Bench, wish: Wish) -> tuple[Withheld, EffectAnswer]:
     choices = generators_of(wish.label)
     drawn = int(bench.random.integers(len(choices)))
     generator = choices[(drawn if wish.pick is None else wish.pick) % len(choices)]
-    start = Withheld(generator, generator.typical, generator.draw(bench.random))
+    shape = generator.draw(bench.random) if wish.shape is None else dict(wish.shape)
+    start = Withheld(generator, generator.typical, shape)
     effect, gap = sized(start, _AIM * wish.ratio * bench.floor_deg, lambda e: bench.ruler.gap(bench.angles([e])))
     answer = EffectAnswer(
         label=wish.label,

@@ -1,4 +1,4 @@
-"""Device cores of the blind cases: capstan friction, Dahl elements, and the rod; the grid of their time."""
+"""Tendon cores of the blind cases: capstan friction, Dahl elements, and the rod; the grid of their time."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ _COARSE = 10  # fine steps in one of the rod, whose equations take a hundred tim
 _SETTLED_S = 1e6  # a step slow against every relaxation
 _BEFORE = 40
 _SHAFT, _SEGMENTS = 3, 6
+_BENDING = (0.2, 0.9)  # least and greatest share of the wrap that bends
 
 
 @dataclass(frozen=True)
@@ -49,25 +50,32 @@ class Mounting:
 
 @dataclass(frozen=True)
 class Core(ABC):
-    """Hysteresis from displacement [mm] to angle [deg].
+    """Hysteresis from a command to an angle [deg]; the command of a tendon is a displacement [mm].
 
     Attributes:
         gain: of the angle over a displacement [deg/mm].
         offset_deg: angle at zero displacement [deg].
+        UNIT: of the command.
         DRAWN: range of each parameter between devices.
         FRICTION: parameters that are multiplied by the friction factor of a mounting.
     """
 
+    UNIT: ClassVar[str] = "mm"
     DRAWN: ClassVar[Mapping[str, tuple[float, float]]]
     FRICTION: ClassVar[tuple[str, ...]]
     gain: float
     offset_deg: float
 
+    @property
+    def travel(self) -> float:
+        """Greatest command [`UNIT`]."""
+        return TRAVEL_MM
+
     @abstractmethod
     def run(self, x: Vec, scale: Vec) -> Vec:
-        """Angles (T,) [deg] for the proximal end at x (T,) [mm] and friction factors (T,), on the fine grid.
+        """Angles (T,) [deg] for commands x (T,) [`UNIT`] that have reached the core and friction factors (T,).
 
-        An unlogged cycle of `STROKE` goes before.
+        They are on the fine grid. An unlogged cycle of `STROKE` goes before.
         """
 
     def mounted(self, mounting: Mounting) -> Self:
@@ -76,6 +84,14 @@ class Core(ABC):
         return replace(
             self, gain=self.gain * mounting.gain, offset_deg=self.offset_deg + mounting.offset_deg, **rubbing
         )
+
+    @abstractmethod
+    def stiffer(self, factor: float) -> Self:
+        """The same device with another stiffness."""
+
+    @abstractmethod
+    def reweighted(self, factor: float) -> Self:
+        """The same device with its friction spread otherwise over the travel: more slowly for a factor above 1."""
 
     @classmethod
     def draw(cls, random: np.random.Generator) -> Self:
@@ -93,11 +109,11 @@ class QuasiStatic(Core):
 
     @abstractmethod
     def deflection(self, x: Vec, scale: Vec) -> Vec:
-        """Distal displacement (T,) [mm] for proximal x (T,) [mm] and friction factors (T,)."""
+        """Distal displacement (T,) [mm] for proximal x (T,) [mm] and friction factors (T,); of a muscle its angle."""
 
     def run(self, x: Vec, scale: Vec) -> Vec:
         """offset + gain * deflection; see `Core.run`."""
-        stroke = STROKE * TRAVEL_MM
+        stroke = STROKE * self.travel
         up, down = np.linspace(0.0, stroke, 400), np.linspace(stroke, float(x[0]), 400)
         before = np.concatenate([up, down])
         whole = np.concatenate([before, x])
@@ -148,6 +164,15 @@ class CapstanCore(QuasiStatic):
         kernels.capstan(x, self.wrap * scale, tension, shares, weights, self.pretension, out)
         return out
 
+    def stiffer(self, factor: float) -> Self:
+        """Another load of the tendon."""
+        return replace(self, load=self.load * factor)
+
+    def reweighted(self, factor: float) -> Self:
+        """Another share of the wrap in the part that bends, and another pretension."""
+        bending = float(np.clip(self.bending * factor, *_BENDING))
+        return replace(self, bending=bending, pretension=self.pretension / factor)
+
 
 @final
 @dataclass(frozen=True)
@@ -175,6 +200,14 @@ class DahlCore(QuasiStatic):
         kernels.dahl(x, scale, widths, shares, state, out)
         return x - out
 
+    def stiffer(self, factor: float) -> Self:
+        """Less angle and less deflection of the elements for the same displacement."""
+        return replace(self, gain=self.gain / factor, friction=self.friction / factor)
+
+    def reweighted(self, factor: float) -> Self:
+        """Another spread of the elements."""
+        return replace(self, spread=self.spread * factor)
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -184,7 +217,7 @@ class Scene:
         seed: of the case; everything random of a trial comes from `random`.
         trial: number of the trial in recording order, from 0.
         clock_s: time from the start of the first trial to that of this one [s].
-        travel: greatest command [mm].
+        travel: greatest command [mm or bar].
         rest_deg, span_deg: angle at zero command, and the change to the greatest [deg].
     """
 
@@ -263,6 +296,14 @@ class RodCore(Core):
         places, factors = (np.interp(knots, times, signal) for signal in (x, scale))
         ways = _ways(replace(self, gain=1.0, offset_deg=0.0), places.tobytes(), factors.tobytes())
         return self.offset_deg + self.gain * np.interp(times, knots, ways)
+
+    def stiffer(self, factor: float) -> Self:
+        """Another bending stiffness."""
+        return replace(self, stiffness_nmm=self.stiffness_nmm * factor)
+
+    def reweighted(self, factor: float) -> Self:
+        """More friction that does not come from tension, and less that does."""
+        return replace(self, drag_n=self.drag_n * factor, friction=self.friction / factor)
 
     def rod(self) -> RodParameters:
         """The numbers of the simulated rod."""

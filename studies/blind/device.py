@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from hystmpc.trials.errors import ConfigError, did_you_mean
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
 
-from .cores import PARTS, RATE_HZ, TRAVEL_MM, CapstanCore, Core, DahlCore, RodCore, Scene, fine_times
+from .cores import PARTS, RATE_HZ, CapstanCore, Core, DahlCore, RodCore, Scene, fine_times
 from .generators import Site, Withheld
+from .muscle import MuscleCore
 
 PAUSE_S = 4.0
-DEVICES: tuple[type[Core], ...] = (CapstanCore, DahlCore, RodCore)
+DEVICES: tuple[type[Core], ...] = (CapstanCore, DahlCore, RodCore, MuscleCore)
 """None of them is made of play operators."""
 
 
@@ -27,7 +28,7 @@ def lasts_s(samples: int) -> float:
 
 @dataclass(frozen=True)
 class BlindDevice:
-    """Command [mm] to measured angle [deg].
+    """Command [mm or bar] to measured angle [deg].
 
         x = drive effects(u),  theta = tip effects(core(x, friction effects(x))),  y = sensor effects(theta + noise)
 
@@ -56,7 +57,7 @@ class BlindDevice:
         """Logs of these commands, one after another.
 
         Args:
-            commands: (T,) each [mm], at `RATE_HZ`.
+            commands: (T,) each [mm or bar], at `RATE_HZ`.
             first_trial: number of trials that were recorded before.
             clock_s: time that has gone by since the first of them began.
         """
@@ -65,21 +66,20 @@ class BlindDevice:
             noise = self.noise_deg * scene.random("noise").standard_normal(u.size)
             measured = self._angle(u, scene, noise)
             angle = np.round(measured / self.resolution_deg) * self.resolution_deg
-            trials.append(
-                Trial(np.round(np.arange(u.size) / RATE_HZ, 6), u, angle, source=f"trial_{scene.trial + 1:02d}.csv")
-            )
+            t, source = np.round(np.arange(u.size) / RATE_HZ, 6), f"trial_{scene.trial + 1:02d}.csv"
+            trials.append(Trial(t, u, angle, units=Units(command=self.core.UNIT), source=source))
         return trials
 
     def _scenes(self, commands: Sequence[Vec], first_trial: int = 0, clock_s: float = 0.0) -> list[Scene]:
         clock, scenes = clock_s, []
         rest, full = self.core.run(np.array([0.0, 0.0]), np.ones(2))[0], self._full_bend()
         for k, u in enumerate(commands):
-            scenes.append(Scene(self.seed, first_trial + k, clock, TRAVEL_MM, rest, full - rest))
+            scenes.append(Scene(self.seed, first_trial + k, clock, self.core.travel, rest, full - rest))
             clock += lasts_s(u.size)
         return scenes
 
     def _full_bend(self) -> float:
-        return float(self.core.run(np.linspace(0, TRAVEL_MM, 500), np.ones(500))[-1])
+        return float(self.core.run(np.linspace(0, self.core.travel, 500), np.ones(500))[-1])
 
     def _angle(self, u: Vec, scene: Scene, noise: Vec | None = None) -> Vec:
         t = fine_times(u.size)

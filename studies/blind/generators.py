@@ -12,17 +12,21 @@ from typing import Literal
 import numpy as np
 from scipy.signal import fftconvolve
 
+from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.types import Vec
 
 from . import kernels
-from .cores import FINE_S, PARTS, Scene, rise
+from .cores import FINE_S, PARTS, TRAVEL_MM, Scene, rise
 
 Shape = Mapping[str, float]
 Site = Literal["drive", "friction", "tip", "sensor"]
 Draw = Callable[[np.random.Generator], dict[str, float]]
 Apply = Callable[[Vec, Scene, float, Shape], Vec]
 UNKNOWN = "unknown"
+CONFIGURATION = "configuration_change"
+SCATTER, ALIASED_RATE = "friction_by_trial", "aliased_rate"
+"""Causes of the aliased suite, whose names are not asked for."""
 _REGISTERED: list[Generator] = []
 _SPEED_S = 0.03
 _LUGRE = np.array([150.0, 0.02, 0.01])  # presliding stiffness, its damping [s], viscous friction [s]
@@ -35,7 +39,8 @@ class Generator:
     """One way to produce an effect; its equation is not the library's.
 
     Attributes:
-        label: name of the effect that a diagnosis should give; `unknown` where the library has none.
+        label: name of the effect that a diagnosis should give; `unknown` where the library has none, or another word
+            where no name is asked for.
         site: what `apply` changes: the command on the fine grid, the friction factor (it gets the command there), the
             angle on the fine grid, or the sampled angle.
         typical, greatest: size to begin with, and bound of the search for a size.
@@ -103,9 +108,10 @@ def jittered_delay(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
 
 @generates("slack", "drive", 0.3, 3.0)
 def fibre_toe(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Fibres that are recruited one after another: x = u - L (1 - exp(-u / L)) with L = `size` [mm]."""
-    del scene, shape
-    return u - size * (1 - np.exp(-np.maximum(u, 0.0) / size))
+    """Fibres that are recruited one after another: x = u - L (1 - exp(-u / L)) with L = `size` [mm of 6 mm]."""
+    del shape
+    length = size * scene.travel / TRAVEL_MM
+    return u - length * (1 - np.exp(-np.maximum(u, 0.0) / length))
 
 
 @generates("rate_dependence", "friction", 1.0, 60.0, between(power=(0.7, 1.2)))
@@ -299,9 +305,48 @@ def tip_resonance(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
     return angle + size * (out - angle)
 
 
+def _in_second(scene: Scene, shape: Shape) -> bool:
+    """Whether a trial was recorded in the second configuration; `second` holds a bit for each trial."""
+    return bool(int(shape["second"]) >> scene.trial & 1)
+
+
+@generates(CONFIGURATION, "friction", 0.8, 8.0)
+def bent_sheath(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
+    """Friction factor 1 + `size` in the trials of the second configuration."""
+    return np.full(u.size, 1 + size * _in_second(scene, shape))
+
+
+@generates(CONFIGURATION, "tip", 0.2, 0.9)
+def other_lever(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
+    """Gain of 1 + `size` in the trials of the second configuration."""
+    return angle + size * _in_second(scene, shape) * scene.span_deg * scene.unit(angle)
+
+
+@generates(CONFIGURATION, "tip", 4.0, 25.0)
+def other_zero(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
+    """Shift by `size` [deg] in the trials of the second configuration."""
+    return angle + size * _in_second(scene, shape)
+
+
+@generates(SCATTER, "friction", 0.4, 1.5)
+def bend_by_trial(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
+    """Friction that differs from trial to trial by the bend of the sheath: factor exp(`size` n), n normal."""
+    del shape
+    return np.full(u.size, np.exp(size * scene.random("bend_by_trial").standard_normal()))
+
+
+@generates(ALIASED_RATE, "tip", 1.0, 20.0)
+def aliased_wave(angle: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
+    """Sine of `size` [deg] and `hz` on the clock of the session."""
+    t = scene.clock_s + np.arange(angle.size) * FINE_S
+    return angle + size * np.sin(2 * np.pi * (shape["hz"] * t + shape["phase"]))
+
+
 GENERATORS = tuple(_REGISTERED)
 FOREIGN_EFFECTS = tuple(generator for generator in GENERATORS if generator.label == UNKNOWN)
-LABELS: tuple[str, ...] = tuple(dict.fromkeys(g.label for g in GENERATORS if g.label != UNKNOWN))
+LABELS: tuple[str, ...] = tuple(dict.fromkeys(g.label for g in GENERATORS if g.label in EFFECTS))
+NAMES = frozenset((*LABELS, CONFIGURATION))
+"""What a diagnosis can say of these causes."""
 
 
 def generator_named(name: str) -> Generator:
@@ -324,5 +369,5 @@ def generators_of(label: str) -> tuple[Generator, ...]:
     """
     found = tuple(g for g in GENERATORS if g.label == label)
     if not found:
-        raise ConfigError(f"no effect {label!r}, {did_you_mean(label, (*LABELS, UNKNOWN))}")
+        raise ConfigError(f"no effect {label!r}, {did_you_mean(label, dict.fromkeys(g.label for g in GENERATORS))}")
     return found

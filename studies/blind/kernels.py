@@ -8,8 +8,12 @@ from typing import Any
 import numpy as np
 
 from hystmpc.models.kernels.numba_ import njit
+from hystmpc.sim.devices.muscle import MuscleNumbers, slack
+from hystmpc.sim.devices.muscle import advance as advance_muscle
 
 _SOLVES = 30
+MUSCLE_PARTS = 2
+"""Steps of a muscle in a fine step, whose valve takes 2 ms."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -70,6 +74,35 @@ def dahl(x: Any, scale: Any, widths: Any, shares: Any, deflection: Any, out: Any
                 deflection[i] = side + (deflection[i] - side) * math.exp(-abs(step) / width)
             total += shares[i] * deflection[i]
         out[k] = total
+
+
+@njit(cache=True, error_model="numpy")
+def muscle(x: Any, friction: Any, p: Any, dt: float, state: Any, out: Any) -> None:
+    """Angle out (T,) [deg] of a muscle under pressures x (T,) [bar]; `state` (5,) is moved on.
+
+    Friction f (T,) over pull stands for that among its numbers `p`. The pull b (1 - f z) turns with z within the
+    presliding: that is at least 2 f b / (1 - f), so that the pull never rises as the pressure b falls.
+    """
+    pressure = np.empty(1)
+    for k in range(x.size):
+        bladder = slack(x[k], p.slack_bar, p.slack_width_bar)
+        least = 2 * friction[k] * bladder / (1 - friction[k])
+        now = MuscleNumbers(
+            p.supply_bar,
+            p.valve_s,
+            p.fill_s,
+            p.vent_s,
+            p.slack_bar,
+            p.slack_width_bar,
+            friction[k],
+            max(p.presliding_bar, least),
+            p.greatest_deg,
+            p.half_bar,
+            p.late,
+            p.late_share,
+            p.bend_share,
+        )
+        advance_muscle(state, x[k : k + 1], now, dt, MUSCLE_PARTS, out[k : k + 1], pressure)
 
 
 @njit(cache=True, error_model="numpy")

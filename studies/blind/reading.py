@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,11 +11,15 @@ from typing import Any
 
 from hystmpc.trials.errors import LogError
 
-from .run import BESIDE, DIAGNOSIS, FAILURE
+from .generators import CONFIGURATION
+from .run import BESIDE, DIAGNOSIS, FAILURE, ORDERS
 from .sealed import DENSE, REGIONS, Answer, open_answers
 
 VERDICTS = ("named", "one_of", "retuned", "unknown", "none", "too_little")
 FAILED = "failed"
+TRIAL = re.compile(r"trial_(\d+)")
+"""Number of a trial in the name of its file."""
+_DISTURBANCE, _CLAIMED = "periodic_disturbance", 0.3
 LARGE = 3.0
 """Gap in floors from which on the bars hold."""
 
@@ -31,6 +36,8 @@ class DiagnosisReading:
         densities: of the retuned error by region; None where it says nothing of that region.
         others: guesses of rules beside it, by name of the rule.
         final_trials: names of the trials that the closed share was measured on.
+        closed_shares: of each effect.
+        groups: numbers of the trials of each configuration.
     """
 
     verdict: str
@@ -44,6 +51,8 @@ class DiagnosisReading:
     densities: Mapping[str, float] = field(default_factory=dict)
     others: Mapping[str, str] = field(default_factory=dict)
     final_trials: tuple[str, ...] = ()
+    closed_shares: tuple[float, ...] = ()
+    groups: tuple[frozenset[int], ...] = ()
 
     @property
     def claims(self) -> tuple[str, ...]:
@@ -69,6 +78,13 @@ class DiagnosisReading:
         if self.effects:
             return self.probabilities[0]
         return dict(self.ranking).get(self.guess, 0.0)
+
+    def probability_of(self, name: str) -> float:
+        """Greatest probability that it gives a name, as an effect or in the ranking; 0 where it does not."""
+        return max(
+            (p for n, p in (*zip(self.effects, self.probabilities, strict=True), *self.ranking) if n == name),
+            default=0.0,
+        )
 
     def may_be(self, name: str) -> bool:
         """Whether it leaves `name` open: named, or in a set that it cannot tell apart together with what it named."""
@@ -117,7 +133,13 @@ def reading_of(data: Mapping[str, Any], others: Mapping[str, str] | None = None)
         {name: float(place["density"]) for name, place in data["where"].items() if name in REGIONS},
         {**data.get("baselines", {}), **(others or {})},
         tuple(str(name) for name in gap.get("final_trials", ())),
+        tuple(float(e.get("closed_share", 0.0)) for e in effects),
+        tuple(_numbers(names) for names in data.get("groups", ())),
     )
+
+
+def _numbers(names: Sequence[str]) -> frozenset[int]:
+    return frozenset(int(found.group(1)) for name in names if (found := TRIAL.search(name)))
 
 
 @dataclass(frozen=True)
@@ -129,6 +151,7 @@ class ScoredCase:
         oracle: closed share of a diagnosis that was told the classes, if one was made.
         seconds: that the diagnosis took, if known.
         again: share that the causes close in another session of the device, if it had one.
+        orders: names said in each other order of the files, if any was tried.
     """
 
     name: str
@@ -138,6 +161,7 @@ class ScoredCase:
     oracle: float | None = None
     seconds: float | None = None
     again: float | None = None
+    orders: tuple[frozenset[str], ...] = ()
 
     @property
     def right(self) -> bool:
@@ -145,9 +169,14 @@ class ScoredCase:
 
         With nothing to find: `none`, or `retuned`, as devices are off their nominal numbers. With a foreign cause:
         `unknown` or `too_little`. Else the first name is the largest cause, or either of a pair; on motions that do not
-        separate it from its confounders, leaving it open or `too_little` is right too.
+        separate it from its confounders, leaving it open or `too_little` is right too. A change of configuration needs
+        its groups beside its name. Of an aliased case anything is right but a periodic disturbance above 0.3.
         """
         truth, said = self.answer.truth, self.reading
+        if self.answer.suite == "aliased":
+            return said.verdict != FAILED and said.probability_of(_DISTURBANCE) <= _CLAIMED
+        if self.answer.suite == "configuration":
+            return said.guess == CONFIGURATION and set(said.groups) == self._groups()
         if truth == "none":
             return said.verdict in ("none", "retuned")
         if truth == "unknown":
@@ -157,6 +186,11 @@ class ScoredCase:
         return not self.answer.separable and (
             said.verdict == "too_little" or (bool(said.claims) and said.may_be(truth))
         )
+
+    def _groups(self) -> set[frozenset[int]]:
+        """Trials of either configuration, of those that the diagnosis puts into groups."""
+        told, second = frozenset[int]().union(*self.reading.groups), frozenset(self.answer.second)
+        return {told - second, told & second}
 
 
 def load_scored(folder: Path, partial: bool = False) -> list[ScoredCase]:
@@ -197,7 +231,13 @@ def _one(folder: Path, name: str, answer: Answer) -> ScoredCase:
         read_diagnosis(oracle).closed_share if oracle.is_file() else None,
         seconds,
         again,
+        orders_said(folder, name),
     )
+
+
+def orders_said(folder: Path, name: str) -> tuple[frozenset[str], ...]:
+    """Names that were said of a case in each other order of its files."""
+    return tuple(frozenset(read_diagnosis(p).claims) for p in sorted((folder / ORDERS).glob(f"*/{name}/{DIAGNOSIS}")))
 
 
 def of_suites(cases: Sequence[ScoredCase], *suites: str) -> list[ScoredCase]:

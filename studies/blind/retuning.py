@@ -35,7 +35,7 @@ class Retuned:
 
 
 def retune(simulator: Simulator, commands: Sequence[Vec], angles: Sequence[Vec]) -> Retuned:
-    """Refit the baseline, from where it is, to angles (T,) [deg] under commands (T,) [mm]; no noise needs be in them.
+    """Refit the baseline, from where it is, to angles (T,) [deg] without noise under commands (T,) [mm or bar].
 
     Levenberg-Marquardt on the normal equations: far cheaper than the library's own fit where there are ten thousand
     samples and nine parameters, and enough from a start as near as this one.
@@ -58,7 +58,7 @@ def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
     command = np.concatenate([trial.command for trial in trials])
     baseline = baseline_of(simulator.chain, Range(lower=float(command.min()), upper=float(command.max())))
     runs = FreeRuns(simulator.chain, trials)
-    held = {k for own in baseline.effects.values() for k in own.values()}
+    held = {*baseline.held, *(k for own in baseline.effects.values() for k in own.values())}
     active = np.array([k not in held for k in range(baseline.nominal.size)])
     z, damping = baseline.nominal.copy(), 1e-3
     r, jacobian = _errors(runs, baseline, z)
@@ -82,10 +82,13 @@ def _fitted(simulator: Simulator, trials: Sequence[Trial]) -> Vec:
 
 
 def _errors(runs: FreeRuns, baseline: Baseline, z: Vec) -> tuple[Vec, Vec]:
-    """Free-run errors and their derivative by the baseline's freedom."""
+    """Free-run errors and their derivative by the baseline's freedom; what ties this together counts as errors, too."""
     p, by_z = baseline.core_values(z)
     r, by_p = runs.residuals(p)
-    return r, by_p @ by_z
+    if not baseline.roughness.size:
+        return r, by_p @ by_z
+    tied = baseline.roughness / np.sqrt(r.size)  # errors are of the mean
+    return np.concatenate([r, tied @ z]), np.vstack([by_p @ by_z, tied])
 
 
 def _step(jacobian: Vec, slope: Vec, damping: float) -> Vec:
@@ -112,7 +115,7 @@ class GapRuler:
     """Measures effects on one device and its motions.
 
     Attributes:
-        commands: (T,) by trial [mm].
+        commands: (T,) by trial [mm or bar].
         plain: angles without the effects and without noise, (T,) by trial [deg].
         base: the baseline refitted to them; its rmse is the model-form error.
     """

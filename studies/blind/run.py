@@ -21,7 +21,7 @@ from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
-from .cores import RATE_HZ, TRAVEL_MM
+from .cores import RATE_HZ, Core
 from .device import lasts_s
 from .rules import correlation_rule, fit_rules
 from .sealed import open_answers, read_case, read_manifest
@@ -31,13 +31,14 @@ DIAGNOSIS = "diagnosis.json"
 FAILURE = "failure.txt"
 BESIDE = "beside.json"
 NEXT_MOTION = "next_motion.csv"
+ORDERS = "orders"
 
 
 def record_motion(folder: Path, case: str, motion: Path) -> Path:
     """Run a motion on a case's simulated device and write the log; neither log nor message tells the answer.
 
     Args:
-        motion: CSV with columns `time_s` and `command`.
+        motion: CSV with columns `time_s` and `command`, or `command_bar`.
 
     Returns:
         The log, in `follow_up/CASE`, numbered on from the trials that the case has.
@@ -54,10 +55,11 @@ def record_motion(folder: Path, case: str, motion: Path) -> Path:
         raise ConfigError(f"{folder}: case {case} has no device that could move again")
     before = read_trials([folder / "cases" / case])
     clock_s = sum(lasts_s(len(trial)) for trial in before)
-    command, log = _command(motion), folder / "follow_up" / case / f"trial_{len(before) + 1:02d}.csv"
+    device = answers[case].blind_device()
+    command, log = _command(motion, device.core), folder / "follow_up" / case / f"trial_{len(before) + 1:02d}.csv"
     if log.exists():
         raise ConfigError(f"{log}: is recorded already, expected no log there; remove it to record another motion")
-    (trial,) = answers[case].blind_device().record([command], len(before), clock_s)
+    (trial,) = device.record([command], len(before), clock_s)
     return write_csv(trial, log)
 
 
@@ -76,21 +78,22 @@ def record_again(folder: Path, case: str) -> list[Trial]:
     return replace(device, seed=device.seed + _ANOTHER_SESSION).record(commands)
 
 
-def _command(path: Path) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    columns = ("time_s", "command")
+def _command(path: Path, core: Core) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    columns = ("time_s", "command" if core.UNIT == "mm" else f"command_{core.UNIT}")
     table = read_table(read_lines(path), str(path))
     missing = [name for name in columns if name not in table.numbers]
     if missing:
-        raise LogError(f"{path}: missing columns {', '.join(missing)}, expected time_s, command")
+        raise LogError(f"{path}: missing columns {', '.join(missing)}, expected {', '.join(columns)}")
     t, command = (np.asarray(table.numbers[name], dtype=np.float64) for name in columns)
     if t.size < 2 or not (np.isfinite(t).all() and np.isfinite(command).all() and np.all(np.diff(t) > 0)):
         raise LogError(f"{path}: expected two or more finite samples with increasing time")
-    if command.min() < -1e-6 or command.max() > TRAVEL_MM + 1e-6:
+    if command.min() < -1e-6 or command.max() > core.travel + 1e-6:
         raise ConfigError(
-            f"{path}: command {command.min():.4g} to {command.max():.4g} mm, expected within 0 to {TRAVEL_MM:g}"
+            f"{path}: command {command.min():.4g} to {command.max():.4g} {core.UNIT}, "
+            f"expected within 0 to {core.travel:g}"
         )
     grid = np.arange(round((t[-1] - t[0]) * RATE_HZ) + 1) / RATE_HZ
-    return np.clip(np.interp(grid, t - t[0], command), 0.0, TRAVEL_MM)
+    return np.clip(np.interp(grid, t - t[0], command), 0.0, core.travel)
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,8 @@ class DiagnosisJob:
 
     Attributes:
         only: classes that the library is cut down to: the oracle's; empty for the blind diagnosis.
-        kind: `diagnoses`, `follow_up_diagnoses` or `oracle`: the folder of the result.
+        kind: `diagnoses`, `follow_up_diagnoses`, `oracle` or `orders/NN`: the folder of the result.
+        shuffled: number of a random order of the files, in which case the order of recording is not told.
     """
 
     folder: Path
@@ -108,6 +112,7 @@ class DiagnosisJob:
     without: tuple[str, ...] = ()
     only: tuple[str, ...] = ()
     kind: str = "diagnoses"
+    shuffled: int | None = None
 
     @property
     def out(self) -> Path:
@@ -126,7 +131,7 @@ def run_blind(
     """Diagnose every case that has no diagnosis yet.
 
     First all cases blindly; then, where asked for, the motions that the diagnoses propose are recorded and diagnosed
-    with them; last, unless left out, the oracle: the same cases with a library of nothing but the true classes.
+    with them; last, unless left out, the oracle: single effects with a library of nothing but the true class.
 
     Args:
         folder: made by `make_blind`.
@@ -141,15 +146,19 @@ def run_blind(
     """
     manifest = read_manifest(folder)
     blind = [DiagnosisJob(folder, name, seed, manifest.without.get(name, ())) for name in manifest.cases]
-    failed = _all(blind, jobs, progress)
+    failed = diagnose_all(blind, jobs, progress)
     if follow_up:
         open_cases = [job for job in blind if (job.out / NEXT_MOTION).is_file()]
         again = [DiagnosisJob(folder, job.case, seed, job.without, (), "follow_up_diagnoses") for job in open_cases]
-        failed += _all([job for job in again if _recorded(job)], jobs, progress)
+        failed += diagnose_all([job for job in again if _recorded(job)], jobs, progress)
     if with_truth:
         answers = open_answers(folder)
-        told = [DiagnosisJob(folder, name, seed, (), a.labels, "oracle") for name, a in answers.items() if a.labels]
-        failed += _all(told, jobs, progress)
+        told = [
+            DiagnosisJob(folder, name, seed, (), a.labels, "oracle")
+            for name, a in answers.items()
+            if a.suite == "single"
+        ]
+        failed += diagnose_all(told, jobs, progress)
     return failed
 
 
@@ -175,15 +184,29 @@ def _diagnose(
     trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The diagnosis in its fixed form, and what goes beside it; the motion that it proposes is written."""
-    from hystmpc.gap.diagnose import conclude, investigate
+    from hystmpc.gap.diagnose import conclude, find_causes
     from hystmpc.gap.next.motion_design import write_motion
 
-    findings = investigate(trials, simulator, seed=job.seed, without=job.without, only=job.only or None)
+    told = job.shuffled is None
+    findings = find_causes(
+        trials if told else _renamed(trials, job),
+        simulator,
+        seed=job.seed,
+        without=job.without,
+        only=job.only or None,
+        ordered=told,
+    )
     found, evidence = conclude(findings)
-    if evidence.proposal is not None:
+    if evidence.proposal is not None and told:
         write_motion(job.out / NEXT_MOTION, evidence.proposal, simulator.command_unit)
     beside = _beside(findings, trials, simulator, job) if job.kind == "diagnoses" else {}
     return dict(found.as_json()), beside
+
+
+def _renamed(trials: Sequence[Trial], job: DiagnosisJob) -> list[Trial]:
+    """The trials in a random order, under names that follow it."""
+    order = np.random.default_rng([job.seed, job.shuffled or 0, int(job.case)]).permutation(len(trials))
+    return [replace(trials[k], source=f"log_{place + 1:02d}.csv") for place, k in enumerate(order)]
 
 
 def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, job: DiagnosisJob) -> dict[str, Any]:
@@ -198,7 +221,7 @@ def _beside(findings: Findings, trials: Sequence[Trial], simulator: Simulator, j
     return found
 
 
-def _all(todo: Sequence[DiagnosisJob], processes: int, progress: Progress | None) -> int:
+def diagnose_all(todo: Sequence[DiagnosisJob], processes: int, progress: Progress | None) -> int:
     """Do the jobs without a diagnosis; returns how many failed."""
     if not todo:
         return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,23 +14,11 @@ import numpy as np
 from hystmpc.models.effects.catalogue import confusable
 from hystmpc.trials.files import write_atomically
 
-from .bars import (
-    Bar,
-    Calibration,
-    Confusion,
-    Rate,
-    alarm,
-    bars,
-    calibration,
-    chance,
-    confidently_wrong,
-    confusion,
-    covers_perfection,
-    rate,
-)
-from .generators import LABELS
+from .bars import HEALTHY, Bar, alarm, bars, confidently_wrong, covers_perfection, metrics
+from .generators import LABELS, NAMES
 from .make import RATIOS, SUITES
-from .reading import ScoredCase, load_scored, of_suites
+from .measures import Calibration, Confusion, Rate, calibration, chance, confusion, rate, truths_of
+from .reading import FAILED, ScoredCase, load_scored, of_suites
 
 FORMAT = "hystmpc-blind-score/1"
 
@@ -40,13 +28,15 @@ class Score:
     """All that the report shows.
 
     Attributes:
-        bars: see `bars`.
+        bars, metrics: see `bars` and `metrics`.
+        confusion: of all cases whose cause has a name to ask for: not of the aliased ones.
         groups: share of right verdicts, by table and row.
         beside: top-1 on single effects of the diagnosis and of simpler rules.
     """
 
     cases: tuple[ScoredCase, ...]
     bars: tuple[Bar, ...]
+    metrics: tuple[Bar, ...]
     confusion: Confusion
     calibration: Calibration
     groups: dict[str, dict[str, Rate]]
@@ -64,8 +54,22 @@ def score_blind(folder: Path, partial: bool = False) -> Score:
         LogError: if diagnoses are missing, or the answers are not those that were sealed.
     """
     result = score_of(load_scored(folder, partial))
+    result = replace(result, bars=(*result.bars, *_investigation_bars(folder)))
     write_atomically(folder / "score.json", json.dumps(score_json(result), indent=1))
     return result
+
+
+def _investigation_bars(folder: Path) -> tuple[Bar, Bar]:
+    """Whether `hystmpc investigate` names the cause of single effects, and in which share of the battery's time."""
+    from .investigated import NEEDED, named_right, scored_investigations, time_share  # with the bench behind it
+
+    found = scored_investigations(folder)
+    named, wrong = named_right(found), tuple(one.case for one in found if not one.right)
+    long = tuple(one.case for one in found if one.device_s > NEEDED * one.battery_s)
+    return (
+        Bar("investigate names the class", named.value, (0.95, 1.0), named.cases, wrong, named.ci90),
+        Bar("investigate: device time over the battery's", time_share(found), (0.0, NEEDED), len(found), long),
+    )
 
 
 def score_of(cases: Sequence[ScoredCase]) -> Score:
@@ -74,7 +78,8 @@ def score_of(cases: Sequence[ScoredCase]) -> Score:
     return Score(
         tuple(cases),
         tuple(bars(cases)),
-        confusion(cases),
+        tuple(metrics(cases)),
+        confusion([case for case in cases if case.answer.suite != "aliased"]),
         calibration(cases),
         {
             "suite": _by(cases, lambda c: (c.answer.suite,), SUITES),
@@ -85,9 +90,13 @@ def score_of(cases: Sequence[ScoredCase]) -> Score:
             "baseline": _by(single, lambda c: (c.answer.baseline,)),
             "device": _by(single, lambda c: (str(c.answer.device.get("core", "recorded")),)),
             "separable": _by(single, lambda c: ("separable" if c.answer.separable else "not separable",)),
+            "moved, regrouped or aliased": _by(
+                of_suites(cases, "retuned", "configuration", "aliased"),
+                lambda c: (f"{c.answer.suite}: {c.answer.variant}",),
+            ),
             "left out class": _by(of_suites(cases, "without"), lambda c: (c.answer.variant or "the true one",)),
             "90 % intervals hold": {"what a perfect equation would close": covers_perfection(cases)},
-            "nothing wrong, left alone by": _left_alone(of_suites(cases, "none", "misset", "controls")),
+            "nothing wrong, left alone by": _left_alone(of_suites(cases, *HEALTHY)),
         },
         _beside(single),
     )
@@ -143,7 +152,8 @@ def score_json(score: Score) -> dict[str, Any]:
     data = {
         "format": FORMAT,
         "cases": len(score.cases),
-        "bars": [{**asdict(bar), "goal": bar.goal, "state": bar.state} for bar in score.bars],
+        "bars": [_bar_json(bar) for bar in score.bars],
+        "metrics": [_bar_json(bar) for bar in score.metrics],
         "confusion": {
             "truths": score.confusion.truths,
             "guesses": score.confusion.guesses,
@@ -159,6 +169,30 @@ def score_json(score: Score) -> dict[str, Any]:
         "seconds": {"median": float(np.median(seconds)), "greatest": max(seconds)} if seconds else None,
     }
     return _plain(data)
+
+
+def _bar_json(bar: Bar) -> dict[str, Any]:
+    return {**asdict(bar), "goal": bar.goal, "state": bar.state}
+
+
+def kind_of_miss(case: ScoredCase) -> str:
+    """How a verdict is wrong, in words."""
+    said, truth = case.reading, truths_of(case)
+    if said.verdict == FAILED:
+        return "the diagnosis ended with an error"
+    if case.answer.suite == "aliased":
+        return "a periodic disturbance that these motions cannot show"
+    if not case.answer.mains:
+        return "a gap is claimed where there is none"
+    if not said.claims:
+        return f"no name: {said.verdict}"
+    if case.answer.truth not in NAMES:
+        return "a name for what the library does not have"
+    if case.answer.suite == "configuration" and said.guess in truth:
+        return "the right name with other groups of trials"
+    if truth & set(said.claims):
+        return "the right name, but not first"
+    return "its confounder" if any(confusable(said.guess, name) for name in truth) else "a false name"
 
 
 def miss_json(case: ScoredCase) -> dict[str, Any]:
@@ -177,6 +211,9 @@ def miss_json(case: ScoredCase) -> dict[str, Any]:
         "plan": answer.plan,
         "separable": answer.separable,
         "baseline": answer.baseline,
+        "variant": answer.variant,
+        "device": answer.device.get("core", "recorded"),
+        "miss": kind_of_miss(case),
         "confidently_wrong": confidently_wrong(case),
     }
 

@@ -25,9 +25,23 @@ from hystmpc.trials.types import Vec
 
 from .cores import Mounting
 from .device import BlindDevice, core_of
-from .generators import UNKNOWN, Withheld, generator_named
+from .generators import NAMES, UNKNOWN, Withheld, generator_named
 
-Suite = Literal["single", "none", "misset", "pairs", "contaminated", "unknown", "without", "controls", "injection"]
+Suite = Literal[
+    "single",
+    "none",
+    "misset",
+    "pairs",
+    "contaminated",
+    "unknown",
+    "without",
+    "controls",
+    "injection",
+    "triple",
+    "retuned",
+    "configuration",
+    "aliased",
+]
 FORMAT = "hystmpc-blind/1"
 ANSWERS = "answers.json"
 MANIFEST = "manifest.json"
@@ -76,6 +90,7 @@ class Answer(Settings):
         retuned_by_trial, form_by_trial: of each trial alone: what the refit leaves of it, and what one leaves of the
             unaffected device [deg].
         where: density of the retuned error by region, 1 on average.
+        second: trials of the second configuration, numbered from 1.
         device, mounting, seed: of the simulated device, to record more of it.
     """
 
@@ -95,6 +110,7 @@ class Answer(Settings):
     retuned_by_trial: tuple[float, ...] = ()
     form_by_trial: tuple[float, ...] = ()
     where: dict[str, float] = Field(default_factory=dict)
+    second: tuple[int, ...] = ()
     device: dict[str, Any] = Field(default_factory=dict)
     mounting: dict[str, float] = Field(default_factory=dict)
     seed: int = 0
@@ -108,8 +124,7 @@ class Answer(Settings):
     @property
     def labels(self) -> tuple[str, ...]:
         """Names that a diagnosis should give; none where its library has none for them."""
-        gone = (UNKNOWN, *self.without)
-        return tuple(dict.fromkeys(e.label for e in self.mains if e.label not in gone))
+        return tuple(dict.fromkeys(e.label for e in self.mains if e.label in NAMES - set(self.without)))
 
     @property
     def truth(self) -> str:

@@ -15,7 +15,8 @@ from hystmpc.gap.diagnosis import TrackingGap
 from hystmpc.gap.tracking.expected import NEAR
 from hystmpc.trials.types import Vec
 
-from ..blind.bars import Bar, Rate
+from ..blind.bars import Bar
+from ..blind.measures import Rate
 from ..identify.device import FAMILIES
 from ..identify.scores import rmse_of
 from .job import WORN, CommissionResult
@@ -100,12 +101,6 @@ def bars(outcome: CommissionOutcome) -> list[Bar]:
         _stops(outcome),
         _violations(outcome),
     ]
-
-
-def _learning(outcome: CommissionOutcome, name: str) -> tuple[Bar, Bar]:
-    """Learning over none on a device that has changed."""
-    figure, text = over(name, f"{name}_off"), f"{name} changed, learning over none"
-    return _median(outcome, f"{text}: median", figure, 0.5), _worst(outcome, f"{text}: worst", figure, 1.05)
 
 
 def _values(outcome: CommissionOutcome, figure: Callable[[Figures], float]) -> tuple[tuple[str, ...], Vec]:

@@ -20,7 +20,8 @@ from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.trials.types import Vec
 
 from ..blind.cores import CapstanCore, RodCore
-from ..identify.device import DrawnDevice, DrawnPlant, MuscleCore
+from ..blind.muscle import MuscleCore
+from ..identify.device import DrawnDevice, DrawnPlant
 
 _SLOW_S, _QUICK_S, _TOP_S, _REST_S = 4.0, 1.2, 0.3, 0.5  # of a stroke of either flexure, at its top, and behind it
 _BESIDE = 0.3  # of the reachable angles: how much more than them the sensor shows at either end

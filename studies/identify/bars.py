@@ -13,7 +13,8 @@ import numpy as np
 
 from hystmpc.trials.types import Vec
 
-from ..blind.bars import Bar, Rate
+from ..blind.bars import Bar
+from ..blind.measures import Rate
 from .job import IdentifyResult
 from .settings import IdentifySettings
 

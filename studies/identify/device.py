@@ -13,14 +13,14 @@ import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.models.contract.metadata import Range
-from hystmpc.sim.devices.muscle import MuscleNumbers
 from hystmpc.sim.devices.rod import RodCatheter
 from hystmpc.sim.devices.rod_equations import new_knots
 from hystmpc.sim.devices.rod_solver import new_work
 from hystmpc.sim.plants.computed import ComputedPlant, Sensing
 from hystmpc.trials.types import Vec
 
-from ..blind.cores import TRAVEL_MM, CapstanCore, Core, DahlCore, RodCore
+from ..blind.cores import CapstanCore, Core, DahlCore, RodCore
+from ..blind.muscle import MuscleCore
 from . import kernels
 from .kernels import CAPSTAN, DAHL, FINE_S, MUSCLE, OWN, ROD, Packed
 
@@ -32,7 +32,9 @@ ABSENT = 0.3
 _SERVO = 0.25  # share of the lags that are servos of second order
 _LAG_S, _DELAY_SAMPLES, _CREEP, _CREEP_S = (0.02, 0.25), (0.5, 4.0), (0.03, 0.12), (0.8, 8.0)
 _NOISE_DEG, _RATE = (0.03, 0.3), (2.5, 7.0)  # the rate in whole strokes a second
-_CORES: Mapping[str, type[Core]] = MappingProxyType({"rod": RodCore, "capstan": CapstanCore, "dahl": DahlCore})
+_CORES: Mapping[str, type[Core]] = MappingProxyType(
+    {"rod": RodCore, "capstan": CapstanCore, "dahl": DahlCore, "muscle": MuscleCore}
+)
 _CODES = {"rod": ROD, "capstan": CAPSTAN, "dahl": DAHL, "muscle": MUSCLE}
 _NODES, _ELEMENTS = 16, 8  # as in the cores of the blind check
 _REVERSAL = 1.15  # widths of the Dahl elements over those at which the angle stands still at a reversal
@@ -40,55 +42,7 @@ _ROD_STEP_S = 0.02  # longest, as in the blind check
 _FLEXURE_S, _SETTLED, _LONGEST_S = 10.0, 6.0, 60.0
 
 
-@dataclass(frozen=True)
-class MuscleCore:
-    """Numbers of the pneumatic core of `sim.devices.muscle`, without a lag or a late share of its own.
-
-    Attributes:
-        greatest_bar: greatest pressure [bar].
-        greatest_deg: angle that no pressure exceeds [deg].
-        friction: over pull, each way.
-        presliding_bar: pressure over which friction turns its side [bar].
-        slack_bar: pressure at which the bladder meets the braid [bar].
-        half_bar: pull that gives half of the greatest angle [bar].
-    """
-
-    greatest_bar: float
-    greatest_deg: float
-    friction: float
-    presliding_bar: float
-    slack_bar: float
-    half_bar: float
-
-    @classmethod
-    def draw(cls, random: np.random.Generator) -> MuscleCore:
-        """A device of this kind whose angle never rises as the pressure begins to fall.
-
-        The pull b (1 - f z) turns with z from 1 to -1 within the presliding p: it falls with b where p (1 - f) > 2 f b.
-        """
-        ends = ((2.5, 3.5), (60.0, 100.0), (0.04, 0.10), (8.0, 12.0), (0.1, 0.5), (0.8, 1.6))
-        bar, deg, friction, width, slack, half = (float(random.uniform(*pair)) for pair in ends)
-        return cls(bar, deg, friction, width * friction, slack, half)
-
-    def numbers(self) -> MuscleNumbers:
-        """As the recursion reads them: valve and air are fast, as lag and creep stand before the core."""
-        fast = {"supply_bar": 5.0, "valve_s": 0.002, "fill_s": 0.02, "vent_s": 0.02}
-        return MuscleNumbers(
-            **fast,
-            slack_bar=self.slack_bar,
-            slack_width_bar=0.08,
-            friction=self.friction,
-            presliding_bar=self.presliding_bar,
-            greatest_deg=self.greatest_deg,
-            half_bar=self.half_bar,
-            late=0.0,
-            late_share=1.0,
-            bend_share=1.0,
-        )
-
-
-_NO_MUSCLE = MuscleCore(1.0, 1.0, 0.0, 1.0, 0.0, 1.0)
-_NO_ROD = RodCore()
+_NO_MUSCLE, _NO_ROD = MuscleCore(), RodCore()
 
 
 @dataclass(frozen=True)
@@ -130,12 +84,12 @@ class DrawnDevice:
     @property
     def unit(self) -> str:
         """Unit of the command."""
-        return "bar" if self.family == "muscle" else "mm"
+        return self.core.UNIT
 
     @property
     def limits(self) -> CommandLimits:
         """What it may be sent."""
-        return CommandLimits(0.0, _travel(self.core), self.rate_per_s)
+        return CommandLimits(0.0, self.core.travel, self.rate_per_s)
 
     @property
     def truth(self) -> Mapping[str, float]:
@@ -156,10 +110,6 @@ class DrawnDevice:
         r = 1.0 / (self.rate_hz * self.lag_s)
         share = math.expm1(-(1.0 - part) * r) / math.expm1(-r) if part else 1.0
         return (whole + 1.0 - share) / self.rate_hz
-
-
-def _travel(core: RodCore | CapstanCore | DahlCore | MuscleCore) -> float:
-    return core.greatest_bar if isinstance(core, MuscleCore) else TRAVEL_MM
 
 
 def draw_devices(count: int, seed: int, quick: bool = False) -> tuple[DrawnDevice, ...]:
@@ -199,14 +149,12 @@ def _drawn(random: np.random.Generator, number: int, family: str, rate_hz: float
         creep=0.0 if gone[2] else creep,
         creep_s=creep_s,
         noise_deg=noise,
-        rate_per_s=rate * _travel(core),
+        rate_per_s=rate * core.travel,
         seed=int(random.integers(2**31)),
     )
 
 
 def _core(random: np.random.Generator, family: str) -> RodCore | CapstanCore | DahlCore | MuscleCore:
-    if family == "muscle":
-        return MuscleCore.draw(random)
     core = _CORES[family].draw(random)
     # What a rod relaxes by itself would be a creep that nobody drew.
     return replace(core, fast_share=0.0, slow_share=0.0) if isinstance(core, RodCore) else core  # type: ignore[return-value]
@@ -238,8 +186,8 @@ def packed(device: DrawnDevice, delay_s: float) -> Packed:
         damping=device.damping,
         creep=device.creep,
         creep_share=-math.expm1(-FINE_S / device.creep_s),
-        gain=1.0 if isinstance(core, MuscleCore) else float(core.gain),
-        offset_deg=0.0 if isinstance(core, MuscleCore) else float(core.offset_deg),
+        gain=float(core.gain),
+        offset_deg=float(core.offset_deg),
         wrap=np.full(fine, capstan.wrap),
         pretension=float(capstan.pretension),
         shares=weights + capstan.compliance / _NODES,
@@ -247,7 +195,7 @@ def packed(device: DrawnDevice, delay_s: float) -> Packed:
         widths=widths,
         parts=np.full(_ELEMENTS, dahl.friction / float(widths.sum())),
         ones=np.ones(max(fine, kernels.SETTLE) + 1),
-        muscle=(core if isinstance(core, MuscleCore) else _NO_MUSCLE).numbers(),
+        muscle=(core if isinstance(core, MuscleCore) else _NO_MUSCLE).numbers_of_muscle(),
         rod=rod.numbers(),
         step=rod.step_numbers(fine * FINE_S / places),
         places=places,

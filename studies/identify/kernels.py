@@ -21,7 +21,6 @@ from ..blind import kernels
 CAPSTAN, DAHL, ROD, MUSCLE = range(4)
 FINE_S = 0.002
 OWN = 4  # entries of the state beside the commands and the core's
-_MUSCLE_PARTS = 2
 SETTLE = 5  # fine steps in which the muscle's valve settles
 
 
@@ -98,7 +97,7 @@ def bend(p: Packed, core: Any, places: Any, steps: int) -> float:
         return float(p.offset_deg + p.gain * (places[n] - out[n]))
     if p.core == MUSCLE:
         pressure = np.empty(n)
-        muscle.advance(core, places[1:], p.muscle, FINE_S, _MUSCLE_PARTS, out, pressure)
+        muscle.advance(core, places[1:], p.muscle, FINE_S, kernels.MUSCLE_PARTS, out, pressure)
         return float(p.offset_deg + p.gain * out[n - 1])
     coarse, unused, tension = np.empty(steps), np.empty(steps), np.empty(steps)
     for k in range(steps):

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.gap.decide.configuration import NAME, configuration_of
-from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
 from hystmpc.models.identify.problem import Problem, TrialTerms
@@ -57,7 +57,7 @@ def test_without_shifts_there_are_no_groups() -> None:
 
 def test_the_diagnosis_names_it_with_its_groups() -> None:
     trials = trials_of(Chain(BACKLASH), COMMANDS, shifts=(0.0, 3.0, 3.0, 0.0, 0.0, 3.0, 0.0, 3.0))
-    found = conclude(investigate(trials, simulator_of(BACKLASH), only=("trial_shift", "drift")))[0]
+    found = conclude(find_causes(trials, simulator_of(BACKLASH), only=("trial_shift", "drift")))[0]
     assert found.verdict in ("named", "one_of")
     assert found.effects[0].name == NAME
     assert {len(names) for names in found.groups} == {4}

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.logs.check import check_trials
 from hystmpc.gap.logs.dependence import follows_command
@@ -172,7 +172,7 @@ def diagnosed(kind: str) -> tuple[Diagnosis, Evidence]:
     quiet = Residual(
         log="fit.csv", motion="holds", samples=999, rmse_deg=0.3, bias_deg=0.0, lag_one=0.5, fingerprint=""
     )
-    return conclude(investigate(trials, simulator_of(BACKLASH, (quiet,)), seed=1))
+    return conclude(find_causes(trials, simulator_of(BACKLASH, (quiet,)), seed=1))
 
 
 @pytest.mark.slow

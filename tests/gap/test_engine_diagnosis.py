@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hystmpc.gap.decide.findings import closed_again
-from hystmpc.gap.diagnose import LIBRARY, conclude, investigate
+from hystmpc.gap.diagnose import LIBRARY, conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.folder import diagnosis_json
 from hystmpc.gap.report.report_data import Evidence
@@ -55,7 +55,7 @@ def recorded(*before: Operator, motions: tuple[Any, ...] = HOLDS, seed: int = 0)
 @functools.cache
 def creeping() -> tuple[Diagnosis, Evidence]:
     """The diagnosis of a device that creeps."""
-    return conclude(investigate(recorded(CREEP), SIMULATOR, seed=3))
+    return conclude(find_causes(recorded(CREEP), SIMULATOR, seed=3))
 
 
 def found(diagnosis: Diagnosis) -> set[str]:
@@ -65,7 +65,7 @@ def found(diagnosis: Diagnosis) -> set[str]:
 
 @pytest.mark.slow
 def test_nothing_is_found_where_there_is_nothing() -> None:
-    diagnosis, _ = conclude(investigate(recorded(), SIMULATOR))
+    diagnosis, _ = conclude(find_causes(recorded(), SIMULATOR))
     assert diagnosis.verdict == "none"
     assert not diagnosis.effects
     assert diagnosis.next_motion is None
@@ -159,16 +159,16 @@ def test_the_result_has_the_fixed_form() -> None:
 
 @pytest.mark.slow
 def test_a_seed_gives_one_result() -> None:
-    again, _ = conclude(investigate(recorded(CREEP), SIMULATOR, seed=3))
+    again, _ = conclude(find_causes(recorded(CREEP), SIMULATOR, seed=3))
     assert diagnosis_json(again) == diagnosis_json(creeping()[0])
 
 
 @pytest.mark.slow
 def test_an_effect_that_is_left_out_is_not_named() -> None:
-    diagnosis, evidence = conclude(investigate(recorded(CREEP), SIMULATOR, without=("creep",)))
+    diagnosis, evidence = conclude(find_causes(recorded(CREEP), SIMULATOR, without=("creep",)))
     assert "creep" not in found(diagnosis) | {name for name, _ in diagnosis.ranking}
     assert "creep" not in {row.name for row in evidence.candidates}
-    only, _ = conclude(investigate(recorded(CREEP), SIMULATOR, only=("creep", "lag")))
+    only, _ = conclude(find_causes(recorded(CREEP), SIMULATOR, only=("creep", "lag")))
     assert {name for name, _ in only.ranking} == {"creep", "lag"}
     assert found(only) == {"creep"}
 
@@ -176,7 +176,7 @@ def test_an_effect_that_is_left_out_is_not_named() -> None:
 @pytest.mark.slow
 def test_sines_leave_open_what_lag_is() -> None:
     """Lag, delay and rate dependence look alike in sines: a set of them, or a motion that tells them apart."""
-    diagnosis, _ = conclude(investigate(recorded(Lag(0.2), motions=SINES), SIMULATOR))
+    diagnosis, _ = conclude(find_causes(recorded(Lag(0.2), motions=SINES), SIMULATOR))
     family = {"lag", "delay", "rate_dependence"}
     assert found(diagnosis) & family
     assert diagnosis.next_motion is not None
@@ -189,7 +189,7 @@ def test_sines_leave_open_what_lag_is() -> None:
 @pytest.mark.parametrize("count", [1, 2])
 def test_few_trials_are_judged_by_their_parts(count: int) -> None:
     motions = (moves(7, 40.0, 2.0), moves(8, 40.0, 3.0))[:count]
-    diagnosis, evidence = conclude(investigate(recorded(CREEP, motions=motions), SIMULATOR))
+    diagnosis, evidence = conclude(find_causes(recorded(CREEP, motions=motions), SIMULATOR))
     assert "creep" in found(diagnosis)
     assert len(diagnosis.gap.final_trials) == count
     assert all(trial.start > 0 for trial in evidence.trials)
@@ -203,7 +203,7 @@ ONE_WAY = (np.clip(np.arange(1000) / 900.0, 0.0, 1.0) * 6.0,)
 
 @pytest.mark.parametrize(("motions", "lacks"), [(SHORT, "s in all, expected 15 s"), (ONE_WAY, "turns 0 times")])
 def test_too_little_says_what_lacks_and_what_to_record(motions: tuple[Any, ...], lacks: str) -> None:
-    diagnosis, _ = conclude(investigate(recorded(CREEP, motions=motions), SIMULATOR))
+    diagnosis, _ = conclude(find_causes(recorded(CREEP, motions=motions), SIMULATOR))
     assert diagnosis.verdict == "too_little"
     assert lacks in diagnosis.reason
     assert not diagnosis.effects
@@ -214,12 +214,12 @@ def test_too_little_says_what_lacks_and_what_to_record(motions: tuple[Any, ...],
 def test_a_constant_command_is_refused() -> None:
     still = [replace(trial, command=np.zeros(len(trial))) for trial in recorded()[:2]]
     with pytest.raises(GapError, match="the command is constant in every trial"):
-        conclude(investigate(still, SIMULATOR))
+        conclude(find_causes(still, SIMULATOR))
 
 
 def test_an_unknown_effect_is_refused_with_the_nearest() -> None:
     with pytest.raises(GapError, match=r"no effect 'crep'.*did you mean 'creep'"):
-        conclude(investigate(recorded(), SIMULATOR, without=("crep",)))
+        conclude(find_causes(recorded(), SIMULATOR, without=("crep",)))
 
 
 def test_what_is_not_finite_is_null() -> None:
@@ -229,7 +229,7 @@ def test_what_is_not_finite_is_null() -> None:
 
 
 def test_another_session_of_the_device_is_closed_as_far_and_that_of_another_device_is_not() -> None:
-    findings = investigate(recorded(CREEP), SIMULATOR, seed=3)
+    findings = find_causes(recorded(CREEP), SIMULATOR, seed=3)
     assert closed_again(findings, recorded(CREEP, seed=8)) == pytest.approx(
         findings.conclusion.closed.gap.closed_share, abs=0.1
     )

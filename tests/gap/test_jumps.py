@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hystmpc.gap.decide.findings import closed_again
 from hystmpc.gap.decide.jumps import Jumps, find_jumps
-from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.logs.preparation import prepare
 from hystmpc.models.chain import Chain
 from hystmpc.models.identify.cross_validation import CrossValidation
@@ -104,9 +105,12 @@ def test_too_little_steady_motion_says_nothing() -> None:
 
 @pytest.mark.slow
 def test_the_diagnosis_names_it_and_says_that_its_share_stays_open() -> None:
-    diagnosis, _ = conclude(investigate(noisy(through(clean(), 6.0)), simulator_of(BACKLASH)))
+    findings = find_causes(noisy(through(clean(), 6.0)), simulator_of(BACKLASH))
+    diagnosis, _ = conclude(findings)
+    again = closed_again(findings, noisy(through(clean(), 6.0)))  # 0 where jumps count as in no free run
+    assert abs(again - diagnosis.gap.closed_share) < 0.2
     assert diagnosis.verdict in ("named", "one_of")
     assert "stick_slip" in {effect.name for effect in diagnosis.effects}
     assert any("cannot be predicted in a free run" in note for note in diagnosis.notes)
-    without, _ = conclude(investigate(noisy(through(clean(), 6.0)), simulator_of(BACKLASH), without=("stick_slip",)))
+    without, _ = conclude(find_causes(noisy(through(clean(), 6.0)), simulator_of(BACKLASH), without=("stick_slip",)))
     assert "stick_slip" not in {effect.name for effect in without.effects}

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.logs.preparation import prepare
 from hystmpc.gap.logs.recording_order import NEEDS_ORDER, in_recording_order
 from hystmpc.gap.report.folder import diagnosis_json
@@ -67,7 +67,7 @@ def test_nothing_is_carried_from_trial_to_trial_without_an_order(given_: list[Tr
 def test_permuted_files_give_the_same_diagnosis() -> None:
     texts = []
     for order in (range(5), np.random.default_rng(0).permutation(5)):
-        diagnosis, _ = conclude(investigate([TRIALS[k] for k in order], SIMULATOR, seed=3, ordered=False))
+        diagnosis, _ = conclude(find_causes([TRIALS[k] for k in order], SIMULATOR, seed=3, ordered=False))
         texts.append(diagnosis_json(diagnosis))
     assert texts[0] == texts[1]
     assert diagnosis.order == "unknown"

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.gap.decide.retuning import retuned_with
-from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Moved
 from hystmpc.gap.logs.motion_type import play_states
 from hystmpc.gap.logs.preparation import prepare
@@ -40,7 +40,7 @@ TRIALS = [Trial(DT * np.arange(u.size), u, np.zeros(u.size), source=f"{k}") for 
 
 def test_a_friction_that_has_grown_is_retuned_and_said_with_its_interval() -> None:
     trials = trials_of(Chain(wider(0.8)), COMMANDS)
-    found = conclude(investigate(trials, simulator_of(BACKLASH, KNOWN)))[0]
+    found = conclude(find_causes(trials, simulator_of(BACKLASH, KNOWN)))[0]
     assert (found.verdict, found.effects) == ("retuned", ())
     (width,) = [row for row in found.moved if row.name == "backlash_width"]
     assert (width.unit, width.given) == ("mm", found.retuned["backlash_width"][0])
@@ -49,7 +49,7 @@ def test_a_friction_that_has_grown_is_retuned_and_said_with_its_interval() -> No
     assert "backlash width" in headline(found)
     assert f"{width.given:.3g} to {width.value:.3g} mm" in found.reason
     assert found.as_json()["moved"][0].keys() == Moved.__dataclass_fields__.keys()
-    same = conclude(investigate(trials_of(Chain(BACKLASH), COMMANDS), simulator_of(BACKLASH, KNOWN)))[0]
+    same = conclude(find_causes(trials_of(Chain(BACKLASH), COMMANDS), simulator_of(BACKLASH, KNOWN)))[0]
     assert (same.verdict, same.moved) == ("none", ())
 
 

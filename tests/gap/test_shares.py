@@ -101,6 +101,13 @@ def test_an_interval_holds_its_share() -> None:
     assert (low, high) == closed_interval(retuned, retuned, after, 0.5, 1)
 
 
+def test_an_error_that_falls_everywhere_surely_falls_beside_a_high_floor() -> None:
+    retuned = blocks([5.0, 60.0] * 4)  # many resamples have no gap above the floor
+    falls = blocks([4.0, 40.0] * 4)
+    assert closed_interval(retuned, retuned, falls, 3.0, 1)[0] > 0
+    assert closed_interval(retuned, falls, retuned, 3.0, 1)[1] < 0
+
+
 def test_equal_stages_close_nothing() -> None:
     same = blocks([5.0, 7.0, 4.0, 6.0])
     assert closed_interval(same, same, same, 0.1, 0) == (0.0, 0.0)

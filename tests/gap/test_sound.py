@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hystmpc.gap.decide.gap_closed import ClosedByCause, GapClosed
 from hystmpc.gap.decide.verdict import VerdictSettings, decide_verdict, reason_for
-from hystmpc.gap.diagnose import conclude, investigate
+from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis, Gap, Stability
 from hystmpc.gap.report.tables import NOT_DETERMINED, parameters_table
 from hystmpc.gap.report.words import ceiling_sentence, floor_words, headline, parameter_words, stability_sentence
@@ -93,7 +93,7 @@ def widths(*wider: float) -> list[Trial]:
 
 @pytest.mark.slow
 def test_widths_that_differ_from_trial_to_trial_are_no_disturbance() -> None:
-    diagnosis, _ = conclude(investigate(widths(0.1, 0.5, 0.3, 0.8), simulator_of(BACKLASH), ordered=False))
+    diagnosis, _ = conclude(find_causes(widths(0.1, 0.5, 0.3, 0.8), simulator_of(BACKLASH), ordered=False))
     assert "periodic_disturbance" not in {e.name for e in diagnosis.effects}
     assert dict(diagnosis.ranking)["periodic_disturbance"] <= 0.3
     assert diagnosis.stability is not None

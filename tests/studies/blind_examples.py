@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from hystmpc.studies.blind.generators import LABELS
+from hystmpc.studies.blind.generators import CONFIGURATION, LABELS
 from hystmpc.studies.blind.reading import DiagnosisReading, ScoredCase
 from hystmpc.studies.blind.sealed import Answer, EffectAnswer, Suite
 
@@ -48,12 +49,16 @@ def all_answers() -> list[Answer]:
     return [
         *(answer("single", [label]) for label in LABELS),
         answer("pairs", ["creep", "lag"]),
+        answer("triple", ["creep", "lag", "contact"]),
         answer("contaminated", ["contact"]),
         answer("unknown", ["unknown"]),
         answer("without", ["drift"], without=["drift"]),
         answer("none"),
         answer("misset"),
         answer("controls"),
+        answer("retuned"),
+        answer("configuration", [CONFIGURATION]).model_copy(update={"second": (2, 3)}),
+        answer("aliased"),
     ]
 
 
@@ -62,6 +67,7 @@ def perfect(cases: Sequence[Answer]) -> list[ScoredCase]:
     found = []
     for k, truth in enumerate(cases):
         reading = named(*truth.labels, probability=1.0) if truth.labels else DiagnosisReading(truth.truth)
+        reading = replace(reading, groups=(frozenset((1, 4)), frozenset(truth.second)))
         found.append(ScoredCase(f"{k:03d}", truth, reading, oracle=0.9 if truth.labels else None, again=0.9))
     return found
 

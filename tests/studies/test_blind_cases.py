@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from hystmpc.studies.blind.cases import sized
+from hystmpc.studies.blind.device import DEVICES
 from hystmpc.studies.blind.generators import GENERATORS, LABELS, Withheld, generator_named
 from hystmpc.studies.blind.injection import INJECTIONS, Injection, injection_case
-from hystmpc.studies.blind.make import SUITES, make_blind, make_case, places
-from hystmpc.studies.blind.plan import POOR, draw_plan
+from hystmpc.studies.blind.make import CASES, SUITES, WHEEL, device_of, make_blind, make_case, places
+from hystmpc.studies.blind.muscle import MuscleCore
+from hystmpc.studies.blind.plan import ALIASED, POOR, draw_plan
 from hystmpc.studies.blind.reading import load_scored
 from hystmpc.studies.blind.retuning import retune, rms
 from hystmpc.studies.blind.run import record_motion
@@ -31,7 +33,17 @@ from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial, resample
 
-WORDS = {*LABELS, *SUITES, *(g.name for g in GENERATORS), "unknown", "decoy", "capstan", "dahl", "rodcore"} - {"none"}
+WORDS = {
+    *LABELS,
+    *SUITES,
+    *(g.name for g in GENERATORS),
+    "unknown",
+    "decoy",
+    "capstan",
+    "dahl",
+    "rodcore",
+    "muscle",
+} - {"none"}
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +65,8 @@ def test_case_folders_look_alike_and_hold_no_hint(folder: Path) -> None:
             for key in ("lag_one", "skip_first_flexure", "sensor_sigma_deg", "drift_sigma_deg"):  # of every file
                 text = text.replace(key, "")
             assert not [word for word in WORDS if word in text]
-        assert {log.read_text().splitlines()[0] for log in case.glob("*.csv")} == {"time_s,command,angle_deg"}
+        (header,) = {log.read_text().splitlines()[0] for log in case.glob("*.csv")}
+        assert header in ("time_s,command,angle_deg", "time_s,command_bar,angle_deg")
         assert all(read_csv(log).t[0] == 0 for log in case.glob("*.csv"))
     manifest = (folder / MANIFEST).read_text(encoding="utf-8").replace('"without"', "")
     assert not [word for word in WORDS if word in manifest]
@@ -86,7 +99,7 @@ def test_a_case_can_be_read_and_moved_again(folder: Path, tmp_path: Path) -> Non
     assert log.command.max() == 4.0
     assert log.duration_s == pytest.approx(14.0)
     motion.write_text("time_s,command\n0,0\n1,9\n")
-    with pytest.raises(ConfigError, match="expected within 0 to 6"):
+    with pytest.raises(ConfigError, match="expected within 0 to"):
         record_motion(folder, "001", motion)
     with pytest.raises(ConfigError, match="no case '099'"):
         record_motion(folder, "099", motion)
@@ -167,10 +180,58 @@ def test_plans_name_what_they_can_show() -> None:
 def test_places_deal_out_every_suite() -> None:
     dealt = [suite for suite, _ in places("all", 40, with_logs=True)]
     assert set(dealt) == set(SUITES)
-    assert "injection" not in [suite for suite, _ in places("all", 40)]
+    whole = places("all")
+    assert len(whole) == len(set(whole)) == CASES
+    assert {suite for suite, _ in whole} == set(SUITES) - {"injection"}
+    assert [n for suite, n in places("all", 100) if suite == "pairs"] == list(range(7))
+    assert len(places("triple")) == 10
     assert places("unknown", 3) == [("unknown", 0), ("unknown", 1), ("unknown", 2)]
     with pytest.raises(ConfigError, match="did you mean 'pairs'"):
         places("pair", 3)
+
+
+def test_the_wheel_measures_every_bar_on_all_devices() -> None:
+    assert 220 <= CASES <= 240
+    assert sum(WHEEL[name] for name in ("none", "misset", "controls", "retuned")) >= 60
+    singles = [(LABELS[n % len(LABELS)], device_of("single", n)) for n in range(WHEEL["single"])]
+    hidden = {(label, MuscleCore) for label in ("contact", "nonlinear_gain", "rate_dependence")}
+    assert set(singles) == {(label, kind) for label in LABELS for kind in DEVICES} - hidden
+    for suite, count in WHEEL.items():
+        dealt = [device_of(suite, n) for n in range(count)]
+        assert min(dealt.count(kind) for kind in DEVICES) >= count // 6
+
+
+@pytest.mark.parametrize("name", ALIASED)
+def test_an_aliased_plan_is_one_motion_at_one_frequency(name: str) -> None:
+    plan = draw_plan(np.random.default_rng(4), name, 3.0)
+    assert 3 <= len(plan.commands) <= 6
+    for u in plan.commands:
+        moved = u[25:-1] - u[25:-1].mean()
+        power = np.abs(np.fft.rfft(moved))
+        assert np.fft.rfftfreq(moved.size, 0.04)[power.argmax()] == pytest.approx(plan.aliased_hz, rel=0.1)
+        assert 2.0 < u.max() <= 3.0
+    assert plan.seconds == pytest.approx(sum(u.size for u in plan.commands) / 25)
+
+
+def test_a_device_in_two_configurations_is_made_with_its_trials() -> None:
+    case = make_case(1805000, "configuration", 1)
+    assert case.answer.labels == ("configuration_change",)
+    assert case.answer.variant == "gain"
+    assert 2 <= len(case.answer.second) < len(case.trials) - 1
+    assert case.answer.ratio > 2.5
+    again = case.answer.blind_device().record([t.command for t in case.trials])
+    assert all(np.array_equal(a.angle, b.angle) for a, b in zip(case.trials, again, strict=True))
+
+
+def test_an_aliased_disturbance_lies_within_one_over_the_length_of_the_trials() -> None:
+    case = make_case(1805000, "aliased", 2)
+    (effect,) = case.answer.effects
+    assert case.answer.truth == "unknown"
+    seconds = sum(len(trial) for trial in case.trials) / 25
+    turns = effect.shape["hz"] * seconds
+    moved = case.trials[0].command[25:-1]
+    peak = np.fft.rfftfreq(8 * moved.size, 0.04)[np.abs(np.fft.rfft(moved - moved.mean(), 8 * moved.size)).argmax()]
+    assert min(abs(turns - h * peak * seconds) for h in (1, 2, 3)) < 0.05 * turns + 1
 
 
 def test_making_refuses_what_cannot_be_made(tmp_path: Path) -> None:

@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.effects.catalogue import confusable
-from hystmpc.studies.blind.bars import Rate, bars, calibration, chance, confusion, overlap, true_share
-from hystmpc.studies.blind.generators import LABELS
+from hystmpc.studies.blind.bars import bars, metrics, orders_bar, true_share
+from hystmpc.studies.blind.generators import ALIASED_RATE, CONFIGURATION, LABELS, SCATTER
+from hystmpc.studies.blind.measures import Rate, calibration, chance, confusion, overlap, resampled
 from hystmpc.studies.blind.reading import DiagnosisReading, ScoredCase, reading_of
 from hystmpc.studies.blind.report import blind_report
-from hystmpc.studies.blind.score import score_json, score_of
+from hystmpc.studies.blind.score import kind_of_miss, score_json, score_of
 
 from .blind_examples import all_answers, always, answer, named, perfect
 
@@ -28,7 +29,11 @@ def test_a_perfect_diagnoser_meets_every_bar_that_is_measured() -> None:
     found = bars(perfect(all_answers()))
     # Every interval of the hand-made diagnosis holds the truth: 100 % is more than the bar for 90 % intervals allows.
     assert {bar.name for bar in found if bar.state == "missed"} == {"90 % intervals cover"}
-    assert {bar.name for bar in found if bar.state == "not measured"} == {"ambiguities that the next motion resolves"}
+    assert {bar.name for bar in found if bar.state == "not measured"} == {
+        "ambiguities that the next motion resolves",
+        "same names in any order of the files",
+    }
+    assert {bar.name for bar in metrics(perfect(all_answers())) if bar.state != "met"} == set()
     values = {bar.name: bar.value for bar in found}
     for name in ("class top-1", "family top-1", "set precision (pairs)", "set recall (pairs)", "localisation F1"):
         assert values[name] == 1.0
@@ -58,6 +63,74 @@ def test_an_unnamed_gap_is_an_alarm_where_there_is_none() -> None:
     assert by_name(always([answer("none")], DiagnosisReading("too_little")))["false alarms"] == 0.0
 
 
+def test_a_retuned_device_is_healthy_and_lowers_no_detection_rate() -> None:
+    cases = always([answer("retuned")], DiagnosisReading("retuned"))
+    assert cases[0].right
+    assert by_name(cases)["false alarms"] == 0.0
+    assert by_name(always([answer("retuned")], named("creep")))["false alarms"] == 1.0
+    detection = {bar.name: bar.cases for bar in metrics(cases)}
+    assert detection["detection rate, all sizes"] == 0
+    assert detection["false-alarm rate"] == 1
+
+
+@pytest.mark.parametrize("label", ["", SCATTER, ALIASED_RATE])
+def test_of_an_aliased_motion_anything_may_be_said_but_a_disturbance(label: str) -> None:
+    truth = answer("aliased", [label] if label else [])
+    assert truth.labels == ()
+    assert ScoredCase("a", truth, named("trial_shift", probability=0.95)).right
+    assert not ScoredCase("b", truth, named("periodic_disturbance", probability=0.4)).right
+    assert ScoredCase("c", truth, DiagnosisReading("unknown", ranking=(("periodic_disturbance", 0.3),))).right
+    sure = DiagnosisReading("unknown", ranking=(("periodic_disturbance", 0.31),))
+    assert not ScoredCase("d", truth, sure).right
+    assert score_of([ScoredCase("d", truth, sure)]).confusion.counts.size == 0
+
+
+def test_a_configuration_needs_its_groups_beside_its_name() -> None:
+    truth = answer("configuration", [CONFIGURATION]).model_copy(update={"second": (3, 4)})
+    groups = (frozenset((1, 2)), frozenset((3, 4)))
+    right = ScoredCase("a", truth, replace(named(CONFIGURATION), groups=groups))
+    assert right.right
+    other = replace(right, reading=replace(right.reading, groups=(frozenset((1, 2, 3)), frozenset((4,)))))
+    assert not other.right
+    assert kind_of_miss(other) == "the right name with other groups of trials"
+    assert not replace(right, reading=named("trial_shift")).right
+    part = replace(right, reading=replace(right.reading, groups=(frozenset((2,)), frozenset((4, 3)))))
+    assert part.right  # a trial that the diagnosis left out belongs to no group
+
+
+def test_orders_count_against_the_usual_set_of_their_case() -> None:
+    a, b = frozenset({"lag"}), frozenset({"creep"})
+    found, share = orders_bar({"001": (a, a, a, b), "002": (a,) * 4})
+    assert (share.hits, share.cases) == (7, 8)
+    assert found.misses == ("001",)
+    assert orders_bar({})[0].state == "not measured"
+
+
+def test_a_name_that_raises_the_error_is_counted() -> None:
+    sound = named("lag")
+    bad = replace(sound, closed_shares=(-0.1,))
+    name = "named effects that close less than nothing"
+    assert by_name(always([answer("single", ["lag"])], sound))[name] == 0.0
+    assert by_name(always([answer("single", ["lag"])], bad))[name] == 1.0
+    assert {bar.goal for bar in bars([]) if bar.name == name} == {"0"}
+
+
+def test_the_probability_of_the_truth_is_that_of_the_ranking() -> None:
+    said = DiagnosisReading("unknown", ranking=(("creep", 0.7), ("lag", 0.2)))
+    cases = always([answer("single", ["lag"]), answer("single", ["drift"])], said)
+    assert by_name(cases)["mean probability on the true class"] == pytest.approx(0.1)
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=40))
+def test_a_resampled_interval_of_a_share_holds_it(hits: list[bool]) -> None:
+    cases = [
+        ScoredCase(str(k), answer("none"), DiagnosisReading("none" if hit else "unknown")) for k, hit in enumerate(hits)
+    ]
+    low, high = resampled(cases, lambda some: sum(c.right for c in some) / len(some))
+    assert 0 <= low <= sum(hits) / len(hits) + 1e-9
+    assert sum(hits) / len(hits) - 1e-9 <= high <= 1
+
+
 def test_rules_beside_are_asked_where_there_is_nothing_too() -> None:
     healthy = [answer("none"), answer("misset"), answer("controls")]
     said = replace(DiagnosisReading("none"), others={"bic": "creep", "correlation": "none"})
@@ -75,11 +148,11 @@ def test_random_guesses_score_near_chance() -> None:
     random = np.random.default_rng(0)
     cases = [
         ScoredCase(str(k), answer("single", [str(random.choice(LABELS))]), named(str(random.choice(LABELS))))
-        for k in range(3000)
+        for k in range(400)
     ]
     found = by_name(cases)["class top-1"]
-    assert found == pytest.approx(1 / len(LABELS), abs=0.02)
-    assert chance(cases) == pytest.approx(found, abs=0.02)
+    assert found == pytest.approx(1 / len(LABELS), abs=0.04)
+    assert chance(cases) == pytest.approx(found, abs=0.04)
 
 
 def test_leaving_it_open_is_right_only_where_the_motions_cannot_tell() -> None:
