@@ -62,10 +62,6 @@ def assemble(settings: TipSettings, folder: Path) -> Assembly:
     """
     model = load_model(model_path(settings.model, folder), start="conditioned")
     facts = model.metadata
-    if facts.angle_unit != "deg" and not facts.inverted:
-        raise ControllerError(
-            f"model: got an output in {facts.angle_unit}, expected deg: controllers steer a tip by angles"
-        )
     file = None if settings.inverse is None else model_path(settings.inverse, folder)
     known = known_model(model, file, settings.actuator_lag_s)
     predictive = isinstance(settings.controller, PredictiveSettings)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hystmpc.ctrl.build import known_model
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.decades import Decades
 from hystmpc.models.evaluate import evaluate
@@ -18,8 +19,9 @@ from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.load import load_model
 from hystmpc.models.operators.hysteresis import Backlash
-from hystmpc.models.simulator import load_simulator, save_simulator
+from hystmpc.models.simulator import ChainModel, load_simulator, save_simulator
 from hystmpc.trials.check import check
+from hystmpc.trials.errors import ModelError
 from hystmpc.trials.trial import Trial, Units
 
 DT = 0.04
@@ -113,5 +115,12 @@ def test_a_simulator_of_another_device_is_kept_with_its_units(tmp_path: Path) ->
 
 def test_signs_are_judged_in_every_unit() -> None:
     assert Backlash(1e-9, 1e-9, 0.0, 0.0).m_lo == 1e-9
-    with pytest.raises(Exception, match=r"backlash\.m_lo is -1e-09 deg/cmd, expected"):
+    with pytest.raises(ModelError, match=r"backlash\.m_lo is -1e-09 deg/cmd, expected"):
         Backlash(-1e-9, 1e-9, 0.0, 0.0)
+
+
+def test_no_controller_is_built_of_an_output_that_is_no_angle(tmp_path: Path) -> None:
+    simulator = found(next(kind for kind in KINDS if kind.name == "backlash"), recorded()).simulator
+    assert simulator is not None
+    with pytest.raises(ModelError, match="maps V to um, expected an output in deg"):
+        known_model(ChainModel(simulator, "conditioned"), None, 0.0)
