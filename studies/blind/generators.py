@@ -88,11 +88,17 @@ def generates(
     return register
 
 
+_LEAST_LAG_S = 4 * FINE_S
+
+
 @generates("lag", "drive", 0.05, 1.0, between(inner=(1.2, 2.6), strokes_per_s=(3.0, 12.0)))
 def cascaded_servo(u: Vec, scene: Scene, size: float, shape: Shape) -> Vec:
-    """Servo of a position over a velocity loop, limited in speed, that stays behind a ramp by `size` [s]."""
+    """Servo of a position over a velocity loop, limited in speed, that stays behind a ramp by `size` [s].
+
+    It stays behind by 8 ms at the least, below which it is not stable on the grid; its limit of speed remains.
+    """
     out = np.empty(u.size)
-    kernels.cascade(u, FINE_S, size, shape["inner"], shape["strokes_per_s"] * scene.travel, out)
+    kernels.cascade(u, FINE_S, max(size, _LEAST_LAG_S), shape["inner"], shape["strokes_per_s"] * scene.travel, out)
     return out
 
 
