@@ -260,7 +260,7 @@ def fit(
 
     def told(done: int, rmse: float) -> None:
         if progress is not None:
-            progress(done, total or done, f"best {rmse:.4f} {unit}")
+            progress(done, total or done, f"best {rmse:.4g} {unit}")
 
     return Fit(kind, chosen.fit(used, request, told), tuple(used))
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from rich.table import Table
 
@@ -16,7 +17,7 @@ from hystmpc.models.evaluate import evaluate as score
 from hystmpc.models.load import load_model
 from hystmpc.trials.files import write_atomically
 
-from .console import bar, errors, out, table
+from .console import bar, decimals, errors, out, table
 from .options import EVALUATION, Force, Layout, Logs, SkipFirstFlexure, check_output, files_read, trials_at
 
 _COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
@@ -64,11 +65,12 @@ def warn_outside(results: Sequence[TrialEvaluation], facts: ModelMetadata) -> No
 
 def errors_table(title: str, results: Sequence[TrialEvaluation]) -> Table:
     """Errors a trial and their mean, in the output's unit; `no bias` is the offset-free RMSE."""
-    rows = [_row(Path(result.trial.source).name, result.errors) for result in results]
+    places = decimals(max(float(np.ptp(result.trial.angle)) for result in results))
+    rows = [_row(Path(result.trial.source).name, result.errors, places) for result in results]
     title = f"{title}, in {results[0].trial.units.angle}"
-    return table(title, _COLUMNS, [*rows, _row("mean", mean_errors(results))], last_apart=True)
+    return table(title, _COLUMNS, [*rows, _row("mean", mean_errors(results), places)], last_apart=True)
 
 
-def _row(name: str, e: Errors) -> list[str]:
-    figures = (e.rmse_deg, e.bias_deg, e.offset_free_rmse_deg, e.max_abs_error_deg, 100 * e.nrmse, e.hold_drift_deg)
-    return [name, *(f"{figure:.3f}" for figure in figures)]
+def _row(name: str, e: Errors, places: int) -> list[str]:
+    figures = (e.rmse_deg, e.bias_deg, e.offset_free_rmse_deg, e.max_abs_error_deg)
+    return [name, *(f"{x:.{places}f}" for x in figures), f"{100 * e.nrmse:.3f}", f"{e.hold_drift_deg:.{places}f}"]

@@ -17,7 +17,7 @@ from hystmpc.models.kinds.catalogue import KINDS, chosen_kind
 from hystmpc.models.kinds.kind import FitRequest, ModelKind
 from hystmpc.models.load import load_model
 from hystmpc.models.simulator import save_simulator
-from hystmpc.trials.trial import Trial
+from hystmpc.trials.trial import Trial, Units
 
 from .console import bar, errors, out, table
 from .evaluate import errors_table
@@ -103,14 +103,14 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
         errors.print(f"{kind.name}, preset {request.preset}: about {_duration(seconds)} on this machine")
     with bar(f"fit {kind.name}", steps) as show:
         show(0, "first look")
-        found = kind.fit(trials, request, lambda done, rmse: show(done, f"best {rmse:.4f} {unit}"))
+        found = kind.fit(trials, request, lambda done, rmse: show(done, f"best {rmse:.4g} {unit}"))
         if steps is None:
             done, best = found.history[-1]
-            show(done, f"best {best:.4f} {unit}", total=done)
+            show(done, f"best {best:.4g} {unit}", total=done)
     if found.interrupted:
         errors.print("interrupted: the best so far is kept", style="yellow")
     if found.parts is not None:
-        _print_parts(found.parts, unit)
+        _print_parts(found.parts, trials[0].units)
     if found.simulator is not None and path.suffix.lower() in SIMULATOR.endings:
         save_simulator(found.simulator, path)
         out.print(found.report, soft_wrap=True)
@@ -123,22 +123,25 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
     )
 
 
-def _print_parts(found: AutoFit, unit: str) -> None:
+def _print_parts(found: AutoFit, units: Units) -> None:
     """What each part bought, its numbers, and what the logs do not determine."""
     if found.rows:
         rows = [(r.part, r.form, _figure(r.without_deg), _figure(r.with_deg)) for r in found.rows]
-        out.print(table(f"what each part buys, RMSE on trials left out, in {unit}", _PARTS, rows))
+        out.print(table(f"what each part buys, RMSE on trials left out, in {units.angle}", _PARTS, rows))
     numbers = [
-        (f"{r.owner} {r.name}", f"{r.value:.4g}", f"{r.ci90[0]:.4g} to {r.ci90[1]:.4g}") for r in found.parameters
+        (f"{r.owner} {r.name}", f"{r.value:.4g}", f"{r.ci90[0]:.4g} to {r.ci90[1]:.4g}", units.named(r.unit))
+        for r in found.parameters
     ]
     if numbers:
-        out.print(table("identified numbers, with intervals of 90 %", ("parameter", "value", "interval"), numbers))
+        out.print(
+            table("identified numbers, with intervals of 90 %", ("parameter", "value", "interval", "unit"), numbers)
+        )
     for line in found.advice:
         out.print(line, soft_wrap=True)
 
 
 def _figure(value: float) -> str:
-    return f"{value:.3f}" if math.isfinite(value) else "-"
+    return f"{value:.4g}" if math.isfinite(value) else "-"
 
 
 def _duration(seconds: float) -> str:

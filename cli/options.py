@@ -19,7 +19,7 @@ from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError
 from hystmpc.trials.files import require_writable
 from hystmpc.trials.layouts import PRESETS
 from hystmpc.trials.read import expand_logs, read_trials
-from hystmpc.trials.trial import Trial, resample
+from hystmpc.trials.trial import Trial, resample, without_loose_ends
 
 from .console import errors
 
@@ -62,7 +62,7 @@ def files_read(logs: Sequence[Path], layout: str) -> list[Path]:
 
 
 def trials_at(logs: Sequence[Path], layout: str, rate_hz: float) -> list[Trial]:
-    """Read logs and resample them; say what seems to be in another unit.
+    """Read logs and resample them; say what is left out at their ends, and what seems to be in another unit.
 
     Raises:
         LogError: if a log cannot be read or resampled, or its time seems to be in milliseconds.
@@ -70,6 +70,10 @@ def trials_at(logs: Sequence[Path], layout: str, rate_hz: float) -> list[Trial]:
     recorded = read_trials(logs, layout)
     for trial in recorded:
         require_seconds(trial)
+        used = without_loose_ends(trial)
+        if used is not trial:
+            text = f"{len(trial) - len(used)} samples that a gap parts from the log's start or end are left out"
+            errors.print(f"note: {trial.source}: {text}", soft_wrap=True, highlight=False)
     trials = [resample(trial, rate_hz) for trial in recorded]
     warn_of_units(trials)
     return trials

@@ -11,7 +11,7 @@ from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.prediction.build import Known, known_pairs
 from hystmpc.models.simulator import ChainModel, Simulator
-from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.errors import ControllerError, ModelError
 
 from .fallback import FallbackChain
 from .guarded import GuardedController
@@ -80,9 +80,15 @@ def known_model(model: LoadedModel, inverse: Path | None, lag_s: float) -> Known
         lag_s: first-order lag of the command that the model does not contain; 0 for none.
 
     Raises:
-        ModelError: if the file of the inverse cannot be used.
+        ModelError: if the file of the inverse cannot be used, or the model's output is not in deg.
         FitError: if no stand-in can be fitted.
     """
+    facts = model.metadata
+    if facts.angle_unit != "deg" and not facts.inverted:
+        raise ModelError(
+            f"the model maps {facts.command_unit} to {facts.angle_unit}, expected an output in deg: a tip is "
+            "steered by its angle"
+        )
     known = known_pairs(model, None if inverse is None else _given_inverse(inverse, model.metadata.dt_s))
     return known.behind((Lag(lag_s),), model.metadata) if lag_s else known
 

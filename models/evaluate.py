@@ -100,7 +100,7 @@ def evaluate(model: RunnableModel, trial: Trial, skip_first_flexure: bool = Fals
     trial = trial.swapped() if metadata.inverted and not trial.inverted else trial
     if abs(trial.dt - metadata.dt_s) > 1e-3 * metadata.dt_s:
         raise ModelError(f"{trial.source}: sampled every {trial.dt:.6g} s, expected {metadata.dt_s:.6g} s; resample it")
-    if trial.units != Units(metadata.command_unit, metadata.angle_unit):
+    if trial.units != Units(metadata.command_unit, metadata.angle_unit, metadata.inverted):
         raise ModelError(
             f"{trial.source}: {trial.units.command} in and {trial.units.angle} out, expected {metadata.command_unit} "
             f"and {metadata.angle_unit} as the model has them"

@@ -85,6 +85,7 @@ class SimulatorFile(Settings):
     trained_angle_deg: Range
     trained_rate_per_s: Rate
     angle_unit: str = "deg"
+    inverse: bool | None = None
     chain: dict[Literal["before", "core", "after"], Any]
     identification: Identification
 
@@ -96,8 +97,9 @@ class Simulator:
     Attributes:
         chain: the operators.
         dt_s: sample time at which it was identified [s]; the operators themselves hold at any.
-        command_unit: mm or bar.
-        angle_unit: deg; an inverse map takes deg and gives mm or bar.
+        command_unit: mm or bar, or what another device takes.
+        angle_unit: deg; an inverse map takes deg and gives mm or bar. Other devices have other units.
+        inverse: whether it is an inverse map; None where one unit alone is deg and tells.
         command_limits, command_rate_per_s: what the device may be sent.
         trained_command, trained_angle_deg, trained_rate_per_s: what identification saw.
         identification: method, data and residuals.
@@ -113,6 +115,7 @@ class Simulator:
     trained_rate_per_s: float
     identification: Identification
     angle_unit: str = "deg"
+    inverse: bool | None = None
 
     def at_sample_time(self, dt_s: float) -> Simulator:
         """The same simulator at sample time `dt_s` [s]: delays get the store that they need at it."""
@@ -138,6 +141,7 @@ class Simulator:
             dt_s=self.dt_s,
             command_unit=self.command_unit,
             angle_unit=self.angle_unit,
+            inverse=self.inverse,
             command_limits=self.command_limits,
             command_rate=self.command_rate_per_s,
             trained_command=self.trained_command,
@@ -159,6 +163,7 @@ def simulator_for(chain: Chain, facts: ModelMetadata, method: str) -> Simulator:
         dt_s=facts.dt_s,
         command_unit=facts.command_unit,
         angle_unit=facts.angle_unit,
+        inverse=facts.inverse,
         command_limits=facts.command_limits,
         command_rate_per_s=facts.command_rate,
         trained_command=facts.trained_command,
@@ -175,6 +180,7 @@ def save_simulator(simulator: Simulator, path: Path | str) -> Path:
         "dt_s": simulator.dt_s,
         "command_unit": simulator.command_unit,
         "angle_unit": simulator.angle_unit,
+        **({} if simulator.inverse is None else {"inverse": simulator.inverse}),
         "command_limits": simulator.command_limits.model_dump(),
         "command_rate_per_s": simulator.command_rate_per_s,
         "trained_command": simulator.trained_command.model_dump(),

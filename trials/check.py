@@ -15,7 +15,7 @@ from .layouts import CANONICAL, LogMapping, Preset
 from .read import Layout, Log, is_table, read_raw, resolve
 from .segments import Motion, Segments, segment
 from .signals import Raw
-from .trial import Trial, gap_limit_s, resample
+from .trial import Trial, clock_advice, gap_limit_s, resample, without_loose_ends
 from .types import Vec
 
 
@@ -156,7 +156,7 @@ def time_findings(t: Vec, command: Vec, angle: Vec, where: Callable[[int], str])
     yield _base(median, float(t[kept[0]]), float(t[kept[-1]]), t.size)
     yield _jitter(forward, median)
     yield _gaps(t, kept, intervals, median, where)
-    yield _order(kept, intervals, where)
+    yield _order(t, kept, intervals, where)
     yield _stuck(t, command, angle)
 
 
@@ -200,6 +200,16 @@ def _gaps(t: Vec, kept: NDArray[np.intp], intervals: Vec, median: float, where: 
     if not gaps.size:
         return Finding(Severity.OK, "gaps", f"none longer than {limit:.3g} s")
     k = int(gaps[np.argmax(intervals[gaps])])
+    if (intervals > 0).all():
+        even = Trial(t[kept], t[kept], t[kept])
+        used = without_loose_ends(even)
+        if np.diff(used.t).max() <= limit:
+            return Finding(
+                Severity.NOTE,
+                "gaps",
+                f"{gaps.size} longer than {limit:.3g} s, parting {len(even) - len(used)} samples from the log's start "
+                f"or end; these are left out, {used.t[0]:.6g} to {used.t[-1]:.6g} s are used",
+            )
     return Finding(
         Severity.ERROR,
         "gaps",
@@ -208,7 +218,7 @@ def _gaps(t: Vec, kept: NDArray[np.intp], intervals: Vec, median: float, where: 
     )
 
 
-def _order(kept: NDArray[np.intp], intervals: Vec, where: Callable[[int], str]) -> Finding:
+def _order(t: Vec, kept: NDArray[np.intp], intervals: Vec, where: Callable[[int], str]) -> Finding:
     same, back = np.flatnonzero(intervals == 0), np.flatnonzero(intervals < 0)
     parts = [
         f"{found.size} time stamps {what}, first at {where(int(kept[found[0] + 1]))}"
@@ -216,7 +226,7 @@ def _order(kept: NDArray[np.intp], intervals: Vec, where: Callable[[int], str]) 
         if found.size
     ]
     if parts:
-        return Finding(Severity.ERROR, "duplicates", "; ".join(parts))
+        return Finding(Severity.ERROR, "duplicates", "; ".join(parts) + clock_advice(t[kept]))
     return Finding(Severity.OK, "duplicates", "time increases from sample to sample")
 
 
@@ -243,10 +253,11 @@ def _stuck(t: Vec, command: Vec, angle: Vec) -> Finding:
 
 _SEGMENT_RATE_HZ = 50.0  # enough for tip motions up to a few Hz
 _RETURN_SHARE = 0.05  # of the command's range: nearer to its start counts as back at its start
-_SET_DEG = 1.0  # about three times the noise of an electromagnetic tracker
+_SET_SHARE = 0.02  # of the angle's range; about three times the noise of an electromagnetic tracker on a catheter
 _FOLLOWS = 0.3  # correlation of angle and command below which the sign cannot be told
 
-# Range of a signal -> what its numbers look like: (from, to, suspicion); between the rows they look right.
+# Range of a signal -> what its numbers look like: (from, to, suspicion); between the rows they look right. Only where
+# travel in mm or pressure in bar bends a tip by degrees: of any other device nothing is known that could be compared.
 _MISTAKEN: dict[str, tuple[tuple[float, float, str], ...]] = {
     "mm": ((0.0, 0.05, "metres"), (200.0, np.inf, "micrometres")),
     "bar": ((0.0, 0.02, "MPa or a valve signal"), (20.0, 5e3, "kPa or psi"), (5e3, np.inf, "Pa")),
@@ -254,11 +265,16 @@ _MISTAKEN: dict[str, tuple[tuple[float, float, str], ...]] = {
 }
 
 
+_COMMANDS, _ANGLES, _ANY = (-100.0, 100.0), (-200.0, 200.0), (-np.inf, np.inf)  # plausible values: mm or bar, deg
+
+
 def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
     """Findings on a trial whose values are finite and in order."""
     span = float(np.ptp(trial.command))
-    yield _units("command", trial.command, trial.units.command, preset.command_range)
-    yield _units("angle", trial.angle, trial.units.angle, preset.angle_range)
+    bends = trial.units.angle == "deg" and trial.units.command in ("mm", "bar")
+    ranges = (preset.command_range or _COMMANDS, preset.angle_range or _ANGLES) if bends else (_ANY, _ANY)
+    yield _units("command", trial.command, trial.units.command, ranges[0], bends)
+    yield _units("angle", trial.angle, trial.units.angle, ranges[1], bends)
     if span == 0:
         text = f"the command is {trial.command[0]:g} {trial.units.command} throughout: nothing can be identified"
         yield Finding(Severity.ERROR, "excitation", text)
@@ -275,10 +291,10 @@ def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
     yield _first_flexure(even, parts)
 
 
-def _units(name: str, values: Vec, unit: str, plausible: tuple[float, float]) -> Finding:
+def _units(name: str, values: Vec, unit: str, plausible: tuple[float, float], bends: bool) -> Finding:
     low, high, topic = float(values.min()), float(values.max()), f"units of {name}"
     text = f"{low:.4g} to {high:.4g} {unit}"
-    for least, most, suspicion in _MISTAKEN.get(unit, ()):
+    for least, most, suspicion in _MISTAKEN.get(unit, ()) if bends else ():
         if least < high - low and least <= high - low <= most:
             return Finding(Severity.WARNING, topic, f"{text}: looks like {suspicion}, expected {unit}")
     if low < plausible[0] or high > plausible[1]:
@@ -293,7 +309,7 @@ def _sign(trial: Trial) -> Finding:
     u, y = trial.command - trial.command.mean(), trial.angle - trial.angle.mean()
     power = float(np.sqrt((u @ u) * (y @ y)))
     together = float(u @ y) / power if power > 0 else 0.0
-    text = f"{float(u @ y / (u @ u)):.3g} deg per {trial.units.command} (correlation {together:.2f})"
+    text = f"{float(u @ y / (u @ u)):.3g} {trial.units.angle} per {trial.units.command} (correlation {together:.2f})"
     if abs(together) < _FOLLOWS:
         return Finding(Severity.WARNING, "sign", f"the angle hardly follows the command: {text}")
     if together < 0:
@@ -320,24 +336,27 @@ def _segments(trial: Trial, parts: Segments) -> Finding:
 
 def _first_flexure(trial: Trial, parts: Segments) -> Finding:
     """Compare the angle before the first flexure with the one when the command is back."""
-    topic, unit, u, y = "first flexure", trial.units.command, trial.command, trial.angle
+    topic, unit, out, u, y = "first flexure", trial.units.command, trial.units.angle, trial.command, trial.angle
     if not parts.reversals.size:
         return Finding(Severity.NOTE, topic, "the command never turns back, so a set cannot be told")
     top = int(parts.reversals[0])
     low = int(parts.reversals[1]) if parts.reversals.size > 1 else len(trial) - 1
-    opening = f"ends at {trial.t[top]:.4g} s, {y[top]:.1f} deg at {u[top]:.3g} {unit}"
+    opening = f"ends at {trial.t[top]:.4g} s, {y[top]:.4g} {out} at {u[top]:.3g} {unit}"
     if abs(u[low] - u[0]) > _RETURN_SHARE * float(np.ptp(u)):
         way_up = float(y[int(np.argmin(np.abs(u[: top + 1] - u[low])))])
         return Finding(
             Severity.NOTE,
             topic,
             f"{opening}; the command does not come back to its start ({u[0]:.3g} {unit}), so a set cannot be told "
-            f"from hysteresis: at {u[low]:.3g} {unit} the angle was {way_up:.1f} deg on the way there and "
-            f"{y[low]:.1f} deg back",
+            f"from hysteresis: at {u[low]:.3g} {unit} the angle was {way_up:.4g} {out} on the way there and "
+            f"{y[low]:.4g} {out} back",
         )
     left = float(y[low] - y[0])
-    text = f"{opening}; the angle was {y[0]:.1f} deg before and is {y[low]:.1f} deg after it: a set of {left:+.1f} deg"
-    if abs(left) > _SET_DEG:
+    text = (
+        f"{opening}; the angle was {y[0]:.4g} {out} before and is {y[low]:.4g} {out} after it: "
+        f"a set of {left:+.2g} {out}"
+    )
+    if abs(left) > _SET_SHARE * float(np.ptp(y)):
         advice = "; score later motions only (--skip-first-flexure)"
         return Finding(Severity.WARNING, topic, text + advice)
     return Finding(Severity.OK, topic, text)

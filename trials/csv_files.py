@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .errors import LogError
 from .files import write_atomically
 from .layouts import CANONICAL, COMMAND_UNITS, Preset, detect_preset, get_preset
-from .trial import Trial, Units
+from .trial import Trial, Units, clock_advice
 from .types import Vec
 
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
@@ -277,9 +277,10 @@ def read_columns(log: Path | str | Frame, preset: str | Preset = "auto") -> Colu
         )
     try:
         command = layout.command_column(table.header)
+        angle_name, angle_unit = layout.angle_column(table.header)
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
-    names = {"t": layout.time, "command": command, "angle": layout.angle}
+    names = {"t": layout.time, "command": command, "angle": angle_name}
     for name in names.values():
         if name in table.texts:
             row, cell = table.locate(0, name)
@@ -287,7 +288,8 @@ def read_columns(log: Path | str | Frame, preset: str | Preset = "auto") -> Colu
     others = [k for k in table.numbers if k and k not in names.values()]  # a trailing comma makes a nameless column
     channels = {layout.channels.get(k, k): table.numbers[k] for k in others}
     t, u, angle = (table.numbers[name] for name in names.values())
-    return Columns(t, u, angle, channels, Units(command=layout.command[command]), layout, table, names)
+    units = Units(layout.command[command], angle_unit, inverse=False)
+    return Columns(t, u, angle, channels, units, layout, table, names)
 
 
 def read_csv(log: Path | str | Frame, preset: str | Preset = "auto") -> Trial:
@@ -320,7 +322,7 @@ def read_csv(log: Path | str | Frame, preset: str | Preset = "auto") -> Trial:
         k = int(late[0])
         raise LogError(
             f"{path}, row {columns.row(k + 1)}, column {columns.names['t']!r}: got {columns.t[k + 1]:.9g} s after "
-            f"{columns.t[k]:.9g} s, expected increasing time ({late.size} such rows)"
+            f"{columns.t[k]:.9g} s, expected increasing time ({late.size} such rows){clock_advice(columns.t)}"
         )
     return Trial(columns.t, columns.command, columns.angle, columns.channels, columns.units, path)
 
@@ -328,22 +330,23 @@ def read_csv(log: Path | str | Frame, preset: str | Preset = "auto") -> Trial:
 def write_csv(trial: Trial, path: Path | str) -> Path:
     """Write a trial in canonical columns, whole or not at all; it reads back exactly.
 
-    A command in mm is written as `command`, in another unit as `command_<unit>`.
+    A command in mm is written as `command`, in another unit as `command_<unit>`; an output as `angle_<unit>`.
 
     Raises:
         LogError: if a channel has the name of a canonical column, or a unit cannot be named in the header.
     """
     unit = trial.units.command
-    if unit not in COMMAND_UNITS or trial.units.angle != "deg":
+    angle = {"deg": CANONICAL.angle} | {unit: name for name, unit in CANONICAL.other_angles.items()}
+    if unit not in COMMAND_UNITS or trial.units.angle not in angle or trial.inverted:
         raise LogError(
             f"{trial.source}: units are {unit} and {trial.units.angle}, "
-            f"expected a command in {', '.join(COMMAND_UNITS)} and an angle in deg"
+            f"expected a command in {', '.join(COMMAND_UNITS)} and an output in {', '.join(angle)}"
         )
-    reserved = {CANONICAL.time, CANONICAL.angle, *CANONICAL.command}
+    reserved = {CANONICAL.time, *angle.values(), *CANONICAL.command}
     if clash := sorted(reserved & set(trial.channels)):
         raise LogError(f"{trial.source}: channel {clash[0]!r} has the name of a canonical column, expected another")
     command = "command" if unit == COMMAND_UNITS[0] else f"command_{unit}"
-    columns = {CANONICAL.time: trial.t, command: trial.command, CANONICAL.angle: trial.angle, **trial.channels}
+    columns = {CANONICAL.time: trial.t, command: trial.command, angle[trial.units.angle]: trial.angle, **trial.channels}
     return write_atomically(path, format_table(columns))
 
 

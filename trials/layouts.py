@@ -28,7 +28,8 @@ class Preset:
         channels: readable names of further columns; columns not listed keep the name they have in the log.
         delimiter: what separates the cells.
         columns: column names of a log without a header row, in order; empty where the log has a header row.
-        command_range, angle_range: least and greatest plausible value, for the quality check.
+        command_range, angle_range: least and greatest plausible value, for the quality check; None for any device.
+        other_angles: columns of an output that is no angle, and their units; of these and `angle` a log holds one.
 
     Raises:
         ConfigError: if `columns` lacks the time, the command or the angle.
@@ -42,8 +43,9 @@ class Preset:
     channels: Mapping[str, str] = field(default_factory=dict)
     delimiter: str = ","
     columns: tuple[str, ...] = ()
-    command_range: tuple[float, float] = (-100.0, 100.0)
-    angle_range: tuple[float, float] = (-200.0, 200.0)
+    command_range: tuple[float, float] | None = None
+    angle_range: tuple[float, float] | None = None
+    other_angles: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "command", MappingProxyType(dict(self.command)))
@@ -58,7 +60,9 @@ class Preset:
 
     def missing(self, header: Sequence[str]) -> list[str]:
         """Columns that this layout needs and `header` lacks; alternatives are joined by ` or `."""
-        gone = [name for name in (self.time, self.angle) if name not in header]
+        gone = [] if self.time in header else [self.time]
+        if not any(name in header for name in (self.angle, *self.other_angles)):
+            gone.append(self.angle)
         if not any(name in header for name in self.command):
             gone.insert(1 if self.time in gone else 0, " or ".join(self.command))
         return gone
@@ -76,16 +80,31 @@ class Preset:
             )
         return found[0]
 
+    def angle_column(self, header: Sequence[str]) -> tuple[str, str]:
+        """The column of `header` that holds the angle or another output, and its unit.
+
+        Raises:
+            LogError: if several columns could be meant.
+        """
+        found = [name for name in (self.angle, *self.other_angles) if name in header]
+        if len(found) > 1:
+            raise LogError(f"several output columns: {', '.join(found)}; expected one")
+        return found[0], self.other_angles.get(found[0], "deg")
+
 
 COMMAND_UNITS = ("mm", "bar", "kPa", "V", "A", "N")
 """Units that a canonical command column may carry in its name; a bare `command` is in the first of them."""
 
+OUTPUT_UNITS = ("mm", "um", "m", "N", "V", "A", "bar", "kPa", "percent")
+"""Units, beside deg, that the canonical column `angle_<unit>` may carry in its name."""
+
 CANONICAL = Preset(
     name="canonical",
-    summary="time_s, command (or command_mm, command_bar, ...), angle_deg, any further columns",
+    summary="time_s, command (or command_mm, command_bar, ...), angle_deg (or angle_mm, ...), any further columns",
     time="time_s",
     command={"command": COMMAND_UNITS[0]} | {f"command_{unit}": unit for unit in COMMAND_UNITS},
     angle="angle_deg",
+    other_angles={f"angle_{unit}": unit for unit in OUTPUT_UNITS},
 )
 
 TENDON_CATHETER = Preset(
@@ -142,10 +161,16 @@ COMMAND_UNIT_OF = MappingProxyType(
     | {"um": ("mm", 1e-3), "cm": ("mm", 10.0), "m": ("mm", 1e3)}
     | {"Pa": ("bar", 1e-5), "MPa": ("bar", 10.0), "psi": ("bar", 0.0689475729)}
 )
-"""Unit that a command may be logged in -> the unit that it is read in, and the factor."""
+"""Unit that a command may be logged in -> the unit that it is read in, and the factor; any other stays what it is."""
 
-DEGREES = MappingProxyType({"deg": 1.0, "rad": math.degrees(1.0)})
-"""Unit that an angle may be logged in -> degrees."""
+ANGLE_UNIT_OF = MappingProxyType({"rad": ("deg", math.degrees(1.0))})
+"""Unit that an output may be logged in -> the unit that it is read in, and the factor; any other stays what it is."""
+
+UnitName = Literal[
+    "deg", "rad", "mm", "um", "nm", "cm", "m", "bar", "mbar", "kPa", "Pa", "MPa", "psi", "V", "mV", "kV", "A", "mA",
+    "N", "mN", "kN", "Nm", "K", "percent", "count", "1",
+]  # fmt: skip
+"""Units that a mapping may name; a list, so that a slip of the pen is no new unit. `1` is for all others."""
 
 SECONDS = MappingProxyType({"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9})
 """Unit of a time signal -> seconds."""
@@ -178,16 +203,16 @@ class SignalSettings(Settings):
 
 
 class CommandSettings(SignalSettings):
-    """The command, in one of the units that are read (`m`, `MPa`, ... become mm and bar)."""
+    """The command; of `COMMAND_UNIT_OF`, lengths become mm and pressures bar, which benches send."""
 
-    unit: Literal["mm", "um", "cm", "m", "bar", "kPa", "Pa", "MPa", "psi", "V", "A", "N"] = "mm"
+    unit: UnitName = "mm"
     hold: bool = True
 
 
 class AngleSettings(SignalSettings):
-    """The tip angle, in degrees or radians."""
+    """The tip angle or another output, such as a displacement or force; rad become deg, all else keeps its unit."""
 
-    unit: Literal["deg", "rad"] = "deg"
+    unit: UnitName = "deg"
 
 
 class LogMapping(Settings):
@@ -198,7 +223,7 @@ class LogMapping(Settings):
         channels: further signals under the names they get.
         time: a signal that holds time; or `log` (when a message was logged) or `header` (`header.stamp`).
         time_unit: unit of a time signal.
-        rate_hz: sampling rate [Hz] of a log without any time; then `time` is not looked at.
+        rate_hz: sampling rate [Hz] of a log without any time, or with a broken clock; then `time` is not looked at.
         base: the signal whose time stamps the trial gets.
     """
 

@@ -10,7 +10,16 @@ from typing import Any, Protocol
 import numpy as np
 
 from .errors import LogError, did_you_mean
-from .layouts import COMMAND_UNIT_OF, DEGREES, HEADER_TIME, LOG_TIME, SECONDS, LogMapping, SignalSettings
+from .layouts import (
+    ANGLE_UNIT_OF,
+    COMMAND_UNIT_OF,
+    HEADER_TIME,
+    LOG_TIME,
+    OUTPUT_UNITS,
+    SECONDS,
+    LogMapping,
+    SignalSettings,
+)
 from .trial import Trial, Units
 from .types import Vec
 
@@ -131,13 +140,14 @@ def canonical_mapping(names: Sequence[str], path: str) -> LogMapping:
     """
     commands = {"command": "mm"} | {f"command_{unit}": unit for unit in COMMAND_UNIT_OF}
     ends = {name.rpartition(".")[2]: name for name in reversed(names)}
-    command = next((name for name in commands if name in ends), None)
-    if command is None or "time_s" not in ends or "angle_deg" not in ends:
+    outputs = {"angle_deg": "deg"} | {f"angle_{unit}": unit for unit in OUTPUT_UNITS}
+    command, angle = (next((name for name in known if name in ends), None) for known in (commands, outputs))
+    if command is None or "time_s" not in ends or angle is None:
         raise LogError(
             f"{path}: holds no time_s, command, angle_deg; expected these, or a mapping file after --preset; "
             f"available: {listed(names)}"
         )
-    keys = ends["time_s"], ends[command], ends["angle_deg"]
+    keys = ends["time_s"], ends[command], ends[angle]
     home = keys[0].rpartition(".")[0]
     others = [name for name in names if name not in keys and name.rpartition(".")[0] == home]
     channels = {name.rpartition(".")[2]: {"signal": name} for name in others}
@@ -145,7 +155,7 @@ def canonical_mapping(names: Sequence[str], path: str) -> LogMapping:
         {
             "time": keys[0],
             "command": {"signal": keys[1], "unit": commands[command]},
-            "angle": keys[2],
+            "angle": {"signal": keys[2], "unit": outputs[angle]},
             "channels": channels,
         },
         path,
@@ -229,13 +239,14 @@ def _joined(source: Source, mapping: LogMapping, found: Sequence[Series]) -> Raw
     # What gives the base keeps its values as they are: nothing of it is interpolated, not even where a stamp repeats.
     own = 1 if mapping.base == "angle" else 0
     signals[own] = mapping.signals()[own].scale * base.values[inside] + mapping.signals()[own].offset
-    unit, factor = COMMAND_UNIT_OF[mapping.command.unit]
+    unit, factor = COMMAND_UNIT_OF.get(mapping.command.unit, (mapping.command.unit, 1.0))
+    angle_unit, angle_factor = ANGLE_UNIT_OF.get(mapping.angle.unit, (mapping.angle.unit, 1.0))
     return Raw(
         t,
         factor * signals[0],
-        DEGREES[mapping.angle.unit] * signals[1],
+        angle_factor * signals[1],
         dict(zip(mapping.channels, signals[2:], strict=True)),
-        Units(command=unit),
+        Units(unit, angle_unit, inverse=False),
         source.path,
         mapping.name,
         source.note,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -20,10 +21,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Units:
-    """Units of a trial's channels."""
+    """Units of command and angle, as tables, reports and files print them.
 
-    command: str = "mm"  # tendon travel mm, or pressure bar
+    Attributes:
+        command: of the command, such as tendon travel mm or pressure bar.
+        angle: of the output, a tip angle in deg unless the log has another.
+        inverse: whether command and angle have changed places; where left out, whether the command is in deg and the
+            output is not.
+    """
+
+    command: str = "mm"
     angle: str = "deg"
+    inverse: bool | None = None
+
+    def __post_init__(self) -> None:
+        if self.inverse is None:
+            object.__setattr__(self, "inverse", self.command == "deg" != self.angle)
+
+    def named(self, unit: str) -> str:
+        """The unit of a quantity, such as `deg/cmd`, with the names of these units in it; empty of a plain number."""
+        names = {"cmd": self.command, "deg": self.angle}
+        return "" if unit == "1" else re.sub(r"\b(cmd|deg)\b", lambda found: names[found[0]], unit)
 
 
 @dataclass(frozen=True, eq=False)  # arrays have no single truth value: trials are compared by identity
@@ -65,8 +83,8 @@ class Trial:
         if late.size:
             k = int(late[0])
             raise LogError(
-                f"{self.source}: time does not increase at sample {k + 1} "
-                f"({self.t[k]:.6g} s, then {self.t[k + 1]:.6g} s), expected strictly increasing time"
+                f"{self.source}: time does not increase at sample {k + 1} ({self.t[k]:.6g} s, then "
+                f"{self.t[k + 1]:.6g} s), expected strictly increasing time{clock_advice(self.t)}"
             )
 
     def __len__(self) -> int:
@@ -83,11 +101,11 @@ class Trial:
     @property
     def inverted(self) -> bool:
         """Whether command and angle have changed places: what an inverse map is identified from."""
-        return self.units.command == "deg"
+        return bool(self.units.inverse)
 
     def swapped(self) -> Trial:
         """The trial with command and angle exchanged, so that a model of it maps angle to command; twice is once."""
-        units = Units(self.units.angle, self.units.command)
+        units = Units(self.units.angle, self.units.command, not self.inverted)
         return Trial(self.t, self.angle, self.command, self.channels, units, self.source)
 
     @property
@@ -161,11 +179,30 @@ def _signal(values: ArrayLike, name: str, source: str) -> Vec:
     return vector
 
 
+_SOUND = 20  # intervals from which a rate can be told
+
+
+def clock_advice(t: Vec) -> str:
+    """What to do about time stamps (T,) [s] that repeat or run backwards, for an error line: `; ...`."""
+    late = np.flatnonzero(np.diff(t) <= 0)
+    sound = t[: int(late[0]) + 1] if late.size and late[0] >= _SOUND else t  # a clock that ran out of digits coarsens
+    forward = np.diff(sound)
+    forward = forward[forward > 0]
+    if not forward.size:
+        return ""
+    rate = 1 / float(np.median(forward))
+    return f"; if it was sampled evenly, a mapping file with `rate_hz: {rate:.4g}` stands in for the broken clock"
+
+
 MAX_GAP_S = 0.2
 """Longest gap that interpolation may bridge [s]: on a 0.5 Hz sine of 60 deg it errs by up to 1.5 deg."""
 
 GAP_INTERVALS = 3.0
 """A gap is also at least this many median sample intervals, so that slow logs are not all gaps."""
+
+TRIM_S, TRIM_SHARE = 0.5, 0.01
+"""Samples before the first gap, or behind the last one, that last no longer than both [s; of the log] are left out: a
+logger often writes some before it runs evenly. The lesser of the two counts."""
 
 _RATE_MARGIN = 1.5  # a grid this much finer than the log itself would only invent samples
 
@@ -175,11 +212,25 @@ def gap_limit_s(median_interval_s: float, max_gap_s: float = MAX_GAP_S) -> float
     return max(max_gap_s, GAP_INTERVALS * median_interval_s)
 
 
+def without_loose_ends(trial: Trial, max_gap_s: float = MAX_GAP_S) -> Trial:
+    """The trial without the few samples that a gap parts from its start or end, see `TRIM_S`; itself if there are none.
+
+    Time keeps its origin.
+    """
+    limit = gap_limit_s(trial.dt, max_gap_s)
+    gaps = np.flatnonzero(np.diff(trial.t) > limit)
+    short = min(TRIM_S, TRIM_SHARE * trial.duration_s)
+    first = gaps[trial.t[gaps] - trial.t[0] <= short]
+    last = gaps[trial.t[-1] - trial.t[gaps + 1] <= short]
+    start, stop = int(first[-1]) + 1 if first.size else 0, int(last[0]) + 1 if last.size else len(trial)
+    return trial if (start, stop) == (0, len(trial)) or stop - start < 2 else trial.select(start, stop)
+
+
 def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Trial:
     """Interpolate linearly onto t[0] + k / rate_hz, up to the last sample; channels come along.
 
-    There is no anti-aliasing filter: a command that a controller sent is not band-limited, and a filter would shift
-    its turning points.
+    Loose ends are left out first (`without_loose_ends`). There is no anti-aliasing filter: a command that a controller
+    sent is not band-limited, and a filter would shift its turning points.
 
     Args:
         trial: recorded at any, also varying, rate.
@@ -192,6 +243,7 @@ def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Tria
     """
     if not (math.isfinite(rate_hz) and rate_hz > 0):
         raise ConfigError(f"rate_hz: got {rate_hz}, expected a positive number")
+    trial = without_loose_ends(trial, max_gap_s)
     own_hz = 1.0 / trial.dt
     if rate_hz > _RATE_MARGIN * own_hz:
         raise LogError(

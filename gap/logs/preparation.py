@@ -17,9 +17,9 @@ from hystmpc.models.identify.problem import Problem
 from hystmpc.models.identify.runs import Run, fingerprint, runs_of
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Identification, Simulator
-from hystmpc.trials.errors import LogError
+from hystmpc.trials.errors import GapError, LogError
 from hystmpc.trials.segments import segment
-from hystmpc.trials.trial import Trial, resample
+from hystmpc.trials.trial import Trial, Units, resample
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import Order
@@ -83,6 +83,8 @@ def prepare(
         GapError: on unusable trials, see `check_trials` and `in_recording_order`.
         ModelError: if the simulator is an inverse map.
     """
+    if isinstance(simulator, Simulator):
+        _require_size(simulator)
     trials, order = in_recording_order(trials, ordered)
     facts, known = simulator if isinstance(simulator, Simulator) else simulator.metadata, order == "known"
     checked = check_trials(trials, facts, seed, known)
@@ -116,6 +118,19 @@ def prepare(
         excess_mse=max(signs.energy - nominal**2, 0.0) if nominal is not None and faulty else 0.0,
         order=order,
     )
+
+
+def _require_size(simulator: Simulator) -> None:
+    """A diagnosis searches within the bounds of its operators, which are stated for a device of usual size."""
+    units = Units(simulator.command_unit, simulator.angle_unit)
+    for name, parameter, value in zip(
+        simulator.chain.labels, simulator.chain.parameters, simulator.chain.values, strict=True
+    ):
+        if not parameter.lower <= value <= parameter.upper:
+            raise GapError(
+                f"simulator: {name} is {value:.4g} {units.named(parameter.unit)}, expected {parameter.lower:g} to "
+                f"{parameter.upper:g}; log command or angle in a smaller or larger unit (`scale` in a mapping file)"
+            )
 
 
 def shortage(trials: Sequence[Trial]) -> str:

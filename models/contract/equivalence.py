@@ -11,12 +11,14 @@ import numpy as np
 from hystmpc.trials.errors import ExportError
 from hystmpc.trials.types import Vec
 
+from ..decades import Decades
 from ..model import StepFunction
 from .load import OnnxModel
+from .metadata import ModelMetadata
 
 STEPS = 1000
 BATCH = 8
-TOLERANCE_DEG = 1e-3
+TOLERANCE_DEG = 1e-3  # of a catheter of tens of degrees; of another device in its working units, see `Decades`
 _DRAWS = 25  # batches of random states
 _JACOBIANS = 50
 _SPREAD = 0.1  # of random states around those visited, in standard deviations of each entry
@@ -26,6 +28,8 @@ _NUDGE, _NUDGES, _LOOSE = 1e-5, 16, 1e-3
 _JACOBIAN_TOLERANCE = {"float32": (1e-3, 1e-4), "float64": (1e-9, 1e-9)}  # relative, absolute
 
 Step = Callable[[Vec, Vec], tuple[Vec, Vec]]
+Output = tuple[float, str]
+"""Units of theta in one working unit, and their name."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ class EquivalenceReport:
 
 
 def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> EquivalenceReport:
-    """Compare the three implementations.
+    """Compare the three implementations; outputs and their derivatives in working units (`Decades`).
 
     Free run of 1,000 samples by the probe (repeated or cut) from the initial state, single steps from random states
     drawn around those visited in batches of 1 and 8, Jacobians at visited states.
@@ -64,6 +68,8 @@ def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> 
     """
     function = model.casadi_function()
     commands = np.resize(probe, STEPS)
+    units = _working_units(model.metadata)
+    out = (units[1], model.metadata.angle_unit)
     angle = model.metadata.trained_angle  # the run starts at the angle of this range that is nearest to zero
     start = model.metadata.initial.state(np.clip([[0.0]], angle.lower, angle.upper))
     expected = _free_run(reference.advance, start, commands)
@@ -71,10 +77,10 @@ def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> 
     rng = np.random.default_rng(0)
     worst = {}
     for name, step in (("onnxruntime", model.advance), ("CasADi", _casadi_step(function))):
-        free = _compare(expected, _free_run(step, start, commands), f"{name} on its own, sample")
-        single = _single_steps(reference, step, visited, commands, rng, name)
+        free = _compare(expected, _free_run(step, start, commands), out, f"{name} on its own, sample")
+        single = _single_steps(reference, step, visited, commands, out, rng, name)
         worst[name] = np.maximum(free, single)
-    jacobian, kinks = _compare_jacobians(reference, function, visited, commands, _precision(model))
+    jacobian, kinks = _compare_jacobians(reference, function, visited, commands, _precision(model), units)
     return EquivalenceReport(
         steps=STEPS,
         batches=(1, BATCH),
@@ -86,6 +92,13 @@ def check_equivalence(reference: StepFunction, model: OnnxModel, probe: Vec) -> 
         jacobian_points=_JACOBIANS,
         kinks=kinks,
     )
+
+
+def _working_units(facts: ModelMetadata) -> tuple[float, float]:
+    """Units of the model in one working unit of its input, and of its output."""
+    ranges = (facts.trained_command, facts.trained_angle)[:: -1 if facts.inverted else 1]
+    found = Decades.of_ranges(*ranges)
+    return (found.angle, found.command) if facts.inverted else (found.command, found.angle)
 
 
 def _precision(model: OnnxModel) -> str:
@@ -114,7 +127,7 @@ def _free_run(step: Step, state: Vec, commands: Vec) -> Vec:
 
 
 def _single_steps(
-    reference: StepFunction, step: Step, visited: Vec, commands: Vec, rng: np.random.Generator, name: str
+    reference: StepFunction, step: Step, visited: Vec, commands: Vec, out: Output, rng: np.random.Generator, name: str
 ) -> Vec:
     """Compare one step from random states: each batch of 8 whole, and its rows one by one."""
     worst = np.zeros(2)
@@ -126,31 +139,40 @@ def _single_steps(
         whole = np.hstack(step(states, u))
         single = np.vstack([np.hstack(step(states[k : k + 1], u[k : k + 1])) for k in range(BATCH)])
         for batch, got in ((BATCH, whole), (1, single)):
-            worst = np.maximum(worst, _compare(expected, got, f"{name} in batches of {batch}, draw {draw}, row"))
+            worst = np.maximum(worst, _compare(expected, got, out, f"{name} in batches of {batch}, draw {draw}, row"))
     return worst
 
 
-def _compare(expected: Vec, got: Vec, what: str) -> Vec:
-    """Largest difference of theta [deg] and of the state (relative).
+def _compare(expected: Vec, got: Vec, out: Output, what: str) -> Vec:
+    """Largest difference of theta [deg] and of the state (relative); `out`: see `Output`.
 
     Raises:
         ExportError: if either is beyond the tolerance; a value that is not finite is.
     """
+    unit, name = out
     scale = np.ones_like(expected)
+    scale[:, 0] = unit
     scale[:, 1:] += np.abs(expected[:, 1:])
     difference = np.abs(got - expected) / scale
     if not np.all(difference <= TOLERANCE_DEG):
         row, column = np.unravel_index(np.argmax(difference), difference.shape)
-        entry = "theta [deg]" if column == 0 else f"next_state[{column - 1}]"
+        entry, allowed = (
+            (f"theta [{name}]", TOLERANCE_DEG * unit) if column == 0 else (f"next_state[{column - 1}]", TOLERANCE_DEG)
+        )
         raise ExportError(
             f"{what} {row}: {entry} is {got[row, column]:.9g}, the reference gives {expected[row, column]:.9g}, "
-            f"expected a difference of at most {TOLERANCE_DEG:g}"
+            f"expected a difference of at most {allowed:g}"
         )
-    return np.array([difference[:, 0].max(), difference[:, 1:].max(initial=0.0)])
+    return np.array([unit * difference[:, 0].max(), difference[:, 1:].max(initial=0.0)])
 
 
 def _compare_jacobians(
-    reference: StepFunction, function: ca.Function, visited: Vec, commands: Vec, dtype: str
+    reference: StepFunction,
+    function: ca.Function,
+    visited: Vec,
+    commands: Vec,
+    dtype: str,
+    units: tuple[float, float],
 ) -> tuple[float, int]:
     """Largest difference of the Jacobians, and the number of kinks among the points.
 
@@ -165,7 +187,9 @@ def _compare_jacobians(
         expected, got = reference.jacobian(state[0], u), jacobian(state[0], u)
         if got.shape != expected.shape:
             raise ExportError(f"the reference's Jacobian has shape {expected.shape}, expected {got.shape}")
-        excess = np.abs(got - expected) - absolute - relative * np.abs(expected)
+        size = np.ones_like(expected)
+        size[0], size[:, -1] = size[0] / units[1], size[:, -1] * units[0]
+        excess = size * (np.abs(got - expected) - relative * np.abs(expected)) - absolute
         if np.all(excess <= 0):
             worst = max(worst, float(np.abs(got - expected).max()))
         elif _at_kink(reference, state[0], u, got):

@@ -24,7 +24,7 @@ Start = Literal["initial", "conditioned"]
 SampleTime = Annotated[float, Field(ge=1e-5, le=100.0)]  # s: 100 kHz to one sample in 100 s
 Amount = Annotated[float, Field(ge=-1e9, le=1e9)]  # mm, bar or deg; counts of an encoder in a raw log
 Rate = Annotated[float, Field(ge=1e-9, le=1e12)]  # of these per second
-StateEntry = Annotated[float, Field(ge=-1e12, le=1e12)]
+StateEntry = Annotated[float, Field(ge=-1e18, le=1e18)]
 LARGEST_STATE = 100_000  # entries
 LONGEST_WARMUP = 1_000_000  # samples
 
@@ -63,7 +63,7 @@ class DeviceLimits:
 class InitialRule(Settings):
     """State of a device that rests at the measured angle y [deg]: x0 = offset + slope * y, entry by entry.
 
-    At most 100,000 entries, each number within 1e12 of zero.
+    At most 100,000 entries, each number within 1e18 of zero.
     """
 
     offset: tuple[StateEntry, ...] = Field(max_length=LARGEST_STATE)
@@ -80,7 +80,7 @@ class InitialRule(Settings):
         return np.asarray(self.offset, dtype=np.float64) + np.asarray(self.slope, dtype=np.float64) * y
 
 
-Sigma = Annotated[float, Field(ge=0, le=1e6)]
+Sigma = Annotated[float, Field(ge=0, le=1e12)]
 
 
 class NoiseModel(Settings):
@@ -96,7 +96,7 @@ class NoiseModel(Settings):
             the model is off where no sensor corrects it. None in older files.
     """
 
-    sensor_sigma_deg: Annotated[float, Field(gt=0, le=1e6)]
+    sensor_sigma_deg: Annotated[float, Field(gt=0, le=1e12)]
     drift_sigma_deg_per_sqrt_s: Sigma
     motion_sigma_deg_per_sqrt_unit: Sigma
     model_sigma_deg: Sigma | None = None
@@ -127,8 +127,10 @@ class ModelMetadata(Settings):
         format: layout of graph and metadata; another version is refused.
         kind: what the model is, for messages and reports ("backlash", "prandtl_ishlinskii", "chain", "lstm", ...).
         dt_s: sample time of one step [s], 1e-5 to 100.
-        command_unit, angle_unit: units of `u` and `theta`: mm or bar and deg. An inverse map has them exchanged: its
-            input `u` is an angle [deg], its output `theta` a command, and "command" and "angle" below mean these.
+        command_unit, angle_unit: units of `u` and `theta`: mm or bar and deg, or those of another device. An inverse
+            map has them exchanged: its input `u` is an angle [deg], its output `theta` a command, and "command" and
+            "angle" below mean these.
+        inverse: whether it is an inverse map; None, as in older files, where one unit alone is deg and tells.
         command_limits: what the device may be sent [command unit], within 1e9 of zero.
         command_rate: greatest change of the command [command unit/s], 1e-9 to 1e12.
         trained_command, trained_angle: ranges seen in identification [command unit], [deg], within 1e9 of zero.
@@ -141,7 +143,7 @@ class ModelMetadata(Settings):
         noise: what the model leaves unexplained of its trials; None where that was not found out.
         connections: operators that are connected with the model of kind `kind`, the outermost first.
 
-    A file may lack the last two.
+    A file may lack the last two and `inverse`.
     """
 
     format: str = FORMAT
@@ -151,6 +153,7 @@ class ModelMetadata(Settings):
     dt_s: SampleTime
     command_unit: str = Field(min_length=1)
     angle_unit: str = "deg"
+    inverse: bool | None = None
     command_limits: Range
     command_rate: Rate
     trained_command: Range
@@ -166,10 +169,10 @@ class ModelMetadata(Settings):
     def _consistent(self) -> Self:
         if self.format != FORMAT:
             raise ValueError(f"format is {self.format!r}, this version of hystmpc reads {FORMAT!r}")
-        if (self.angle_unit == "deg") == (self.command_unit == "deg"):
+        if self.inverse is None and (self.angle_unit == "deg") == (self.command_unit == "deg"):
             raise ValueError(
                 f"command_unit is {self.command_unit!r} and angle_unit is {self.angle_unit!r}, expected 'deg' for one: "
-                "the angle of a forward model, the command of an inverse map"
+                "the angle of a forward model, the command of an inverse map; or `inverse`, which tells them apart"
             )
         if len(self.initial.offset) != len(self.conditioned.offset):
             raise ValueError(
@@ -181,7 +184,7 @@ class ModelMetadata(Settings):
     @property
     def inverted(self) -> bool:
         """Whether this is an inverse map, angle in and command out."""
-        return self.command_unit == "deg"
+        return self.command_unit == "deg" if self.inverse is None else self.inverse
 
     @property
     def state_size(self) -> int:
@@ -228,7 +231,7 @@ class ModelMetadata(Settings):
                 "export the model again"
             )
         # fields with other defaults are needed too: a file that is cut off lacks them
-        needed = [key for key in cls.model_fields if key not in ("noise", "connections")]
+        needed = [key for key in cls.model_fields if key not in ("noise", "connections", "inverse")]
         missing = [key for key in needed if key not in ours]
         if missing:
             raise ModelError(f"{where}: metadata lacks {', '.join(missing)}; the file is cut off or was edited")

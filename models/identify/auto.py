@@ -13,7 +13,9 @@ from hystmpc.trials.errors import LogError
 from hystmpc.trials.segments import first_flexure_end
 from hystmpc.trials.trial import Trial, resample
 
+from ..chain import Chain
 from ..contract.metadata import NoiseModel
+from ..decades import Decades
 from ..effects.catalogue import EFFECTS
 from .auto_search import SEARCH_HZ, AutoSearch, AutoSettings, Choice, PartRow, SearchProgress
 from .chain_fit import nothing_found
@@ -46,6 +48,7 @@ class AutoFit:
         offsets: whether each trial had an offset of its own.
         noise: what the device leaves unexplained of trials that its fit did not see; of one trial alone, of that one.
         advice: what these trials do not determine, and what to record for it.
+        decades: working units of `choice`; rows, parameters and noise are in those of the log.
         interrupted: stopped by the user; this is the best so far.
     """
 
@@ -55,6 +58,7 @@ class AutoFit:
     offsets: bool
     noise: NoiseModel
     advice: tuple[str, ...]
+    decades: Decades
     interrupted: bool = False
 
 
@@ -82,11 +86,22 @@ def identify_auto(
         FitError: on unusable trials, or an angle that falls with the command.
     """
     with threadpool_limits(1, user_api="blas"):  # fits run side by side; more threads in each would only wait
-        return _identified(trials, settings or AutoSettings(), skip_first_flexure, progress)
+        decades = Decades.of(trials)
+        return _identified(
+            decades.trials(trials),
+            settings or AutoSettings(),
+            skip_first_flexure,
+            lambda share, rmse: progress(share, rmse * decades.angle),
+            decades,
+        )
 
 
 def _identified(
-    trials: Sequence[Trial], settings: AutoSettings, skip_first_flexure: bool, progress: SearchProgress
+    trials: Sequence[Trial],
+    settings: AutoSettings,
+    skip_first_flexure: bool,
+    progress: SearchProgress,
+    decades: Decades,
 ) -> AutoFit:
     coarse = _thinned(trials, check_trial_set(trials))
     runs = runs_to_fit(coarse, skip_first_flexure)
@@ -126,7 +141,25 @@ def _identified(
         search.interrupted = True
     fitted = 0 if len(trials) > 1 else found.hypothesis.problem.size
     noise = estimation_noise(trials, last.left_out(found), fitted)
-    return AutoFit(found, rows, parameters, search.offsets, noise, tuple(_advice(parameters)), search.interrupted)
+    return AutoFit(
+        found,
+        tuple(
+            replace(row, without_deg=row.without_deg * decades.angle, with_deg=row.with_deg * decades.angle)
+            for row in rows
+        ),
+        tuple(row.times(decades.in_log(row.unit)) for row in parameters),
+        search.offsets,
+        decades.log_noise(noise),
+        tuple(_advice(parameters)),
+        decades,
+        search.interrupted,
+    )
+
+
+def auto_chain(found: AutoFit) -> Chain:
+    """The identified device in the units of the log."""
+    hypothesis = found.choice.hypothesis
+    return found.decades.log_chain(hypothesis.problem.fitted_chain(hypothesis.q))
 
 
 def _numbers_at(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -16,6 +16,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
+from ..decades import Decades
 from ..model import FitProgress
 
 TAIL = 0.1
@@ -149,6 +150,26 @@ class ChainFit:
     evaluations: int
     report: ConvergenceReport
     interrupted: bool = False
+
+
+def in_log_units(found: ChainFit, decades: Decades, output: float) -> ChainFit:
+    """A fit that was made in working units, in those of the log.
+
+    Args:
+        found: the fit.
+        decades: the working units.
+        output: log units of one working unit of what the chain predicts.
+    """
+    report = replace(found.report, losses=tuple(loss * output**2 for loss in found.report.losses))
+    return replace(found, chain=decades.log_chain(found.chain), rmse_deg=found.rmse_deg * output, report=report)
+
+
+def told_in_log_units(progress: FitProgress | None, output: float) -> FitProgress | None:
+    """Progress whose errors arrive in working units; see `in_log_units`."""
+    if progress is None:
+        return None
+    tell = progress
+    return lambda done, error: tell(done, error * output)
 
 
 class Tracker:

@@ -6,7 +6,7 @@ To add a kind of model that is an operator: write the operator in `models/operat
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -17,6 +17,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
+from ..decades import Decades
 from ..operators.hysteresis import Backlash, BoucWen
 from ..operators.operator import Operator
 from ..operators.prandtl_ishlinskii import Drdpi, PrandtlIshlinskii
@@ -33,7 +34,8 @@ def backlash_starts(trials: Sequence[Trial]) -> list[Chain]:
     loading, unloading = branch(trials, Motion.LOADING), branch(trials, Motion.UNLOADING)
     slope = 0.5 * (loading[0] + unloading[0])
     middle = 0.5 * (loading[1] + unloading[1])
-    widths = (0.5, 2.0)  # in degrees either side, small and large for a catheter of tens of degrees
+    # Either side, small and large for a catheter of tens of degrees.
+    widths = [width * Decades.of(trials).angle for width in (0.5, 2.0)]
     return [
         _lines(unloading, loading),
         *(_lines(np.array([slope, middle + width]), np.array([slope, middle - width])) for width in widths),
@@ -74,9 +76,10 @@ def branch(trials: Sequence[Trial], motion: Motion) -> Vec:
         raise FitError(f"{u.size} samples of {motion.name.lower()}, expected at least 10 that move")
     slope, offset = np.polyfit(u, y, 1)
     if slope <= 0:
+        share = -slope * float(np.ptp(u)) / float(np.ptp(y))
         raise FitError(
-            f"the angle falls with the command while {motion.name.lower()} ({slope:.4g} deg per unit), "
-            "expected it to rise; turn the sign of one channel"
+            f"the angle falls with the command while {motion.name.lower()} (by {share:.2g} of its range over that of "
+            "the command), expected it to rise; turn the sign of one channel"
         )
     return np.array([slope, offset])
 
@@ -96,14 +99,19 @@ class Structure:
     Attributes:
         plays: plays of a `pi` or `drdpi`.
         bands: dead zones of a `drdpi` on either side of the middle.
-        dead_zone_deg: change of the wish that an `inverse_backlash` takes for noise; 0.027 in the code of S2.
+        dead_zone_deg: change of the wish that an `inverse_backlash` takes for noise; None for the 0.027 deg of the code
+            of S2, for a device of another size as much of its range.
         steepness_s: see `BoucWen`, times the range of the command; 0.04 in the code of S2.
     """
 
     plays: int = 4
     bands: int = 2
-    dead_zone_deg: float = 0.027
+    dead_zone_deg: float | None = None
     steepness_s: float = 0.04
+
+    def in_working_units(self, angle: float) -> Structure:
+        """The same for trials of which one working unit is `angle` deg, see `Decades`."""
+        return self if self.dead_zone_deg is None else replace(self, dead_zone_deg=self.dead_zone_deg / angle)
 
 
 @dataclass(frozen=True)
@@ -127,6 +135,7 @@ class Extent:
     high: float
 
 
+_DEAD_ZONE = 0.027
 _METHODS = {"best": "least_squares", "paper": "adam", "global": "global", "cmaes": "cmaes"}
 
 
@@ -300,7 +309,9 @@ def _bouc_wen_box(e: Extent, structure: Structure) -> Ends:
 
 
 def _inverse_backlash(operator: Operator, structure: Structure) -> Operator:
-    return Backlash(*operator.values).inverse(structure.dead_zone_deg)
+    return Backlash(*operator.values).inverse(
+        _DEAD_ZONE if structure.dead_zone_deg is None else structure.dead_zone_deg
+    )
 
 
 def _inverse_plays(operator: Operator, structure: Structure) -> Operator:

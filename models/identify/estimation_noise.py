@@ -15,6 +15,7 @@ from hystmpc.trials.types import Vec
 
 from ..contract.export import ExportBundle
 from ..contract.metadata import NoiseModel
+from ..decades import Decades
 from ..kernels.numba_ import njit
 
 _LEAST_DEG = 1e-4  # of the sensor's noise: below it residuals are rounding, as those of simulated trials without noise
@@ -45,7 +46,13 @@ def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: 
 
     Raises:
         FitError: if there are no residuals, more than samples in a trial, or they are not finite.
-    """
+    """  # in working units, where the least noise is meant
+    decades = Decades.of(trials)
+    output = decades.output(trials)
+    return decades.log_noise(_noise(decades.trials(trials), [residual / output for residual in residuals], fitted))
+
+
+def _noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int) -> NoiseModel:
     travels = []
     for trial, residual in zip(trials, residuals, strict=True):
         if not 2 <= residual.size <= len(trial) or not np.isfinite(residual).all():

@@ -13,8 +13,18 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mat, Vec
 
 from ..chain import Chain
+from ..decades import Decades
 from ..model import FitProgress
-from .chain_fit import ChainFit, ChainTask, ConvergenceReport, FreeParameters, chain_from, nothing_found
+from .chain_fit import (
+    ChainFit,
+    ChainTask,
+    ConvergenceReport,
+    FreeParameters,
+    chain_from,
+    in_log_units,
+    nothing_found,
+    told_in_log_units,
+)
 from .free_run import FreeRuns
 from .problem import Problem
 from .runs import Run, RunsTogether
@@ -59,8 +69,8 @@ def fit_chain(
 ) -> ChainFit:
     """Fit the parameters of a chain from several starts; the best wins.
 
-    Trust-region reflective least squares within the parameters' physical bounds, on the free-run error. An iteration
-    of the report is a free run over all trials, its budget that of all starts together.
+    Trust-region reflective least squares within the parameters' bounds, on the free-run error, in working units
+    (`Decades`). An iteration of the report is a free run over all trials, its budget that of all starts together.
 
     Args:
         starts: chains of one structure; their values are the starting points.
@@ -73,7 +83,25 @@ def fit_chain(
     Raises:
         FitError: on unusable trials, an unknown name, or if no start leads to a finite error.
     """
-    settings = settings or OperatorFitSettings()
+    decades = Decades.of(trials)
+    output = decades.output(trials)
+    found = _fitted(
+        [decades.chain(start) for start in starts],
+        decades.trials(trials),
+        settings or OperatorFitSettings(),
+        told_in_log_units(progress, output),
+        fixed,
+    )
+    return in_log_units(found, decades, output)
+
+
+def _fitted(
+    starts: Sequence[Chain],
+    trials: Sequence[Trial],
+    settings: OperatorFitSettings,
+    progress: FitProgress | None,
+    fixed: Sequence[str],
+) -> ChainFit:
     free = FreeParameters.of(starts[0], fixed)
     runs = FreeRuns(starts[0], trials, settings.skip_first_flexure, settings.offset_free)
     search, interrupted = _ChainSearch(runs, free, progress), False

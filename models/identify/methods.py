@@ -18,12 +18,13 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..contract.metadata import DeviceLimits, NoiseModel, Range
+from ..decades import Decades
 from ..evaluate import evaluate
 from ..model import FitProgress
 from ..operators.hysteresis import Backlash
 from ..simulator import ChainModel, Identification, Residual, Simulator
 from .adam import AdamSettings, fit_by_adam
-from .chain_fit import ChainFit, ChainTask
+from .chain_fit import ChainFit, ChainTask, in_log_units, told_in_log_units
 from .chain_kinds import Structure, backlash_starts, chain_task, prandtl_ishlinskii_starts
 from .estimation_noise import estimation_noise
 from .global_search import GlobalSettings, adapt, evolve, fit_globally
@@ -99,10 +100,12 @@ def identify_chain(
     settings = settings or chosen.settings()
     if not isinstance(settings, chosen.settings):
         raise FitError(f"{method}: got {type(settings).__name__}, expected {chosen.settings.__name__}")
-    task = chain_task(kind, trials, structure or Structure(plays=plays))
+    decades = Decades.of(trials)
+    structure, output = structure or Structure(plays=plays), decades.output(trials)
+    task = chain_task(kind, decades.trials(trials), structure.in_working_units(decades.angle))
     if chosen.kinds is not None and kind not in chosen.kinds:
         raise FitError(f"{method} cannot identify {kind!r}, {did_you_mean(kind, chosen.kinds)}")
-    found = chosen.fit(task, settings, progress)
+    found = in_log_units(chosen.fit(task, settings, told_in_log_units(progress, output)), decades, output)
     return found.chain, found
 
 
@@ -172,6 +175,7 @@ def simulator_of(
             dt_s=dt_s,
             command_unit=trials[0].units.command,
             angle_unit=trials[0].units.angle,
+            inverse=trials[0].inverted,
             command_limits=limits.command or command_range(trials),
             command_rate_per_s=limits.rate_per_s or fastest_command(trials),
             trained_command=command_range(trials),

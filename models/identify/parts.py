@@ -125,9 +125,10 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
     angle = np.concatenate([trial.angle for trial in trials])
     slope, offset = (float(v) for v in np.polyfit(command, angle, 1))
     if slope <= 0:
+        share = -slope * float(np.ptp(command)) / float(np.ptp(angle))
         raise FitError(
-            f"the angle falls with the command ({slope:.4g} deg per unit), expected it to rise; "
-            "turn the sign of one channel"
+            f"the angle falls with the command (by {share:.2g} of its range over that of the command), expected it to "
+            "rise; turn the sign of one channel"
         )
     span = float(np.ptp(command))
 

@@ -265,7 +265,7 @@ def check_trial_set(trials: Sequence[Trial]) -> float:
         if trial.units != units:
             raise FitError(f"{trial.source}: units {trial.units}, expected {units} as {trials[0].source}")
         for name, signal in (("command", trial.command), ("angle", trial.angle)):
-            if np.ptp(signal) <= 1e-9 * max(1.0, float(np.max(np.abs(signal)))):
+            if np.ptp(signal) <= 1e-9 * float(np.max(np.abs(signal))):
                 raise FitError(f"{trial.source}: the {name} is constant at {signal[0]:.6g}, expected a motion")
     return dt
 
@@ -301,6 +301,7 @@ def facts_of(
         dt_s=dt,
         command_unit=trials[0].units.command,
         angle_unit=trials[0].units.angle,
+        inverse=trials[0].inverted,
         command_limits=limits.command or trained,
         command_rate=limits.rate_per_s or fastest_command(trials),
         trained_command=trained,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,6 +125,12 @@ class ParameterRow:
     at_bound: bool = False
     flat: bool = False
     unit: str = "1"
+
+    def times(self, factor: float) -> ParameterRow:
+        """The number in another unit, of which the present one has `factor`."""
+        low, high = self.ci90
+        neutral = None if self.neutral is None else self.neutral * factor
+        return replace(self, value=self.value * factor, ci90=(low * factor, high * factor), neutral=neutral)
 
 
 Interval = tuple[float, float]

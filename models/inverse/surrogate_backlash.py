@@ -26,7 +26,13 @@ def surrogate_backlash(model: RunnableModel) -> Simulator:
     commands = probe_commands(facts)
     theta = free_run(model, commands, 0.5 * (facts.trained_angle.lower + facts.trained_angle.upper))
     t = np.arange(commands.size, dtype=np.float64) * facts.dt_s
-    trial = Trial(t, commands, theta, units=Units(facts.command_unit), source="the model's own free run")
+    trial = Trial(
+        t,
+        commands,
+        theta,
+        units=Units(facts.command_unit, facts.angle_unit, inverse=False),
+        source="the model's own free run",
+    )
     fit = fit_chain(backlash_starts([trial]), [trial], OperatorFitSettings(skip_first_flexure=True))
     method = f"backlash fitted to the free run of a model of kind {facts.kind}"
     return simulator_for(Chain(fit.chain.core), facts, method)

@@ -8,7 +8,7 @@ from typing import final
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 
-from ..identify.auto import AutoFit, identify_auto
+from ..identify.auto import AutoFit, auto_chain, identify_auto
 from ..identify.methods import simulator_of
 from ..model import FitProgress
 from ..simulator import simulator_bundle
@@ -40,11 +40,9 @@ class AutoKind(ModelKind):
                 progress(*history[-1])
 
         found = identify_auto(trials, None, request.skip_first_flexure, told)
-        hypothesis = found.choice.hypothesis
-        chain = hypothesis.problem.fitted_chain(hypothesis.q)
-        words = f"auto: {hypothesis.label} + {found.choice.core.label}"
+        words = f"auto: {found.choice.hypothesis.label} + {found.choice.core.label}"
         simulator = simulator_of(
-            chain, trials, request.limits, words, request.seed, request.skip_first_flexure, found.noise
+            auto_chain(found), trials, request.limits, words, request.seed, request.skip_first_flexure, found.noise
         )
         report = _report(found, trials[0].units.angle)
         bundle = simulator_bundle(simulator)
@@ -58,4 +56,5 @@ class AutoKind(ModelKind):
 def _report(found: AutoFit, unit: str) -> str:
     """One line: what the device consists of, and the error on trials left out."""
     parts = [c.label for form in found.choice.forms.values() for c in form]
-    return f"{' + '.join([*parts, found.choice.core.label])}; {found.choice.rmse_deg:.4f} {unit} on trials left out"
+    rmse = found.choice.rmse_deg * found.decades.angle
+    return f"{' + '.join([*parts, found.choice.core.label])}; {rmse:.4g} {unit} on trials left out"

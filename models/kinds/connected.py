@@ -124,7 +124,7 @@ class ResidualKind(ModelKind):
             why = str(error) or "interrupted"
             stopped = isinstance(error, KeyboardInterrupt)
             return replace(found, interrupted=stopped, report=f"{found.report}; {self._network.name} not kept: {why}")
-        change = f"{before.mse**0.5:.4f} -> {after.mse**0.5:.4f} {trials[0].units.angle} on trials left out"
+        change = f"{before.mse**0.5:.4g} -> {after.mse**0.5:.4g} {trials[0].units.angle} on trials left out"
         if not AutoSettings().worth(before, after):
             return replace(found, report=f"{found.report}; {self._network.name} not kept: {change}")
         device = _identified(found)
@@ -152,7 +152,8 @@ class ResidualKind(ModelKind):
         runs = runs_to_fit(trials, request.skip_first_flexure)
         fold = CrossValidation(problem.baseline, runs).folds[0]
         seen = [trial for k, trial in enumerate(trials) if k not in fold]
-        device = simulator_of(problem.fitted_chain(judged.fold_q[0]), seen, request.limits, "without the first fold")
+        chain = parts.decades.log_chain(problem.fitted_chain(judged.fold_q[0]))
+        device = simulator_of(chain, seen, request.limits, "without the first fold")
         found = self._network.fit(_left(seen, device, parts.offsets), request, progress)
         if found.interrupted:
             raise KeyboardInterrupt

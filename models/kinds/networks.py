@@ -170,7 +170,7 @@ class NetworkKind(ModelKind):
         judges = ", ".join(Path(source).name for source in found.held_out) or "the training trials"
         report = (
             f"weights of step {found.best_step} of {settings.steps}, judged by {judges} "
-            f"({found.validation_rmse_deg:.3f} {trials[0].units.angle})"
+            f"({found.validation_rmse_deg:.4g} {trials[0].units.angle})"
         )
         history = tuple((look.step, look.validation_rmse_deg) for look in found.history)
         bundle = network_bundle(found, trials, request.limits)

@@ -46,7 +46,7 @@ class OperatorKind(ModelKind):
         words = f"{method.name}, preset {request.preset}"
         simulator = simulator_of(chain, trials, limits, words, request.seed, request.skip_first_flexure)
         history = tuple((k + 1, loss**0.5) for k, loss in enumerate(fit.report.losses))
-        report = f"{fit.report.line()}; {fit.rmse_deg:.4f} {trials[0].units.angle} free run"
+        report = f"{fit.report.line()}; {fit.rmse_deg:.4g} {trials[0].units.angle} free run"
         return Identified(simulator_bundle(simulator), simulator, history, report, fit.interrupted)
 
     def steps(self, request: FitRequest) -> int | None:

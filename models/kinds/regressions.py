@@ -43,9 +43,9 @@ class PlayKernelKind(ModelKind):
         history, show = recorded(progress)
         found = fit_play_kernel(trials, settings, request.skip_first_flexure, show)
         unit = trials[0].units.angle
-        report = f"lag {found.choice.lag_s:g} s, {found.rmse:.4f} {unit} on the training trials"
+        report = f"lag {found.choice.lag_s:g} s, {found.rmse:.4g} {unit} on the training trials"
         if found.judged:
-            report += f", {found.judged[found.choice]:.4f} {unit} offset-free on trials left out"
+            report += f", {found.judged[found.choice]:.4g} {unit} offset-free on trials left out"
         bundle = with_noise(
             play_kernel_bundle(found, trials, settings, request.limits), trials, found.weights.state_size
         )
@@ -85,10 +85,10 @@ class SvrKind(ModelKind):
         choice, unit = found.choice, trials[0].units.angle
         report = (
             f"C {choice.c:g}, gamma {choice.gamma:g}, epsilon {choice.epsilon:g}: {len(found.weights.supports)} "
-            f"support vectors of {found.samples} samples, {found.rmse:.4f} {unit} on these"
+            f"support vectors of {found.samples} samples, {found.rmse:.4g} {unit} on these"
         )
         if found.judged:
-            report += f", {found.judged[choice]:.4f} {unit} on what was left out"
+            report += f", {found.judged[choice]:.4g} {unit} on what was left out"
         bundle = svr_bundle(found, trials, settings, request.limits)
         bundle = with_noise(bundle, trials, len(found.weights.supports))
         return Identified(bundle, None, tuple(history), report, found.interrupted)

@@ -110,8 +110,10 @@ class CurvedPlays(Operator):
         # All plays at one share of their half-widths, linear in y; the mean slope of each curve stands for the curve.
         radii, knots = self._radii(p), self.pieces + 1
         means = [sum(p[i * knots + k] for k in range(knots)) / knots for i in range(1, self.plays + 1)]
+        ends = knots * (self.plays + 1) + 1 + self.plays
+        little = 1e-9 * p[0] * (p[ends + 1] - p[ends])  # so that nothing is divided by zero
         half = sum(mean * r for mean, r in zip(means, radii, strict=True))
-        share = (y - self._angle([u] * (self.plays + 1), p)) / (half + 1e-9)
+        share = (y - self._angle([u] * (self.plays + 1), p)) / (half + little)
         z = [u + share * r for r in radii]
         return ca.vertcat(*z, u) if self.turn else ca.vertcat(*z)
 

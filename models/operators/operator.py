@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -24,7 +25,9 @@ class Parameter:
         name: as it stands in a simulator file.
         unit: with `cmd` for the unit of the command (mm or bar), and `in` for the unit of the signal that passes: `cmd`
             on the command side, `deg` on the output side.
-        lower, upper: physical bounds, inclusive; identification stays within them.
+        lower, upper: bounds, inclusive; identification stays within them. Those of a quantity with `cmd`, `deg` or `in`
+            in its unit are meant for a device whose command's range is 1 to 10 and whose output's is 10 to 100, to
+            which `models.decades` brings any other; of a device in its own units only their signs count.
         meaning: one line for tables.
     """
 
@@ -137,17 +140,23 @@ def _numbers(kind: type[Operator]) -> dict[str, Number]:
 
 
 def check_values(operator: Operator) -> None:
-    """Compare the values with their bounds.
+    """Compare the values with their bounds; of what has the unit of a signal only with their signs.
 
     Raises:
         ModelError: naming the parameter, the value and the bounds.
     """
     for parameter, value in zip(operator.parameters, operator.values, strict=True):
-        if not (math.isfinite(value) and parameter.lower <= value <= parameter.upper):
+        low, high = parameter.lower, parameter.upper
+        if _OF_A_SIGNAL.search(parameter.unit):
+            low, high = (0.0 if low == 0 else _LEAST if low > 0 else -_GREATEST), _GREATEST
+        if not (math.isfinite(value) and low <= value <= high):
             raise ModelError(
-                f"{operator.name}.{parameter.name} is {value:.6g} {parameter.unit}, "
-                f"expected {parameter.lower:.6g} to {parameter.upper:.6g}"
+                f"{operator.name}.{parameter.name} is {value:.6g} {parameter.unit}, expected {low:.6g} to {high:.6g}"
             )
+
+
+_OF_A_SIGNAL = re.compile(r"\b(cmd|deg|in)\b")
+_LEAST, _GREATEST = 1e-15, 1e15  # a million times smaller or larger than a catheter in mm and deg, both signals
 
 
 def values_from(operator_name: str, names: Sequence[str], given: dict[str, float]) -> list[float]:

@@ -11,6 +11,8 @@ from .hysteresis import play
 from .operator import Operator, Parameter, Symbol, check_values
 from .static_curves import Pieces, band_parameters, freeze_bands, pieces_of
 
+_LITTLE = 1e-9  # share of what is divided by, so that nothing is divided by zero
+
 
 @dataclass(frozen=True)
 class PlaySum(Operator):
@@ -92,7 +94,7 @@ class PrandtlIshlinskii(PlaySum):
         # Without weights no state makes a difference, and the division must not make one either.
         wanted = y - p[self.plays + 3] - p[0] * u
         weight = sum(p[i] for i in range(1, self.plays + 1))
-        return ca.vertcat(u, *([wanted / (weight + 1e-9)] * self.plays))
+        return ca.vertcat(u, *([wanted / (weight + _LITTLE * (weight + p[0]))] * self.plays))
 
     def inverse(self) -> InversePrandtlIshlinskii:
         """The analytic inverse, angle to command."""
@@ -263,7 +265,7 @@ class Drdpi(DrdpiNumbers):
         middle = sum(p[i] for i in range(n + 1)) * u + p[n + 3]
         half = p[n + 1] * sum(i * p[i] for i in range(1, n + 1))
         high, low = pieces.at(middle + half) + offset, pieces.at(middle - half) + offset
-        share = (2 * y - high - low) / (high - low + 1e-9)
+        share = (2 * y - high - low) / (high - low + _LITTLE * (ca.fabs(high) + ca.fabs(low)) + 1e-200)
         return ca.vertcat(u, *(u + share * p[n + 1] * i for i in range(1, n + 1)))
 
     def inverse(self) -> InverseDrdpi:

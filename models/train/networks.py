@@ -18,6 +18,7 @@ from hystmpc.trials.trial import Trial
 from ..contract.equivalence import TOLERANCE_DEG
 from ..contract.export import ExportBundle
 from ..contract.metadata import DeviceLimits, InitialRule, Range
+from ..decades import Decades
 from ..identify.runs import check_trial_set, command_range, facts_of
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
@@ -42,17 +43,19 @@ class NetworkCheck:
         training_rmse_deg: error in training, the teacher's runs included [deg; of an inverse map in its unit].
         validation_rmse_deg: error on what is held out [deg].
         rounding_deg: what single precision does to a free run over what is held out [deg].
+        allowed_deg: how much of that there may be: half of what the export allows for a device of this size [deg].
     """
 
     step: int
     training_rmse_deg: float
     validation_rmse_deg: float
     rounding_deg: float
+    allowed_deg: float = 0.5 * TOLERANCE_DEG
 
     @property
     def exportable(self) -> bool:
         """Whether a free run in single precision stays well within the tolerance of the export."""
-        return self.rounding_deg <= 0.5 * TOLERANCE_DEG
+        return self.rounding_deg <= self.allowed_deg
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +120,7 @@ def fit_network(
     except KeyboardInterrupt:
         interrupted = True
     if best is None:
-        raise FitError(_nothing_to_keep(history))
+        raise FitError(_nothing_to_keep(history, trials[0].units.angle))
     sources = tuple(trial.source for trial in held_out)
     chosen, net = best
     return NetworkFit(
@@ -132,13 +135,14 @@ def _better(look: NetworkCheck, best: NetworkCheck, settings: NetworkSettings) -
     return look.validation_rmse_deg < best.validation_rmse_deg
 
 
-def _nothing_to_keep(history: Sequence[NetworkCheck]) -> str:
+def _nothing_to_keep(history: Sequence[NetworkCheck], unit: str) -> str:
     if not history:
         return "training was interrupted before its first check, there is nothing to keep"
     least = min(look.rounding_deg for look in history)
     return (
-        f"the network amplifies rounding: single and double precision differ by at least {least:.2g} deg in all "
-        f"{len(history)} checks, expected at most {0.5 * TOLERANCE_DEG:g}; another seed or a lower learning_rate helps"
+        f"the network amplifies rounding: single and double precision differ by at least {least:.2g} {unit} in all "
+        f"{len(history)} checks, expected at most {history[0].allowed_deg:g}; another seed or a lower "
+        "learning_rate helps"
     )
 
 
@@ -149,12 +153,15 @@ def _looks(
         from .updates_ import torch_session
     except ModuleNotFoundError as error:
         raise FitError(f"training needs {error.name}, expected it installed: pip install hystmpc[train]") from None
+    allowed = 0.5 * TOLERANCE_DEG * Decades.of(training).output(training)
     with torch_session(settings.seed, settings.threads):
         for check in _checks(training, judges, scaling, settings):
-            in_degrees = tuple(scaling.theta_scale * part for part in (check.training, check.judged, check.rounding))
-            if not math.isfinite(in_degrees[1]):
+            training_rmse, judged, rounding = (
+                scaling.theta_scale * part for part in (check.training, check.judged, check.rounding)
+            )
+            if not math.isfinite(judged):
                 raise FitError(f"training diverged: free run not finite at step {check.step}; lower learning_rate")
-            yield NetworkCheck(check.step, *in_degrees), check.net
+            yield NetworkCheck(check.step, training_rmse, judged, rounding, allowed), check.net
 
 
 def _checks(

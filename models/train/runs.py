@@ -15,6 +15,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
+from ..decades import Decades
 from ..identify.chain_fit import ChainFit
 from ..identify.chain_kinds import backlash_starts
 from ..identify.least_squares import OperatorFitSettings, fit_chain
@@ -130,8 +131,9 @@ def _padded(run: TrainingRun, trial: Trial, settings: NetworkSettings, way: Wind
 
 
 def _command_unit(trial: Trial) -> str:
-    """Unit of the device's command, in a swapped trial as well."""
-    return trial.units.angle if trial.inverted else trial.units.command
+    """Unit of the command of a device that bends by degrees, in a swapped trial as well; empty for any other."""
+    command, output = (trial.units.angle, trial.units.command)[:: 1 if trial.inverted else -1]
+    return command if output == "deg" else ""
 
 
 @dataclass(frozen=True)
@@ -193,7 +195,7 @@ def pause(runs: Sequence[TrainingRun], longest: int, rng: Rng) -> list[TrainingR
     return [run.paused(int(rng.integers(run.command.size)), int(rng.integers(longest + 1))) for run in runs]
 
 
-DEAD_ZONES_DEG = (0.027, 0.1, 0.3, 1.0)  # the first is that of the code of S2 (RA-L 2024)
+DEAD_ZONES_DEG = (0.027, 0.1, 0.3, 1.0)  # of a catheter; the first is that of the code of S2 (RA-L 2024)
 
 
 def fitted_backlash(trials: Sequence[Trial], skip_first_flexure: bool, dead_zone: float | None = None) -> Operator:
@@ -214,7 +216,8 @@ def fitted_backlash(trials: Sequence[Trial], skip_first_flexure: bool, dead_zone
     turned = [trial.swapped() for trial in trials]
     forward = _fitted(backlash_starts(turned), turned, settings).chain.core
     assert isinstance(forward, Backlash)  # the starts are backlashes
-    zones = DEAD_ZONES_DEG if dead_zone is None else (dead_zone,)
+    unit = Decades.of(trials).angle
+    zones = [zone * unit for zone in DEAD_ZONES_DEG] if dead_zone is None else [dead_zone]
     # One fit a dead zone: the error jumps where a sample crosses it, so that no slope leads from one to the next.
     fits = [_fitted([Chain(forward.inverse(zone))], trials, settings) for zone in zones]
     return min(fits, key=lambda fit: fit.rmse_deg).chain.core

@@ -157,7 +157,7 @@ def test_a_mapping_file_is_what_a_preset_may_be(tmp_path: Path) -> None:
     assert report.preset == "mapping"
     assert report.of("values")[0].severity is Severity.OK
     layout.write_text(MAPPING_FILE.replace("unit: rad", "unit: grad"))
-    with pytest.raises(ConfigError, match=r"bench\.yaml, line 2: angle\.unit: .*'deg' or 'rad', got 'grad'"):
+    with pytest.raises(ConfigError, match=r"bench\.yaml, line 2: angle\.unit: .*'deg', 'rad', .*, got 'grad'"):
         read_log(path, str(layout))
 
 

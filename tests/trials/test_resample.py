@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hystmpc.trials.check import Severity, check
+from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc.trials.trial import MAX_GAP_S, Trial, Units, require_uniform, resample
+from hystmpc.trials.read import read_trials
+from hystmpc.trials.trial import MAX_GAP_S, Trial, Units, require_uniform, resample, without_loose_ends
 
 
 def jittered(count: int, seed: int, start: float = 3.0) -> Trial:
@@ -75,3 +80,62 @@ def test_uniform_means_uniform() -> None:
     assert require_uniform(resample(jittered(100, 0), 40)) == pytest.approx(1 / 40)
     with pytest.raises(LogError, match=r"log\.csv.*resample the trial first"):
         require_uniform(jittered(100, 0))
+
+
+@given(st.integers(0, 20), st.integers(0, 20), st.floats(0.25, 5.0))
+def test_a_gap_near_an_end_costs_what_lies_beyond_it(head: int, tail: int, gap_s: float) -> None:
+    t = 0.01 * np.arange(6000.0)
+    t[head + 1 :] += gap_s
+    t[-1 - tail :] += gap_s
+    trial = Trial(t, 2 * t, t)
+    used = without_loose_ends(trial)
+    assert len(used) == 6000 - (head + 1) - (tail + 1)
+    assert used.t[0] == t[head + 1]
+    assert resample(trial, 50.0).t[0] == used.t[0]
+    (gaps,) = check(trial).of("gaps")
+    assert gaps.severity is Severity.NOTE
+    assert f"parting {head + tail + 2} samples" in gaps.message
+
+
+def test_a_gap_that_parts_more_is_refused_and_a_sound_log_is_left_as_it_is() -> None:
+    t = 0.01 * np.arange(6000.0)
+    assert without_loose_ends(trial := Trial(t, t, t)) is trial
+    t[80:] += 0.3  # behind 0.8 s, more than 0.5 s
+    with pytest.raises(LogError, match=r"gap of 0\.31 s from 0\.79 s"):
+        resample(Trial(t, t, t), 50.0)
+    short = 0.01 * np.arange(500.0)
+    short[20:] += 0.3  # behind 0.2 s of 5 s, more than 1 %
+    with pytest.raises(LogError, match=r"gap of 0\.31 s"):
+        resample(Trial(short, short, short), 50.0)
+
+
+def test_a_clock_that_runs_out_of_digits_is_stood_in_for(tmp_path: Path) -> None:
+    t = 0.005 * np.arange(21000.0)  # 105 s at 200 Hz
+    stamps = np.array([f"{value:.5g}" for value in t])  # 100.01 s and 100.005 s read alike
+    path, layout = tmp_path / "log.csv", tmp_path / "even.yaml"
+    path.write_text(
+        "time_s,command,angle_deg\n" + "".join(f"{s},{np.sin(v):.6f},{v:.6f}\n" for s, v in zip(stamps, t, strict=True))
+    )
+    with pytest.raises(LogError, match=r"expected increasing time .*`rate_hz: 200` stands in for the broken clock"):
+        read_trials(path)
+    (finding,) = check(path).of("duplicates")
+    assert finding.severity is Severity.ERROR
+    assert "a mapping file with `rate_hz: 200`" in finding.message
+    layout.write_text("command: command\nangle: angle_deg\nrate_hz: 200\n")
+    (trial,) = read_trials(path, str(layout))
+    np.testing.assert_allclose(trial.t, t)
+
+
+def test_the_unit_of_the_log_is_the_unit_of_the_trial(tmp_path: Path) -> None:
+    path, layout = tmp_path / "log.csv", tmp_path / "bench.yaml"
+    path.write_text("t,f,x\n" + "".join(f"{k / 100},{k},{k * 1e-5}\n" for k in range(300)))
+    layout.write_text("command: {signal: f, unit: N}\nangle: {signal: x, unit: m}\ntime: t\n")
+    (trial,) = read_trials(path, str(layout))
+    assert (trial.units.command, trial.units.angle, trial.inverted) == ("N", "m", False)
+    assert trial.angle[-1] == pytest.approx(299e-5)
+    assert "units of angle: 0 to 0.00299 m" in str(check(trial))
+    swapped = trial.swapped()
+    assert (swapped.units.command, swapped.inverted, swapped.swapped().units) == ("m", True, trial.units)
+    (again,) = read_trials(write_csv(trial, tmp_path / "canonical.csv"))
+    assert again.units == trial.units
+    np.testing.assert_array_equal(again.angle, trial.angle)
