@@ -33,7 +33,7 @@ from .run import FAILURE
 from .sealed import Answer, open_answers, read_case
 
 FOLDER = "investigations"
-BATTERY = "battery_s"
+BATTERY_FILE = "battery_s.json"
 NEEDED = 0.5
 """Greatest share of the battery's device time that an investigation should need."""
 
@@ -144,7 +144,7 @@ def investigate_blind(
     ]
 
     def is_done(job: InvestigationJob) -> bool:
-        return (job.out / RESULT_FILE).is_file()
+        return (job.out / BATTERY_FILE).is_file()
 
     if progress:
         progress(sum(map(is_done, todo)), len(todo))
@@ -170,7 +170,7 @@ def _investigate(job: InvestigationJob) -> tuple[str, bool]:
         write_atomically(job.out / FAILURE, f"{type(made.raised).__name__}: {made.raised}\n")
         return job.case, False
     battery = sum(run_seconds(settings, len(trial)) for trial in trials)
-    write_atomically(job.out / f"{BATTERY}.json", json.dumps(battery))
+    write_atomically(job.out / BATTERY_FILE, json.dumps(battery))  # last: with it the case is done
     return job.case, True
 
 
@@ -205,11 +205,11 @@ def scored_investigations(folder: Path) -> tuple[ScoredInvestigation, ...]:
         LogError: if a result cannot be read, or the answers are not those that were sealed.
     """
     answers, found = open_answers(folder), list[ScoredInvestigation]()
-    for path in sorted((folder / FOLDER).glob(f"*/{RESULT_FILE}")):
-        answer = answers[path.parent.name]
+    for battery_file in sorted((folder / FOLDER).glob(f"*/{BATTERY_FILE}")):
+        path, answer = battery_file.parent / RESULT_FILE, answers[battery_file.parent.name]
         try:
             data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-            battery = float(json.loads((path.parent / f"{BATTERY}.json").read_text(encoding="utf-8")))
+            battery = float(json.loads(battery_file.read_text(encoding="utf-8")))
             found.append(
                 ScoredInvestigation(
                     path.parent.name,
