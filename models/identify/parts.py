@@ -26,6 +26,7 @@ from .chain_kinds import falls, maxwell_slip_starts
 Form = tuple[Candidate, ...]
 """One alternative of a part: effects that are added together; empty for a device without that part."""
 
+_FIRST = 5  # place of what acts on the command before delay and lag
 _REACHES = (0.3, 0.1, 0.8)  # of the command's range: the widest play at the starts
 _QUICKEST_S = 0.1  # relaxation time of the quick term of two; what is quicker is a lag
 _BENT = "pi, 6 plays"  # the core that is tried with a curve
@@ -40,7 +41,7 @@ class Part:
     """One part of a device and its alternatives.
 
     Attributes:
-        name: in tables: `drive`, `creep`.
+        name: in tables: `drive`, `creep`, `valve`.
         forms: the alternatives, the device without the part first.
     """
 
@@ -49,10 +50,13 @@ class Part:
 
 
 def device_parts(scale: Scale) -> tuple[Part, ...]:
-    """Drive and creep, with bounds and starts of the one list of effects.
+    """Drive, creep and curve of the command, with bounds and starts of the one list of effects.
 
     A drive holds each command over its sample, as a set-point that is sent in steps; where it runs straight between
     the samples instead, that is half a sample of delay more. The delay therefore goes with every lag, too.
+
+    The curve is that of a valve or an amplifier, in front of the drive. Behind a slow lag a core cannot stand in for it,
+    and it would be taken for hysteresis.
 
     A width of the plays that grows with speed is no part: in motion it looks like a delay, and it is wrong in holds.
 
@@ -63,13 +67,20 @@ def device_parts(scale: Scale) -> tuple[Part, ...]:
     delay = known["delay/command"]
     one = replace(known["lag/command"], variant="one pole", operators=(Lag(0.1),))
     two = replace(one, variant="two poles", operators=(Lag(0.1), Lag(0.1)))
+    slow = replace(one, free=(_as_slow(one.free[0], scale),), starts=(*one.starts, (2.0,)))
     servo = replace(known["lag/servo"], operators=(Servo(0.1, 0.7, 0),), starts=((2.0 * scale.dt_s, 0.75), (0.2, 0.75)))
     ways = replace(known["lag/two ways"], operators=(Lag(0.1, (0.1,)),), starts=((0.3, 0.3), (2.0, 2.0)))
-    ways = replace(ways, free=tuple(replace(way, upper=max(way.upper, 0.5 * scale.duration_s)) for way in ways.free))
-    lags: tuple[Form, ...] = ((one,), (two,), (servo,), (ways,))
+    ways = replace(ways, free=tuple(_as_slow(way, scale) for way in ways.free))
+    lags: tuple[Form, ...] = ((slow,), (two,), (servo,), (ways,))
     drives = ((), (delay,), (_top_speed(scale),), *lags, *((_short(delay), *lag) for lag in lags))
     creeps = ((), *((form,) for form in _creeps(known["creep/command"], scale)))
-    return Part("drive", drives), Part("creep", creeps)
+    valve = replace(known["nonlinear_gain/command"], variant="before the drive", order=_FIRST)
+    return Part("drive", drives), Part("creep", creeps), Part("valve", ((), (valve,)))
+
+
+def _as_slow(tau: Freedom, scale: Scale) -> Freedom:
+    """A time constant of up to half the longest trial."""
+    return replace(tau, upper=max(tau.upper, 0.5 * scale.duration_s))
 
 
 def _short(delay: Candidate) -> Candidate:
