@@ -96,7 +96,7 @@ class Decades:
         )
 
     def in_log(self, unit: str) -> float:
-        """Log units in one working unit of a quantity, such as `deg s/cmd` or `1/deg^2`; 1 of what has none of these."""
+        """Log units in one working unit of a quantity, as `deg s/cmd` or `1/deg^2`; 1 of what has none of these."""
         above, *below = unit.split("/")
         factor = self._power(above)
         for part in below:

@@ -73,8 +73,8 @@ def identify_auto(
         theta = core(creep(drive(u))),  drive: delay, lag of first or second order, top speed, or none
 
     All alternatives are fitted by bounded least squares on free runs with exact sensitivities, and compared on trials
-    that their fit did not see, of one trial alone on thirds of its time. Each trial has an offset of its own where that lowers the held-out error: angle sensors
-    are often zeroed anew.
+    that their fit did not see, of one trial alone on thirds of its time. Each trial has an offset of its own where that
+    lowers the held-out error: angle sensors are often zeroed anew.
 
     Args:
         trials: uniformly sampled at one rate, in one pair of units; ramps, sines, or steps of a few values alone.

@@ -70,8 +70,10 @@ def falls(of_what: str, unit: str) -> FitError:
         of_what: by how much it falls, and when.
         unit: of the output.
     """
-    friction = "" if unit == "deg" else f"; an output that may fall, such as a force, {' and '.join(FRICTION_KINDS)} fit"
-    return FitError(f"the angle falls with the command {of_what}, expected it to rise; turn the sign of one channel{friction}")
+    text = f"the angle falls with the command {of_what}, expected it to rise; turn the sign of one channel"
+    if unit == "deg":
+        return FitError(text)
+    return FitError(f"{text}; an output that may fall, such as a force, {' and '.join(FRICTION_KINDS)} fit")
 
 
 def branch(trials: Sequence[Trial], motion: Motion, rises: bool = True) -> Vec:

@@ -204,7 +204,7 @@ _FROM_BELOW = 0.25  # of the command's range: trials that begin higher up begin 
 
 
 def _rest_command(trials: Sequence[Trial]) -> float | None:
-    """Where the trials begin, None for the lower end of their command: behind a slow drive another start is felt long."""
+    """Where the trials begin, None for the lower end: behind a slow drive another start is felt for long."""
     seen, first = command_range(trials), float(np.median([trial.command[0] for trial in trials]))
     return first if not trials[0].inverted and first > seen.lower + _FROM_BELOW * (seen.upper - seen.lower) else None
 

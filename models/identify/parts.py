@@ -55,8 +55,8 @@ def device_parts(scale: Scale) -> tuple[Part, ...]:
     A drive holds each command over its sample, as a set-point that is sent in steps; where it runs straight between
     the samples instead, that is half a sample of delay more. The delay therefore goes with every lag, too.
 
-    The curve is that of a valve or an amplifier, in front of the drive. Behind a slow lag a core cannot stand in for it,
-    and it would be taken for hysteresis.
+    The curve is that of a valve or an amplifier, in front of the drive. Behind a slow lag a core cannot stand in for
+    it, and it would be taken for hysteresis.
 
     A width of the plays that grows with speed is no part: in motion it looks like a delay, and it is wrong in holds.
 

@@ -36,6 +36,9 @@ class MaxwellSlip(Operator):
         speeds: nothing, or (viscous [deg s/cmd], stribeck [1], stribeck_speed [cmd/s]) of friction that depends on the
             speed; `rate` 1 in files.
 
+    Raises:
+        ModelError: on another number of these, or a value out of bounds.
+
     Source: Iwan, J. Appl. Mech. 33 (1966), 893-900; the Stribeck part of the generalised Maxwell slip model, Al-Bender,
     Lampaert and Swevers, IEEE Trans. Autom. Control 50 (2005), 1883-1887.
     """
