@@ -11,10 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.contract.metadata import DeviceLimits
 from hystmpc.models.identify.auto import identify_auto
 from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.chain_kinds import FRICTION_KINDS
 from hystmpc.models.identify.cross_validation import CrossValidation
+from hystmpc.models.identify.methods import simulator_of
 from hystmpc.models.identify.runs import command_range, runs_of
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
@@ -22,6 +24,7 @@ from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.friction import MaxwellSlip
 from hystmpc.models.operators.hysteresis import Play, Stop
 from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.static_curves import Line
 from hystmpc.models.simulator import ChainModel, load_simulator, save_simulator
 from hystmpc.trials.errors import FitError, ModelError
 from hystmpc.trials.trial import Trial, Units
@@ -150,3 +153,19 @@ def test_one_trial_is_judged_on_thirds_of_its_time() -> None:
     assert judged.errors[0].size == len(trials[0])
     assert judged.mse > seen.judge(fit).mse
     np.testing.assert_allclose(held_out.left_out(judged)[0], -judged.errors[0], atol=1e-9)
+
+
+def test_a_device_that_rests_in_the_middle_of_its_command_is_started_there(tmp_path: Path) -> None:
+    """Behind a drive of 9 s a start at the lower end is felt for half a minute."""
+    t = np.arange(0.0, 20.0, DT)
+    u, units = 2.0 * np.sin(0.9 * t), Units("V", "mm", inverse=False)
+    chain = Chain(Line(30.0, 5.0), (Lag(9.0),))
+    angle = 30.0 * run_operator(Lag(9.0), u) + 5.0
+    trial = Trial(t, u, angle, units=units, source="rig.csv")
+    simulator = simulator_of(chain, [trial], DeviceLimits(), "by hand")
+    assert simulator.rest_command == u[0]
+    read = load_simulator(save_simulator(simulator, tmp_path / "rig.yaml"))
+    assert read == simulator
+    np.testing.assert_allclose(ChainModel(read).run(u, 5.0), angle, atol=1e-9)
+    from_below = replace(trial, command=2.0 - 2.0 * np.cos(0.9 * t))
+    assert simulator_of(chain, [from_below], DeviceLimits(), "by hand").rest_command is None
