@@ -96,7 +96,7 @@ class Decades:
         )
 
     def in_log(self, unit: str) -> float:
-        """Log units in one working unit of a quantity, such as `deg/cmd` or `1/deg^2`; 1 of what has none of these."""
+        """Log units in one working unit of a quantity, as `deg s/cmd` or `1/deg^2`; 1 of what has none of these."""
         above, *below = unit.split("/")
         factor = self._power(above)
         for part in below:
@@ -104,10 +104,9 @@ class Decades:
         return factor
 
     def _power(self, part: str) -> float:
-        found = _FACTOR.fullmatch(part)
-        if found is None:
-            return 1.0
-        return {"cmd": self.command, "deg": self.angle}.get(found[1], 1.0) ** int(found[2] or 1)
+        found = [match for factor in part.split() if (match := _FACTOR.fullmatch(factor))]
+        own = {"cmd": self.command, "deg": self.angle}
+        return math.prod(own.get(match[1], 1.0) ** int(match[2] or 1) for match in found)
 
     def _converted(self, chain: Chain, way: int) -> Chain:
         if self.usual:

@@ -86,6 +86,7 @@ class SimulatorFile(Settings):
     trained_rate_per_s: Rate
     angle_unit: str = "deg"
     inverse: bool | None = None
+    rest_command: float | None = None
     chain: dict[Literal["before", "core", "after"], Any]
     identification: Identification
 
@@ -100,6 +101,7 @@ class Simulator:
         command_unit: mm or bar, or what another device takes.
         angle_unit: deg; an inverse map takes deg and gives mm or bar. Other devices have other units.
         inverse: whether it is an inverse map; None where one unit alone is deg and tells.
+        rest_command: at which the device rests before a motion; None for the lower end of its command.
         command_limits, command_rate_per_s: what the device may be sent.
         trained_command, trained_angle_deg, trained_rate_per_s: what identification saw.
         identification: method, data and residuals.
@@ -116,6 +118,7 @@ class Simulator:
     identification: Identification
     angle_unit: str = "deg"
     inverse: bool | None = None
+    rest_command: float | None = None
 
     def at_sample_time(self, dt_s: float) -> Simulator:
         """The same simulator at sample time `dt_s` [s]: delays get the store that they need at it."""
@@ -126,13 +129,13 @@ class Simulator:
     def metadata(self) -> ModelMetadata:
         """The facts of the model contract.
 
-        The device is taken to rest at the lower end of its command; operators do not age, so that a fresh device
+        The device is taken to rest at `rest_command`; operators do not age, so that a fresh device
         and one that has done its first flexure start by the same rule.
 
         Raises:
             ModelError: if a fact is out of its bounds.
         """
-        rest = self.command_limits.lower
+        rest = self.command_limits.lower if self.rest_command is None else self.rest_command
         at = [np.asarray(self.chain.rest(y, rest, self.chain.values)).ravel() for y in (0.0, 1.0)]
         rule = {"offset": at[0].tolist(), "slope": (at[1] - at[0]).tolist()}
         single = not self.chain.before and not self.chain.after
@@ -181,6 +184,7 @@ def save_simulator(simulator: Simulator, path: Path | str) -> Path:
         "command_unit": simulator.command_unit,
         "angle_unit": simulator.angle_unit,
         **({} if simulator.inverse is None else {"inverse": simulator.inverse}),
+        **({} if simulator.rest_command is None else {"rest_command": simulator.rest_command}),
         "command_limits": simulator.command_limits.model_dump(),
         "command_rate_per_s": simulator.command_rate_per_s,
         "trained_command": simulator.trained_command.model_dump(),

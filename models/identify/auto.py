@@ -46,7 +46,7 @@ class AutoFit:
         rows: what each part bought.
         parameters: numbers of drive and creep, with intervals of 90 %.
         offsets: whether each trial had an offset of its own.
-        noise: what the device leaves unexplained of trials that its fit did not see; of one trial alone, of that one.
+        noise: what the device leaves unexplained of trials that its fit did not see; of one trial alone, of its thirds.
         advice: what these trials do not determine, and what to record for it.
         decades: working units of `choice`; rows, parameters and noise are in those of the log.
         interrupted: stopped by the user; this is the best so far.
@@ -73,8 +73,8 @@ def identify_auto(
         theta = core(creep(drive(u))),  drive: delay, lag of first or second order, top speed, or none
 
     All alternatives are fitted by bounded least squares on free runs with exact sensitivities, and compared on trials
-    that their fit did not see. Each trial has an offset of its own where that lowers the held-out error: angle sensors
-    are often zeroed anew.
+    that their fit did not see, of one trial alone on thirds of its time. Each trial has an offset of its own where that
+    lowers the held-out error: angle sensors are often zeroed anew.
 
     Args:
         trials: uniformly sampled at one rate, in one pair of units; ramps, sines, or steps of a few values alone.
@@ -139,8 +139,7 @@ def _identified(
         rows = () if search.interrupted else tuple(last.bought(found))
     except KeyboardInterrupt:  # the device is found; only the table of its parts is missing
         search.interrupted = True
-    fitted = 0 if len(trials) > 1 else found.hypothesis.problem.size
-    noise = estimation_noise(trials, last.left_out(found), fitted)
+    noise = estimation_noise(trials, last.left_out(found))
     return AutoFit(
         found,
         tuple(

@@ -100,7 +100,7 @@ class PartRow:
         part: `drive`, `creep`, `core` or `sensor zero`.
         form: the alternative that was chosen, `none` for a device without the part.
         without_deg: held-out error of the device without the part, everything else fitted anew [deg]; of the core:
-            with a backlash in its place. Not-a-number where there is nothing to leave out.
+            with a line in its place. Not-a-number where there is nothing to leave out.
         with_deg: held-out error of the chosen device [deg].
     """
 
@@ -305,7 +305,7 @@ class AutoSearch:
 
     def _validation(self, core: CoreForm) -> CrossValidation:
         baseline = FreeCoreBaseline(core.starts[0], self._command)
-        return CrossValidation(baseline, self.runs, self.settings.evaluations)
+        return CrossValidation(baseline, self.runs, self.settings.evaluations, in_time=True)
 
 
 def _near(candidate: Candidate, values: tuple[float, ...], dt_s: float) -> Candidate:

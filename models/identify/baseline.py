@@ -133,7 +133,11 @@ class FreeCoreBaseline(Baseline):
         pieces = core.pieces + 1 if isinstance(core, CurvedPlays) else 1
         gain = max(sum(slopes) / pieces, 1e-6)
         typical = {"cmd": 0.05 * span, "deg/cmd": 0.1 * gain, "deg": 0.05 * gain * span, "s": 0.02}
-        scale = [typical.get(p.unit, max(0.1 * abs(v), 1e-3)) for v, p in zip(values, core.parameters, strict=True)]
+        little = {"1/cmd": 0.1 / span}
+        scale = [
+            typical.get(p.unit, max(0.1 * abs(v), little.get(p.unit, 1e-3) if v == 0 else 1e-3))
+            for v, p in zip(values, core.parameters, strict=True)
+        ]
         object.__setattr__(self, "nominal", values)
         object.__setattr__(self, "lower", np.array([p.lower for p in core.parameters]))
         object.__setattr__(self, "upper", np.array([p.upper for p in core.parameters]))

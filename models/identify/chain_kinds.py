@@ -18,6 +18,7 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..decades import Decades
+from ..operators.friction import MaxwellSlip
 from ..operators.hysteresis import Backlash, BoucWen
 from ..operators.operator import Operator
 from ..operators.prandtl_ishlinskii import Drdpi, PrandtlIshlinskii
@@ -58,11 +59,28 @@ def prandtl_ishlinskii_starts(trials: Sequence[Trial], plays: int) -> list[Chain
     ]
 
 
-def branch(trials: Sequence[Trial], motion: Motion) -> Vec:
+FRICTION_KINDS = ("maxwell_slip", "maxwell_slip_rate")
+"""Kinds that fit an output that need not rise with the command."""
+
+
+def falls(of_what: str, unit: str) -> FitError:
+    """The refusal of an output that falls with the command; of one in deg a wrong sign is the cause.
+
+    Args:
+        of_what: by how much it falls, and when.
+        unit: of the output.
+    """
+    text = f"the angle falls with the command {of_what}, expected it to rise; turn the sign of one channel"
+    if unit == "deg":
+        return FitError(text)
+    return FitError(f"{text}; an output that may fall, such as a force, {' and '.join(FRICTION_KINDS)} fit")
+
+
+def branch(trials: Sequence[Trial], motion: Motion, rises: bool = True) -> Vec:
     """Slope [deg/cmd] and offset [deg] of the line through one branch after the first flexure.
 
     Raises:
-        FitError: if too few samples move that way, or the angle falls as the command rises.
+        FitError: if too few samples move that way, or the angle falls as the command rises where it has to rise.
     """
     commands, angles = [], []
     for trial in trials:
@@ -75,12 +93,10 @@ def branch(trials: Sequence[Trial], motion: Motion) -> Vec:
     if u.size < 10 or np.ptp(u) == 0:
         raise FitError(f"{u.size} samples of {motion.name.lower()}, expected at least 10 that move")
     slope, offset = np.polyfit(u, y, 1)
-    if slope <= 0:
+    if rises and slope <= 0:
         share = -slope * float(np.ptp(u)) / float(np.ptp(y))
-        raise FitError(
-            f"the angle falls with the command while {motion.name.lower()} (by {share:.2g} of its range over that of "
-            "the command), expected it to rise; turn the sign of one channel"
-        )
+        way = f"while {motion.name.lower()} (by {share:.2g} of its range over that of the command)"
+        raise falls(way, trials[0].units.angle)
     return np.array([slope, offset])
 
 
@@ -120,7 +136,7 @@ class Extent:
 
     Attributes:
         slope, offset: of the mean line through loading and unloading branch [deg/cmd], [deg].
-        lag: half the distance between the branches [deg].
+        lag: half the distance between the branches, below zero where the angle leads the command [deg].
         span: range of the command [cmd].
         speed: greatest speed of the command [cmd/s].
         low, high: least and greatest angle [deg].
@@ -137,6 +153,7 @@ class Extent:
 
 _DEAD_ZONE = 0.027
 _METHODS = {"best": "least_squares", "paper": "adam", "global": "global", "cmaes": "cmaes"}
+_WITHOUT_PAPER = {preset: method for preset, method in _METHODS.items() if preset != "paper"}
 
 
 @dataclass(frozen=True)
@@ -154,6 +171,7 @@ class ChainKind:
         inverse_fixed: parameters of the inverse operator that are set.
         methods: identification method (`methods.METHODS`) by preset, the default first.
         plays: number of plays where the request leaves it open.
+        rises: whether the angle has to rise with the command, whatever its unit.
     """
 
     name: str
@@ -166,6 +184,7 @@ class ChainKind:
     inverse_fixed: tuple[str, ...] = ()
     methods: Mapping[str, str] = field(default_factory=lambda: _METHODS)
     plays: int = 4
+    rises: bool = True
 
 
 def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> ChainTask:
@@ -192,7 +211,7 @@ def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> Chai
         way = "angle to command" if inverse else "command to angle"
         raise FitError(f"{kind} maps {way}, got trials with the command in {trials[0].units.command}; swap them")
     forward = [trial.swapped() if trial.inverted else trial for trial in trials]
-    extent = _extent(forward)
+    extent = _extent(forward, entry.rises or forward[0].units.angle == "deg")
     operators = entry.starts(forward, extent, structure)
     if inverse:
         operators = [inverse(operator, structure) for operator in operators]
@@ -202,14 +221,14 @@ def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> Chai
     return ChainTask(tuple(Chain(o) for o in operators), ends, first, fixed, tuple(trials))
 
 
-def _extent(trials: Sequence[Trial]) -> Extent:
-    loading, unloading = branch(trials, Motion.LOADING), branch(trials, Motion.UNLOADING)
+def _extent(trials: Sequence[Trial], rises: bool) -> Extent:
+    loading, unloading = (branch(trials, motion, rises) for motion in (Motion.LOADING, Motion.UNLOADING))
     slope, offset = 0.5 * (loading + unloading)
     middle = 0.5 * (max(t.command.max() for t in trials) + min(t.command.min() for t in trials))
     lag = 0.5 * float(np.polyval(unloading - loading, middle))
     span = max(float(np.ptp(t.command)) for t in trials)
     low, high = min(float(t.angle.min()) for t in trials), max(float(t.angle.max()) for t in trials)
-    return Extent(float(slope), float(offset), max(lag, 0.0), span, fastest_command(trials), low, high)
+    return Extent(float(slope), float(offset), lag, span, fastest_command(trials), low, high)
 
 
 def _ends(operator: Operator, box: Ends) -> tuple[Vec, Vec]:
@@ -242,11 +261,59 @@ def _drdpi_starts(trials: Sequence[Trial], e: Extent, structure: Structure) -> l
 def _bouc_wen_starts(trials: Sequence[Trial], e: Extent, structure: Structure) -> list[Operator]:
     """The mean line with the branches' distance, reached within 10, 30 and 80 % of the command's range."""
     del trials
-    steepness = structure.steepness_s / e.span
+    steepness, lag = structure.steepness_s / e.span, max(e.lag, 0.0)
     return [
-        BoucWen(-e.lag / (reach * e.span), 0.0, 1 / (reach * e.span), e.slope, e.slope, steepness, e.offset)
+        BoucWen(-lag / (reach * e.span), 0.0, 1 / (reach * e.span), e.slope, e.slope, steepness, e.offset)
         for reach in (0.1, 0.3, 0.8)
     ]
+
+
+_REACHES = (0.03, 0.1, 0.3)  # of the displacement's range, over which a friction force turns its sign
+
+
+def maxwell_slip_starts(
+    elements: int, slope: float, offset: float, height: float, span: float, speed: float = 0.0
+) -> list[MaxwellSlip]:
+    """Sliders of one stiffness, the last of which breaks away within 3, 10 and 30 % of the displacement's range.
+
+    Args:
+        elements: number of sliders.
+        slope, offset: of the mean line [deg/cmd], [deg].
+        height: of friction, half the distance of the branches [deg].
+        span: range of the displacement [cmd].
+        speed: greatest of the displacement [cmd/s]; 0 for friction that does not depend on it.
+    """
+    speeds = (0.0, 0.1, 0.1 * speed) if speed else ()
+
+    def start(reach: float) -> MaxwellSlip:
+        spacing = reach * span / elements
+        stiffness = height / (0.5 * elements * (elements + 1) * spacing)
+        return MaxwellSlip(slope, (stiffness,) * elements, spacing, 0.0, offset, speeds)
+
+    return [start(reach) for reach in _REACHES]
+
+
+_LEAST_HEIGHT = 0.02  # of the output's range, from which a fit of friction starts
+
+
+def _friction_starts(e: Extent, structure: Structure, speed: float = 0.0) -> list[Operator]:
+    height = max(-e.lag, _LEAST_HEIGHT * (e.high - e.low))
+    return [*maxwell_slip_starts(structure.plays, e.slope, e.offset, height, e.span, speed)]
+
+
+def _friction_box(e: Extent, structure: Structure) -> Ends:
+    """Sliders that all break away within half the range; ends `k` are those of k0, too."""
+    height = e.high - e.low
+    return {
+        "k": (0.0, 20 * height / e.span),
+        "k0": (e.slope - 2 * height / e.span, e.slope + 2 * height / e.span),
+        "spacing": (0.0, 0.5 * e.span / structure.plays),
+        "growth": (-0.5 / e.span, 0.5 / e.span),
+        "b": (e.offset - height, e.offset + height),
+        "viscous": (0.0, height / e.speed),
+        "stribeck": (0.0, 2.0),
+        "stribeck_speed": (1e-3 * e.speed, e.speed),
+    }
 
 
 def _backlash_box(e: Extent, structure: Structure) -> Ends:
@@ -353,6 +420,22 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
                 plays=10,  # as S1 has them
             ),
             ChainKind("bouc_wen", "Bouc-Wen", _bouc_wen_starts, _bouc_wen_box, fixed=("delta", "steepness")),
+            ChainKind(
+                "maxwell_slip",
+                "Maxwell slip",
+                lambda trials, e, s: _friction_starts(e, s),
+                _friction_box,
+                methods=_WITHOUT_PAPER,
+                rises=False,
+            ),
+            ChainKind(
+                "maxwell_slip_rate",
+                "Maxwell slip, by speed",
+                lambda trials, e, s: _friction_starts(e, s, e.speed),
+                _friction_box,
+                methods=_WITHOUT_PAPER,
+                rises=False,
+            ),
         )
     }
 )

@@ -68,11 +68,13 @@ class CrossValidation:
         baseline: of every hypothesis.
         runs: development runs.
         evaluations: of a fit from one start.
+        in_time: whether a single run is held out in thirds of its time; else it is judged by the fit to it.
     """
 
     baseline: Baseline
     runs: tuple[Run, ...]
     evaluations: int = 12
+    in_time: bool = False
 
     @cached_property
     def folds(self) -> tuple[tuple[int, ...], ...]:
@@ -114,7 +116,9 @@ class CrossValidation:
         return Hypothesis(hypothesis.problem, found.q, found.mse)
 
     def judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        """Errors on each fold of a fit to the others; with one run, of the fit to it."""
+        """Errors on each fold of a fit to the others; with one run, on thirds of it or of the fit to it."""
+        if self._thirds:
+            return self._judged_in_time(hypothesis)
         parts: dict[int, Vec] = {}
         fold_q = []
         for fold in self.folds:
@@ -126,11 +130,37 @@ class CrossValidation:
         held_out = blocks_of(errors, self.runs)
         return HeldOutErrors(held_out.energy, held_out.samples, held_out.run, hypothesis, errors, tuple(fold_q))
 
+    @cached_property
+    def _thirds(self) -> tuple[tuple[Run, Run], ...]:
+        """A single run without a third of the time that counts, and that third alone."""
+        if not self.in_time or len(self.runs) > 1:
+            return ()
+        run = self.runs[0]
+        made = []
+        for part in np.array_split(np.flatnonzero(run.counts), LARGEST_FOLDS):
+            third = np.zeros(run.counts.size, dtype=bool)
+            third[part] = True
+            made.append((replace(run, counts=run.counts & ~third), replace(run, counts=third)))
+        return tuple(made)
+
+    def _judged_in_time(self, hypothesis: Hypothesis) -> HeldOutErrors:
+        problem, fold_q, errors = hypothesis.problem, [], []
+        for rest, third in self._thirds:
+            fold_q.append(fit_problem(problem, [rest], hypothesis.q, self.evaluations, 1e-3).q)
+            errors.append(problem.held_out_error(fold_q[-1], third))
+        whole = (np.concatenate(errors),)
+        held_out = blocks_of(whole, self.runs)
+        return HeldOutErrors(held_out.energy, held_out.samples, held_out.run, hypothesis, whole, tuple(fold_q))
+
     def left_out(self, judged: HeldOutErrors) -> tuple[Vec, ...]:
         """Measurement less free run where it counts (C,) [deg], of every run with the fit that did not see it.
 
-        Nothing is taken off for what a trial has of its own. With one run, of the fit to it.
+        Nothing is taken off for what a trial has of its own. With one run, on thirds of it or of the fit to it.
         """
+        if self._thirds:
+            thirds = [(third, q) for (_, third), q in zip(self._thirds, judged.fold_q, strict=True)]
+            apart = [(third.angle - judged.hypothesis.problem.angles(q, third))[third.counts] for third, q in thirds]
+            return (np.concatenate(apart),)
         fits = {k: q for fold, q in zip(self.folds, judged.fold_q, strict=True) for k in fold}
         angles = [judged.hypothesis.problem.angles(fits[k], run) for k, run in enumerate(self.runs)]
         return tuple((run.angle - theta)[run.counts] for run, theta in zip(self.runs, angles, strict=True))

@@ -176,6 +176,7 @@ def simulator_of(
             command_unit=trials[0].units.command,
             angle_unit=trials[0].units.angle,
             inverse=trials[0].inverted,
+            rest_command=_rest_command(trials),
             command_limits=limits.command or command_range(trials),
             command_rate_per_s=limits.rate_per_s or fastest_command(trials),
             trained_command=command_range(trials),
@@ -197,6 +198,15 @@ def simulator_of(
         errors = [(trial.angle - run.theta)[run.start :] for trial, run in runs]
         noise = estimation_noise(trials, errors, chain.values.size)
     return build(tuple(residual(trial, trial, run.theta, run.start) for trial, run in runs), noise)
+
+
+_FROM_BELOW = 0.25  # of the command's range: trials that begin higher up begin elsewhere than at its lower end
+
+
+def _rest_command(trials: Sequence[Trial]) -> float | None:
+    """Where the trials begin, None for the lower end: behind a slow drive another start is felt for long."""
+    seen, first = command_range(trials), float(np.median([trial.command[0] for trial in trials]))
+    return first if not trials[0].inverted and first > seen.lower + _FROM_BELOW * (seen.upper - seen.lower) else None
 
 
 def residual(log: Trial, trial: Trial, theta: Vec, start: int) -> Residual:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hystmpc.trials.errors import FitError
+from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..effects.catalogue import candidates
@@ -19,10 +20,13 @@ from ..operators.hysteresis import Backlash
 from ..operators.operator import Operator
 from ..operators.prandtl_ishlinskii import PrandtlIshlinskii
 from ..operators.slow_changes import Creep
+from ..operators.static_curves import Line
+from .chain_kinds import falls, maxwell_slip_starts
 
 Form = tuple[Candidate, ...]
 """One alternative of a part: effects that are added together; empty for a device without that part."""
 
+_FIRST = 5  # place of what acts on the command before delay and lag
 _REACHES = (0.3, 0.1, 0.8)  # of the command's range: the widest play at the starts
 _QUICKEST_S = 0.1  # relaxation time of the quick term of two; what is quicker is a lag
 _BENT = "pi, 6 plays"  # the core that is tried with a curve
@@ -37,7 +41,7 @@ class Part:
     """One part of a device and its alternatives.
 
     Attributes:
-        name: in tables: `drive`, `creep`.
+        name: in tables: `drive`, `creep`, `valve`.
         forms: the alternatives, the device without the part first.
     """
 
@@ -46,10 +50,13 @@ class Part:
 
 
 def device_parts(scale: Scale) -> tuple[Part, ...]:
-    """Drive and creep, with bounds and starts of the one list of effects.
+    """Drive, creep and curve of the command, with bounds and starts of the one list of effects.
 
     A drive holds each command over its sample, as a set-point that is sent in steps; where it runs straight between
     the samples instead, that is half a sample of delay more. The delay therefore goes with every lag, too.
+
+    The curve is that of a valve or an amplifier, in front of the drive. Behind a slow lag a core cannot stand in for
+    it, and it would be taken for hysteresis.
 
     A width of the plays that grows with speed is no part: in motion it looks like a delay, and it is wrong in holds.
 
@@ -60,13 +67,20 @@ def device_parts(scale: Scale) -> tuple[Part, ...]:
     delay = known["delay/command"]
     one = replace(known["lag/command"], variant="one pole", operators=(Lag(0.1),))
     two = replace(one, variant="two poles", operators=(Lag(0.1), Lag(0.1)))
+    slow = replace(one, free=(_as_slow(one.free[0], scale),), starts=(*one.starts, (2.0,)))
     servo = replace(known["lag/servo"], operators=(Servo(0.1, 0.7, 0),), starts=((2.0 * scale.dt_s, 0.75), (0.2, 0.75)))
     ways = replace(known["lag/two ways"], operators=(Lag(0.1, (0.1,)),), starts=((0.3, 0.3), (2.0, 2.0)))
-    ways = replace(ways, free=tuple(replace(way, upper=max(way.upper, 0.5 * scale.duration_s)) for way in ways.free))
-    lags: tuple[Form, ...] = ((one,), (two,), (servo,), (ways,))
+    ways = replace(ways, free=tuple(_as_slow(way, scale) for way in ways.free))
+    lags: tuple[Form, ...] = ((slow,), (two,), (servo,), (ways,))
     drives = ((), (delay,), (_top_speed(scale),), *lags, *((_short(delay), *lag) for lag in lags))
     creeps = ((), *((form,) for form in _creeps(known["creep/command"], scale)))
-    return Part("drive", drives), Part("creep", creeps)
+    valve = replace(known["nonlinear_gain/command"], variant="before the drive", order=_FIRST)
+    return Part("drive", drives), Part("creep", creeps), Part("valve", ((), (valve,)))
+
+
+def _as_slow(tau: Freedom, scale: Scale) -> Freedom:
+    """A time constant of up to half the longest trial."""
+    return replace(tau, upper=max(tau.upper, 0.5 * scale.duration_s))
 
 
 def _short(delay: Candidate) -> Candidate:
@@ -113,23 +127,63 @@ class CoreForm:
     curve: Form = ()
 
 
-def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
-    """Rate-independent cores, alone and with a curve, few numbers first; `CurvedPlays`, the richest, last.
+_LEADS = 0.1  # of the output's range, half the distance by which the branch of a rise lies above that of a fall
+_FALLS = -0.3  # correlation; above it dynamics may be the cause, which drives have
+_SLIDERS = (4, 10)
 
-    The start is the line through all samples, which steps of a few values give as well as long ramps do.
+
+def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
+    """Rate-independent cores, alone and with a curve, few numbers first; the richest last.
+
+    The first is a line, a device without hysteresis. The richest is `CurvedPlays`, but a sum of stops where the output
+    leads the command or falls with it, as friction forces do: no play does that. The start is the line through all
+    samples, which steps of a few values give as well as long ramps do. Where that line falls with little of the
+    output, dynamics may be the cause; then fits start from a line that rises over the ranges of both.
 
     Raises:
-        FitError: if the angle does not rise with the command.
+        FitError: if the angle falls with the command, but for an output other than deg.
     """
     command = np.concatenate([trial.command for trial in trials])
     angle = np.concatenate([trial.angle for trial in trials])
     slope, offset = (float(v) for v in np.polyfit(command, angle, 1))
+    span, height = float(np.ptp(command)), float(np.ptp(angle))
+    if slope <= 0 and (unit := trials[0].units.angle) == "deg":
+        raise falls(f"(by {-slope * span / height:.2g} of its range over that of the command)", unit)
+    lead = _lead(trials)
+    stops = _stops(slope, offset, max(lead, 0.0), span, scale) if lead > _LEADS * height or slope <= 0 else ()
+    line = CoreForm("line", (Chain(Line(slope, offset)),), 2)
+    if slope <= 0 and float(np.corrcoef(command, angle)[0, 1]) < _FALLS:
+        return line, *stops
     if slope <= 0:
-        share = -slope * float(np.ptp(command)) / float(np.ptp(angle))
-        raise FitError(
-            f"the angle falls with the command (by {share:.2g} of its range over that of the command), expected it to "
-            "rise; turn the sign of one channel"
-        )
+        slope = height / span
+        offset = float(angle.mean() - slope * command.mean())
+        line = replace(line, starts=(*line.starts, *(Chain(Line(way * slope, offset)) for way in (1.0, -1.0))))
+    return line, *_plays(slope, offset, command, scale), *stops
+
+
+def _lead(trials: Sequence[Trial]) -> float:
+    """Half the distance by which the output of a rising command lies above that of a falling one [deg]."""
+    ways = [segment(trial).labels for trial in trials]
+    way = np.concatenate([np.where(w == Motion.LOADING, 1.0, np.where(w == Motion.UNLOADING, -1.0, 0.0)) for w in ways])
+    command = np.concatenate([trial.command for trial in trials])
+    columns = np.column_stack([way, command, np.ones(way.size)])
+    return float(np.linalg.lstsq(columns, np.concatenate([trial.angle for trial in trials]), rcond=None)[0][0])
+
+
+def _stops(slope: float, offset: float, height: float, span: float, scale: Scale) -> tuple[CoreForm, ...]:
+    """Friction forces, without and with a part that depends on the speed."""
+    made = []
+    for elements in _SLIDERS:
+        for speed in (0.0, span / scale.duration_s):
+            least = max(height, 0.02 * scale.angle_span)
+            starts = maxwell_slip_starts(elements, slope, offset, least, span, speed)
+            label = f"maxwell_slip, {elements} sliders{' by speed' if speed else ''}"
+            made.append(CoreForm(label, tuple(Chain(start) for start in starts), len(starts[0].values)))
+    return tuple(made)
+
+
+def _plays(slope: float, offset: float, command: Vec, scale: Scale) -> list[CoreForm]:
+    """Sums of plays, alone and with a curve, for a line that rises."""
     span = float(np.ptp(command))
 
     def backlash(reach: float) -> Operator:
@@ -162,4 +216,4 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
         return CoreForm(label, (Chain(core),), len(slopes) + 1)
 
     gradual = curved(_MANY, 1)
-    return (*made, curved(_FEW, 0), gradual, bent(gradual, _SLACK), curved(_MANY, 0))
+    return [*made, curved(_FEW, 0), gradual, bent(gradual, _SLACK), curved(_MANY, 0)]

@@ -1,14 +1,128 @@
-"""Friction beyond a plain play: stick-slip, rate dependence, loading and unloading that differ."""
+"""Friction beyond a plain play: a sum of stops, stick-slip, rate dependence, loading and unloading that differ."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, final
+from typing import Annotated, ClassVar, Self, final
 
 import casadi as ca
 
+from hystmpc.trials.errors import ModelError
+
 from .hysteresis import play
-from .operator import Number, Operator, Symbol, maximum, minimum
+from .operator import Number, Operator, Parameter, Symbol, check_values, maximum, minimum
+
+
+@final
+@dataclass(frozen=True)
+class MaxwellSlip(Operator):
+    """Friction force over a displacement: n springs on sliders side by side, a spring and a force beside them.
+
+    r_i = spacing i (1 + stribeck exp(-|v_k| / stribeck_speed)),  v_k = (u_k - u_{k-1}) / dt,  i = 1..n
+    z_i,k = max(u_k - r_i, min(u_k + r_i, z_i,k-1))
+    y_k = b + k0 u_k + max(1 + growth u_k, 0) sum_i k_i (u_k - z_i,k) + viscous v_k
+
+    A sum of stops, the dual of a Prandtl-Ishlinskii model: the force turns its sign with the motion and leads it. The
+    friction never gives back more work than was put in, for weights, growth and viscous friction as they are bounded.
+    `growth` is that of the sliders' load along the stroke.
+
+    Attributes:
+        k0: stiffness of the spring beside the sliders, of either sign [deg/cmd].
+        stiffness: of each slider's spring, k_1..k_n [deg/cmd].
+        spacing: of the half-widths at which sliders break away [cmd].
+        growth: of the friction with the displacement [1/cmd].
+        b: force beside the sliders at displacement 0 [deg].
+        speeds: nothing, or (viscous [deg s/cmd], stribeck [1], stribeck_speed [cmd/s]) of friction that depends on the
+            speed; `rate` 1 in files.
+
+    Raises:
+        ModelError: on another number of these, or a value out of bounds.
+
+    Source: Iwan, J. Appl. Mech. 33 (1966), 893-900; the Stribeck part of the generalised Maxwell slip model, Al-Bender,
+    Lampaert and Swevers, IEEE Trans. Autom. Control 50 (2005), 1883-1887.
+    """
+
+    k0: float
+    stiffness: tuple[float, ...]
+    spacing: float
+    growth: float
+    b: float
+    speeds: tuple[float, ...] = ()
+    name: ClassVar[str] = "maxwell_slip"
+    shape: ClassVar[tuple[str, ...]] = ("elements", "rate")
+    default_sizes: ClassVar[Mapping[str, int]] = {"rate": 0}
+    size_limits: ClassVar[Mapping[str, tuple[int, int]]] = {"rate": (0, 1)}
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "speeds"):
+            object.__setattr__(self, name, tuple(float(v) for v in getattr(self, name)))
+        if len(self.speeds) not in (0, len(_NO_RATE)):
+            raise ModelError(f"maxwell_slip: {len(self.speeds)} numbers of the speed, expected none or {len(_NO_RATE)}")
+        check_values(self)
+
+    @classmethod
+    def template(cls, **structure: int) -> Self:
+        return cls(0.0, (0.0,) * structure["elements"], 0.0, 0.0, 0.0, _NO_RATE if structure.get("rate") else ())
+
+    @property
+    def elements(self) -> int:
+        """Number n of sliders."""
+        return len(self.stiffness)
+
+    @property
+    def rate(self) -> int:
+        """1 where friction depends on the speed, else 0."""
+        return int(bool(self.speeds))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        slow = (
+            Parameter("k0", "deg/cmd", -1e3, 1e3, "stiffness beside the sliders"),
+            *(Parameter(f"k{i}", "deg/cmd", 0.0, 1e4, f"stiffness of slider {i}") for i in range(1, self.elements + 1)),
+            Parameter("spacing", "cmd", 0.0, 1e3, "spacing of the half-widths"),
+            Parameter("growth", "1/cmd", -1e3, 1e3, "growth of the friction with the displacement"),
+            Parameter("b", "deg", -1e6, 1e6, "force at displacement 0"),
+        )
+        fast = (
+            Parameter("viscous", "deg s/cmd", 0.0, 1e3, "viscous friction"),
+            Parameter("stribeck", "1", 0.0, 10.0, "share by which friction at rest exceeds that of a fast motion"),
+            Parameter("stribeck_speed", "cmd/s", 1e-3, 1e4, "speed at which 1/e of that is left"),
+        )
+        return (*slow, *fast) if self.rate else slow
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        return (*(f"z{i}" for i in range(1, self.elements + 1)), *(("u",) if self.rate else ()))
+
+    @property
+    def settling_samples(self) -> int:
+        """Two where the first sample of a hold may still look like a fast motion."""
+        return 1 + self.rate
+
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        n = self.elements
+        spacing, growth, b = p[n + 1], p[n + 2], p[n + 3]
+        beside = p[0] * u + b
+        if self.rate:
+            v = (u - x[n]) / dt
+            spacing = spacing * (1 + p[n + 5] * ca.exp(-ca.fabs(v) / p[n + 6]))
+            beside = beside + p[n + 4] * v
+        z = [play(u, x[i - 1], spacing * i) for i in range(1, n + 1)]
+        sliders = sum(p[i] * (u - z[i - 1]) for i in range(1, n + 1))
+        return ca.vertcat(*z, *([u] if self.rate else [])), beside + maximum(1 + growth * u, 0) * sliders
+
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        # All springs at the one stretch that shows force y; settling lets those slip that cannot hold it.
+        n = self.elements
+        stiffness = maximum(1 + p[n + 2] * u, 0) * sum(p[i] for i in range(1, n + 1))
+        wanted = y - p[n + 3] - p[0] * u
+        stretch = wanted * stiffness / (stiffness * stiffness + _LITTLE)
+        return ca.vertcat(*([u - stretch] * n), *([u] if self.rate else []))
+
+
+_NO_RATE = (0.0, 0.0, 1.0)
+_LITTLE = 1e-18  # of a stiffness squared, so that no stiffness stretches nothing
 
 
 @final

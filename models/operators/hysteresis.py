@@ -1,4 +1,4 @@
-"""Elementary hysteresis: play, backlash with two lines and its inverse, Bouc-Wen."""
+"""Elementary hysteresis: play and stop, backlash with two lines and its inverse, Bouc-Wen."""
 
 from __future__ import annotations
 
@@ -35,6 +35,31 @@ class Play(Operator):
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
         return play(u, y, p[0])
+
+
+@final
+@dataclass(frozen=True)
+class Stop(Operator):
+    """Stop of half-width r, the dual of the play: a spring on a slider, whose force turns its sign with the motion.
+
+    z_k = max(u_k - r, min(u_k + r, z_{k-1})),  y = u_k - z_k = min(r, max(-r, u_k - z_{k-1}))
+
+    It never exceeds r, and with the play of the same state it is the identity. It leads its input where the play lags.
+
+    Source: Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989), ch. 1.
+    """
+
+    r: Annotated[float, Number("in", 0.0, 1e3, 0.0, "half-width")]
+    name: ClassVar[str] = "stop"
+    state_names: ClassVar[tuple[str, ...]] = ("z",)
+
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        del dt
+        z = play(u, x[0], p[0])
+        return z, u - z
+
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        return play(u, u - y, p[0])
 
 
 @dataclass(frozen=True)

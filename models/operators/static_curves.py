@@ -1,4 +1,4 @@
-"""Static maps: dead zones side by side, slack, contact, a curved gain."""
+"""Static maps: a line, dead zones side by side, slack, contact, a curved gain."""
 
 from __future__ import annotations
 
@@ -13,6 +13,19 @@ from hystmpc.trials.errors import ModelError
 from .operator import Memoryless, Number, Operator, Parameter, Symbol, check_values, maximum, minimum
 
 Side = tuple[tuple[Symbol, Symbol], ...]
+
+
+@final
+@dataclass(frozen=True)
+class Line(Memoryless):
+    """A device without hysteresis: theta = gain u + offset."""
+
+    gain: Annotated[float, Number("deg/cmd", -1e4, 1e4, 1.0, "slope")]
+    offset: Annotated[float, Number("deg", -1e4, 1e4, 0.0, "output at command 0")]
+    name: ClassVar[str] = "line"
+
+    def curve(self, u: Symbol, p: Symbol) -> Symbol:
+        return p[0] * u + p[1]
 
 
 @dataclass(frozen=True)

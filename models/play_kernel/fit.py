@@ -23,6 +23,7 @@ from hystmpc.trials.types import Vec
 
 from ..contract.export import ExportBundle
 from ..contract.metadata import DeviceLimits, Range
+from ..identify.chain_kinds import falls
 from ..identify.runs import angle_range, check_trial_set, command_range, facts_of, fixed_rule
 from ..model import FitProgress
 from ..motions import initialisation_flexure, probe_commands
@@ -414,8 +415,6 @@ def _line(trials: Sequence[Trial]) -> float:
     products = sum(float((t.command - middle[0]) @ (t.angle - middle[1])) for t in trials)
     slope = products / sum(float(np.sum((t.command - middle[0]) ** 2)) for t in trials)
     if slope <= 0:
-        raise FitError(
-            f"the angle falls with the command ({slope:.4g} {trials[0].units.angle} per {trials[0].units.command}), "
-            "expected it to rise; turn the sign of one channel"
-        )
+        units = trials[0].units
+        raise falls(f"({slope:.4g} {units.angle} per {units.command})", units.angle)
     return slope

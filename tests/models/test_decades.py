@@ -26,7 +26,8 @@ from hystmpc.trials.trial import Trial, Units
 
 DT = 0.04
 QUICK = ("backlash", "pi", "bouc_wen", "play_kernel")
-TRIED = (*QUICK, "svr", "auto")  # networks scale by their trials' ranges; to train them all would take minutes
+# Networks scale by their trials' ranges; to train them all would take minutes.
+TRIED = (*QUICK, "maxwell_slip", "maxwell_slip_rate", "svr", "auto")
 SIZES = st.sampled_from([10.0**k for k in range(-6, 7)])
 
 

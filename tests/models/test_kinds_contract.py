@@ -11,6 +11,7 @@ import pytest
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.evaluate import evaluate, free_run
+from hystmpc.models.identify.chain_kinds import FRICTION_KINDS
 from hystmpc.models.kinds.catalogue import KINDS, kind_named
 from hystmpc.models.kinds.kind import FitRequest, ModelKind
 from hystmpc.models.prediction.build import predictor_for
@@ -130,7 +131,8 @@ def test_evaluation_is_finite_and_a_hold_holds_within_the_range(case: tuple[str,
         assert result.errors.hold_drift_deg < 1e-3
 
 
-@every_kind
+# The trials lag behind their command: what leads it, as sliders do, gets no weight.
+@pytest.mark.parametrize("kind", [k for k in KINDS if k.name not in FRICTION_KINDS], ids=lambda kind: kind.name)
 def test_a_map_without_memory_has_none(kind: ModelKind) -> None:
     one = example(kind.name, FORWARD)
     states = np.array([s for s, _ in visited(one, 8)])

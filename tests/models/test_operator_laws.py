@@ -13,14 +13,14 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.operators.catalogue import operator_from, operator_spec, operators
 from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.friction import Asymmetry
-from hystmpc.models.operators.hysteresis import Play
+from hystmpc.models.operators.hysteresis import Play, Stop
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import FirstFlexure, TrialShift
 from hystmpc.models.operators.static_curves import Contact, NonlinearGain, Slack
 from hystmpc.trials.errors import ModelError
 
 from .running import run_operator
-from .zoo import BACKLASH, CURVED, DT, EXAMPLES, RATE_PI, STATIC_PI
+from .zoo import BACKLASH, CURVED, DT, EXAMPLES, RATE_PI, SLIDERS, STATIC_PI
 
 EFFECTS = (
     FirstFlexure(0.2, 1.5),
@@ -30,8 +30,9 @@ EFFECTS = (
     Asymmetry(1.2, 0.85, 3.0),
     TrialShift(0.4, 1.1, 0.2),
 )
-RATE_INDEPENDENT = (Play(0.4), BACKLASH, STATIC_PI, CURVED, *EFFECTS)
-FORWARD = (*RATE_INDEPENDENT, RATE_PI)
+RISING = (Play(0.4), BACKLASH, STATIC_PI, CURVED, *EFFECTS)
+RATE_INDEPENDENT = (*RISING, Stop(0.4), SLIDERS)
+FORWARD = (*RISING, RATE_PI)
 corners = st.lists(st.floats(0.0, 6.0), min_size=3, max_size=8)
 
 

@@ -6,13 +6,13 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.operators.curved_plays import CurvedPlays
 from hystmpc.models.operators.dynamics import Delay, Lag, RateLimit, Servo
-from hystmpc.models.operators.friction import Asymmetry, DirectionalGain, RateDependence, StickSlip
-from hystmpc.models.operators.hysteresis import Backlash, BoucWen, InverseBacklash, Play
+from hystmpc.models.operators.friction import Asymmetry, DirectionalGain, MaxwellSlip, RateDependence, StickSlip
+from hystmpc.models.operators.hysteresis import Backlash, BoucWen, InverseBacklash, Play, Stop
 from hystmpc.models.operators.measurement import PeriodicDisturbance, Sensor
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.prandtl_ishlinskii import Drdpi, InversePrandtlIshlinskii, PrandtlIshlinskii
 from hystmpc.models.operators.slow_changes import Creep, Drift, FirstFlexure, TrialShift
-from hystmpc.models.operators.static_curves import Contact, Deadband, NonlinearGain, Slack
+from hystmpc.models.operators.static_curves import Contact, Deadband, Line, NonlinearGain, Slack
 from hystmpc.models.simulator import Identification, Simulator
 
 DT = 0.04
@@ -25,10 +25,16 @@ DRDPI = Drdpi(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, -28.0, (0.5, 0.08), (0.6, 
 CURVED = CurvedPlays((2.0, 3.0, 1.5, 2.0, 2.5, 2.0, 1.0, 1.5, 1.0, 0.5, 3.0, 2.0), 20.0, (0.2, 0.7), 0.5, 5.5, 3)
 GRADUAL = CurvedPlays(CURVED.slopes, 20.0, (0.2, 0.7), 0.5, 5.5, 3, turn=1)
 BOUC_WEN = BoucWen(-9.0, 0.8, 2.2, 10.7, 10.2, 0.04 / 6, 25.0)
+SLIDERS = MaxwellSlip(0.5, (6.0, 3.0, 2.0), 0.15, 0.02, 40.0)
+RATE_SLIDERS = MaxwellSlip(-0.5, (6.0, 3.0, 2.0), 0.15, 0.02, 40.0, (0.3, 0.4, 2.0))
 
 # Every operator of the catalogue appears at least once; a test holds this list against the catalogue.
 EXAMPLES: tuple[Operator, ...] = (
+    Line(10.0, 5.0),
     Play(0.4),
+    Stop(0.4),
+    SLIDERS,
+    RATE_SLIDERS,
     BACKLASH,
     InverseBacklash(10.27, 10.70, 2.822, 2.003, 0.027),
     STATIC_PI,
