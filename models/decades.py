@@ -96,7 +96,7 @@ class Decades:
         )
 
     def in_log(self, unit: str) -> float:
-        """Log units in one working unit of a quantity, such as `deg/cmd` or `1/deg^2`; 1 of what has none of these."""
+        """Log units in one working unit of a quantity, such as `cmd s/deg`; 1 of what has none of these."""
         above, *below = unit.split("/")
         factor = self._power(above)
         for part in below:
@@ -104,10 +104,9 @@ class Decades:
         return factor
 
     def _power(self, part: str) -> float:
-        found = _FACTOR.fullmatch(part)
-        if found is None:
-            return 1.0
-        return {"cmd": self.command, "deg": self.angle}.get(found[1], 1.0) ** int(found[2] or 1)
+        found = [_FACTOR.fullmatch(factor) for factor in part.split()]
+        sizes = {"cmd": self.command, "deg": self.angle}
+        return math.prod(sizes.get(each[1], 1.0) ** int(each[2] or 1) for each in found if each)
 
     def _converted(self, chain: Chain, way: int) -> Chain:
         if self.usual:
