@@ -70,7 +70,7 @@ class Ringing:
         ends = (below[below < peak].max(initial=0), below[below > peak].min(initial=response.size - 1))
         wide = float(np.ptp(w[usable[list(ends)]])) if usable.size else 0.0
         damping = float(np.clip(0.5 * wide / at, _LEAST_DAMPED, _MOST_DAMPED))
-        ringing = min(_RINGING / (damping * at), _LONGEST * min(trial.duration_s for trial in trials))
+        ringing = min(_RINGING / (_VISCOUS * damping * at), _LONGEST * min(trial.duration_s for trial in trials))
         command, angle = (float(np.std(np.concatenate(signals))) for signals in zip(*pairs, strict=True))
         return cls(at, damping, 0.5 / (damping * float(response[peak])), dt, command, angle, ringing)
 
@@ -80,7 +80,8 @@ def oscillator_starts(ringing: Ringing) -> list[Operator]:
     mass, damping, stiffness = _linear(ringing)
     return [
         Oscillator(mass, damping, (1 - share) * stiffness, share * stiffness, relaxing, -0.5 * relaxing)
-        for share, relaxing in ((0.3, 0.5 / ringing.angle), (0.6, 0.5 / ringing.angle), (0.3, 3 / ringing.angle))
+        for relaxing in (0.5 / ringing.angle, 1.5 / ringing.angle)
+        for share in (0.3, 0.6)
     ]
 
 
