@@ -19,6 +19,8 @@ _ASKED = 1.5  # held-out error over model-form error, from which the widths of c
 _GAINED = 0.5  # of the error above the model-form error, by which it has to fall with them
 _MOST_NOISE = 0.9  # of the model-form error
 _LEAST_MOVE = 0.01  # of a number: less has no meaning for a device
+_LEAST_LEFT = 0.5  # of the height of a loop
+_MOST_GROWN = 4.0  # height of a loop over the given one: more is no friction of the same device
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,9 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
     The form error of a simulator of friction grows with the height h of its loop, gain times width: the noise n does
     not.
 
-        e' = n^2 + max(1, h' / h)^2 (e - n^2)
+        e' = n^2 + min(max(1, h' / h), 4)^2 (e - n^2)
+
+    Where a loop has lost more than half of its height, no share is counted: less friction leaves less form error.
 
     Args:
         prepared: trials and the baseline.
@@ -74,14 +78,14 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
     noise, form, baseline = white_noise(residuals), prepared.form_mse, prepared.baseline
     given, found = (baseline.quantities(z) for z in (baseline.nominal, retuned.problem.retuned(retuned.q)))
     before, after = (q["gain"] * q["backlash_width"] for q in (given, found))
-    grown = max(1.0, after / before) if before > 0 else 1.0
+    grown = min(max(1.0, after / before), _MOST_GROWN) if before > 0 else 1.0
     still = min(noise**2, _MOST_NOISE * form)
     start = retuned.problem.start(baseline.nominal, [])
     nominal = np.concatenate([retuned.problem.error(start, run)[0] for run in prepared.development])
     return Retuning(
         float(np.mean(nominal**2)) / max(left_out_mse, 1e-12),
         still + grown**2 * (form - still) if form else 0.0,
-        friction_share(prepared.checked.trials, residuals, noise),
+        friction_share(prepared.checked.trials, residuals, noise) if after > _LEAST_LEFT * before else 0.0,
     )
 
 

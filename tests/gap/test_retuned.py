@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.decide.retuning import retuned_with
+from hystmpc.gap.decide.retuning import retuned_with, retuning_of
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Moved
 from hystmpc.gap.logs.motion_type import play_states
@@ -25,6 +25,7 @@ from hystmpc.trials.types import Vec
 from ..models.zoo import BACKLASH, CURVED
 from .engine_examples import DT, moves, simulator_of, sine, trials_of
 
+LOOP_MM = BACKLASH.values[2] - BACKLASH.values[3]
 COMMANDS = [moves(1, 20.0), sine(0.1), moves(2, 20.0), sine(0.2), moves(3, 20.0)]
 KNOWN = (Residual(log="a.csv", motion="continuous", samples=100, rmse_deg=0.06, bias_deg=0.0, lag_one=0.1),)
 
@@ -69,6 +70,20 @@ def share(residuals: list[Vec]) -> float:
     """Share of these residuals with noise [deg] that plays explain, as a number that can be compared."""
     random = np.random.default_rng(1)
     return float(friction_share(TRIALS, [y + 0.05 * random.standard_normal(y.size) for y in residuals], 0.049))
+
+
+def test_friction_explains_no_more_form_error_than_a_loop_of_this_device_can_have() -> None:
+    """A loop that has gone has no friction, and one that is six times higher is not that of the same device."""
+    grown, shares = {}, {}
+    for times in (0.1, 2.0, 6.0):
+        trials = trials_of(Chain(wider((times - 1.0) * LOOP_MM)), COMMANDS)
+        prepared = prepare(trials, simulator_of(BACKLASH, KNOWN))
+        retuned = CrossValidation(prepared.baseline, prepared.development).retuned()
+        found = retuning_of(prepared, retuned, float(retuned.mse))
+        grown[times], shares[times] = found.grown_form_mse / prepared.form_mse, found.friction_share
+    assert grown[0.1] == 1.0
+    assert shares[0.1] == 0.0
+    assert 1.5 < grown[2.0] < 4.0 < grown[6.0] <= 16.0
 
 
 def test_widths_of_curved_plays_are_freed_where_the_error_asks_for_it() -> None:
