@@ -212,8 +212,8 @@ def fit(
     """Identify a model from recorded trials; Ctrl-C keeps the best so far.
 
     Args:
-        kind: `auto` for the whole device, or `backlash`, `pi`, `drdpi`, `bouc_wen`, `play_kernel`, `svr`, `fnn`,
-            `fnn_hib`, `lstm`, `gru`, `hb1` or `hb2`.
+        kind: `auto` for the whole device, or `backlash`, `pi`, `drdpi`, `bouc_wen`, `oscillator`,
+            `state_network`, `play_kernel`, `svr`, `fnn`, `fnn_hib`, `lstm`, `gru`, `hb1` or `hb2`.
         trials: logs, data frames or trials, see `read_trials`.
         preset: layout of the logs.
         rate_hz: rate at which the model runs, and to which the trials are resampled [Hz].

@@ -19,6 +19,7 @@ from .study_commission import commission
 from .study_control import control, rates
 from .study_identify import identify
 from .study_jobs import completed, ended
+from .study_public import public
 
 
 class Name(StrEnum):
@@ -30,16 +31,16 @@ class Name(StrEnum):
     CONTROL = "control"
     IDENTIFY = "identify"
     COMMISSION = "commission"
+    PUBLIC = "public"
 
 
 _STAGES = "; ".join(f"{name}: {', '.join(stages)}" for name, stages in STAGES.items())
 
 
 def study(
-    name: Annotated[
-        Name, typer.Argument(help="The papers' studies, one on recorded logs, the closed loop, or drawn devices.")
-    ],
+    name: Annotated[Name, typer.Argument(help="Papers, recorded logs, closed loop, drawn devices, public data.")],
     folder: Annotated[Path, typer.Option("--out", help="Run folder; an unfinished study in it goes on.")],
+    dataset: Annotated[str | None, typer.Argument(help="Of `public`: boucwen.")] = None,
     logs: Annotated[list[Path] | None, typer.Option(help="Logs or folders of *.csv, for `real`; repeatable.")] = None,
     layout: Annotated[str, typer.Option("--preset", help="Layout of the logs.")] = "auto",
     rate_hz: Annotated[float, typer.Option(min=0.1, help="Rate to which logs are resampled [Hz].")] = 25.0,
@@ -67,6 +68,8 @@ def study(
     ] = None,
     kind: Annotated[str | None, typer.Option(help="Of `identify`: kind of model, see `fit`; else auto.")] = None,
     drive: Annotated[str | None, typer.Option(help="Of `identify`: auto for an identified drive before it.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Of `public`: file that is identified from.")] = None,
+    test: Annotated[list[Path] | None, typer.Option(help="Of `public`: test file, repeatable; else simulated.")] = None,
 ) -> None:
     """Do all jobs of a study and write its report.
 
@@ -78,9 +81,11 @@ def study(
     modelling = {"kinds": kinds, "presets": presets, "directions": directions, "stages": stages}
     drawn = {"devices": devices, "kind": kind, "drive": drive, "rates_hz": loop["rates_hz"]}
     benches = {"devices": devices, "rates_hz": loop["rates_hz"], "diagnose": diagnose}
+    benchmark = {"dataset": dataset, "data": data, "test": test, "kinds": _names(kinds)}
     own: dict[Name, Mapping[str, object]] = {Name.CONTROL: loop, Name.IDENTIFY: drawn, Name.COMMISSION: benches}
+    own[Name.PUBLIC] = benchmark
     _check_options(name, {"logs": logs, "epochs-scale": epochs_scale, **modelling}, own)
-    others = {Name.CONTROL: control, Name.IDENTIFY: identify, Name.COMMISSION: commission}
+    others = {Name.CONTROL: control, Name.IDENTIFY: identify, Name.COMMISSION: commission, Name.PUBLIC: public}
     if name in others:
         others[name]({**own[name], "seed": seed, "quick": quick}, folder, workers)
         return

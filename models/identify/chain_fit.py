@@ -118,6 +118,7 @@ class ChainTask:
         first: the same of the region in which it begins.
         fixed: names of parameters that are set, not identified.
         trials: uniformly sampled at one rate, in one pair of units.
+        lead_s: start of each trial that least squares does not score [s]: a device that rings may be found in motion.
     """
 
     starts: tuple[Chain, ...]
@@ -125,6 +126,7 @@ class ChainTask:
     first: tuple[Vec, Vec]
     fixed: tuple[str, ...]
     trials: tuple[Trial, ...]
+    lead_s: float = 0.0
 
     @property
     def free(self) -> FreeParameters:

@@ -23,6 +23,7 @@ from ..operators.hysteresis import Backlash, BoucWen
 from ..operators.operator import Operator
 from ..operators.prandtl_ishlinskii import Drdpi, PrandtlIshlinskii
 from .chain_fit import ChainTask
+from .ringing import Ringing, oscillator_box, oscillator_starts, state_network_box, state_network_starts
 from .runs import check_trial_set, fastest_command
 
 
@@ -140,6 +141,7 @@ class Extent:
         span: range of the command [cmd].
         speed: greatest speed of the command [cmd/s].
         low, high: least and greatest angle [deg].
+        ringing: the resonance; of kinds that have one, whose branches say nothing of slope and lag.
     """
 
     slope: float
@@ -149,6 +151,18 @@ class Extent:
     speed: float
     low: float
     high: float
+    ringing: Ringing | None = None
+
+    @property
+    def resonance(self) -> Ringing:
+        """The resonance of a kind that has one.
+
+        Raises:
+            FitError: of another kind.
+        """
+        if self.ringing is None:
+            raise FitError("no resonance was looked for, expected a kind that rings")
+        return self.ringing
 
 
 _DEAD_ZONE = 0.027
@@ -172,6 +186,8 @@ class ChainKind:
         methods: identification method (`methods.METHODS`) by preset, the default first.
         plays: number of plays where the request leaves it open.
         rises: whether the angle has to rise with the command, whatever its unit.
+        rings: whether it has a resonance; starts are then read off that, and a log may start in motion.
+        restarts: of a least-squares fit; None for its default.
     """
 
     name: str
@@ -185,6 +201,8 @@ class ChainKind:
     methods: Mapping[str, str] = field(default_factory=lambda: _METHODS)
     plays: int = 4
     rises: bool = True
+    rings: bool = False
+    restarts: int | None = None
 
 
 def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> ChainTask:
@@ -211,14 +229,16 @@ def chain_task(kind: str, trials: Sequence[Trial], structure: Structure) -> Chai
         way = "angle to command" if inverse else "command to angle"
         raise FitError(f"{kind} maps {way}, got trials with the command in {trials[0].units.command}; swap them")
     forward = [trial.swapped() if trial.inverted else trial for trial in trials]
-    extent = _extent(forward, entry.rises or forward[0].units.angle == "deg")
+    rises = entry.rises or forward[0].units.angle == "deg"
+    extent = _ringing_extent(forward) if entry.rings else _extent(forward, rises)
     operators = entry.starts(forward, extent, structure)
     if inverse:
         operators = [inverse(operator, structure) for operator in operators]
     box = entry.box(extent, structure)
     ends, first = (_ends(operators[0], {**box, **narrower}) for narrower in ({}, entry.first(extent, structure)))
     fixed = entry.inverse_fixed if inverse else entry.fixed
-    return ChainTask(tuple(Chain(o) for o in operators), ends, first, fixed, tuple(trials))
+    lead_s = extent.ringing.lead_s if extent.ringing else 0.0
+    return ChainTask(tuple(Chain(o) for o in operators), ends, first, fixed, tuple(trials), lead_s)
 
 
 def _extent(trials: Sequence[Trial], rises: bool) -> Extent:
@@ -226,9 +246,19 @@ def _extent(trials: Sequence[Trial], rises: bool) -> Extent:
     slope, offset = 0.5 * (loading + unloading)
     middle = 0.5 * (max(t.command.max() for t in trials) + min(t.command.min() for t in trials))
     lag = 0.5 * float(np.polyval(unloading - loading, middle))
+    return Extent(float(slope), float(offset), lag, *_ranges(trials))
+
+
+def _ringing_extent(trials: Sequence[Trial]) -> Extent:
+    """Of a device that rings: at its resonance the angle does not rise with the command."""
+    span, speed, low, high = _ranges(trials)
+    return Extent((high - low) / span, 0.5 * (low + high), 0.0, span, speed, low, high, Ringing.of(trials))
+
+
+def _ranges(trials: Sequence[Trial]) -> tuple[float, float, float, float]:
     span = max(float(np.ptp(t.command)) for t in trials)
     low, high = min(float(t.angle.min()) for t in trials), max(float(t.angle.max()) for t in trials)
-    return Extent(float(slope), float(offset), lag, span, fastest_command(trials), low, high)
+    return span, fastest_command(trials), low, high
 
 
 def _ends(operator: Operator, box: Ends) -> tuple[Vec, Vec]:
@@ -435,6 +465,23 @@ CHAIN_KINDS: Mapping[str, ChainKind] = MappingProxyType(
                 _friction_box,
                 methods=_WITHOUT_PAPER,
                 rises=False,
+            ),
+            ChainKind(
+                "oscillator",
+                "oscillator",
+                lambda trials, e, s: oscillator_starts(e.resonance),
+                lambda e, s: oscillator_box(e.resonance),
+                rings=True,
+                restarts=1,
+            ),
+            ChainKind(
+                "state_network",
+                "state network",
+                lambda trials, e, s: state_network_starts(e.resonance),
+                lambda e, s: state_network_box(e.resonance),
+                methods={"best": "least_squares"},
+                rings=True,
+                restarts=0,
             ),
         )
     }

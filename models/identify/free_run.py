@@ -212,22 +212,28 @@ class FreeRuns:
         trials: uniformly sampled at one rate, in one pair of units.
         skip_first_flexure: score each trial from the first reversal of its command on.
         offset_free: take the mean off the error of each trial.
+        lead_s: start of each trial that is not scored [s].
 
     Raises:
         FitError: on unusable trials, see `check_trial_set`.
     """
 
     def __init__(
-        self, chain: Chain, trials: Sequence[Trial], skip_first_flexure: bool = False, offset_free: bool = False
+        self,
+        chain: Chain,
+        trials: Sequence[Trial],
+        skip_first_flexure: bool = False,
+        offset_free: bool = False,
+        lead_s: float = 0.0,
     ) -> None:
         self._dt, self._staged, self._offset_free = check_trial_set(trials), StagedChain(chain), offset_free
-        warmup = chain.settling_samples
+        warmup, lead = chain.settling_samples, round(lead_s / self._dt)
         self.runs = [
             ScoredRun(
                 np.concatenate([np.full(warmup, trial.command[0]), trial.command]),
                 trial.angle,
                 warmup,
-                first_flexure_end(trial) if skip_first_flexure else 0,
+                max(first_flexure_end(trial) if skip_first_flexure else 0, lead),
             )
             for trial in trials
         ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -34,6 +34,8 @@ RESTART_SPREAD = 0.2
 _EDGE = 1e-9
 _JITTER = 1e-13
 _DIVERGED = 1e9
+_MANY = 10_000  # samples
+_FAR, _STEEP = 1e6, 1e100  # residual and derivative in working units of a run that diverged; both can be squared
 _COMMON = 1.0  # of the samples, that the mean of the trials' own terms counts as
 _HELD = 1e-10  # of the greatest curvature: what no run determines stays where it began
 
@@ -50,6 +52,7 @@ class OperatorFitSettings:
         tolerance: relative change of the loss at which a start is done.
         restarts: further starts around the best point so far; the error has kinks, where a start may get stuck.
         seed: of the restarts.
+        lead_s: start of each trial that is not scored [s].
     """
 
     skip_first_flexure: bool = False
@@ -58,6 +61,7 @@ class OperatorFitSettings:
     tolerance: float = 1e-9
     restarts: int = 6
     seed: int = 0
+    lead_s: float = 0.0
 
 
 def fit_chain(
@@ -103,7 +107,7 @@ def _fitted(
     fixed: Sequence[str],
 ) -> ChainFit:
     free = FreeParameters.of(starts[0], fixed)
-    runs = FreeRuns(starts[0], trials, settings.skip_first_flexure, settings.offset_free)
+    runs = FreeRuns(starts[0], trials, settings.skip_first_flexure, settings.offset_free, settings.lead_s)
     search, interrupted = _ChainSearch(runs, free, progress), False
     try:
         for start in _points(starts, search, settings):
@@ -129,6 +133,7 @@ def fit_by_least_squares(
     task: ChainTask, settings: OperatorFitSettings, progress: FitProgress | None = None
 ) -> ChainFit:
     """`fit_chain` of a task, as the methods' table has it."""
+    settings = replace(settings, lead_s=max(settings.lead_s, task.lead_s))
     return fit_chain(task.starts, task.trials, settings, progress, task.fixed)
 
 
@@ -153,13 +158,27 @@ class _ChainSearch:
     def evaluate(self, q: Vec) -> tuple[Vec, Mat]:
         p = self._free.full(q)
         residuals, jacobian = self._runs.residuals(p)
-        rmse = float(np.sqrt(np.sum(residuals**2)))
+        with np.errstate(over="ignore"):  # a free run may diverge
+            rmse = float(np.sqrt(np.sum(residuals**2)))
         if rmse < self.best_rmse:
             self.best, self.best_rmse = p, rmse
         self.losses.append(self.best_rmse**2)
         if self._progress:
             self._progress(len(self.losses), self.best_rmse)
-        return np.nan_to_num(residuals, nan=1e6, posinf=1e6, neginf=-1e6), np.nan_to_num(jacobian[:, self._free.index])
+        residuals = np.clip(np.nan_to_num(residuals, nan=_FAR), -_FAR, _FAR)
+        jacobian = np.clip(np.nan_to_num(jacobian[:, self._free.index]), -_STEEP, _STEEP)
+        return _condensed(residuals, jacobian)
+
+
+def _condensed(residuals: Vec, jacobian: Mat) -> tuple[Vec, Mat]:
+    """Where there are many samples, the triangle of a QR factorisation of (J, r), which least squares sees as the same.
+
+    The solver's own decomposition of a Jacobian of ten thousand samples would cost more than the free runs.
+    """
+    if residuals.size < _MANY or not np.all(np.abs(jacobian) < _DIVERGED):
+        return residuals, jacobian
+    triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, residuals]), mode="r"))
+    return triangle[:, -1], triangle[:, :-1]
 
 
 @dataclass(frozen=True, eq=False)

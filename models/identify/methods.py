@@ -77,7 +77,7 @@ def identify_chain(
     """Identify a chain by one of `METHODS`.
 
     Args:
-        kind: `backlash`, `pi`, `drdpi` or `bouc_wen`; for trials whose command and angle have changed places
+        kind: a name of `CHAIN_KINDS`; for trials whose command and angle have changed places
             (`Trial.swapped`) `inverse_backlash`, `inverse_pi` or `inverse_drdpi`, whose numbers are their own.
         trials: uniformly sampled at one rate, in one pair of units.
         method: name of the method.

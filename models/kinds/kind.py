@@ -80,6 +80,7 @@ class ModelKind(ABC):
         readable: whether the result also has a readable form, a simulator in YAML.
         invertible: whether inverse maps can be identified.
         recurrent: whether its angle depends on more than the present command.
+        rings: whether its angle moves on for a while when the command rests.
     """
 
     name: str
@@ -89,6 +90,7 @@ class ModelKind(ABC):
     readable: bool = False
     invertible: bool = True
     recurrent: bool = True
+    rings: bool = False
 
     def usual_preset(self, inverted: bool) -> str:
         """The preset that is taken where none is named."""

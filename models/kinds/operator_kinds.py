@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import final
 
 from hystmpc.trials.trial import Trial
 
 from ..contract.metadata import DeviceLimits
 from ..identify.chain_kinds import CHAIN_KINDS, ChainKind, Structure
+from ..identify.least_squares import OperatorFitSettings
 from ..identify.methods import METHODS, identify_chain, simulator_of
 from ..model import FitProgress
 from ..simulator import simulator_bundle
@@ -30,7 +32,7 @@ class OperatorKind(ModelKind):
 
     def __init__(self, entry: ChainKind) -> None:
         self.name, self.title, self.presets = entry.name, entry.title, tuple(entry.methods)
-        self.invertible = entry.inverse is not None
+        self.invertible, self.rings = entry.inverse is not None, entry.rings
         self._entry = entry
 
     def fit(self, trials: Sequence[Trial], request: FitRequest, progress: FitProgress | None = None) -> Identified:
@@ -39,6 +41,8 @@ class OperatorKind(ModelKind):
         kind = f"inverse_{self.name}" if inverted else self.name
         method = METHODS[self._entry.methods[request.preset]]
         settings = method.settings_for(request.steps, request.seed, request.skip_first_flexure)
+        if isinstance(settings, OperatorFitSettings) and self._entry.restarts is not None:
+            settings = replace(settings, restarts=self._entry.restarts)
         structure = Structure(plays=self._entry.plays if request.plays is None else request.plays)
         chain, fit = identify_chain(kind, trials, method.name, settings, progress=progress, structure=structure)
         # The limits of the request are those of the device's command, which an inverse map gives and does not take.

@@ -10,6 +10,7 @@ from hystmpc.models.operators.friction import Asymmetry, DirectionalGain, Maxwel
 from hystmpc.models.operators.hysteresis import Backlash, BoucWen, InverseBacklash, Play, Stop
 from hystmpc.models.operators.measurement import PeriodicDisturbance, Sensor
 from hystmpc.models.operators.operator import Operator
+from hystmpc.models.operators.oscillator import Oscillator, StateNetwork
 from hystmpc.models.operators.prandtl_ishlinskii import Drdpi, InversePrandtlIshlinskii, PrandtlIshlinskii
 from hystmpc.models.operators.slow_changes import Creep, Drift, FirstFlexure, TrialShift
 from hystmpc.models.operators.static_curves import Contact, Deadband, Line, NonlinearGain, Slack
@@ -24,6 +25,17 @@ DEADBAND = Deadband(1.1, (0.5, 0.08), (0.6, 0.1), (15.0, 10.0), (15.0, 15.0), 50
 DRDPI = Drdpi(3.0, (2.5, 2.0, 1.5, 1.2), 0.15, 0.012, -28.0, (0.5, 0.08), (0.6, 0.1), (12.0, 8.0), (12.0, 12.0), 48.0)
 CURVED = CurvedPlays((2.0, 3.0, 1.5, 2.0, 2.5, 2.0, 1.0, 1.5, 1.0, 0.5, 3.0, 2.0), 20.0, (0.2, 0.7), 0.5, 5.5, 3)
 GRADUAL = CurvedPlays(CURVED.slopes, 20.0, (0.2, 0.7), 0.5, 5.5, 3, turn=1)
+OSCILLATOR = Oscillator(0.01, 0.1, 1.0, 0.5, 0.02, -0.01)
+STATE_NETWORK = StateNetwork(
+    (0.9, -0.2, 0.3, 0.8),
+    (0.2, 0.1, 0.3, -0.1),
+    (0.5, 0.4, -0.3, 0.2),
+    (0.02, 0.01, -0.01, 0.03),
+    (0.01,) * 4,
+    (0.1, 0.2),
+    2,
+    2,
+)
 BOUC_WEN = BoucWen(-9.0, 0.8, 2.2, 10.7, 10.2, 0.04 / 6, 25.0)
 SLIDERS = MaxwellSlip(0.5, (6.0, 3.0, 2.0), 0.15, 0.02, 40.0)
 RATE_SLIDERS = MaxwellSlip(-0.5, (6.0, 3.0, 2.0), 0.15, 0.02, 40.0, (0.3, 0.4, 2.0))
@@ -74,6 +86,9 @@ EXAMPLES: tuple[Operator, ...] = (
     TrialShift(0.4, 1.1, 0.2),
     PeriodicDisturbance(1.1, (0.3, 0.1), (0.2, -1.0)),
     Sensor(0.05, 0.15, 0.03, 2.0, 0.05),
+    OSCILLATOR,
+    Oscillator(0.01, 0.1, 1.0, 0.5, 0.02, 0.01, hold=1, steps=1),
+    STATE_NETWORK,
 )
 CHAINS: dict[str, Chain] = {
     "backlash": Chain(BACKLASH),

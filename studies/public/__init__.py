@@ -1,0 +1,1 @@
+"""Public benchmarks: the data of others, their test, their figures beside ours."""
