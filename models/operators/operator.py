@@ -147,12 +147,18 @@ def check_values(operator: Operator) -> None:
     """
     for parameter, value in zip(operator.parameters, operator.values, strict=True):
         low, high = parameter.lower, parameter.upper
-        if _OF_A_SIGNAL.search(parameter.unit):
+        if _has_a_size(parameter.unit):
             low, high = (0.0 if low == 0 else _LEAST if low > 0 else -_GREATEST), _GREATEST
         if not (math.isfinite(value) and low <= value <= high):
             raise ModelError(
                 f"{operator.name}.{parameter.name} is {value:.6g} {parameter.unit}, expected {low:.6g} to {high:.6g}"
             )
+
+
+def _has_a_size(unit: str) -> bool:
+    """Whether a number of this unit is larger in smaller units of a signal: one in deg/deg is not."""
+    above, _, below = unit.partition("/")
+    return above != below and _OF_A_SIGNAL.search(unit) is not None
 
 
 _OF_A_SIGNAL = re.compile(r"\b(cmd|deg|in)\b")

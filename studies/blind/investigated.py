@@ -123,11 +123,21 @@ class ScoredInvestigation:
 
 
 def investigate_blind(
-    folder: Path, minutes: float = 5.0, jobs: int = 1, seed: int = 1, progress: Progress | None = None
+    folder: Path,
+    minutes: float = 5.0,
+    jobs: int = 1,
+    seed: int = 1,
+    progress: Progress | None = None,
+    least: float = LARGE,
 ) -> int:
     """Investigate the device of every case of a single effect that is large enough for the bars.
 
     An investigation has the case's simulator and its device, no trial of it. What is done is kept.
+
+    Args:
+        folder: made by `make_blind`.
+        minutes: device time of each at most [min].
+        least: gap of a case, in floors, from which on it is investigated.
 
     Returns:
         Investigations that failed, in this call.
@@ -140,7 +150,7 @@ def investigate_blind(
     todo = [
         InvestigationJob(folder, case, answer, minutes, seed)
         for case, answer in answers.items()
-        if answer.suite == "single" and answer.ratio >= LARGE
+        if answer.suite == "single" and answer.ratio >= least
     ]
 
     def is_done(job: InvestigationJob) -> bool:

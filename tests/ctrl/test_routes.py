@@ -57,11 +57,14 @@ def test_two_routes_have_one_derivative_in_motion(kind: str, moves: tuple[float,
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.name not in KINKED], ids=lambda kind: kind.name)
 def test_two_routes_give_one_command(kind: ModelKind, blocks: tuple[int, ...] | None) -> None:
     fast, slow = (controller_for(*pair, DaqpOptions(), blocks) for pair in routes(kind.name))
-    y = float(fast.init(45.0, 1.0).estimate.angles[0])
+    y = float(fast.init(REST_DEG.get(kind.name, 45.0), 1.0).estimate.angles[0])
     ours, theirs = compared(fast, slow, y, 1.0, 15)
     assert np.ptp(ours) > 0.1
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=TOLERANCE.get(kind.name, 1e-6))
 
+
+REST_DEG = {"state_network": 5.0}
+"""Angle at rest of kinds that rest at one angle alone under a command of 1 mm."""
 
 # Networks run in single precision: 1e-7 of 85 deg over 10 deg/mm, amplified by the weight of an error against a move.
 TOLERANCE = dict.fromkeys(("lstm", "gru", "hb1", "hb2", "fnn", "fnn_hib", "svr"), 5e-6)

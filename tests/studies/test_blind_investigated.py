@@ -36,13 +36,13 @@ def test_only_the_cause_alone_is_right() -> None:
 @pytest.mark.slow
 def test_a_device_is_investigated_and_scored(tmp_path: Path) -> None:
     """One case: device time within the minutes, the result beside the sealed truth, nothing done twice."""
-    make_blind(tmp_path, 1806000, 2, "single")
-    assert investigate_blind(tmp_path, minutes=1.2) == 0
+    make_blind(tmp_path, 1806000, 1, "single")
+    assert investigate_blind(tmp_path, minutes=1.2, least=0.0) == 0
     found = scored_investigations(tmp_path)
     assert found
     assert all(0 < one.device_s <= 72.0 < one.battery_s for one in found)
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "investigations").rglob("investigation.json")}
-    assert investigate_blind(tmp_path, minutes=1.2) == 0
+    assert investigate_blind(tmp_path, minutes=1.2, least=0.0) == 0
     assert before == {
         path: path.stat().st_mtime_ns for path in (tmp_path / "investigations").rglob("investigation.json")
     }
