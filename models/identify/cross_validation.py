@@ -133,7 +133,7 @@ class CrossValidation:
     @cached_property
     def _thirds(self) -> tuple[tuple[Run, Run], ...]:
         """A single run without a third of the time that counts, and that third alone."""
-        if not self.in_time or len(self.runs) > 1:
+        if not self.in_time or len(self.runs) != 1:
             return ()
         run = self.runs[0]
         made = []

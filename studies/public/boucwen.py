@@ -117,7 +117,8 @@ def simulated_tests(seed: int, quick: bool = False) -> list[ScoredRecord]:
     seconds = 10.0 if quick else (_SWEEP_HZ[1] - _SWEEP_HZ[0]) / _SWEEP_HZ_PER_S
     t = np.arange(round(seconds * RATE_HZ * _FINE)) / (RATE_HZ * _FINE)
     swept = np.sqrt(2) * _SWEEP_N * np.sin(2 * np.pi * (_SWEEP_HZ[0] * t + 0.5 * _SWEEP_HZ_PER_S * t * t))
-    filtered = np.convolve(_answer(swept), firwin(_FINE * _FINE + 1, 0.95 / _FINE), "same")
+    low_pass = np.asarray(firwin(_FINE * _FINE + 1, 0.95 / _FINE), dtype=np.float64)
+    filtered = np.convolve(_answer(swept), low_pass, "same")
     sweep = _record(swept[::_FINE], filtered[::_FINE], "sine sweep, simulated here")
     return [ScoredRecord("multisine", multisine, True, True), ScoredRecord("sine sweep", sweep, False, True)]
 
