@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -85,19 +87,15 @@ def run(
     """Diagnose every case that is not diagnosed yet; Ctrl-C keeps what is done."""
     from hystmpc.studies.blind.run import run_blind
 
-    try:
-        with bar("diagnose") as show:
-            failed = run_blind(
-                folder,
-                jobs or _cores(),
-                seed,
-                follow_up,
-                not without_truth,
-                lambda done, total, note="": show(done, note, total=total),
-            )
-    except KeyboardInterrupt:
-        errors.print(f"interrupted: finished diagnoses are kept in {folder}, the same command goes on", style="yellow")
-        raise typer.Exit(INTERRUPTED) from None
+    with _kept("diagnoses", folder), bar("diagnose") as show:
+        failed = run_blind(
+            folder,
+            jobs or _cores(),
+            seed,
+            follow_up,
+            not without_truth,
+            lambda done, total, note="": show(done, note, total=total),
+        )
     if failed:
         errors.print(f"{failed} diagnoses failed, see failure.txt beside them; the same command tries again")
     out.print(f"diagnoses: {folder / 'diagnoses'}")
@@ -114,19 +112,15 @@ def order(
     """Diagnose cases in random orders of their files, order unknown; the names should be the same."""
     from hystmpc.studies.blind.order import orders_of, run_orders
 
-    try:
-        with bar("diagnose in orders") as show:
-            failed = run_orders(
-                folder,
-                cases,
-                orders,
-                jobs or _cores(),
-                seed,
-                lambda done, total, note="": show(done, note, total=total),
-            )
-    except KeyboardInterrupt:
-        errors.print(f"interrupted: finished diagnoses are kept in {folder}, the same command goes on", style="yellow")
-        raise typer.Exit(INTERRUPTED) from None
+    with _kept("diagnoses", folder), bar("diagnose in orders") as show:
+        failed = run_orders(
+            folder,
+            cases,
+            orders,
+            jobs or _cores(),
+            seed,
+            lambda done, total, note="": show(done, note, total=total),
+        )
     if failed:
         errors.print(f"{failed} diagnoses failed, see failure.txt beside them; the same command tries again")
     found = orders_of(folder)
@@ -146,16 +140,10 @@ def investigate(
     """Play `hystmpc investigate` on the device of every single effect; Ctrl-C keeps what is done."""
     from hystmpc.studies.blind.investigated import FOLDER, investigate_blind
 
-    try:
-        with bar("investigate") as show:
-            failed = investigate_blind(
-                folder, minutes, jobs or _cores(), seed, lambda done, total, note="": show(done, note, total=total)
-            )
-    except KeyboardInterrupt:
-        errors.print(
-            f"interrupted: finished investigations are kept in {folder}, the same command goes on", style="yellow"
+    with _kept("investigations", folder), bar("investigate") as show:
+        failed = investigate_blind(
+            folder, minutes, jobs or _cores(), seed, lambda done, total, note="": show(done, note, total=total)
         )
-        raise typer.Exit(INTERRUPTED) from None
     if failed:
         errors.print(f"{failed} investigations failed, see failure.txt in their folders; the same command tries again")
     out.print(f"investigations: {folder / FOLDER}")
@@ -228,6 +216,16 @@ def record(
     from hystmpc.studies.blind.run import record_motion
 
     out.print(f"recorded: {record_motion(folder, case, motion)}")
+
+
+@contextmanager
+def _kept(what: str, folder: Path) -> Iterator[None]:
+    """Ctrl-C ends with its own exit code, and a line that says that nothing is lost."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        errors.print(f"interrupted: finished {what} are kept in {folder}, the same command goes on", style="yellow")
+        raise typer.Exit(INTERRUPTED) from None
 
 
 def _cores() -> int:
