@@ -16,7 +16,8 @@ MODULE = re.compile(rf"(?<![\w.])hystmpc(?:\.(?:{_ROOM}))(?:\.\w+)*")
 
 def pages() -> tuple[Path, ...]:
     """README, docs, examples and the package's source; the changelog tells of the past."""
-    prose = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    front = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md")]
+    prose = [*front, *sorted((ROOT / "docs").rglob("*.md"))]
     code = [path for room in (*ROOMS, "benchmarks", "examples") for path in sorted((ROOT / room).rglob("*.py"))]
     return (*prose, *code)
 

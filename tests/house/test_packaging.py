@@ -6,13 +6,16 @@ import re
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 import pytest
+import yaml
 
 from .source import ROOMS, ROOT, modules
 
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 FOLDERS = sorted({module.path.parent for module in modules()})
+FORMS = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
 
 
 def test_packages_listed_are_the_folders_with_code() -> None:
@@ -43,6 +46,33 @@ def test_every_dependency_is_pinned() -> None:
     pins = [line.partition("==") for line in lines if line and not line.startswith("#")]
     assert [pin for pin in pins if not re.fullmatch("[0-9.]+", pin[2])] == []  # exact, no local version like +cpu
     assert names - {name for name, _, _ in pins} == set()
+
+
+def test_the_citation_names_this_version_and_both_papers() -> None:
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {key: cited[key] for key in ("title", "version", "license")} == {
+        "title": f"hystmpc: {_first_lower(PYPROJECT['project']['description'])}",
+        "version": PYPROJECT["project"]["version"],
+        "license": PYPROJECT["project"]["license"],
+    }
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    papers = [paper.get("doi") or paper["url"] for paper in cited["references"]]
+    assert len(papers) == 2
+    assert [paper for paper in papers if paper not in readme] == []
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda path: path.stem)
+def test_issue_forms_ask_for_something(form: Path) -> None:
+    asked = yaml.safe_load(form.read_text(encoding="utf-8"))
+    assert asked["name"]
+    assert asked["description"]
+    kinds = [part["type"] for part in asked["body"]]
+    assert set(kinds) <= {"markdown", "textarea", "input"}
+    assert any(part.get("validations", {}).get("required") for part in asked["body"])
+
+
+def _first_lower(text: str) -> str:
+    return text[0].lower() + text[1:]
 
 
 @pytest.mark.slow
