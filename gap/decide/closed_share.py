@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import functools
-import itertools
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
 from hystmpc.models.identify.runs import Blocks
 from hystmpc.models.identify.uncertainty import Interval
 from hystmpc.trials.types import Vec
-
-T = TypeVar("T", float, Vec)
 
 _DRAWS = 400
 _LEAST_SHARE = 0.1
@@ -50,18 +44,25 @@ class Shares:
     def of_causes(
         self, names: frozenset[str], blocks: Callable[[frozenset[str]], Blocks]
     ) -> dict[str, tuple[float, Interval]]:
-        """Shapley value of each cause and its 90 % interval, blocks resampled together in every set of causes.
+        """What each cause closes beyond the larger ones, and its 90 % interval; the smallest comes first.
+
+        The smallest of the causes is the one without which the others, fitted anew, leave the least error. Its share
+        is the fall from their error to that of all. It is taken away, and the same is asked of the rest. The shares add
+        up to that of all causes together. Blocks are resampled together before and after.
 
         Args:
             names: of the causes.
             blocks: errors with some of them.
         """
-        shares = shapley(sorted(names), lambda kept: self.closed(blocks(kept).mse))
-        drawn = shapley(sorted(names), functools.cache(lambda kept: self._drawn(blocks(kept))))
-        return {name: (share, self._widened(share, _ends(drawn[name]))) for name, share in shares.items()}
-
-    def _drawn(self, after: Blocks) -> Vec:
-        return _drawn_shares(self.before, self.before, after, self.floor_mse, self.seed)
+        found: dict[str, tuple[float, Interval]] = {}
+        kept = names
+        while kept:
+            smallest = min(sorted(kept), key=lambda name: blocks(kept - {name}).mse)
+            before, after = blocks(kept - {smallest}), blocks(kept)
+            share = self.closed(after.mse) - self.closed(before.mse)
+            found[smallest] = share, self.interval(before, after)
+            kept = kept - {smallest}
+        return found
 
     def _widened(self, middle: float, ends: Interval) -> Interval:
         """An interval with the differences between trials added."""
@@ -98,24 +99,3 @@ def _drawn_shares(retuned: Blocks, before: Blocks, after: Blocks, floor_mse: flo
 def _ends(shares: Vec) -> Interval:
     low, high = np.clip(np.quantile(shares, (0.05, 0.95)), -1.0, 1.0)
     return float(low), float(high)
-
-
-def shapley(names: Sequence[str], value: Callable[[frozenset[str]], T]) -> dict[str, T]:
-    """Shapley value of each name for a value of sets; they add up to value(all) - value(none).
-
-    Source: Shapley, A value for n-person games, Annals of Mathematics Studies 28 (1953).
-    """
-    n = len(names)
-    shares: dict[str, T] = {}
-    for name in names:
-        others = [other for other in names if other != name]
-        added = [
-            math.factorial(k)
-            * math.factorial(n - k - 1)
-            / math.factorial(n)
-            * (value(frozenset(part) | {name}) - value(frozenset(part)))
-            for k in range(n)
-            for part in itertools.combinations(others, k)
-        ]
-        shares[name] = sum(added[1:], start=added[0])
-    return shares

@@ -1,71 +1,72 @@
-"""Shapley's axioms, and the closed share with its bounds."""
+"""Shares of causes, and the closed share with its bounds."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.decide.closed_share import closed_interval, closed_share, shapley
+from hystmpc.gap.decide.closed_share import Shares, closed_interval, closed_share
 from hystmpc.models.identify.runs import Blocks, blocks_of
+from hystmpc.models.identify.uncertainty import Interval
 
 from .engine_examples import device_runs
 
 NAMES = ("creep", "lag", "slack", "drift")
-SIZES = st.floats(-100, 100)
-Game = dict[frozenset[str], float]
+
+
+def blocks(energy: Sequence[float]) -> Blocks:
+    """Blocks of ten samples."""
+    return Blocks(np.array(energy), np.full(len(energy), 10.0), np.zeros(len(energy), dtype=np.intp))
 
 
 @st.composite
-def games(draw: st.DrawFn) -> tuple[tuple[str, ...], Game]:
-    """Some names and a value for each of their sets."""
+def corrections(draw: st.DrawFn) -> dict[frozenset[str], Blocks]:
+    """Errors with every set of some causes; each cause lowers every block, whatever the others are."""
     names = NAMES[: draw(st.integers(1, len(NAMES)))]
+    factors = {name: np.array(draw(st.lists(st.floats(0.05, 0.9), min_size=6, max_size=6))) for name in names}
+    before = np.array(draw(st.lists(st.floats(1.0, 50.0), min_size=6, max_size=6)))
     sets = [frozenset(part) for k in range(len(names) + 1) for part in itertools.combinations(names, k)]
-    return names, {part: draw(SIZES) for part in sets}
+    return {part: blocks(before * np.prod([factors[name] for name in part], axis=0)) for part in sets}
 
 
-@given(games())
-def test_shares_add_up_to_what_all_do_together(game: tuple[tuple[str, ...], Game]) -> None:
-    names, values = game
-    shares = shapley(names, values.__getitem__)
-    assert sum(shares.values()) == pytest.approx(values[frozenset(names)] - values[frozenset()], abs=1e-9)
+def of_causes(errors: dict[frozenset[str], Blocks], spread: float = 0.0) -> dict[str, tuple[float, Interval]]:
+    """Share and interval of every cause."""
+    return Shares(errors[frozenset()], 0.0, spread, 1).of_causes(max(errors, key=len), errors.__getitem__)
 
 
-@given(games())
-def test_names_that_do_the_same_get_the_same(game: tuple[tuple[str, ...], Game]) -> None:
-    names, values = game
-    if len(names) < 2:
-        return
-    a, b = names[:2]
-    swapped = {a: b, b: a}
-
-    def value(kept: frozenset[str]) -> float:
-        mirrored = frozenset(swapped.get(name, name) for name in kept)
-        return values[kept] + values[mirrored]
-
-    shares = shapley(names, value)
-    assert shares[a] == pytest.approx(shares[b], abs=1e-9)
+@given(corrections())
+def test_shares_of_causes_add_up_to_what_all_do_together(errors: dict[frozenset[str], Blocks]) -> None:
+    together = closed_share(errors[frozenset()].mse, errors[max(errors, key=len)].mse, 0.0)
+    assert sum(share for share, _ in of_causes(errors).values()) == pytest.approx(together, abs=1e-9)
 
 
-@given(games(), SIZES)
-def test_who_adds_the_same_to_every_set_gets_that(game: tuple[tuple[str, ...], Game], own: float) -> None:
-    """A dummy, whose own worth is zero, gets nothing."""
-    names, values = game
-    dummy = names[0]
-    shares = shapley(names, lambda kept: values[kept - {dummy}] + (own if dummy in kept else 0.0))
-    assert shares[dummy] == pytest.approx(own, abs=1e-9)
+@given(corrections())
+def test_a_cause_that_lowers_every_block_is_proven_however_small(errors: dict[frozenset[str], Blocks]) -> None:
+    """Shares that average over all orders of adding are as uncertain as what the cause does to an error that a larger
+    one has left unexplained."""
+    for share, (low, high) in of_causes(errors).values():
+        assert 0 < low <= share + 1e-12
+        assert share <= high + 1e-12
 
 
-@given(games(), st.floats(-3, 3))
-def test_shares_are_linear_in_the_value(game: tuple[tuple[str, ...], Game], factor: float) -> None:
-    names, values = game
-    plain = shapley(names, values.__getitem__)
-    scaled = shapley(names, lambda kept: factor * values[kept] + 7.0)
-    for name in names:
-        assert scaled[name] == pytest.approx(factor * plain[name], abs=1e-8)
+@given(corrections())
+def test_the_smallest_is_the_one_that_the_others_miss_least(errors: dict[frozenset[str], Blocks]) -> None:
+    names = max(errors, key=len)
+    smallest = next(iter(of_causes(errors)))
+    assert errors[names - {smallest}].mse == min(errors[names - {name}].mse for name in names)
+
+
+@given(corrections())
+def test_a_cause_that_does_nothing_closes_nothing(errors: dict[frozenset[str], Blocks]) -> None:
+    idle = {part | more: found for part, found in errors.items() for more in (frozenset(), frozenset({"idle"}))}
+    share, interval = of_causes(idle)["idle"]
+    assert share == 0.0
+    assert interval == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
 def test_closed_share_is_the_formula() -> None:
@@ -83,11 +84,6 @@ def test_closed_share_stays_within_its_bounds(retuned: float, with_effects: floa
         assert share == 0.0
     elif with_effects <= retuned:
         assert share >= 0.0
-
-
-def blocks(energy: list[float]) -> Blocks:
-    """Blocks of ten samples."""
-    return Blocks(np.array(energy), np.full(len(energy), 10.0), np.zeros(len(energy), dtype=np.intp))
 
 
 def test_an_interval_holds_its_share() -> None:
