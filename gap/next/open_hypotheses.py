@@ -39,7 +39,7 @@ _MOST = 4  # hypotheses for a gap that nothing explains
 def next_step(findings: Findings) -> MotionProposal | None:
     """The motion to record next; None where nothing is open.
 
-    It is to separate, in this order: a set of effects that these trials cannot tell apart; an effect that was named and
+    It is to separate, in this order: all effects that these trials cannot tell apart; an effect that was named and
     another from which these motions cannot tell it (`unseparated`); for a gap without explanation, effects of
     different families. Where no angle follows its command, no motion is proposed.
 
@@ -108,14 +108,17 @@ def _open(findings: Findings) -> dict[str, Hypothesis]:
     ruling, attribution = findings.conclusion.ruling, findings.attribution
     if ruling.effects_unknown:
         return _families(findings)
-    rivals = ruling.ambiguity[0] if ruling.ambiguity else unseparated(findings)
-    if not rivals:
+    if not ruling.ambiguity and not unseparated(findings):
         return {}
-    rest = findings.conclusion.chosen.effects - {rivals[0]}
-    base = _tried(attribution, rest)
-    # In one more trial a shift of its own is a matter of retuning.
-    fitted = {name: base if name == "trial_shift" else _with(findings, rest, name) for name in rivals}
-    return {name: hypothesis for name, hypothesis in fitted.items() if hypothesis is not None}
+    made: dict[str, Hypothesis | None] = {}
+    for effect, *others in ruling.ambiguity or (unseparated(findings),):
+        rest = findings.conclusion.chosen.effects - {effect}
+        base = _tried(attribution, rest)
+        # The effects chosen of further sets are in the first hypothesis.
+        for name in others if made else (effect, *others):
+            # In one more trial a shift of its own is a matter of retuning.
+            made.setdefault(name, base if name == "trial_shift" else _with(findings, rest, name))
+    return {name: hypothesis for name, hypothesis in made.items() if hypothesis is not None}
 
 
 def unseparated(findings: Findings) -> tuple[str, ...]:
