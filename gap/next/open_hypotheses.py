@@ -46,7 +46,7 @@ def next_step(findings: Findings) -> MotionProposal | None:
     Args:
         findings: of all earlier steps.
     """
-    fitted = {} if findings.prepared.checked.unrelated else _open(findings)
+    fitted = {} if findings.prepared.checked.unrelated else open_explanations(findings)
     if len(fitted) < 2:
         return None
     question = _question(fitted, findings)
@@ -76,7 +76,7 @@ def question(findings: Findings) -> Question | None:
     """
     if findings.prepared.checked.unrelated:
         return None
-    fitted = _open(findings)
+    fitted = open_explanations(findings)
     if len(fitted) >= 2:
         return _question(fitted, findings)
     tested = _rivals(findings)
@@ -103,7 +103,7 @@ def _rivals(findings: Findings) -> dict[str, Hypothesis]:
     return found if len(found) >= 2 else {NOTHING: attribution.retuned, name: chosen}
 
 
-def _open(findings: Findings) -> dict[str, Hypothesis]:
+def open_explanations(findings: Findings) -> dict[str, Hypothesis]:
     """Open hypotheses by the effect that tells each from the others."""
     ruling, attribution = findings.conclusion.ruling, findings.attribution
     if ruling.effects_unknown:
