@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS, confounders
-from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.models.identify.uncertainty import ParameterRow, parameter_rows
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
@@ -92,7 +92,7 @@ def find_causes(
     stability = stability_of(prepared, attribution, conclusion, settings, seed)
     clock.lap("how stable")
     progress(94, _STEPS, "where and what next")
-    localisation = _localisation(prepared, retuned, seed)
+    localisation = _localisation(prepared, seed)
     clock.lap("where")
     return Findings(
         simulator=simulator,
@@ -176,7 +176,9 @@ def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, 
     return tuple(name for name in LIBRARY if name in without or name not in kept)
 
 
-def _localisation(prepared: PreparedTrials, retuned: Hypothesis, seed: int) -> Localisation | None:
+def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
+    """Where the error lies that retuning to all trials leaves: nothing is decided by it, so that none is held out."""
+    retuned = CrossValidation(prepared.baseline, prepared.everything).retuned()
     errors = prepared.residuals(retuned)
     if not any(np.any(error) for error in errors):
         return None

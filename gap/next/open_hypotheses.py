@@ -39,14 +39,14 @@ _MOST = 4  # hypotheses for a gap that nothing explains
 def next_step(findings: Findings) -> MotionProposal | None:
     """The motion to record next; None where nothing is open.
 
-    It is to separate, in this order: a set of effects that these trials cannot tell apart; an effect that was named and
+    It is to separate, in this order: all effects that these trials cannot tell apart; an effect that was named and
     another from which these motions cannot tell it (`unseparated`); for a gap without explanation, effects of
     different families. Where no angle follows its command, no motion is proposed.
 
     Args:
         findings: of all earlier steps.
     """
-    fitted = {} if findings.prepared.checked.unrelated else _open(findings)
+    fitted = {} if findings.prepared.checked.unrelated else open_explanations(findings)
     if len(fitted) < 2:
         return None
     question = _question(fitted, findings)
@@ -76,7 +76,7 @@ def question(findings: Findings) -> Question | None:
     """
     if findings.prepared.checked.unrelated:
         return None
-    fitted = _open(findings)
+    fitted = open_explanations(findings)
     if len(fitted) >= 2:
         return _question(fitted, findings)
     tested = _rivals(findings)
@@ -103,19 +103,22 @@ def _rivals(findings: Findings) -> dict[str, Hypothesis]:
     return found if len(found) >= 2 else {NOTHING: attribution.retuned, name: chosen}
 
 
-def _open(findings: Findings) -> dict[str, Hypothesis]:
+def open_explanations(findings: Findings) -> dict[str, Hypothesis]:
     """Open hypotheses by the effect that tells each from the others."""
     ruling, attribution = findings.conclusion.ruling, findings.attribution
     if ruling.effects_unknown:
         return _families(findings)
-    rivals = ruling.ambiguity[0] if ruling.ambiguity else unseparated(findings)
-    if not rivals:
+    if not ruling.ambiguity and not unseparated(findings):
         return {}
-    rest = findings.conclusion.chosen.effects - {rivals[0]}
-    base = _tried(attribution, rest)
-    # In one more trial a shift of its own is a matter of retuning.
-    fitted = {name: base if name == "trial_shift" else _with(findings, rest, name) for name in rivals}
-    return {name: hypothesis for name, hypothesis in fitted.items() if hypothesis is not None}
+    made: dict[str, Hypothesis | None] = {}
+    for effect, *others in ruling.ambiguity or (unseparated(findings),):
+        rest = findings.conclusion.chosen.effects - {effect}
+        base = _tried(attribution, rest)
+        # The effects chosen of further sets are in the first hypothesis.
+        for name in others if made else (effect, *others):
+            # In one more trial a shift of its own is a matter of retuning.
+            made.setdefault(name, base if name == "trial_shift" else _with(findings, rest, name))
+    return {name: hypothesis for name, hypothesis in made.items() if hypothesis is not None}
 
 
 def unseparated(findings: Findings) -> tuple[str, ...]:

@@ -214,7 +214,7 @@ def next_sentence(proposal: MotionProposal) -> str:
     chosen = proposal.chosen
     names = listed([in_words(name) for name in proposal.names], "from")
     return (
-        f"To tell {names}, record {in_words(chosen.motion.name)} ({chosen.motion.duration_s:.0f} s): "
+        f"To tell {names}, record {in_words(chosen.motion.name)} ({chosen.motion.duration_s:.0f} s) twice: "
         f"{chosen.motion.purpose}. Expected probability of naming the right one: {percent(chosen.probability)}."
     )
 

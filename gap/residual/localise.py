@@ -22,6 +22,7 @@ from .spectrum import Spectrum, spectrum_of
 PLACES = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
 """Parts of a motion, exclusive; precedence: hold, first_flexure, after_reversal, direction."""
 
+_AFTER = 0.1  # way after a reversal that counts as after it, as a share of the command's range in the trial
 _RESAMPLES = 500
 _BLOCK_S, _LEAST_BLOCKS = 2.0, 10
 
@@ -52,7 +53,7 @@ def localise(
     Args:
         trials: uniform, at one rate.
         residuals: measured less simulated angle, (T,) each [deg].
-        loop_width: width of the hysteresis loop along the command [cmd]; travel after a turn that is `after_reversal`.
+        loop_width: width of the hysteresis loop along the command, for the kinds of memory [cmd].
         seed: of the resampling.
         ordered: whether the trials stand in the order of recording.
 
@@ -66,7 +67,7 @@ def localise(
     power = np.concatenate([e**2 for e in residuals])
     if power.sum() <= 0:
         raise GapError(f"all {power.size} residuals are zero, expected something to localise")
-    labels = np.concatenate([place_labels(trial, loop_width) for trial in trials])
+    labels = np.concatenate([place_labels(trial) for trial in trials])
     return Localisation(
         places=_places(power, labels, _blocks(residuals, trials[0].dt), seed),
         spectrum=spectrum_of(trials, residuals),
@@ -74,11 +75,12 @@ def localise(
     )
 
 
-def place_labels(trial: Trial, loop_width: float) -> Index:
+def place_labels(trial: Trial) -> Index:
     """Number in `PLACES` of every sample (T,) of a uniform trial.
 
     `hold`: the command rests. `first_flexure`: it moves, and has not turned yet in this trial. `after_reversal`: it
-    moves, and has travelled less than `loop_width` [cmd] since it turned. Else `loading` or `unloading`.
+    moves, and has travelled less than a tenth of its range since it turned. Else `loading` or `unloading`. The parts
+    depend on the command alone, so that every simulator of a device is judged by the same ones.
 
     Raises:
         LogError: if the sampling is not uniform.
@@ -87,11 +89,12 @@ def place_labels(trial: Trial, loop_width: float) -> Index:
     k = np.arange(len(trial))
     labels = np.where(parts.labels == Motion.UNLOADING, PLACES.index("unloading"), PLACES.index("loading"))
     if parts.reversals.size:
+        width = _AFTER * float(np.ptp(trial.command))
         turned = np.zeros(len(trial), dtype=np.bool_)
         turned[parts.reversals] = True
         last = np.maximum.accumulate(np.where(turned, k, -1))
         travelled = np.cumsum(np.abs(np.diff(trial.command, prepend=trial.command[0])))
-        near = (last >= 0) & (travelled - travelled[np.maximum(last, 0)] < loop_width) & (k > last)
+        near = (last >= 0) & (travelled - travelled[np.maximum(last, 0)] < width) & (k > last)
         labels[near] = PLACES.index("after_reversal")
         labels[: int(parts.reversals[0]) + 1] = PLACES.index("first_flexure")
     else:

@@ -74,7 +74,7 @@ def bars(cases: Sequence[ScoredCase]) -> list[Bar]:
         *_sets("triples", of_suites(clear, "triple"), 0.75),
         _share("out of library: abstains", foreign, lambda c: c.right, 0.85),
         _share("out of library: confidently wrong", foreign, confidently_wrong, 0.05, good=False),
-        _share("configuration change, with its groups", of_suites(cases, "configuration"), lambda c: c.right, 0.90),
+        _share("configuration change, with its groups", of_suites(clear, "configuration"), lambda c: c.right, 0.90),
         _share("aliased: no disturbance named above 0.3", of_suites(cases, "aliased"), lambda c: c.right, 1.0),
         _share("named effects that close less than nothing", _named(cases), closes_less_than_nothing, 0.0, good=False),
         _oracle(single),
@@ -266,17 +266,24 @@ def _calibrated(cases: Sequence[ScoredCase]) -> Bar:
 
 
 def _resolved(cases: Sequence[ScoredCase]) -> Bar:
-    """Share of ambiguities of which, after the proposed motion was recorded, the truth is left and nothing else."""
+    """Share of ambiguities of which, after the proposed motion was recorded, what is true is left and nothing else."""
     asked = [case for case in cases if case.reading.verdict == "one_of" and case.followed is not None]
-
-    def resolved(case: ScoredCase) -> bool:
-        said = case.followed
-        if said is None or said.verdict != "named":
-            return False
-        open_names = frozenset[str]().union(*case.reading.ambiguity)
-        return set(said.claims) & open_names == truths_of(case) & open_names != set()
-
     return _share("ambiguities that the next motion resolves", asked, resolved, 0.80)
+
+
+def resolved(case: ScoredCase) -> bool:
+    """Whether the diagnosis with the proposed motion leaves nothing open, and is right about what was open.
+
+    Of the effects that were open it names those that are true. Where none of them is, it names none of them, and
+    nothing else that is false.
+    """
+    said, true = case.followed, truths_of(case)
+    if said is None or said.verdict not in ("named", "none", "retuned"):
+        return False
+    claims, were_open = set(said.claims), frozenset[str]().union(*case.reading.ambiguity)
+    if claims & were_open != true & were_open:
+        return False
+    return bool(true & were_open) or (claims <= true and bool(claims) == bool(true))
 
 
 def orders_bar(said: Mapping[str, tuple[frozenset[str], ...]]) -> tuple[Bar, Rate]:

@@ -26,6 +26,7 @@ from .device import lasts_s
 from .rules import correlation_rule, fit_rules
 from .sealed import open_answers, read_case, read_manifest
 
+_RECORDED = 2  # times that a proposed motion is recorded, as the diagnosis asks for
 _ANOTHER_SESSION = 7919  # added to the seed of what is random in a device
 DIAGNOSIS = "diagnosis.json"
 FAILURE = "failure.txt"
@@ -41,11 +42,10 @@ def record_motion(folder: Path, case: str, motion: Path) -> Path:
         motion: CSV with columns `time_s` and `command`, or `command_bar`.
 
     Returns:
-        The log, in `follow_up/CASE`, numbered on from the trials that the case has.
+        The log, in `follow_up/CASE`, numbered on from all trials of the case, those recorded later among them.
 
     Raises:
-        ConfigError: on an unknown case, one of real logs, a command beyond the device's travel, or a log that is
-            there already.
+        ConfigError: on an unknown case, one of real logs, or a command beyond the device's travel.
         LogError: if the motion or the answers cannot be read.
     """
     answers = open_answers(folder)
@@ -53,12 +53,10 @@ def record_motion(folder: Path, case: str, motion: Path) -> Path:
         raise ConfigError(f"{folder}: no case {case!r}, {did_you_mean(case, answers)}")
     if not answers[case].device or answers[case].suite == "controls":
         raise ConfigError(f"{folder}: case {case} has no device that could move again")
-    before = read_trials([folder / "cases" / case])
+    before = read_trials([folder / "cases" / case]) + _later(folder, case)
     clock_s = sum(lasts_s(len(trial)) for trial in before)
     device = answers[case].blind_device()
     command, log = _command(motion, device.core), folder / "follow_up" / case / f"trial_{len(before) + 1:02d}.csv"
-    if log.exists():
-        raise ConfigError(f"{log}: is recorded already, expected no log there; remove it to record another motion")
     (trial,) = device.record([command], len(before), clock_s)
     return write_csv(trial, log)
 
@@ -245,10 +243,9 @@ def diagnose_all(todo: Sequence[DiagnosisJob], processes: int, progress: Progres
 
 def _recorded(job: DiagnosisJob) -> bool:
     """Record the proposed motion on the case's device; False where there is no such device or the motion is unfit."""
-    if _followed(job):
-        return True
     try:
-        record_motion(job.folder, job.case, job.folder / "diagnoses" / job.case / NEXT_MOTION)
+        while len(_later(job.folder, job.case)) < _RECORDED:
+            record_motion(job.folder, job.case, job.folder / "diagnoses" / job.case / NEXT_MOTION)
     except HystmpcError as error:
         write_atomically(job.out / FAILURE, f"{error}\n")
         return False
@@ -257,5 +254,10 @@ def _recorded(job: DiagnosisJob) -> bool:
 
 def _followed(job: DiagnosisJob) -> list[Trial]:
     """Trials recorded because a diagnosis asked for them."""
-    logs = job.folder / "follow_up" / job.case
-    return read_trials([logs]) if job.kind == "follow_up_diagnoses" and logs.is_dir() else []
+    return _later(job.folder, job.case) if job.kind == "follow_up_diagnoses" else []
+
+
+def _later(folder: Path, case: str) -> list[Trial]:
+    """Trials of a case that were recorded after those it was made with."""
+    logs = folder / "follow_up" / case
+    return read_trials([logs]) if logs.is_dir() else []

@@ -10,16 +10,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from hystmpc.gap.residual.localise import PLACES, place_labels
 from hystmpc.models.simulator import Simulator, load_simulator, save_simulator
 from hystmpc.trials.config import Settings
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.read import read_trials
-from hystmpc.trials.segments import Motion, segment
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
@@ -45,10 +44,8 @@ Suite = Literal[
 FORMAT = "hystmpc-blind/1"
 ANSWERS = "answers.json"
 MANIFEST = "manifest.json"
-REGIONS = ("loading", "unloading", "after_reversal", "hold", "first_flexure")
 DENSE = 1.25
 """Density from which on a region counts as one in which the gap lies."""
-_WIDTH = 0.1  # travel after a reversal, as a share of the range
 
 
 class EffectAnswer(Settings):
@@ -254,28 +251,9 @@ def digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
-def region_of(trial: Trial) -> NDArray[np.intp]:
-    """Index into `REGIONS` of every sample (T,).
-
-    A hold is a hold; else before the first reversal it is the first flexure; else within a tenth of the travel after
-    a reversal it is that; else loading or unloading.
-    """
-    segments = segment(trial)
-    region = np.where(segments.labels >= Motion.LOADING, 0, 1).astype(np.intp)
-    span = max(float(np.ptp(trial.command)), 1e-9)
-    for turn in segments.reversals:
-        away = np.abs(trial.command[turn:] - trial.command[turn]) > _WIDTH * span
-        stop = turn + (int(np.argmax(away)) if away.any() else away.size)
-        region[turn + 1 : stop] = 2
-    if segments.reversals.size:
-        region[: segments.reversals[0] + 1] = 4
-    region[segments.labels == Motion.HOLD] = 3
-    return region
-
-
 def densities(trials: Sequence[Trial], errors: Sequence[Vec]) -> dict[str, float]:
     """Share of the squared error over share of the samples, by region; regions without samples are left out."""
-    region = np.concatenate([region_of(trial) for trial in trials])
+    region = np.concatenate([place_labels(trial) for trial in trials])
     square = np.concatenate(list(errors)) ** 2
     total = max(float(square.mean()), 1e-12)
-    return {name: float(square[region == k].mean()) / total for k, name in enumerate(REGIONS) if np.any(region == k)}
+    return {name: float(square[region == k].mean()) / total for k, name in enumerate(PLACES) if np.any(region == k)}

@@ -25,7 +25,7 @@ def noise(own: Trial, seed: int = 0) -> np.ndarray:
 def at(residual: dict[str, float], sigma: float = 0.05) -> Localisation:
     """A constant error per place, and noise."""
     sizes = np.array([residual.get(place, 0.0) for place in PLACES])
-    errors = [sizes[place_labels(own, WIDTH)] + sigma * noise(own, k) for k, own in enumerate(TRIALS)]
+    errors = [sizes[place_labels(own)] + sigma * noise(own, k) for k, own in enumerate(TRIALS)]
     return localise(TRIALS, errors, WIDTH)
 
 
@@ -35,7 +35,7 @@ def test_shares_add_up_and_densities_average_to_one(seed: int) -> None:
     random = np.random.default_rng(seed)
     errors = [random.normal(0, random.uniform(0.1, 2), len(own)) + random.normal() for own in TRIALS]
     found = localise(TRIALS, errors, WIDTH, seed)
-    labels = np.concatenate([place_labels(own, WIDTH) for own in TRIALS])
+    labels = np.concatenate([place_labels(own) for own in TRIALS])
     time = np.bincount(labels, minlength=len(PLACES)) / labels.size
     assert sum(place.share for place in found.places.values()) == pytest.approx(1)
     assert sum(found.places[name].density * time[k] for k, name in enumerate(PLACES)) == pytest.approx(1)
@@ -62,8 +62,8 @@ def test_an_even_error_has_density_one_everywhere() -> None:
 def test_intervals_cover_the_share_nine_times_in_ten() -> None:
     inside = []
     for seed in range(60):
-        errors = [(1 + (place_labels(own, WIDTH) == 3)) * noise(own, 50 * seed + k) for k, own in enumerate(TRIALS)]
-        labels = np.concatenate([place_labels(own, WIDTH) for own in TRIALS])
+        errors = [(1 + (place_labels(own) == 3)) * noise(own, 50 * seed + k) for k, own in enumerate(TRIALS)]
+        labels = np.concatenate([place_labels(own) for own in TRIALS])
         expected = 4 * np.mean(labels == 3) / (4 * np.mean(labels == 3) + np.mean(labels != 3))
         low, high = localise(TRIALS, errors, WIDTH, seed).places["hold"].ci90
         inside.append(low <= expected <= high)
@@ -72,13 +72,21 @@ def test_intervals_cover_the_share_nine_times_in_ten() -> None:
 
 def test_labels_follow_their_precedence() -> None:
     own = trial(np.concatenate([np.linspace(0, 5, 51), np.full(50, 5.0), np.linspace(5, 0, 51), np.linspace(0, 3, 31)]))
-    names = [PLACES[k] for k in place_labels(own, WIDTH)]
+    names = [PLACES[k] for k in place_labels(own)]
     assert names[10] == "first_flexure"
     assert names[80] == "hold"  # though the command has not turned yet
     assert names[104] == "after_reversal"
     assert names[130] == "unloading"
     assert names[154] == "after_reversal"
     assert names[-1] == "loading"
+
+
+@given(st.floats(0.1, 100), st.floats(-50, 50))
+@settings(max_examples=10)
+def test_parts_of_a_motion_do_not_depend_on_the_unit_of_the_command(scale: float, offset: float) -> None:
+    for own in TRIALS[:3]:
+        other = Trial(own.t, scale * own.command + offset, own.angle)
+        assert np.mean(place_labels(other) != place_labels(own)) < 0.01  # rounding at the edges
 
 
 @pytest.mark.parametrize("hz", [0.3, 1.13, 3.4])

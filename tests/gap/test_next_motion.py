@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from hystmpc.gap.next.motion_design import (
     write_motion,
 )
 from hystmpc.gap.next.motion_menu import TEMPLATES, MenuMotion, menu
+from hystmpc.gap.next.open_hypotheses import open_explanations
 from hystmpc.trajectories.trajectory import read_sampled
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import FitError
@@ -229,3 +232,32 @@ def test_noise_of_no_size_is_refused(wrong: dict[str, float]) -> None:
 def test_one_candidate_is_not_a_choice() -> None:
     with pytest.raises(FitError, match="got 1 candidates"):
         propose((LAG,), MOTIONS, NOISE)
+
+
+def hypothesis(*names: str) -> Any:
+    """A hypothesis that is known by its causes alone."""
+    return SimpleNamespace(effects=frozenset(names), problem=SimpleNamespace(effects=names))
+
+
+def test_the_motion_asks_about_every_set_that_is_open() -> None:
+    chosen = hypothesis("lag", "contact")
+    others = [hypothesis(*names) for names in (("delay", "contact"), ("lag", "slack"), ("lag",), ("contact",))]
+    findings: Any = SimpleNamespace(
+        conclusion=SimpleNamespace(
+            chosen=chosen,
+            ruling=SimpleNamespace(
+                effects_unknown=False, ambiguity=(("lag", "delay"), ("contact", "slack", "trial_shift"))
+            ),
+        ),
+        attribution=SimpleNamespace(
+            retuned=hypothesis(),
+            selection=SimpleNamespace(tried={h.effects: SimpleNamespace(hypothesis=h) for h in (chosen, *others)}),
+        ),
+    )
+    found = {name: set(h.effects) for name, h in open_explanations(findings).items()}
+    assert found == {
+        "lag": {"lag", "contact"},  # what was chosen, once for both sets
+        "delay": {"delay", "contact"},
+        "slack": {"lag", "slack"},
+        "trial_shift": {"lag"},
+    }

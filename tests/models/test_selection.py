@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -58,6 +59,33 @@ def test_a_clear_third_cause_may_be_a_small_part_of_what_is_left() -> None:
     errors = {"nothing": 7.0, "delay": 5.0, "delay__creep": 3.8, "delay__creep__contact": 3.1}
     assert chosen(**errors) == {"delay", "creep", "contact"}
     assert chosen(uneven=0.3, **errors) == {"delay", "creep"}
+
+
+def by_trial(names: tuple[str, ...], *mse: float) -> HeldOutErrors:
+    """A hypothesis with an error of each trial [deg^2]."""
+    made, blocks = judged(names, float(np.mean(mse))), BLOCKS // 6
+    run = np.repeat(np.arange(len(mse)), blocks)
+    return replace(made, energy=SAMPLES * np.repeat(mse, blocks), samples=np.full(run.size, SAMPLES), run=run)
+
+
+def shifts_chosen(before: list[float], after: list[float]) -> bool:
+    """Whether shifts are chosen that lower the errors of trials so [deg^2]."""
+    tried = {j.hypothesis.effects: j for j in (by_trial((), *before), by_trial(("trial_shift",), *after))}
+    return "trial_shift" in select_again(tried, SETTINGS, FLOOR).chosen.hypothesis.effects
+
+
+@given(st.floats(1.0, 10.0), st.integers(6, 8), st.integers(1, 3))
+def test_shifts_recur_where_several_trials_differ_and_not_where_one_does(size: float, trials: int, odd: int) -> None:
+    """The retuned simulator lies at the mean of all trials."""
+    shift = np.where(np.arange(trials) < odd, size, 0.0)
+    errors = (shift - shift.mean()) ** 2 + FLOOR
+    assert shifts_chosen(errors.tolist(), [FLOOR] * trials) == (odd > 1)
+
+
+def test_unequal_trials_recur_if_shifts_explain_every_one() -> None:
+    before = [0.1, 0.2, 0.3, 0.4, 2.0, 4.0, 20.0]  # the median is a tenth of the mean
+    assert shifts_chosen(before, [FLOOR] * 7)
+    assert not shifts_chosen(before, [0.08, *[FLOOR] * 6])
 
 
 def test_shifts_do_not_hide_a_drift_that_shows_within_trials() -> None:

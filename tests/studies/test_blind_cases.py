@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hystmpc.gap.residual.localise import PLACES, place_labels
 from hystmpc.studies.blind.cases import sized
 from hystmpc.studies.blind.device import DEVICES
 from hystmpc.studies.blind.generators import GENERATORS, LABELS, Withheld, generator_named
@@ -21,12 +22,10 @@ from hystmpc.studies.blind.run import record_motion
 from hystmpc.studies.blind.sealed import (
     ANSWERS,
     MANIFEST,
-    REGIONS,
     densities,
     open_answers,
     read_case,
     read_manifest,
-    region_of,
 )
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError, LogError
@@ -261,12 +260,10 @@ def test_regions_are_exclusive_and_densities_average_one() -> None:
     t = np.arange(1200) / 25
     command = np.interp(t, [0, 1, 5, 15, 20, 30, 48], [0, 0, 5, 5, 1, 4, 0])
     trial = Trial(t, command, command)
-    region = region_of(trial)
-    assert {REGIONS[k] for k in np.unique(region)} == set(REGIONS)
-    assert REGIONS[region[250]] == "hold"
-    assert REGIONS[region[80]] == "first_flexure"
+    region = place_labels(trial)
+    assert {PLACES[k] for k in np.unique(region)} == set(PLACES)
     error = np.random.default_rng(0).standard_normal(t.size)
     found = densities([trial], [error])
-    shares = {name: float(np.mean(region == k)) for k, name in enumerate(REGIONS)}
+    shares = {name: float(np.mean(region == k)) for k, name in enumerate(PLACES)}
     assert sum(found[name] * shares[name] for name in found) == pytest.approx(1.0)
     assert densities([trial], [(region == 3).astype(float)])["hold"] == pytest.approx(1 / shares["hold"])

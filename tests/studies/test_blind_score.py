@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.effects.catalogue import confusable
-from hystmpc.studies.blind.bars import bars, metrics, orders_bar, true_share
+from hystmpc.studies.blind.bars import bars, metrics, orders_bar, resolved, true_share
 from hystmpc.studies.blind.generators import ALIASED_RATE, CONFIGURATION, LABELS, SCATTER
 from hystmpc.studies.blind.measures import Rate, calibration, chance, confusion, overlap, resampled
 from hystmpc.studies.blind.reading import DiagnosisReading, ScoredCase, reading_of
@@ -96,6 +96,26 @@ def test_a_configuration_needs_its_groups_beside_its_name() -> None:
     assert not replace(right, reading=named("trial_shift")).right
     part = replace(right, reading=replace(right.reading, groups=(frozenset((2,)), frozenset((4, 3)))))
     assert part.right  # a trial that the diagnosis left out belongs to no group
+
+
+@pytest.mark.parametrize(
+    ("truth", "after", "right"),
+    [
+        (("lag",), named("lag"), True),
+        (("lag",), named("delay"), False),
+        (("lag",), named("lag", "delay"), False),
+        (("lag",), replace(named("lag"), verdict="one_of", ambiguity=(frozenset({"lag", "delay"}),)), False),
+        (("lag",), DiagnosisReading("unknown"), False),
+        (("creep",), named("creep"), True),  # neither of the two that were open
+        (("creep",), named("contact"), False),
+        (("creep",), DiagnosisReading("none"), False),
+        ((), DiagnosisReading("none"), True),
+        ((), named("contact"), False),
+    ],
+)
+def test_a_motion_resolves_what_it_leaves_true(truth: tuple[str, ...], after: DiagnosisReading, right: bool) -> None:
+    asked = replace(named("delay"), verdict="one_of", ambiguity=(frozenset({"delay", "lag"}),))
+    assert resolved(ScoredCase("001", answer("single", truth), asked, after)) == right
 
 
 def test_orders_count_against_the_usual_set_of_their_case() -> None:
