@@ -73,6 +73,7 @@ class VerdictSettings:
         nearer_errors: ... and by how many standard errors.
         significant_drift: standard errors by which a drift has to show within trials to be told apart from shifts
             between them.
+        scatter: chance by which shifts that scatter follow the clock so well, below which they are a drift.
         confirmed_alone, confirmed_several: share of the gap on the final trials that one cause, or several, must close.
         confirmed_left: RMSE with all causes over noise and model-form error, up to which they are confirmed as well.
         noise_share: share of the remaining error from which noise and resolution of the sensor are named.
@@ -98,6 +99,7 @@ class VerdictSettings:
     nearer: float = 0.2
     nearer_errors: float = 1.5
     significant_drift: float = 3.0
+    scatter: float = 0.01
     confirmed_alone: float = 0.55
     confirmed_several: float = 0.8
     confirmed_left: float = 2.4
