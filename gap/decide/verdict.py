@@ -109,7 +109,7 @@ class VerdictSettings:
     moved: float = 2.0
     lowered: float = 1.2
     friction: float = 0.6
-    width_grown: float = 1.3
+    width_grown: float = 1.35
     anew: float = 0.9
 
 

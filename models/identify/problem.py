@@ -124,18 +124,19 @@ def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest
     z-transform: a table of all waves at all samples grows with the square of the duration, to gigabytes at ten minutes.
     """
     longest = max(error.size * run.dt_s for run, error in zip(runs, errors, strict=True))
-    grid = np.arange(lowest_hz, highest_hz, 0.25 / longest)
+    step_hz = 0.25 / longest
+    grid = np.arange(step_hz, highest_hz, step_hz)  # from below `lowest_hz`, where a motion may leak from
     power = np.empty((len(runs), grid.size))
-    stop_hz = lowest_hz + grid.size * 0.25 / longest
+    stop_hz = (grid.size + 1) * step_hz
     for own, run, error in zip(power, runs, errors, strict=True):
         signal = np.zeros(run.counts.size)
         signal[run.counts] = error - error.mean()
-        waves = zoom_fft(signal, [lowest_hz * run.dt_s, stop_hz * run.dt_s], grid.size, fs=1)
+        waves = zoom_fft(signal, [step_hz * run.dt_s, stop_hz * run.dt_s], grid.size, fs=1)
         own[:] = np.abs(waves) ** 2 / error.size
     seconds = np.array([error.size * run.dt_s for run, error in zip(runs, errors, strict=True)])
     hidden = motions_own(runs, grid)
     hidden |= power.sum(axis=0) < _LEAKS * leaked_power(power, grid, hidden, seconds)
-    power = np.where(hidden, 0.0, power.sum(axis=0))
+    power = np.where(hidden | (grid < lowest_hz), 0.0, power.sum(axis=0))
     k = int(np.argmax(power))
     if power[k] <= 0:
         return 0.0
