@@ -330,7 +330,7 @@ def _retuned(ruling: Ruling, gap: Gap, moved: Sequence[Moved]) -> str:
     said = f"numbers of the same structure have moved, nothing is missing in it: {numbers}; {fall}"
     if ruling.case == "moved":
         return said
-    return f"{said}; the rest is the form error of this simulator, which is larger with the friction as it is now"
+    return f"{said}; the rest is the form error of this simulator with the friction as it is now: identify it anew"
 
 
 def moved_words(row: Moved) -> str:
