@@ -197,9 +197,9 @@ class _Search:
         fall, error = gain(present, other)
         left = present.hypothesis.effects - other.hypothesis.effects
         come = other.hypothesis.effects - present.hypothesis.effects
-        if (left, come) == ({"trial_shift"}, {"drift"}):
+        if left == {"trial_shift"} and come == {"drift"}:
             return self._on_a_line(present, other)
-        if (left, come) == ({"drift"}, {"trial_shift"}):
+        if left == {"drift"} and come == {"trial_shift"}:
             return fall > error and not self._on_a_line(other, present)
         for generic, share in self._settings.gives_way:
             if generic in left:
