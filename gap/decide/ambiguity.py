@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import beta
 
 from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.identify.cross_validation import (
@@ -16,7 +17,7 @@ from hystmpc.models.identify.cross_validation import (
     gain,
     mean_square_difference,
 )
-from hystmpc.models.identify.selection import Selection
+from hystmpc.models.identify.selection import Selection, line_share
 from hystmpc.models.identify.uncertainty import uncertainty
 
 from .verdict import VerdictSettings
@@ -36,7 +37,8 @@ def ambiguity_of(
 ) -> tuple[tuple[str, ...], ...]:
     """For each chosen effect the others that could replace it; sets of fewer than two are left out.
 
-    A drift and shifts between trials are told apart by the drift within the trials.
+    A drift and shifts between trials are told apart by the drift within the trials, or by shifts that follow the clock
+    as scatter does not.
 
     Args:
         selection: of the causes.
@@ -53,8 +55,12 @@ def ambiguity_of(
             if not exchanged or _told_apart(chosen, judged, settings):
                 continue
             (other,) = tried - rest
-            if (effect, other) != ("drift", "trial_shift") or not drift_shows(chosen.hypothesis):
-                others.append(other)
+            if (effect, other) == ("drift", "trial_shift"):
+                neither = selection.tried.get(rest)
+                share = line_share(neither, judged, chosen) if neither else 0.0
+                if _no_scatter(share, len(chosen.errors), settings) or drift_shows(chosen.hypothesis):
+                    continue
+            others.append(other)
         if others:
             found.append((effect, *others))
     return tuple(found)
@@ -72,6 +78,14 @@ def _told_apart(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSe
     """
     fall, error = gain(other, chosen)
     return fall > settings.nearer * mean_square_difference(chosen, other) and fall > settings.nearer_errors * error
+
+
+def _no_scatter(share: float, trials: int, settings: VerdictSettings) -> bool:
+    """Whether a line through the shifts of so many trials explains a share that independent ones rarely reach.
+
+    The share r^2 of independent normal shifts has the distribution Beta(1/2, (N - 2)/2).
+    """
+    return trials > 2 and bool(beta.sf(min(share, 1.0), 0.5, 0.5 * (trials - 2)) < settings.scatter)
 
 
 def drift_is_significant(validation: CrossValidation, hypothesis: Hypothesis, errors: float) -> bool:

@@ -23,7 +23,7 @@ from .ambiguity import ambiguity_of, drift_is_significant, inclusion_shares
 from .gap_closed import GapClosed, measure
 from .jumps import Jumps, find_jumps
 from .lack_of_fit import structure_left
-from .retuning import Retuning, retuning_of
+from .retuning import Retuning, anew_share, retuning_of, width_grown
 from .verdict import FinalFacts, Ruling, VerdictFacts, VerdictSettings, decide_verdict
 
 _LEAST_MSE = 1e-9
@@ -115,6 +115,10 @@ def attribute(
     if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
         library, without = (), (*left_out, *OWN_TO_TRIALS)
     selection = select(validation, library, settings.selection, floor_mse, without, advance)
+    baseline, grown = selection.baseline, width_grown(selection.chosen.hypothesis)
+    retuning = Retuning() if unusable else retuning_of(prepared, retuned, baseline.mse)
+    if not unusable and grown >= settings.verdict.width_grown:
+        retuning = replace(retuning, anew_share=anew_share(prepared, validation, baseline, floor_mse))
     return Attribution(
         validation=validation,
         retuned=retuned,
@@ -123,9 +127,9 @@ def attribute(
         jumps=jumps if jumping else None,
         facts=VerdictFacts(
             effects=selection.chosen.hypothesis.effects,
-            retuned_mse=selection.baseline.mse,
+            retuned_mse=baseline.mse,
             chosen_mse=selection.chosen.mse,
-            retuned_fit_mse=selection.baseline.hypothesis.mse,
+            retuned_fit_mse=baseline.hypothesis.mse,
             floor_mse=floor_mse,
             form_mse=prepared.form_mse or floor_mse,
             structure_left=structure_left(selection, validation.runs, floor_mse, settings.verdict),
@@ -134,7 +138,8 @@ def attribute(
             jumps=jumping,
             too_little=bool(prepared.too_little),
             unrelated=bool(prepared.checked.unrelated),
-            retuning=Retuning() if unusable else retuning_of(prepared, retuned, selection.baseline.mse),
+            retuning=retuning,
+            width_grown=grown,
         ),
     )
 
@@ -230,7 +235,8 @@ def _without(
     less = validation.polished(validation.without(chosen, {dropped}))
     judged = attribution.selection.tried.get(kept) or validation.judge(less)
     ambiguity = tuple(names for names in facts.ambiguity if names[0] in kept)
-    return replace(facts, effects=kept, chosen_mse=judged.mse, ambiguity=ambiguity), less
+    facts = replace(facts, effects=kept, chosen_mse=judged.mse, ambiguity=ambiguity, width_grown=width_grown(less))
+    return facts, less
 
 
 def _sensor_matters(prepared: PreparedTrials, selection: Selection, settings: VerdictSettings) -> bool:

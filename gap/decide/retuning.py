@@ -7,8 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis, gain
+from hystmpc.models.effects.effect import Scale
+from hystmpc.models.identify.baseline import FreeCoreBaseline
+from hystmpc.models.identify.cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
+from hystmpc.models.identify.parts import core_forms
 from hystmpc.models.identify.uncertainty import ParameterRow, core_rows
+from hystmpc.models.operators.curved_plays import CurvedPlays
+from hystmpc.trials.errors import FitError
 
 from ..diagnosis import Moved
 from ..logs.preparation import PreparedTrials
@@ -33,11 +38,13 @@ class Retuning:
         grown_form_mse: model-form error that is to be expected of the retuned simulator [deg^2]; zero where the
             simulator's own is unknown.
         friction_share: of the retuned error above the noise, that plays of other weights and widths explain.
+        anew_share: of the retuned error above the floor, that a core identified anew explains (`anew_share`).
     """
 
     moved: float = 1.0
     grown_form_mse: float = 0.0
     friction_share: float = 0.0
+    anew_share: float = 0.0
 
 
 def retuned_with(
@@ -87,6 +94,45 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
         still + grown**2 * (form - still) if form else 0.0,
         friction_share(prepared.checked.trials, residuals, noise) if after > _LEAST_LEFT * before else 0.0,
     )
+
+
+def width_grown(hypothesis: Hypothesis) -> float:
+    """Width of the loop along the command in a hypothesis, its effects set aside, over that of the simulator as given.
+
+    Effects take their part of the width: what is left is what the friction of the core has become.
+    """
+    problem = hypothesis.problem
+    before, after = (
+        problem.baseline.quantities(z)["backlash_width"]
+        for z in (problem.baseline.nominal, problem.retuned(hypothesis.q))
+    )
+    return after / before if before > 0 else 1.0
+
+
+def anew_share(
+    prepared: PreparedTrials, validation: CrossValidation, retuned: HeldOutErrors, floor_mse: float
+) -> float:
+    """Share of the retuned error above the floor that a core identified anew explains held out, 0 to 1.
+
+    It is a sum of plays with a free curve each, all of it fitted: the richest structure of a static loop. It takes up
+    whatever does not depend on time, as a friction of any spread, and what a tendon that only pulls does beyond it.
+
+    Args:
+        prepared: trials.
+        validation: development runs.
+        retuned: errors of the retuned simulator on them.
+        floor_mse: below which an error carries no evidence [deg^2].
+    """
+    try:
+        forms = core_forms(prepared.checked.trials, Scale.of(validation.runs))
+    except FitError:
+        return 0.0
+    curved = (chain for form in forms for chain in form.starts if isinstance(chain.core, CurvedPlays))
+    if (chain := next(curved, None)) is None:
+        return 0.0
+    anew = replace(validation, baseline=FreeCoreBaseline(chain, prepared.baseline.command, free_widths=True))
+    fall = retuned.mse - anew.judge(anew.retuned()).mse
+    return float(np.clip(fall / max(retuned.mse - floor_mse, 1e-12), 0.0, 1.0))
 
 
 def moved_numbers(

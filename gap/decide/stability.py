@@ -22,6 +22,7 @@ from .ambiguity import ambiguity_of
 from .attribution import Attribution, Conclusion, DiagnosisSettings, drift_test
 from .closed_share import Shares
 from .lack_of_fit import structure_left
+from .retuning import width_grown
 from .verdict import FinalFacts, Ruling, VerdictFacts, decide_verdict
 
 RESAMPLES = 40
@@ -146,6 +147,7 @@ class _Again:
             retuned_mse=selection.baseline.mse,
             chosen_mse=selection.chosen.mse,
             structure_left=self._structure_left(self._tried[names]),
+            width_grown=width_grown(selection.chosen.hypothesis),
             ambiguity=ambiguity_of(selection, settings, self._drift_shows),
         )
         explained = decide_verdict(facts, settings).explained
@@ -195,7 +197,8 @@ class _Again:
         )
         if kept and kept != facts.effects:
             ambiguity = tuple(names for names in facts.ambiguity if names[0] in kept)
-            facts = replace(facts, effects=kept, chosen_mse=tried[kept].mse, ambiguity=ambiguity)
+            grown, mse = width_grown(tried[kept].hypothesis), tried[kept].mse
+            facts = replace(facts, effects=kept, chosen_mse=mse, ambiguity=ambiguity, width_grown=grown)
         return decide_verdict(replace(facts, final=closed), settings)
 
 

@@ -73,6 +73,7 @@ class VerdictSettings:
         nearer_errors: ... and by how many standard errors.
         significant_drift: standard errors by which a drift has to show within trials to be told apart from shifts
             between them.
+        scatter: chance by which shifts that scatter follow the clock so well, below which they are a drift.
         confirmed_alone, confirmed_several: share of the gap on the final trials that one cause, or several, must close.
         confirmed_left: RMSE with all causes over noise and model-form error, up to which they are confirmed as well.
         noise_share: share of the remaining error from which noise and resolution of the sensor are named.
@@ -82,6 +83,9 @@ class VerdictSettings:
         lowered: ... and the same where the retuned one leaves more than its form error had been.
         friction: share of the retuned error that plays of other weights and widths have to explain for it to be the
             form error of a friction that has changed.
+        width_grown: width of the loop with the effects in place, over the given one, from which the friction has
+            grown so far that effects may be what it does: a tendon that only pulls goes slack under it, for example.
+        anew: share of the structural error that a core identified anew has to explain for them to be that.
     """
 
     no_gap: float = 2.2
@@ -95,6 +99,7 @@ class VerdictSettings:
     nearer: float = 0.2
     nearer_errors: float = 1.5
     significant_drift: float = 3.0
+    scatter: float = 0.01
     confirmed_alone: float = 0.55
     confirmed_several: float = 0.8
     confirmed_left: float = 2.4
@@ -104,6 +109,8 @@ class VerdictSettings:
     moved: float = 2.0
     lowered: float = 1.2
     friction: float = 0.6
+    width_grown: float = 1.35
+    anew: float = 0.9
 
 
 @dataclass(frozen=True)
@@ -139,6 +146,7 @@ class VerdictFacts:
         jumps: whether the tip sticks and slips in steady motion.
         too_little, unrelated: whether the trials are too short, or no angle follows its command.
         retuning: what retuning did.
+        width_grown: width of the loop with the selected effects in place, over the given one.
         final: errors on the final trials with the causes that were selected; None before these are evaluated.
     """
 
@@ -155,6 +163,7 @@ class VerdictFacts:
     too_little: bool = False
     unrelated: bool = False
     retuning: Retuning = field(default_factory=Retuning)
+    width_grown: float = 1.0
     final: FinalFacts | None = None
 
 
@@ -210,9 +219,8 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
     | sensor_beside_unknown | in place of (b): repairing the sensor closes >= `least_closed` of the gap   | named      |
     | at_floor              | in place of any other unknown: the retuned error is that of the noise       | none       |
     | moved                 | in place of any none: the error fell by retuning                            | retuned    |
-    | reshaped              | in place of any unknown, and of asymmetry, curved gain, shifts: the error   | retuned    |
-    |                       | fell by retuning, and the rest is form error, of a loop that is so much     |            |
-    |                       | higher, or of a friction that plays of other weights and widths would follow|            |
+    | reshaped              | the error fell by retuning, and a core of the same structure explains the   | retuned    |
+    |                       | rest: one row of the table of `_reshaped`                                   |            |
 
     Effects that are not in the library are imitated by others, mostly several at once, that close a part of the gap:
     therefore several effects have to close more on the final trials than one alone.
@@ -254,12 +262,30 @@ def _retuned_case(case: VerdictCase, facts: VerdictFacts, settings: VerdictSetti
     found, verdict = facts.retuning, VERDICTS[case]
     if verdict == "none":
         return "moved" if found.moved >= settings.moved else case
-    retuned = min(facts.retuned_mse, facts.retuned_fit_mse)
-    form_error = retuned < settings.no_gap * found.grown_form_mse or found.friction_share >= settings.friction
-    mended = verdict in ("named", "one_of") and bool(facts.effects) and facts.effects <= _MENDS_FORM
-    mended = mended and not facts.sensor and not facts.jumps
-    form_error = form_error and found.moved >= settings.lowered
-    return "reshaped" if form_error and (verdict == "unknown" or mended) else case
+    beside = facts.sensor or facts.jumps  # not of the core
+    replaced = verdict == "unknown" or (verdict in ("named", "one_of") and not beside)
+    lowered = found.moved >= settings.lowered
+    return "reshaped" if replaced and lowered and _reshaped(verdict, facts, settings) else case
+
+
+def _reshaped(verdict: Verdict, facts: VerdictFacts, settings: VerdictSettings) -> bool:
+    """Whether a core of the same structure explains what retuning leaves; any one row is enough.
+
+    | the error is                                                | in place of                                      |
+    |-------------------------------------------------------------|--------------------------------------------------|
+    | form error of a loop that is so much higher                 | unknown; asymmetry, curved gain, shifts          |
+    | such that plays of other weights and widths follow it       | the same; effects that explain less of it        |
+    | such that a core identified anew follows it, and the loop   | anything                                         |
+    | is far wider than it was, with the effects in place         |                                                  |
+    """
+    found, retuned = facts.retuning, min(facts.retuned_mse, facts.retuned_fit_mse)
+    vague = verdict == "unknown" or (bool(facts.effects) and facts.effects <= _MENDS_FORM)
+    higher = retuned < settings.no_gap * found.grown_form_mse
+    closed = (facts.retuned_mse - facts.chosen_mse) / max(facts.retuned_mse - facts.floor_mse, 1e-12)
+    spread = found.friction_share >= settings.friction
+    better = bool(facts.effects) and found.friction_share >= closed
+    wider = facts.width_grown >= settings.width_grown and found.anew_share >= settings.anew
+    return (vague and (higher or spread)) or (better and spread) or wider
 
 
 def _confirmed(facts: VerdictFacts, settings: VerdictSettings) -> bool:
@@ -304,7 +330,7 @@ def _retuned(ruling: Ruling, gap: Gap, moved: Sequence[Moved]) -> str:
     said = f"numbers of the same structure have moved, nothing is missing in it: {numbers}; {fall}"
     if ruling.case == "moved":
         return said
-    return f"{said}; the rest is the form error of this simulator, which is larger with the friction as it is now"
+    return f"{said}; the rest is the form error of this simulator with the friction as it is now: identify it anew"
 
 
 def moved_words(row: Moved) -> str:

@@ -98,7 +98,8 @@ def friction_share(trials: Sequence[Trial], residuals: Sequence[Vec], noise_deg:
     is what a Prandtl-Ishlinskii model of other weights and widths would add to the simulator: friction that has grown
     or is spread in another way. Ridge regression, each trial left out once. The plays begin where the command came
     down to its start, rose to it, or never moved before; the best of the three counts. What comes before the first
-    reversal of a trial does not count: a set that is taken on the first way looks like friction.
+    reversal of a trial does not count: a set that is taken on the first way looks like friction. A trial weighs by its
+    RMS, not by its energy: one large motion that is like no other cannot be predicted from the others.
 
     Args:
         trials: uniform, at one rate.
@@ -107,9 +108,11 @@ def friction_share(trials: Sequence[Trial], residuals: Sequence[Vec], noise_deg:
     """
     require_residuals(trials, residuals)
     starts = [int(next(iter(segment(trial).reversals), 0)) for trial in trials]
-    targets = _folded([own[k:] for own, k in zip(residuals, starts, strict=True)])
-    energy = sum(float(y @ y) for y in targets)
-    noise = noise_deg**2 * sum(y.size for y in targets)
+    targets = _folded([error[k:] for error, k in zip(residuals, starts, strict=True)])
+    own = np.array([float(y @ y) for y in targets])
+    weights = 1 / np.sqrt(np.maximum(own, np.finfo(np.float64).tiny))
+    energy = float(own @ weights)
+    noise = noise_deg**2 * float(np.array([y.size for y in targets]) @ weights)
     if energy <= noise:
         return 0.0
     span = max(float(np.ptp(trial.command)) for trial in trials) or 1.0
@@ -120,7 +123,7 @@ def friction_share(trials: Sequence[Trial], residuals: Sequence[Vec], noise_deg:
             np.column_stack([trial.command, play_states(trial.command, half, side)])[k:] / span
             for trial, k in zip(trials, starts, strict=True)
         ]
-        missed.append(_held_out(_folded(rows), targets, _STIFF).sum(axis=1).min())
+        missed.append(float((_held_out(_folded(rows), targets, _STIFF) @ weights).min()))
     return float(np.clip((energy - min(missed)) / (energy - noise), 0.0, 1.0))
 
 

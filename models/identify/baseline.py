@@ -29,6 +29,7 @@ class Baseline(ABC):
 
     Attributes:
         chain: the nominal chain.
+        command: range of the command [cmd].
         nominal, lower, upper, scale: of z.
         effects: position in z of what retuning leaves alone, because it is an effect: {effect: {name: position}}.
         held: positions in z of what is chosen and never fitted.
@@ -39,6 +40,7 @@ class Baseline(ABC):
     """
 
     chain: Chain
+    command: Range
     nominal: Vec
     lower: Vec
     upper: Vec

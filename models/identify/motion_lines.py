@@ -56,3 +56,26 @@ def motions_own(runs: Sequence[Run], hz: Vec) -> Mask:
         nearest = np.where(order <= _LOW_ORDERS, low, high)
         own += length * (np.abs(hz - order * fundamental) <= nearest)
     return np.asarray(own >= _MOST * seconds.sum())
+
+
+def leaked_power(power: Vec, hz: Vec, own: Mask, seconds: Vec) -> Vec:
+    """Power (F,) that runs of finite length leak from the highest line within each own band to other frequencies.
+
+    A wave of power P that lasts T seconds has at most P / (pi d T)^2 at a distance d from its frequency, and P nearer
+    than 1 / (pi T) (Harris, On the use of windows, Proc. IEEE 66, 1978: rectangular window).
+
+    Args:
+        power: of each run (R, F).
+        hz: the frequencies (F,) [Hz].
+        own: those of the motion (F,).
+        seconds: of each run (R,) [s].
+    """
+    leaked, whole = np.zeros(hz.size), power.sum(axis=0)
+    edges = np.flatnonzero(np.diff(own, prepend=False, append=False))
+    for first, stop in edges.reshape(-1, 2):
+        k = first + int(np.argmax(whole[first:stop]))
+        if whole[max(k - 1, 0) : k + 2].max() > whole[k]:
+            continue  # the flank of a line outside
+        for height, length in zip(power[:, k], seconds, strict=True):
+            leaked += height / np.maximum(1.0, (np.pi * (hz - hz[k]) * length) ** 2)
+    return leaked

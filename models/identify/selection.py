@@ -41,7 +41,8 @@ class SelectionSettings:
         gives_way: generic effects, and the share of what they explain by which another cause may be worse and is still
             preferred.
         width_share: error with a width of each trial, over that with its offset and gain alone, below which it has one.
-        line_of_shifts: the same for `trial_shift` where the other is a drift, which has one number for all trials.
+        line_of_shifts: of what shifts of the trials explain in the fit, the part that a drift may leave that makes
+            them needless: it has one number for all trials.
         variants: forms of one effect that are tried again once it was tried alone.
         judged: candidates of a round that are judged on held-out trials; the others only by their fit.
         lowest_hz, highest_hz: where a periodic disturbance is looked for.
@@ -154,6 +155,8 @@ class _Search:
         within = new == {"drift"} and "trial_shift" in before.hypothesis.effects
         if within and fall > settings.drift_errors * error:
             whole = 0.0  # shifts explain what it does between trials: by the whole error it would always seem small
+        if new == {"trial_shift"} and "drift" in before.hypothesis.effects and self._on_a_line(after, before):
+            return False
         if new & OWN_TO_TRIALS and not _recurs(before, after, new, settings):
             return False
         least = max(share * remaining, whole, settings.form_share * self._floor)
@@ -185,6 +188,11 @@ class _Search:
                     current = judged
         return current
 
+    def _on_a_line(self, shifts: HeldOutErrors, drift: HeldOutErrors) -> bool:
+        """Whether shifts of trials follow the clock, so that a drift without them is enough."""
+        neither = self._trials.known(shifts.hypothesis.effects & drift.hypothesis.effects - {"drift"})
+        return neither is not None and line_share(neither, shifts, drift) >= 1 - self._settings.line_of_shifts
+
     def _better(self, present: HeldOutErrors, other: HeldOutErrors, baseline: HeldOutErrors) -> bool:
         """Whether an exchange is an improvement; a generic effect gives way to one that does nearly as well."""
         if len(other.hypothesis.effects) != len(present.hypothesis.effects) or other is present:
@@ -192,9 +200,11 @@ class _Search:
         fall, error = gain(present, other)
         left = present.hypothesis.effects - other.hypothesis.effects
         come = other.hypothesis.effects - present.hypothesis.effects
-        for generic, usual in self._settings.gives_way:
-            drifts = generic == "trial_shift" and "drift" in come | left
-            share = self._settings.line_of_shifts if drifts else usual
+        if left == {"trial_shift"} and come == {"drift"}:
+            return self._on_a_line(present, other)
+        if left == {"drift"} and come == {"trial_shift"}:
+            return fall > error and not self._on_a_line(other, present)
+        for generic, share in self._settings.gives_way:
             if generic in left:
                 return fall > -share * (baseline.mse - present.mse)
             if generic in come:
@@ -349,6 +359,21 @@ def _recurs(before: HeldOutErrors, after: HeldOutErrors, new: AbstractSet[str], 
         fall > settings.everywhere * before.energy[own].sum() for fall, own in zip(falls, runs, strict=True)
     )
     return new == {"trial_shift"} and everywhere and falls.size > 1 and float(np.mean(np.sort(falls)[:-1])) > least
+
+
+def line_share(neither: HeldOutErrors, shifts: HeldOutErrors, drift: HeldOutErrors) -> float:
+    """Share of what shifts of the trials explain that a drift explains: how well these shifts follow the clock.
+
+    Both are compared by their fits. Held out, shifts are estimated on the trial itself and a drift on others, so that
+    its random walk about the line would count against it.
+
+    Args:
+        neither: without either.
+        shifts: with the shifts.
+        drift: with a drift, and without shifts.
+    """
+    rest = neither.hypothesis.mse
+    return (rest - drift.hypothesis.mse) / max(rest - shifts.hypothesis.mse, 1e-12)
 
 
 def select(

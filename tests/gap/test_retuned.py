@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.gap.decide.retuning import retuned_with, retuning_of
+from hystmpc.gap.decide.retuning import anew_share, retuned_with, retuning_of, width_grown
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Moved
 from hystmpc.gap.logs.motion_type import play_states
@@ -15,7 +17,10 @@ from hystmpc.gap.logs.preparation import prepare
 from hystmpc.gap.report.words import headline
 from hystmpc.gap.residual.memory import friction_share
 from hystmpc.models.chain import Chain
-from hystmpc.models.identify.cross_validation import CrossValidation
+from hystmpc.models.contract.metadata import Range
+from hystmpc.models.identify.baseline import BacklashBaseline, baseline_of
+from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
+from hystmpc.models.identify.problem import Problem
 from hystmpc.models.operators.curved_plays import CurvedPlays
 from hystmpc.models.operators.hysteresis import Backlash
 from hystmpc.models.simulator import Residual
@@ -84,6 +89,46 @@ def test_friction_explains_no_more_form_error_than_a_loop_of_this_device_can_hav
     assert grown[0.1] == 1.0
     assert shares[0.1] == 0.0
     assert 1.5 < grown[2.0] < 4.0 < grown[6.0] <= 16.0
+
+
+def test_a_core_identified_anew_follows_any_static_loop_and_no_wave() -> None:
+    """A dead zone of the command is static; a wave of its own clock is not."""
+    blunt = [np.maximum(u, 2.0) for u in COMMANDS]
+    dead = [replace(trial, command=u) for trial, u in zip(trials_of(Chain(BACKLASH), blunt), COMMANDS, strict=True)]
+    whole = trials_of(Chain(BACKLASH), COMMANDS)
+    waved = [replace(t, angle=t.angle + 5.0 * np.sin(3.0 * t.t + k)) for k, t in enumerate(whole)]
+    shares = []
+    for trials in (dead, waved):
+        prepared = prepare(trials, simulator_of(BACKLASH, KNOWN))
+        validation = CrossValidation(prepared.baseline, prepared.development)
+        judged = validation.judge(validation.retuned())
+        shares.append(anew_share(prepared, validation, judged, prepared.form_mse))
+    assert shares[0] > 0.9
+    assert shares[1] < 0.2
+
+
+@given(st.floats(0.5, 3.0))
+def test_the_width_has_grown_by_what_was_added(times: float) -> None:
+    baseline = baseline_of(Chain(BACKLASH), Range(lower=0.0, upper=6.0))
+    assert isinstance(baseline, BacklashBaseline)
+    before = baseline.quantities(baseline.nominal)["backlash_width"]
+    problem = Problem(baseline)
+    z = baseline.nominal + np.array([0.0, 0.0, (times - 1.0) * before, 0.0])
+    assert width_grown(Hypothesis(problem, problem.start(z, []), 1.0)) == pytest.approx(times, rel=0.01)
+
+
+def test_each_trial_weighs_by_its_size_and_not_by_its_energy() -> None:
+    """A wave in one trial of five leaves the share of friction in the other four, however large it is."""
+    friction = [play_states(t.command, np.array([0.3]), 1.0)[:, 0] - t.command for t in TRIALS]
+    few = share(
+        [
+            y + (9.0 * np.sin(7.0 * t.t) if k == 0 else 0.0)
+            for k, (t, y) in enumerate(zip(TRIALS, friction, strict=True))
+        ]
+    )
+    energy = sum(float(y @ y) for y in friction)
+    wave = float(np.sum((9.0 * np.sin(7.0 * TRIALS[0].t)) ** 2))
+    assert energy / (energy + wave) < 0.1 < few < share(friction)
 
 
 def test_widths_of_curved_plays_are_freed_where_the_error_asks_for_it() -> None:

@@ -35,6 +35,7 @@ OPEN = replace(EXPLAINED, chosen_mse=0.9)
 AMBIGUOUS = replace(EXPLAINED, ambiguity=(("lag", "delay"),))
 UNPROVEN = FinalFacts(closed_share=0.0, residual_ratio=1.0, unproven=True)
 GROWN = Retuning(2.0, 0.5, 0.6)
+ANEW = Retuning(2.0, anew_share=0.9)
 WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
 
 
@@ -88,6 +89,18 @@ WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
         (replace(EXPLAINED, effects=frozenset({"asymmetry"}), retuning=GROWN), "reshaped", "retuned"),
         (replace(EXPLAINED, effects=frozenset({"asymmetry"}), retuning=GROWN, jumps=True), "explained", "named"),
         (replace(NOTHING, jumps=True, retuning=GROWN), "jumps", "named"),
+        # plays of the core explain more than the effects
+        (replace(EXPLAINED, chosen_mse=0.5, retuning=GROWN), "reshaped", "retuned"),
+        (replace(EXPLAINED, chosen_mse=0.5, retuning=GROWN, sensor=True), "explained", "named"),
+        (replace(EXPLAINED, chosen_mse=0.5, retuning=Retuning(2.0, 0.5, 0.59)), "explained", "named"),
+        (replace(EXPLAINED, chosen_mse=0.5, retuning=Retuning(1.1, 0.5, 0.6)), "explained", "named"),
+        # a core identified anew explains what a friction does that has grown far
+        (replace(EXPLAINED, retuning=ANEW, width_grown=1.5), "reshaped", "retuned"),
+        (replace(AMBIGUOUS, retuning=ANEW, width_grown=1.5), "reshaped", "retuned"),
+        (replace(NOTHING, retuning=ANEW, width_grown=1.5), "reshaped", "retuned"),
+        (replace(EXPLAINED, retuning=ANEW, width_grown=1.3), "explained", "named"),
+        (replace(EXPLAINED, retuning=replace(ANEW, anew_share=0.89), width_grown=1.5), "explained", "named"),
+        (replace(EXPLAINED, retuning=ANEW, width_grown=1.5, jumps=True), "explained", "named"),
         # trials
         (replace(EXPLAINED, too_little=True), "too_little", "too_little"),
         (replace(EXPLAINED, too_little=True, unrelated=True), "too_little", "too_little"),

@@ -52,6 +52,18 @@ def test_a_disturbance_beside_the_motion_is_still_found() -> None:
     assert strongest_line(runs, errors, 0.15, 5.0) == pytest.approx(1.13, abs=1e-3)
 
 
+@given(st.floats(0.12, 0.5), st.integers(1, 3), st.floats(-0.9, 0.9), st.floats(0, 3))
+def test_a_wave_that_hides_under_the_motion_is_not_found_on_its_flanks(
+    hz: float, harmonic: int, away: float, phase: float
+) -> None:
+    """It lies within 1/T of a harmonic; what it leaks to frequencies beside is no line."""
+    runs = runs_of([triangle(hz, 40.0), triangle(hz, 48.0)])
+    wave = harmonic * hz + away / 88.0
+    errors = [np.sin(2 * np.pi * wave * DT * np.arange(r.command.size) + phase) for r in runs]
+    found = strongest_line(runs, errors, 0.15, 5.0)
+    assert found == 0.0 or abs(found - wave) > 4.0 / 40.0
+
+
 def test_a_motion_of_few_trials_hides_nothing() -> None:
     moves = [np.interp(DT * np.arange(1000), [0, 3, 9, 11, 30, 40], [0, 6, 1, 5, 2, 2]) for _ in range(3)]
     assert fundamental_hz(triangle(0.2, 40.0), DT) == pytest.approx(0.2, abs=1e-3)

@@ -93,3 +93,16 @@ def test_shifts_do_not_hide_a_drift_that_shows_within_trials() -> None:
     assert chosen(**errors, trial_shift__drift=0.15) == {"trial_shift", "drift"}
     assert chosen(**errors, trial_shift__lag=0.15) == {"trial_shift"}
     assert chosen(**errors, trial_shift__drift=0.25, uneven=0.1) == {"trial_shift"}
+
+
+@given(st.floats(0.0, 1.0))
+def test_shifts_that_follow_the_clock_are_a_drift(share: float) -> None:
+    """A drift that explains that share of what the shifts explain, alone or beside what they add to it."""
+    shifts = 0.5
+    drift = 10.0 - share * (10.0 - shifts)
+    found = chosen(nothing=10.0, trial_shift=shifts, drift=drift, trial_shift__drift=shifts - 0.1)
+    both = (10.0 - drift) / (10.0 - shifts + 0.1)
+    if both >= 1 - SETTINGS.line_of_shifts:
+        assert found == {"drift"}
+    elif share < 1 - SETTINGS.line_of_shifts:
+        assert "trial_shift" in found
