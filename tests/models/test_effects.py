@@ -109,6 +109,40 @@ def test_rate_dependence_lags_by_width_times_speed_and_lets_go_in_a_hold(speed: 
     np.testing.assert_array_equal(y[60:], ramp[-1])
 
 
+@given(speed=st.floats(0.2, 20.0), memory=st.floats(0.02, 1.0))
+def test_a_friction_that_remembers_the_speed_lets_go_by_and_by(speed: float, memory: float) -> None:
+    ramp = speed * np.arange(400) * DT
+    held = np.full(20, ramp[-1])
+    rate = effect_operator("rate_dependence", {"width_s": 0.1, "memory_s": memory})
+    behind = ramp[-1] - run_chain(Chain(rate), np.concatenate([ramp, held]))[400:]
+    np.testing.assert_allclose(behind, 0.1 * speed * np.exp(-np.arange(1, 21) * DT / memory), rtol=1e-6, atol=1e-6)
+
+
+@given(lean=st.floats(-2.0, 2.0), skew=st.floats(-0.8, 0.8), speed=st.floats(0.2, 20.0))
+def test_what_multiplies_a_pull_divides_a_release(lean: float, skew: float, speed: float) -> None:
+    rate = effect_operator("rate_dependence", {"width_s": 0.1, "lean": lean, "skew": skew})
+    up = speed * np.arange(400) * DT
+    u = np.concatenate([up, up[::-1]])
+    y = run_chain(Chain(rate), u)
+    pull, release = u[399] - y[399], y[-1] - u[-1]
+    assert pull * release == pytest.approx((1 - skew**2) * (0.1 * speed) ** 2)
+    ratio = (1 + abs(lean) * speed) ** (2 if lean >= 0 else -2)
+    assert release * (1 - skew) == pytest.approx(ratio * pull * (1 + skew))
+
+
+@given(speed=st.floats(0.2, 20.0), way=st.floats(0.05, 2.0), stretch=st.floats(0.0, 3.0))
+def test_drag_with_presliding_stays_in_a_hold_and_goes_over_its_way(speed: float, way: float, stretch: float) -> None:
+    drag = effect_operator("dahl_drag", {"width_s": 0.1, "way": way, "stretch": stretch})
+    level, distance = 0.1 * speed, 40 * (way + stretch * 0.1 * speed)
+    fast = np.arange(0.0, distance, speed * DT)
+    slow = fast[-1] + np.arange(1, 2000) * 1e-3 * speed * DT
+    u = np.concatenate([fast, np.full(50, fast[-1]), slow])
+    behind = u - run_chain(Chain(drag), u)
+    np.testing.assert_allclose(behind[fast.size - 1 : fast.size + 50], level, rtol=1e-6)
+    gone = np.exp(-(slow - fast[-1]) / (way + stretch * 1e-3 * level))
+    np.testing.assert_allclose(behind[fast.size + 50 :], 1e-3 * level + 0.999 * level * gone, rtol=1e-6)
+
+
 def test_drift_counts_minutes_and_travel() -> None:
     u = np.concatenate([[0.0], np.linspace(0, 3, 500), np.linspace(3, 1, 500), np.full(499, 1.0)])  # one minute
     by_time = run_chain(Chain(effect_operator("drift", {"offset_per_min": 2.0, "gain_per_min": 0.5})), u)

@@ -30,8 +30,8 @@ from hystmpc.trials.errors import ModelError
 from .zoo import BACKLASH, DT, simulator
 
 NAMES = (
-    *("lag", "delay", "rate_dependence", "creep", "drift", "first_flexure", "slack", "stick_slip", "contact"),
-    *("nonlinear_gain", "asymmetry", "directional_gain", "trial_shift", "periodic_disturbance", "sensor"),
+    *("lag", "delay", "rate_dependence", "dahl_drag", "creep", "drift", "first_flexure", "slack", "stick_slip"),
+    *("contact", "nonlinear_gain", "asymmetry", "directional_gain", "trial_shift", "periodic_disturbance", "sensor"),
 )
 SIDES = [(name, side) for name, effect in EFFECTS.items() for side in effect.sides]
 
@@ -46,7 +46,7 @@ def test_every_effect_but_those_with_a_test_of_their_own_has_forms() -> None:
     own = {"trial_shift", "periodic_disturbance", "sensor"}  # terms of each trial, signs of the sensor
     scale = Scale(0.0, 6.0, 20.0, 80.0, 60.0, 240.0, DT)
     assert {c.effect for c in candidates(scale, ())} == set(DIAGNOSABLE) - own
-    assert set(EFFECTS) - set(DIAGNOSABLE) == {"directional_gain"}
+    assert set(EFFECTS) - set(DIAGNOSABLE) == {"dahl_drag", "directional_gain"}
 
 
 def test_confounders_are_effects_and_mutual() -> None:
