@@ -19,6 +19,7 @@ from hystmpc.models.effects.place import (
     neutral_operator,
     with_effect,
 )
+from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.friction import StickSlip
 from hystmpc.models.operators.operator import Operator
 
@@ -141,6 +142,16 @@ def test_drag_with_presliding_stays_in_a_hold_and_goes_over_its_way(speed: float
     np.testing.assert_allclose(behind[fast.size - 1 : fast.size + 50], level, rtol=1e-6)
     gone = np.exp(-(slow - fast[-1]) / (way + stretch * 1e-3 * level))
     np.testing.assert_allclose(behind[fast.size + 50 :], 1e-3 * level + 0.999 * level * gone, rtol=1e-6)
+
+
+@given(
+    tau=st.floats(0.05, 0.5), speeds=st.lists(st.floats(0.1, 20.0) | st.floats(-20.0, -0.1), min_size=1, max_size=20)
+)
+def test_in_motion_a_drag_without_presliding_is_a_lag(tau: float, speeds: list[float]) -> None:
+    u = np.cumsum([0.0, *(DT * speed for speed in speeds)])
+    drag = effect_operator("dahl_drag", {"width_s": tau, "way": 1e-6})
+    lag = Lag(tau, hold=1)
+    np.testing.assert_allclose(run_chain(Chain(drag), u), run_chain(Chain(lag), u), atol=1e-4)
 
 
 def test_drift_counts_minutes_and_travel() -> None:
