@@ -16,7 +16,6 @@ from hystmpc.trials.types import Vec
 from .chain import Chain
 from .contract.metadata import NoiseModel, Range
 from .effects.effect import Side, unit_on
-from .operators.friction import NEVER
 from .operators.operator import Operator
 
 _ROUNDING = 1e-9  # of a decade: a range that is 10 but for rounding is 10
@@ -120,7 +119,7 @@ class Decades:
     def _operator(self, operator: Operator, side: Side, way: int) -> Operator:
         factors = [self.in_log(unit_on(parameter.unit, side)) ** way for parameter in operator.parameters]
         values = zip(operator.values, factors, strict=True)
-        return operator.with_values([v if v == NEVER else v * factor for v, factor in values])
+        return operator.with_values([v * factor for v, factor in values])
 
 
 def _signals(trials: Sequence[Trial]) -> tuple[list[Vec], list[Vec]]:

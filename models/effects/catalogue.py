@@ -10,13 +10,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 from ..operators.dynamics import Delay, Lag, RateLimit, Servo
-from ..operators.friction import NEVER, Asymmetry, DirectionalGain, RateDependence, StickSlip
+from ..operators.friction import Asymmetry, DahlDrag, DirectionalGain, RateDependence, StickSlip
 from ..operators.measurement import PeriodicDisturbance, Sensor
 from ..operators.slow_changes import Creep, Drift, FirstFlexure, TrialShift
 from ..operators.static_curves import Contact, NonlinearGain, Slack
 from .effect import CORE, Candidate, Effect, Freedom, Scale, Side
 
 LONGEST_DELAY_S = 0.4
+_LEAST_REST = 0.1  # share of the time in which the command has to stand still for a drag to be told from a lag
 _OUTPUT: tuple[Side, ...] = ("output", "command")
 
 # Forms: bounds and starts are sized by the data; the verdicts of the diagnosis were calibrated with these numbers.
@@ -48,20 +49,23 @@ def _delay(s: Scale) -> list[Candidate]:
 
 
 def _rate_dependence(s: Scale) -> list[Candidate]:
-    free, kept = (Freedom("width_s", 0.0, 0.5, 0.01),), Freedom("recovery_s", 0.5 * s.dt_s, 30.0, 0.0)
+    free, memory = (Freedom("width_s", 0.0, 0.5, 0.01),), Freedom("memory_s", 0.2 * s.dt_s, 30.0, 0.0)
     growth = Freedom("growth", -0.5 / s.span, 5.0 / s.span, 0.2 / s.span)
-    skew = Freedom("skew", -0.9, 0.9, 0.2)
-    thinning = Freedom("thinning", 0.0, 20.0 / s.span, 0.5 / s.span)
-    over = Freedom("lost_over", 1e-3 * s.span, s.span, 0.0)
-    starts = ((0.01,), (0.05,))
-    skewed = ((0.02, 0.08, 0.0, -0.3, 0.5 / s.span), (0.02, 0.08, 2.0 / s.span, -0.5, 0.5 / s.span))
-    dahl = ((0.02, 0.1 * s.span, 0.0, 0.3 / s.span), (0.05, 0.3 * s.span, 0.0, 0.3 / s.span))
-    plain, lasting = RateDependence(0.0), RateDependence(0.0, recovery_s=1e4)
-    return [
-        Candidate("rate_dependence", "command", "command", 60, (plain,), free, starts),
-        Candidate("rate_dependence", "skewed", "command", 60, (plain,), (*free, kept, growth, skew, thinning), skewed),
-        Candidate("rate_dependence", "presliding", "command", 60, (lasting,), (*free, over, growth, thinning), dahl),
+    skew, lean = Freedom("skew", -0.9, 0.9, 0.2), Freedom("lean", -20.0 / s.span, 20.0 / s.span, 0.5 / s.span)
+    leaning = (*free, memory, growth, skew, lean)
+    leans = tuple((0.02, 0.05, 0.3 / s.span, 0.0, way / s.span) for way in (-0.3, 0.3))
+    level, way = Freedom("width_s", 0.0, 2.0, 0.01), Freedom("way", 1e-3 * s.span, s.span, 0.0)
+    stretch, thinning = Freedom("stretch", 0.0, 5.0, 0.2), Freedom("thinning", 0.0, 50.0 / s.span, 0.5 / s.span)
+    dahl = ((0.02, 0.1 * s.span, 1.0, 0.3 / s.span), (0.05, 0.3 * s.span, 1.0, 0.3 / s.span))
+    plain, drag = RateDependence(0.0), DahlDrag(0.0)
+    made = [
+        Candidate("rate_dependence", "command", "command", 60, (plain,), free, ((0.01,), (0.05,))),
+        Candidate("rate_dependence", "leaning", "command", 60, (plain,), leaning, leans),
     ]
+    if s.resting < _LEAST_REST:  # in motion a drag without presliding is a lag
+        return made
+    presliding = (level, way, stretch, thinning)
+    return [*made, Candidate("rate_dependence", "presliding", "command", 60, (drag,), presliding, dahl)]
 
 
 def _creep(s: Scale) -> list[Candidate]:
@@ -190,14 +194,23 @@ _LIST = (
     ),
     Effect(
         operator=RateDependence,
-        equation="play of half-width width_s |u'|, which a slower motion keeps for recovery_s",
+        equation="play of half-width width_s v, memory_s v' + v = |u'|",
         apart="From lag and delay: nothing left of it in a hold, from its first sample on; ramps at three speeds.",
         neutral={"width_s": 0.0},
-        defaults={"recovery_s": 0.0, "growth": 0.0, "skew": 0.0, "thinning": 0.0, "lost_over": NEVER},
+        defaults={"memory_s": 0.0, "growth": 0.0, "skew": 0.0, "lean": 0.0},
         forms=_rate_dependence,
+        other_forms=(DahlDrag,),
         confounders=("lag", "delay"),
         separated_by=("fast", "speeds"),
         shown=({"width_s": 0.1},),
+    ),
+    Effect(
+        operator=DahlDrag,
+        equation="y = u - f, df/dx = (r - f) / (way + stretch r), x the travel, r from width_s |u'|",
+        apart="A second form of rate dependence, of a friction with presliding: what it holds back stays in a hold.",
+        neutral={"width_s": 0.0},
+        defaults={"stretch": 1.0, "thinning": 0.0},
+        shown=({"width_s": 0.1, "way": 0.5},),
     ),
     Effect(
         operator=Creep,

@@ -16,6 +16,7 @@ from ..operators.operator import Operator
 Side = Literal["command", "output"]
 CORE = "core"  # variant of an effect that is a freedom of the core and no operator of its own
 
+_STILL = 1e-4  # of the range of the command: it stands still if it changes less from sample to sample
 _NUMBER = re.compile(r"_\d+(?=_|$)")
 _WAY = re.compile(r"_(up|down)(?=_|$)")
 
@@ -49,6 +50,7 @@ class Scale:
         duration_s: of the longest trial [s].
         total_s: of all trials together [s].
         dt_s: sample time [s].
+        resting: share of the time in which the command stands still.
     """
 
     low: float
@@ -58,6 +60,7 @@ class Scale:
     duration_s: float
     total_s: float
     dt_s: float
+    resting: float = 1.0
 
     @property
     def span(self) -> float:
@@ -76,7 +79,9 @@ class Scale:
         angle = np.quantile(np.concatenate([run.angle for run in runs]), (0.01, 0.99))
         durations = [run.command.size * run.dt_s for run in runs]
         low, high, angle_low, angle_high = map(float, (command.min(), command.max(), angle[0], angle[1]))
-        return cls(low, high, angle_low, angle_high, max(durations), sum(durations), runs[0].dt_s)
+        steps = np.concatenate([np.abs(np.diff(run.command)) for run in runs])
+        resting = float(np.mean(steps <= _STILL * (high - low))) if steps.size else 0.0
+        return cls(low, high, angle_low, angle_high, max(durations), sum(durations), runs[0].dt_s, resting)
 
 
 @dataclass(frozen=True)

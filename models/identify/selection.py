@@ -10,7 +10,7 @@ from typing import Protocol, final
 import numpy as np
 
 from ..effects.effect import Candidate
-from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
+from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain, sureness
 from .motion_lines import motions_own
 from .problem import TrialTerms, strongest_line
 
@@ -160,7 +160,7 @@ class _Search:
         if new & OWN_TO_TRIALS and not _recurs(before, after, new, settings):
             return False
         least = max(share * remaining, whole, settings.form_share * self._floor)
-        return fall > settings.standard_errors * error and useful > least
+        return sureness(before, after) > settings.standard_errors and useful > least
 
     def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
         """Without each cause that is not needed any more."""

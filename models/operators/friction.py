@@ -160,39 +160,33 @@ class StickSlip(Operator):
 
 
 _AT_ONCE = 1e-6  # s: nothing is left after a sample
-NEVER = 1e9  # of the input: nothing is lost over a way
 
 
 @final
 @dataclass(frozen=True)
 class RateDependence(Operator):
-    """A play whose half-width grows with the speed of its input, and narrows again in a time of its own.
+    """A play whose half-width grows with the speed of its input, which the friction remembers for a while.
 
-    v_k = |u_k - u_{k-1}| / dt,  v_k = s_k + thinning s_k^2
-    r_k = max(width_s max(1 + growth u_k, 0) s_k, exp(-dt / recovery_s - |u_k - u_{k-1}| / lost_over) r_{k-1})
-    z_k = max(u_k - (1 - skew) r_k, min(u_k + (1 + skew) r_k, z_{k-1})),  y = z
+    memory_s v' + v = |u'|  =>  v_k = s_k + exp(-dt / memory_s) (v_{k-1} - s_k),  s_k = |u_k - u_{k-1}| / dt
+    r_k = width_s max(1 + growth u_k, 0) v_k,  g_k = 1 + lean v_k, or 1 / (1 - lean v_k) for a lean below 0
+    z_k = max(u_k - (1 - skew) r_k / g_k, min(u_k + (1 + skew) r_k g_k, z_{k-1})),  y = z
 
-    With recovery 0 it has no width at rest: the output comes up to the input in the first sample of a hold. With a
-    long one, as of a lubricant film or a friction that relaxes slowly, it stays behind; what presliding holds back is
-    lost over a way instead (Dahl's law). Friction that is in proportion
-    to a tendon's tension grows with the command, and along a bend it holds back more of a pull than of a release: a
-    negative skew. A film that shears thin makes the width grow like the root of a fast speed. Width 0 is the identity.
+    Without memory it has no width at rest: the output comes up to the input in the first sample of a hold. Friction
+    that is in proportion to a tendon's tension grows with the command. It then takes a share of the tension: what
+    multiplies a pull divides a release, and the more so the faster the motion. A lean below 0 holds back more of a
+    fast pull, a lean above 0 more of a fast release; a skew does so at any speed. Width 0 is the identity.
 
-    Source: S2 (RA-L 2024) eq. (5), the rate-dependent part of the threshold alone; recovery and the rest are ours.
+    Source: S2 (RA-L 2024) eq. (5), the rate-dependent part of the threshold alone; the memory is that of friction in
+    Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30 (1994), 1083-1138; growth, skew and lean are ours.
     """
 
     width_s: Annotated[float, Number("s", 0.0, 1e2, 0.0, "half-width by speed")]
-    recovery_s: Annotated[float, Number("s", 0.0, 1e4, 0.0, "time in which the width of a fast motion is lost")] = 0.0
+    memory_s: Annotated[float, Number("s", 0.0, 1e2, 0.0, "time for which friction remembers the speed")] = 0.0
     growth: Annotated[float, Number("1/in", -1e3, 1e3, 0.0, "growth of the width with the input")] = 0.0
     skew: Annotated[float, Number("1", -1.0, 1.0, 0.0, "of the width between falling and rising input")] = 0.0
-    thinning: Annotated[
-        float, Number("s/in", 0.0, 1e3, 0.0, "by which the width grows less than in proportion to a fast speed")
-    ] = 0.0
-    lost_over: Annotated[
-        float, Number("in", 1e-6, NEVER, NEVER, "way over which the width of a fast motion is lost")
-    ] = NEVER
+    lean: Annotated[float, Number("s/in", -1e3, 1e3, 0.0, "growth of the skew with the speed")] = 0.0
     name: ClassVar[str] = "rate_dependence"
-    state_names: ClassVar[tuple[str, ...]] = ("u", "z", "r")
+    state_names: ClassVar[tuple[str, ...]] = ("u", "z", "v")
 
     @property
     def settling_samples(self) -> int:
@@ -200,17 +194,56 @@ class RateDependence(Operator):
         return 2
 
     def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
-        moved = ca.fabs(u - x[0])
-        left = ca.exp(-dt / maximum(p[1], _AT_ONCE) - moved / p[5]) * x[2]
-        width = p[0] * maximum(1 + p[2] * u, 0)
-        v = moved / dt
-        r = maximum(width * 2 * v / (1 + ca.sqrt(1 + 4 * p[4] * v)), left)
-        z = maximum(u - (1 - p[3]) * r, minimum(u + (1 + p[3]) * r, x[1]))
-        return ca.vertcat(u, z, r), z
+        speed = ca.fabs(u - x[0]) / dt
+        v = speed + ca.exp(-dt / maximum(p[1], _AT_ONCE)) * (x[2] - speed)
+        r = p[0] * maximum(1 + p[2] * u, 0) * v
+        more = 1 + ca.fabs(p[4]) * v
+        g = ca.if_else(p[4] >= 0, more, 1 / more)
+        z = maximum(u - (1 - p[3]) * r / g, minimum(u + (1 + p[3]) * r * g, x[1]))
+        return ca.vertcat(u, z, v), z
 
     def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
         del y, p
         return ca.vertcat(u, u, 0)
+
+
+@final
+@dataclass(frozen=True)
+class DahlDrag(Operator):
+    """Friction with presliding whose level grows with the speed: what it holds back stays in a hold.
+
+    s_k = |u_k - u_{k-1}| / dt = v_k + thinning v_k^2,  r_k = width_s v_k
+    f_k = d r_k + (f_{k-1} - d r_k) exp(-|u_k - u_{k-1}| / (way + stretch r_k)),  d = sign(u_k - u_{k-1}),  y = u - f
+
+    Dahl's law for a level of way + stretch r, less the level `way` that the device has at rest: the friction builds up
+    over a way that is as long as it is high, and goes only with further travel. A film that shears thin makes the level
+    grow like the root of a fast speed. Width 0 is the identity.
+
+    Source: Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14 (1976), eq. (3) with exponent 1,
+    integrated over a straight move, with a level that depends on the speed as in Canudas de Wit, Olsson, Astrom and
+    Lischinsky, IEEE Trans. Autom. Control 40 (1995), 419-425.
+    """
+
+    width_s: Annotated[float, Number("s", 0.0, 1e2, 0.0, "growth of the level with the speed")]
+    way: Annotated[float, Number("in", 1e-6, 1e4, 1.0, "over which a slow motion builds up its friction")] = 1.0
+    stretch: Annotated[float, Number("1", 0.0, 1e3, 1.0, "by which that way grows with the level")] = 1.0
+    thinning: Annotated[
+        float, Number("s/in", 0.0, 1e3, 0.0, "by which the level grows less than in proportion to a fast speed")
+    ] = 0.0
+    name: ClassVar[str] = "dahl_drag"
+    state_names: ClassVar[tuple[str, ...]] = ("u", "f")
+
+    def equation(self, x: Symbol, u: Symbol, p: Symbol, dt: Symbol) -> tuple[Symbol, Symbol]:
+        way = ca.fabs(u - x[0])
+        speed = way / dt
+        r = p[0] * 2 * speed / (1 + ca.sqrt(1 + 4 * p[3] * speed))
+        level = ca.if_else(u >= x[0], r, -r)
+        f = level + (x[1] - level) * ca.exp(-way / (p[1] + p[2] * r))
+        return ca.vertcat(u, f), u - f
+
+    def at_rest(self, u: Symbol, y: Symbol, p: Symbol) -> Symbol:
+        del y, p
+        return ca.vertcat(u, 0)
 
 
 @final

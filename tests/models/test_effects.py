@@ -19,6 +19,7 @@ from hystmpc.models.effects.place import (
     neutral_operator,
     with_effect,
 )
+from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.friction import StickSlip
 from hystmpc.models.operators.operator import Operator
 
@@ -107,6 +108,50 @@ def test_rate_dependence_lags_by_width_times_speed_and_lets_go_in_a_hold(speed: 
     )
     np.testing.assert_allclose((ramp - y[:60])[20:], width * speed, atol=1e-9)
     np.testing.assert_array_equal(y[60:], ramp[-1])
+
+
+@given(speed=st.floats(0.2, 20.0), memory=st.floats(0.02, 1.0))
+def test_a_friction_that_remembers_the_speed_lets_go_by_and_by(speed: float, memory: float) -> None:
+    ramp = speed * np.arange(400) * DT
+    held = np.full(20, ramp[-1])
+    rate = effect_operator("rate_dependence", {"width_s": 0.1, "memory_s": memory})
+    behind = ramp[-1] - run_chain(Chain(rate), np.concatenate([ramp, held]))[400:]
+    np.testing.assert_allclose(behind, 0.1 * speed * np.exp(-np.arange(1, 21) * DT / memory), rtol=1e-6, atol=1e-6)
+
+
+@given(lean=st.floats(-2.0, 2.0), skew=st.floats(-0.8, 0.8), speed=st.floats(0.2, 20.0))
+def test_what_multiplies_a_pull_divides_a_release(lean: float, skew: float, speed: float) -> None:
+    rate = effect_operator("rate_dependence", {"width_s": 0.1, "lean": lean, "skew": skew})
+    up = speed * np.arange(400) * DT
+    u = np.concatenate([up, up[::-1]])
+    y = run_chain(Chain(rate), u)
+    pull, release = u[399] - y[399], y[-1] - u[-1]
+    assert pull * release == pytest.approx((1 - skew**2) * (0.1 * speed) ** 2)
+    ratio = (1 + abs(lean) * speed) ** (2 if lean >= 0 else -2)
+    assert release * (1 - skew) == pytest.approx(ratio * pull * (1 + skew))
+
+
+@given(speed=st.floats(0.2, 20.0), way=st.floats(0.05, 2.0), stretch=st.floats(0.0, 3.0))
+def test_drag_with_presliding_stays_in_a_hold_and_goes_over_its_way(speed: float, way: float, stretch: float) -> None:
+    drag = effect_operator("dahl_drag", {"width_s": 0.1, "way": way, "stretch": stretch})
+    level, distance = 0.1 * speed, 40 * (way + stretch * 0.1 * speed)
+    fast = np.arange(0.0, distance, speed * DT)
+    slow = fast[-1] + np.arange(1, 2000) * 1e-3 * speed * DT
+    u = np.concatenate([fast, np.full(50, fast[-1]), slow])
+    behind = u - run_chain(Chain(drag), u)
+    np.testing.assert_allclose(behind[fast.size - 1 : fast.size + 50], level, rtol=1e-6)
+    gone = np.exp(-(slow - fast[-1]) / (way + stretch * 1e-3 * level))
+    np.testing.assert_allclose(behind[fast.size + 50 :], 1e-3 * level + 0.999 * level * gone, rtol=1e-6)
+
+
+@given(
+    tau=st.floats(0.05, 0.5), speeds=st.lists(st.floats(0.1, 20.0) | st.floats(-20.0, -0.1), min_size=1, max_size=20)
+)
+def test_in_motion_a_drag_without_presliding_is_a_lag(tau: float, speeds: list[float]) -> None:
+    u = np.cumsum([0.0, *(DT * speed for speed in speeds)])
+    drag = effect_operator("dahl_drag", {"width_s": tau, "way": 1e-6})
+    lag = Lag(tau, hold=1)
+    np.testing.assert_allclose(run_chain(Chain(drag), u), run_chain(Chain(lag), u), atol=1e-4)
 
 
 def test_drift_counts_minutes_and_travel() -> None:

@@ -7,10 +7,11 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from hystmpc.models.identify.cross_validation import HeldOutErrors, Hypothesis
+from hystmpc.models.identify.cross_validation import HeldOutErrors, Hypothesis, gain, sureness
+from hystmpc.models.identify.runs import Blocks
 from hystmpc.models.identify.selection import OWN_TO_TRIALS, SelectionSettings, select_again
 
 SETTINGS, FLOOR = SelectionSettings(), 0.01
@@ -47,6 +48,7 @@ def test_after_an_exchange_a_further_cause_is_looked_for() -> None:
 
 @given(st.floats(0.02, 0.6), st.sampled_from([0.0, 0.2]))
 def test_beside_a_large_cause_a_sure_one_needs_much_of_what_is_left(left: float, uneven: float) -> None:
+    assume(left >= uneven)  # no block has a negative error
     found = chosen(uneven, nothing=10.0, lag=0.6, lag__creep=left)
     fall, error = 0.6 - left, uneven * np.sqrt(6 / 5 / BLOCKS)
     clear = fall > SETTINGS.clear_errors * error
@@ -106,3 +108,22 @@ def test_shifts_that_follow_the_clock_are_a_drift(share: float) -> None:
         assert found == {"drift"}
     elif share < 1 - SETTINGS.line_of_shifts:
         assert "trial_shift" in found
+
+
+@given(st.integers(0, BLOCKS - 1), st.floats(100.0, 1e4))
+def test_a_fall_that_is_largest_in_one_block_is_as_sure_as_the_others_make_it(block: int, large: float) -> None:
+    run = np.arange(BLOCKS) // 6
+    energy = np.where(np.arange(BLOCKS) == block, large, 1.0) * SAMPLES
+    before, samples = Blocks(energy, np.full(BLOCKS, SAMPLES), run), np.full(BLOCKS, SAMPLES)
+    fall, error = gain(before, Blocks(0.5 * energy, samples, run))
+    assert fall < 1.5 * error
+    worse = np.where(np.arange(BLOCKS) == block, 0.5, 1.0) * energy
+    assert sureness(before, Blocks(0.5 * energy, samples, run)) > sureness(before, Blocks(worse, samples, run))
+    assert sureness(before, Blocks(worse, samples, run)) < SETTINGS.standard_errors
+
+
+@given(st.floats(1.01, 5.0), st.floats(1.0, 1e6))
+def test_an_error_that_grows_is_never_sure_to_fall(growth: float, unit: float) -> None:
+    run = np.arange(BLOCKS) // 6
+    energy, samples = unit * (1.0 + np.arange(BLOCKS) % 5), np.full(BLOCKS, SAMPLES)
+    assert sureness(Blocks(energy, samples, run), Blocks(growth * energy, samples, run)) < 0

@@ -6,7 +6,14 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
 from hystmpc.models.operators.curved_plays import CurvedPlays
 from hystmpc.models.operators.dynamics import Delay, Lag, RateLimit, Servo
-from hystmpc.models.operators.friction import Asymmetry, DirectionalGain, MaxwellSlip, RateDependence, StickSlip
+from hystmpc.models.operators.friction import (
+    Asymmetry,
+    DahlDrag,
+    DirectionalGain,
+    MaxwellSlip,
+    RateDependence,
+    StickSlip,
+)
 from hystmpc.models.operators.hysteresis import Backlash, BoucWen, InverseBacklash, Play, Stop
 from hystmpc.models.operators.measurement import PeriodicDisturbance, Sensor
 from hystmpc.models.operators.operator import Operator
@@ -70,6 +77,8 @@ EXAMPLES: tuple[Operator, ...] = (
     RateDependence(0.05),
     RateDependence(0.05, 0.2, 0.0, -0.4),
     RateDependence(0.08, 0.2, 0.1, -0.4, 0.3),
+    RateDependence(0.08, 0.2, 0.1, 0.4, -0.3),
+    DahlDrag(0.05, 0.4, 0.7, 0.3),
     Creep((0.3,), (6.0,)),
     Creep((0.2, -0.15), (2.0, 40.0)),
     Drift(0.5, -0.02, 0.003),
