@@ -295,10 +295,10 @@ def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Tria
         LogError: at a gap, on a rate above 1.5 times the log's own, or if the trial is shorter than one interval.
     """
     positive_rate(rate_hz)
-    parts = parts_at_gaps(trial, max_gap_s)
-    if len(parts) > 1:
+    first, *others = parts_at_gaps(trial, max_gap_s)
+    if others:
         raise LogError(f"{_widest_gap(trial, gap_limit_s(trial.dt, max_gap_s))}; cut the log there")
-    (trial,) = parts
+    trial = first
     own_hz = 1.0 / trial.dt
     if rate_hz > _RATE_MARGIN * own_hz:
         raise LogError(

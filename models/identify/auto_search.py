@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import final
@@ -135,6 +135,7 @@ class AutoSearch:
         self.runs, self.settings, self._progress = tuple(runs), settings, progress
         scale = Scale.of(runs)
         self._cores, self._parts = core_forms(trials, scale), device_parts(scale)
+        self._names = (*(part.name for part in self._parts), _CORE)
         self._command = command_range(trials)
         self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in points from which fits start
         self.offsets, self.interrupted = offsets, False
@@ -149,14 +150,13 @@ class AutoSearch:
         except KeyboardInterrupt:
             raise nothing_found("the first core", interrupted=True) from None
         try:
-            names = (*(part.name for part in self._parts), _CORE)
-            self._plan([a for n in names for a in self._alternatives(n, present)], present, self.settings.rounds)
+            self._plan([a for n in self._names for a in self._alternatives(n, present)], present, self.settings.rounds)
             # of each part: the device when it was chosen last, and what was tried
             seen: dict[str, tuple[tuple[str, ...], list[Choice]]] = {}
             for k in range(self.settings.rounds):
                 self._weight = _NEXT_ROUND**k
                 before = _labels(present.core, present.forms)
-                for name in names:
+                for name in self._names:
                     device, tried = seen.get(name, ((), []))
                     if device == _labels(present.core, present.forms):
                         self.tried += tried  # again the same, which weighs in the intervals as often
@@ -215,6 +215,13 @@ class AutoSearch:
         open_forms: list[Form] = [*without, *(simpler if len(present) == 1 else [])]
         left = choice.forms | {part: max(open_forms, key=free_numbers)}
         return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
+
+    def beside(self, choice: Choice, lost: Collection[str]) -> Choice:
+        """The device with all parts chosen anew but those that lost an effect: the others were chosen beside it."""
+        for name in self._names:
+            if name not in lost:
+                choice = self._simplest(self._alternatives(name, choice), choice)
+        return self._polished(choice)
 
     def bought(self, choice: Choice) -> Iterator[PartRow]:
         """What each part bought, the chosen device less that part fitted anew."""

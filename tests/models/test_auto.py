@@ -174,7 +174,8 @@ def test_an_angle_that_falls_with_the_command_is_refused() -> None:
 def started_in_motion(core: Operator, seed: int = 3) -> Trial:
     """A slow drive behind a curved valve that has not come to rest when the recording begins; one trial of 60 s."""
     random = np.random.default_rng(seed)
-    u = np.convolve(np.repeat(random.uniform(0.5, 5.5, 45), 40), np.ones(10) / 10, mode="full")[:1500]
+    steps = np.repeat(random.uniform(0.5, 5.5, 45), 40)
+    u = np.asarray(np.convolve(steps, np.ones(10) / 10, mode="full")[:1500], dtype=np.float64)
     valve, chain = u + 0.15 * (u - 3.0) * abs(u - 3.0), Chain(core, (Lag(8.0),))
     staged = StagedChain(chain)
     state = staged.rest(valve[:1] + 1.0, np.array([25.0]))
