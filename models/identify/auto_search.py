@@ -122,6 +122,8 @@ class AutoSearch:
 
     Source: one-standard-error rule of Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984),
     section 3.4.3; the number of standard errors is `AutoSettings.standard_errors`.
+
+    In a single trial the drive may begin anywhere: there, plays could take up its start. In several they cannot.
     """
 
     def __init__(
@@ -299,7 +301,7 @@ class AutoSearch:
 
     def _fitted(self, core: CoreForm, forms: Mapping[str, Form], present: Choice | None) -> Hypothesis:
         """Joint fit from the present values where a part stays, from its own starts where it is new."""
-        validation, terms = self._validation(core), TrialTerms(own_offset=self.offsets, own_start=True)
+        validation, terms = self._validation(core), TrialTerms(own_offset=self.offsets, own_start=len(self.runs) == 1)
         effects = [*(c for form in forms.values() for c in form), *core.curve]
         held = _values(present.hypothesis) if present else {}
         starts = [[held[c.label]] if c.label in held else [list(start) for start in c.starts] for c in effects]

@@ -116,6 +116,14 @@ def files_in(path: Path | str, pattern: str) -> tuple[Path, ...]:
     return found
 
 
+_LEAD_S = 5.0
+
+
+def unsettled(part: Trial) -> int:
+    """Samples at the start of a record that are not scored: how the device came there is not known."""
+    return min(round(_LEAD_S / part.dt), len(part) // 2)
+
+
 def withheld_end(parts: Sequence[Trial], share: float, name: str) -> tuple[list[Trial], list[ScoredRecord]]:
     """The first share of a log to identify from, and its end to score; a model runs from the start of each part.
 
@@ -132,7 +140,8 @@ def withheld_end(parts: Sequence[Trial], share: float, name: str) -> tuple[list[
         if cut > 1:
             seen.append(part.select(0, cut))
         if cut < len(part):
-            left.append(ScoredRecord(name, part, float(part.angle[0]), first=cut))
+            first = cut or unsettled(part)
+            left.append(ScoredRecord(name, part, float(part.angle[0]), first=first))
     if len(left) > 1:
         left = [ScoredRecord(f"{name}, {k}", r.trial, r.start, first=r.first) for k, r in enumerate(left, 1)]
     return seen, left

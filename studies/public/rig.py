@@ -13,7 +13,7 @@ from hystmpc.trials.layouts import LogMapping
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial, Units
 
-from .records import Case, PublicData, ScoredRecord, files_in, withheld_end
+from .records import Case, PublicData, ScoredRecord, files_in, unsettled, withheld_end
 from .settings import PublicSettings
 
 LAYOUT = LogMapping.parse(
@@ -29,7 +29,7 @@ class RigData(PublicData):
     title = "A fatigue rig"
     about = """A beam in a hydraulic rig: the voltage of the valve in V to the displacement in mm, at 25 Hz. The first
 two thirds of a log are identified from. A free run begins with the log, and its last third is scored. Files of --test
-are scored whole, by free runs from their first samples."""
+are scored whole but for their first 5 s, by free runs from their first samples."""
     units = Units("V", "mm")
     note = "We know of no published figure for this prediction."
 
@@ -38,9 +38,9 @@ are scored whole, by free runs from their first samples."""
 
     def cases(self, settings: PublicSettings) -> Sequence[Case]:
         given = [
-            ScoredRecord(Path(trial.source).name, trial, float(trial.angle[0]))
-            for path in settings.test
-            for trial in _read(Path(path))
+            ScoredRecord(Path(part.source).name, part, float(part.angle[0]), first=unsettled(part))
+            for parts in map(_read, map(Path, settings.test))
+            for part in parts
         ]
         found = []
         for path in files_in(settings.data, "*.csv"):

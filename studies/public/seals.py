@@ -20,7 +20,7 @@ from hystmpc.trials.read import read_trials
 from hystmpc.trials.segments import Motion
 from hystmpc.trials.trial import Trial, Units
 
-from .records import Case, PublicData, ScoredRecord, files_in, withheld_end
+from .records import Case, PublicData, ScoredRecord, files_in, unsettled, withheld_end
 from .settings import PublicSettings
 
 LAYOUT = LogMapping.parse(
@@ -129,8 +129,9 @@ def _centred(parts: Sequence[Trial]) -> list[Trial]:
 
 
 def _scored(parts: Sequence[Trial], height: float) -> list[ScoredRecord]:
-    divided = [replace(part, angle=part.angle / height) for part in parts]
-    names = ["whole" if len(parts) == 1 else f"part {k}" for k in range(1, len(parts) + 1)]
-    return [
-        ScoredRecord(name, part, float(part.angle[0]), height=height) for name, part in zip(names, divided, strict=True)
-    ]
+    found = []
+    for k, part in enumerate(parts, 1):
+        divided, name = replace(part, angle=part.angle / height), "whole" if len(parts) == 1 else f"part {k}"
+        start, first = float(divided.angle[0]), unsettled(part)
+        found.append(ScoredRecord(name, divided, start, first=first, height=height))
+    return found

@@ -13,7 +13,7 @@ from hystmpc.trials.errors import ConfigError, did_you_mean
 DATA_SETS = {
     "boucwen": ("oscillator", "state_network"),
     "seals": ("maxwell_slip", "maxwell_slip_rate", "auto", "bouc_wen", "pi", "play_kernel"),
-    "rig": ("auto", "backlash", "pi", "maxwell_slip", "play_kernel", "state_network"),
+    "rig": ("auto", "backlash", "pi", "maxwell_slip"),
 }
 """Data sets, and the kinds of model that are tried on each where none is named."""
 

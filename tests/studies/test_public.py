@@ -137,7 +137,10 @@ def test_what_is_seen_is_not_scored_and_no_sample_is_lost(lengths: list[int], sh
     fitted = np.concatenate([trial.t for trial in seen]) if seen else np.zeros(0)
     scored = np.concatenate([record.trial.t[record.first :] for record in left])
     assert fitted.size == 0 or fitted.max() < scored.min()
-    assert fitted.size + scored.size >= ends[-1] - 1  # a part of a single sample is no trial
+    whole = [record for record in left if fitted.size == 0 or record.trial.t[0] > fitted.max()]
+    in_motion = sum(record.first for record in whole)  # of a part of which nothing was seen, 5 s
+    assert in_motion <= 125 * len(whole)
+    assert fitted.size + scored.size + in_motion >= ends[-1] - 1  # a part of a single sample is no trial
     assert len({record.name for record in left}) == len(left)
 
 
@@ -208,7 +211,7 @@ def test_the_last_third_of_a_rig_is_scored_and_test_files_whole(tmp_path: Path) 
     (case,) = rig.RigData().cases(settings)
     last, whole = case.tests
     assert sum(map(len, case.training)) == last.first == round(2 / 3 * len(last.trial))
-    assert (last.name, whole.name, whole.first) == ("last third", "two.csv", 0)
+    assert (last.name, whole.name, whole.first) == ("last third", "two.csv", 125)
     assert (last.trial.units.command, last.trial.units.angle) == ("V", "mm")
 
 
