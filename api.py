@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-import numpy as np
-
 from hystmpc.trials.errors import ControllerError, FitError
 from hystmpc.trials.read import Layout, Log, read_trials
-from hystmpc.trials.trial import Trial, require_uniform, resample
+from hystmpc.trials.trial import Trial, at_rate
 from hystmpc.trials.types import Progress
 
 if TYPE_CHECKING:
@@ -588,15 +585,10 @@ def _directed(trials: Logs, preset: Layout, rate_hz: float, inverse: bool) -> li
 
 
 def _at_rate(trials: Logs, preset: Layout, rate_hz: float) -> list[Trial]:
-    """Trials on a uniform grid of that rate; one that lies on it is left as it is."""
+    """Trials on a uniform grid of that rate, see `at_rate`."""
     from hystmpc.trials.check import require_seconds
-    from hystmpc.trials.errors import LogError
 
     recorded = read_trials(trials, preset)
-    for k, trial in enumerate(recorded):
+    for trial in recorded:
         require_seconds(trial)
-        with suppress(LogError):
-            if np.isclose(require_uniform(trial) * rate_hz, 1.0, rtol=1e-9):
-                continue
-        recorded[k] = resample(trial, rate_hz)
-    return recorded
+    return at_rate(recorded, rate_hz)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -13,9 +12,10 @@ from rich.text import Text
 from hystmpc.trials.check import Severity
 from hystmpc.trials.check import check as check_log
 from hystmpc.trials.read import expand_logs, read_trials
+from hystmpc.trials.trial import Trial
 
 from .console import out, table
-from .options import Layout, Logs, Sim, simulator_at
+from .options import Layout, Logs, SampledHz, Sim, simulator_at
 
 if TYPE_CHECKING:
     from hystmpc.models.contract.load import OnnxModel
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _COLOURS = {Severity.OK: "green", Severity.NOTE: "cyan", Severity.WARNING: "yellow", Severity.ERROR: "red"}
 
 
-def check(logs: Logs, preset: Layout = "auto", sim: Sim = None) -> None:
+def check(logs: Logs, preset: Layout = "auto", sampled_hz: SampledHz = None, sim: Sim = None) -> None:
     """Check logs: can they be used, and what is in them.
 
     Time base, jitter, gaps, duplicates, NaN, units, sign, segments, first flexure. Exit code 1 if a log cannot be used.
@@ -32,7 +32,7 @@ def check(logs: Logs, preset: Layout = "auto", sim: Sim = None) -> None:
     """
     simulator, unusable = simulator_at(sim) if sim is not None else None, False
     for log in expand_logs(logs):
-        report = check_log(log, preset)
+        report = check_log(log, preset, sampled_hz)
         grid = Table(title=f"{report.source} ({report.preset})", title_justify="left", show_header=False)
         for finding in report.findings:
             severity = Text(str(finding.severity), style=_COLOURS[finding.severity])
@@ -42,15 +42,15 @@ def check(logs: Logs, preset: Layout = "auto", sim: Sim = None) -> None:
     if unusable:
         raise typer.Exit(1)
     if simulator is not None:
-        _print_detectable(logs, preset, simulator)
+        _print_detectable(read_trials(logs, preset, sampled_hz=sampled_hz), simulator)
 
 
-def _print_detectable(logs: Sequence[Path], preset: str, simulator: Simulator | OnnxModel) -> None:
+def _print_detectable(trials: Sequence[Trial], simulator: Simulator | OnnxModel) -> None:
     """What all logs together would show of the gap between this simulator and its device."""
     from hystmpc.gap.diagnose import what_logs_would_show  # compiles
     from hystmpc.gap.report.words import DETECTABLE_COLUMNS, detectable_rows, detectable_sentence
 
-    found = what_logs_would_show(read_trials(logs, preset), simulator)
+    found = what_logs_would_show(trials, simulator)
     out.print(detectable_sentence(found), highlight=False)
     if found.effects:
         out.print(table("These logs would show", DETECTABLE_COLUMNS, detectable_rows(found)))

@@ -18,7 +18,7 @@ from hystmpc.models.load import load_model
 from hystmpc.trials.files import write_atomically
 
 from .console import bar, decimals, errors, out, table
-from .options import EVALUATION, Force, Layout, Logs, SkipFirstFlexure, check_output, files_read, trials_at
+from .options import EVALUATION, Force, Layout, Logs, SampledHz, SkipFirstFlexure, check_output, files_read, trials_at
 
 _COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
 
@@ -27,6 +27,7 @@ def evaluate(
     model: Annotated[Path, typer.Argument(metavar="MODEL", help="A simulator (.yaml) or exported model (.onnx).")],
     logs: Logs,
     preset: Layout = "auto",
+    sampled_hz: SampledHz = None,
     skip_first_flexure: SkipFirstFlexure = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-evaluation/1 here.")] = None,
     force: Force = False,
@@ -38,7 +39,7 @@ def evaluate(
     if json_file is not None:
         check_output("--json", json_file, (EVALUATION,), [model, *files_read(logs, preset)], force)
     opened = load_model(model)
-    trials = trials_at(logs, preset, 1 / opened.metadata.dt_s)
+    trials = trials_at(logs, preset, 1 / opened.metadata.dt_s, sampled_hz)
     results = []
     with bar("free runs", len(trials)) as show:
         for trial in trials:

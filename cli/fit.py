@@ -21,7 +21,18 @@ from hystmpc.trials.trial import Trial, Units
 
 from .console import bar, errors, out, table
 from .evaluate import errors_table
-from .options import MODEL, SIMULATOR, Force, Layout, Logs, SkipFirstFlexure, check_output, files_read, trials_at
+from .options import (
+    MODEL,
+    SIMULATOR,
+    Force,
+    Layout,
+    Logs,
+    SampledHz,
+    SkipFirstFlexure,
+    check_output,
+    files_read,
+    trials_at,
+)
 
 
 class Direction(StrEnum):
@@ -40,6 +51,7 @@ def fit(
     logs: Logs,
     path: Annotated[Path, typer.Option("--out", help="File to write: .onnx, or .yaml for an operator.")],
     preset: Layout = "auto",
+    sampled_hz: SampledHz = None,
     rate_hz: Annotated[float, typer.Option(help="Rate to which the logs are resampled [Hz].")] = 25.0,
     skip_first_flexure: SkipFirstFlexure = False,
     direction: Annotated[Direction, typer.Option(help="Command to angle, or the inverse map.")] = Direction.FORWARD,
@@ -83,7 +95,7 @@ def fit(
         limits=_limits(command_limits, command_rate),
     )
     chosen.check([], request)
-    trials = trials_at(logs, preset, rate_hz)
+    trials = trials_at(logs, preset, rate_hz, sampled_hz)
     _identify(chosen, [t.swapped() for t in trials] if direction is Direction.INVERSE else trials, request, path)
     model = load_model(path)
     title = f"{path}: free run on the trials it was identified from"

@@ -13,13 +13,13 @@ import typer
 
 from hystmpc.models.contract.checks import parse_model
 from hystmpc.models.contract.metadata import PREFIX
-from hystmpc.trials.check import Severity, check, require_seconds
+from hystmpc.trials.check import Severity, check, gaps_said, require_seconds
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError
 from hystmpc.trials.files import require_writable
 from hystmpc.trials.layouts import PRESETS
 from hystmpc.trials.read import expand_logs, read_trials
-from hystmpc.trials.trial import Trial, resample, without_loose_ends
+from hystmpc.trials.trial import Trial, at_rate, parts_at_gaps
 
 from .console import errors
 
@@ -34,6 +34,10 @@ Logs = Annotated[
 ]
 Layout = Annotated[
     str, typer.Option("--preset", help=f"Layout of the logs: auto, {_LAYOUTS}, or a mapping file *.yaml.")
+]
+SampledHz = Annotated[
+    float | None,
+    typer.Option("--sampled-hz", help="Rate [Hz] of logs sampled evenly; stands in for a broken or missing clock."),
 ]
 Sim = Annotated[Path | None, typer.Option("--sim", help="Simulator: .yaml of `fit`, or an exported .onnx model.")]
 SkipFirstFlexure = Annotated[
@@ -61,20 +65,19 @@ def files_read(logs: Sequence[Path], layout: str) -> list[Path]:
     return [*expand_logs(logs), Path(layout)]
 
 
-def trials_at(logs: Sequence[Path], layout: str, rate_hz: float) -> list[Trial]:
-    """Read logs and resample them; say what is left out at their ends, and what seems to be in another unit.
+def trials_at(logs: Sequence[Path], layout: str, rate_hz: float, sampled_hz: float | None = None) -> list[Trial]:
+    """Read logs and resample them; say what is made of their gaps, and what seems to be in another unit.
 
     Raises:
         LogError: if a log cannot be read or resampled, or its time seems to be in milliseconds.
+        ConfigError: if a rate is not a positive number.
     """
-    recorded = read_trials(logs, layout)
+    recorded = read_trials(logs, layout, sampled_hz=sampled_hz)
     for trial in recorded:
         require_seconds(trial)
-        used = without_loose_ends(trial)
-        if used is not trial:
-            text = f"{len(trial) - len(used)} samples that a gap parts from the log's start or end are left out"
-            errors.print(f"note: {trial.source}: {text}", soft_wrap=True, highlight=False)
-    trials = [resample(trial, rate_hz) for trial in recorded]
+        if said := gaps_said(trial, parts_at_gaps(trial)):
+            errors.print(f"note: {trial.source}: {said}", soft_wrap=True, highlight=False)
+    trials = at_rate(recorded, rate_hz)
     warn_of_units(trials)
     return trials
 

@@ -40,7 +40,7 @@ _STAGES = "; ".join(f"{name}: {', '.join(stages)}" for name, stages in STAGES.it
 def study(
     name: Annotated[Name, typer.Argument(help="Papers, recorded logs, closed loop, drawn devices, public data.")],
     folder: Annotated[Path, typer.Option("--out", help="Run folder; an unfinished study in it goes on.")],
-    dataset: Annotated[str | None, typer.Argument(help="Of `public`: boucwen.")] = None,
+    dataset: Annotated[str | None, typer.Argument(help="Of `public`: boucwen, seals, rig.")] = None,
     logs: Annotated[list[Path] | None, typer.Option(help="Logs or folders of *.csv, for `real`; repeatable.")] = None,
     layout: Annotated[str, typer.Option("--preset", help="Layout of the logs.")] = "auto",
     rate_hz: Annotated[float, typer.Option(min=0.1, help="Rate to which logs are resampled [Hz].")] = 25.0,
@@ -68,8 +68,8 @@ def study(
     ] = None,
     kind: Annotated[str | None, typer.Option(help="Of `identify`: kind of model, see `fit`; else auto.")] = None,
     drive: Annotated[str | None, typer.Option(help="Of `identify`: auto for an identified drive before it.")] = None,
-    data: Annotated[Path | None, typer.Option(help="Of `public`: file that is identified from.")] = None,
-    test: Annotated[list[Path] | None, typer.Option(help="Of `public`: test file, repeatable; else simulated.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Of `public`: file or folder that is identified from.")] = None,
+    test: Annotated[list[Path] | None, typer.Option(help="Of `public`: further test file, repeatable.")] = None,
 ) -> None:
     """Do all jobs of a study and write its report.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from hystmpc.sim.study import knowledge
 from hystmpc.trials.check import Severity, check, require_seconds
 from hystmpc.trials.errors import FitError, LogError
 from hystmpc.trials.read import read_trials
-from hystmpc.trials.trial import Trial, require_uniform, resample
+from hystmpc.trials.trial import Trial, at_rate
 from hystmpc.trials.types import Progress
 
 from .config import CommissionBlock
@@ -94,14 +93,10 @@ def uniform_trials(subject: Subject) -> list[Trial]:
     Raises:
         LogError: if one cannot be read or resampled.
     """
-    found = read_trials(subject.trials)
-    for k, trial in enumerate(found):
+    recorded = read_trials(subject.trials)
+    for trial in recorded:
         require_seconds(trial)
-        with suppress(LogError):
-            if np.isclose(require_uniform(trial) * subject.rate_hz, 1.0, rtol=1e-9):
-                continue
-        found[k] = resample(trial, subject.rate_hz)
-    return found
+    return at_rate(recorded, subject.rate_hz)
 
 
 Row = tuple[str, str, Figure, Figure]

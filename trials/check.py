@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -15,7 +16,7 @@ from .layouts import CANONICAL, LogMapping, Preset
 from .read import Layout, Log, is_table, read_raw, resolve
 from .segments import Motion, Segments, segment
 from .signals import Raw
-from .trial import Trial, clock_advice, gap_limit_s, resample, without_loose_ends
+from .trial import Trial, clock_advice, even_time, gap_limit_s, parts_at_gaps, resample
 from .types import Vec
 
 
@@ -78,7 +79,7 @@ class CheckReport:
         return Report(self.source, (Table(("", "topic", "finding"), rows),), self.preset).fragment()
 
 
-def check(log: Log, preset: Layout = "auto") -> CheckReport:
+def check(log: Log, preset: Layout = "auto", sampled_hz: float | None = None) -> CheckReport:
     """Look at time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 
     A file or frame is read leniently: what `read_trials` would refuse becomes a finding.
@@ -86,18 +87,20 @@ def check(log: Log, preset: Layout = "auto") -> CheckReport:
     Args:
         log: a file, a ROS 2 bag, a data frame or a trial.
         preset: its layout, see `read_trials`.
+        sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
 
     Raises:
         LogError: if it cannot be read, or lacks a column or signal.
         ConfigError: on an unknown preset or a wrong mapping file.
     """
     if isinstance(log, Trial):
+        log = log if sampled_hz is None else replace(log, t=even_time(len(log), sampled_hz))
         return _report(log, "", CANONICAL, "sample {}".format)
     layout = resolve(preset)
     if not is_table(log) or isinstance(layout, LogMapping):
-        raw = read_raw(log, layout)
+        raw = read_raw(log, layout, sampled_hz)
         return _report(raw, raw.preset, CANONICAL, "sample {}".format, raw.note)
-    columns = read_columns(log, layout)
+    columns = read_columns(log, layout, sampled_hz)
     return _report(columns, columns.preset.name, columns.preset, lambda k: f"row {columns.row(k)}")
 
 
@@ -170,6 +173,16 @@ def require_seconds(trial: Trial) -> None:
         raise LogError(f"{trial.source}: {_slow(trial.dt, float(trial.t[0]), float(trial.t[-1]))}")
 
 
+def gaps_said(trial: Trial, parts: Sequence[Trial]) -> str:
+    """What is made of a trial with gaps, in words: what is left out, and what is used; empty without a gap."""
+    left = len(trial) - sum(map(len, parts))
+    if not left and len(parts) == 1:
+        return ""
+    spans = ", ".join(f"{part.t[0]:.6g} to {part.t[-1]:.6g} s" for part in parts)
+    out = f"{left} samples beside a gap are left out; " if left else ""
+    return f"{out}{'used' if len(parts) == 1 else f'cut into {len(parts)} trials'}: {spans}"
+
+
 def _slow(median: float, start: float, stop: float) -> str:
     return (
         f"time_s runs from {start:g} to {stop:g}, sampling rate {1 / median:.3g} Hz, expected more than "
@@ -201,15 +214,9 @@ def _gaps(t: Vec, kept: NDArray[np.intp], intervals: Vec, median: float, where: 
         return Finding(Severity.OK, "gaps", f"none longer than {limit:.3g} s")
     k = int(gaps[np.argmax(intervals[gaps])])
     if (intervals > 0).all():
-        even = Trial(t[kept], t[kept], t[kept])
-        used = without_loose_ends(even)
-        if np.diff(used.t).max() <= limit:
-            return Finding(
-                Severity.NOTE,
-                "gaps",
-                f"{gaps.size} longer than {limit:.3g} s, parting {len(even) - len(used)} samples from the log's start "
-                f"or end; these are left out, {used.t[0]:.6g} to {used.t[-1]:.6g} s are used",
-            )
+        even, text = Trial(t[kept], t[kept], t[kept]), f"{gaps.size} longer than {limit:.3g} s"
+        with suppress(LogError):
+            return Finding(Severity.NOTE, "gaps", f"{text}; {gaps_said(even, parts_at_gaps(even))}")
     return Finding(
         Severity.ERROR,
         "gaps",
@@ -281,7 +288,8 @@ def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
         return
     yield _sign(trial)
     try:
-        even = resample(trial, min(_SEGMENT_RATE_HZ, 1 / trial.dt))
+        longest = max(parts_at_gaps(trial), key=len)
+        even = resample(longest, min(_SEGMENT_RATE_HZ, 1 / longest.dt))
     except LogError as error:
         yield Finding(Severity.ERROR, "segments", f"not looked for: {str(error).removeprefix(f'{trial.source}: ')}")
         return

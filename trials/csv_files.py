@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .errors import LogError
 from .files import write_atomically
 from .layouts import CANONICAL, COMMAND_UNITS, Preset, detect_preset, get_preset
-from .trial import Trial, Units, clock_advice
+from .trial import Trial, Units, clock_advice, even_time
 from .types import Vec
 
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
@@ -258,7 +258,7 @@ class Columns:
         return self.table.locate(sample, self.names["t"])[0]
 
 
-def read_columns(log: Path | str | Frame, preset: str | Preset = "auto") -> Columns:
+def read_columns(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None) -> Columns:
     """Read a log without judging its values: empty cells are not-a-number, time may repeat.
 
     Columns of text are left out; `Columns.table.texts` holds them.
@@ -288,11 +288,13 @@ def read_columns(log: Path | str | Frame, preset: str | Preset = "auto") -> Colu
     others = [k for k in table.numbers if k and k not in names.values()]  # a trailing comma makes a nameless column
     channels = {layout.channels.get(k, k): table.numbers[k] for k in others}
     t, u, angle = (table.numbers[name] for name in names.values())
+    if sampled_hz is not None:
+        t = even_time(u.size, sampled_hz)
     units = Units(layout.command[command], angle_unit, inverse=False)
     return Columns(t, u, angle, channels, units, layout, table, names)
 
 
-def read_csv(log: Path | str | Frame, preset: str | Preset = "auto") -> Trial:
+def read_csv(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None) -> Trial:
     """Read one trial from a file or a data frame.
 
     Time, command and angle must be finite and time must increase; further columns may hold empty cells (read as
@@ -301,12 +303,13 @@ def read_csv(log: Path | str | Frame, preset: str | Preset = "auto") -> Trial:
     Args:
         log: the file or frame.
         preset: its layout: a name, a `Preset`, or `auto` to tell it from the header.
+        sampled_hz: rate [Hz] of a log that was sampled evenly, whose time stamps are not looked at.
 
     Raises:
         LogError: on anything else; one line with file, row, column, what was got and what was expected.
         ConfigError: on an unknown preset.
     """
-    columns = read_columns(log, preset)
+    columns = read_columns(log, preset, sampled_hz)
     path = columns.source
     for name, values in (("t", columns.t), ("command", columns.command), ("angle", columns.angle)):
         bad = np.flatnonzero(~np.isfinite(values))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeGuard
 
@@ -16,7 +17,7 @@ from .mat_ import open_mat
 from .mcap_ import open_mcap
 from .rosbag_ import is_bag, open_bag
 from .signals import Raw, Series, Source, canonical_mapping, missing, read_mapped
-from .trial import Trial, resample
+from .trial import Trial, at_rate, even_time, positive_rate
 
 Layout = str | Preset | LogMapping
 """A layout's name, a mapping file (`*.yaml`), a `Preset` (tables), a `LogMapping`, or `auto`."""
@@ -28,14 +29,21 @@ OPENERS: dict[str, Callable[[Path], Source]] = {".mcap": open_mcap, ".db3": open
 """Formats of named signals by the ending of the file; every other ending is delimited text."""
 
 
-def read_trials(logs: Log | Iterable[Log], preset: Layout = "auto", *, rate_hz: float | None = None) -> list[Trial]:
+def read_trials(
+    logs: Log | Iterable[Log],
+    preset: Layout = "auto",
+    *,
+    rate_hz: float | None = None,
+    sampled_hz: float | None = None,
+) -> list[Trial]:
     """Read recorded trials of any format, in the order given.
 
     Args:
         logs: one or several of: delimited text, `.mat`, MCAP, ROS 2 bag, a folder of these, a data frame with the
             columns of the layout (such as `time_s`, `command`, `angle_deg`), a `Trial`.
         preset: layout of all of them: `auto`, `canonical`, `tendon-catheter`, or a mapping file `*.yaml`.
-        rate_hz: resample to this rate [Hz]; None leaves the samples as they are.
+        rate_hz: resample to this rate [Hz] and cut at gaps, see `at_rate`; None leaves the samples as they are.
+        sampled_hz: rate [Hz] of logs that were sampled evenly, whose time stamps are not looked at.
 
     Raises:
         LogError: if nothing is found, or a log cannot be read or resampled; names file, row and what was expected.
@@ -46,11 +54,11 @@ def read_trials(logs: Log | Iterable[Log], preset: Layout = "auto", *, rate_hz: 
     trials = []
     for log in several or expand_logs([]):  # which refuses to do without any
         files = expand_logs([log]) if isinstance(log, Path | str) else [log]
-        trials += [read_log(file, layout) for file in files]
-    return trials if rate_hz is None else [resample(trial, rate_hz) for trial in trials]
+        trials += [read_log(file, layout, sampled_hz) for file in files]
+    return trials if rate_hz is None else at_rate(trials, rate_hz)
 
 
-def read_log(log: Log, preset: Layout = "auto") -> Trial:
+def read_log(log: Log, preset: Layout = "auto", sampled_hz: float | None = None) -> Trial:
     """Read one trial; see `read_trials`, which takes folders too.
 
     Raises:
@@ -58,11 +66,11 @@ def read_log(log: Log, preset: Layout = "auto") -> Trial:
         ConfigError: on an unknown preset or a wrong mapping file, or a preset of another format.
     """
     if isinstance(log, Trial):
-        return log
+        return log if sampled_hz is None else replace(log, t=even_time(len(log), sampled_hz))
     layout = resolve(preset)
     if is_table(log) and not isinstance(layout, LogMapping):
-        return read_csv(log, layout)
-    return read_raw(log, layout).trial()
+        return read_csv(log, layout, sampled_hz)
+    return read_raw(log, layout, sampled_hz).trial()
 
 
 def expand_logs(paths: Iterable[Path | str]) -> list[Path]:
@@ -91,7 +99,7 @@ def _logs_in(folder: Path) -> list[Path]:
     return tables or sorted(others)
 
 
-def read_raw(log: Path | str | Frame, preset: Layout = "auto") -> Raw:
+def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float | None = None) -> Raw:
     """Read a log by its named signals without judging its values.
 
     Raises:
@@ -100,14 +108,19 @@ def read_raw(log: Path | str | Frame, preset: Layout = "auto") -> Raw:
     """
     layout, source = resolve(preset), _open(log)
     if isinstance(layout, LogMapping):
-        return read_mapped(source, layout)
+        return read_mapped(source, _sampled(layout, sampled_hz))
     if layout != "auto":
         name = layout.name if isinstance(layout, Preset) else layout
         if name != "canonical":
             raise ConfigError(
                 f"{source.path}: preset {name} is for delimited text, expected auto or a mapping file (*.yaml)"
             )
-    return read_mapped(source, canonical_mapping(source.names(), source.path))
+    return read_mapped(source, _sampled(canonical_mapping(source.names(), source.path), sampled_hz))
+
+
+def _sampled(mapping: LogMapping, sampled_hz: float | None) -> LogMapping:
+    """The mapping of a log that was sampled evenly, where its rate is given."""
+    return mapping if sampled_hz is None else mapping.model_copy(update={"rate_hz": positive_rate(sampled_hz)})
 
 
 def resolve(preset: Layout) -> Layout:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -179,6 +179,22 @@ def _signal(values: ArrayLike, name: str, source: str) -> Vec:
     return vector
 
 
+def positive_rate(rate_hz: float) -> float:
+    """A rate [Hz] that can be one.
+
+    Raises:
+        ConfigError: if it is not a positive number.
+    """
+    if not (math.isfinite(rate_hz) and rate_hz > 0):
+        raise ConfigError(f"rate_hz: got {rate_hz}, expected a positive number")
+    return rate_hz
+
+
+def even_time(samples: int, rate_hz: float) -> Vec:
+    """Time [s] of evenly spaced samples, from zero on; see `positive_rate` for the error."""
+    return np.arange(samples) / positive_rate(rate_hz)
+
+
 _SOUND = 20  # intervals from which a rate can be told
 
 
@@ -191,7 +207,7 @@ def clock_advice(t: Vec) -> str:
     if not forward.size:
         return ""
     rate = 1 / float(np.median(forward))
-    return f"; if it was sampled evenly, a mapping file with `rate_hz: {rate:.4g}` stands in for the broken clock"
+    return f"; if it was sampled evenly, `--sampled-hz {rate:.4g}` stands in for the broken clock"
 
 
 MAX_GAP_S = 0.2
@@ -200,9 +216,9 @@ MAX_GAP_S = 0.2
 GAP_INTERVALS = 3.0
 """A gap is also at least this many median sample intervals, so that slow logs are not all gaps."""
 
-TRIM_S, TRIM_SHARE = 0.5, 0.01
-"""Samples before the first gap, or behind the last one, that last no longer than both [s; of the log] are left out: a
-logger often writes some before it runs evenly. The lesser of the two counts."""
+PART_S, LEFT_OUT = 5.0, 0.1
+"""Parts of a log between gaps that are shorter [s] are left out, up to this share of the log: a part begins in motion,
+with a history that nobody knows. The longest part always counts."""
 
 _RATE_MARGIN = 1.5  # a grid this much finer than the log itself would only invent samples
 
@@ -212,25 +228,62 @@ def gap_limit_s(median_interval_s: float, max_gap_s: float = MAX_GAP_S) -> float
     return max(max_gap_s, GAP_INTERVALS * median_interval_s)
 
 
-def without_loose_ends(trial: Trial, max_gap_s: float = MAX_GAP_S) -> Trial:
-    """The trial without the few samples that a gap parts from its start or end, see `TRIM_S`; itself if there are none.
+def parts_at_gaps(trial: Trial, max_gap_s: float = MAX_GAP_S) -> tuple[Trial, ...]:
+    """The trial cut at its gaps, less parts that are too short, see `PART_S`; one without a gap is left as it is.
 
-    Time keeps its origin.
+    Time keeps its origin. Of several parts each says in its source from when it is.
+
+    Raises:
+        LogError: if the parts that are too short make more than `LEFT_OUT` of the trial.
     """
     limit = gap_limit_s(trial.dt, max_gap_s)
     gaps = np.flatnonzero(np.diff(trial.t) > limit)
-    short = min(TRIM_S, TRIM_SHARE * trial.duration_s)
-    first = gaps[trial.t[gaps] - trial.t[0] <= short]
-    last = gaps[trial.t[-1] - trial.t[gaps + 1] <= short]
-    start, stop = int(first[-1]) + 1 if first.size else 0, int(last[0]) + 1 if last.size else len(trial)
-    return trial if (start, stop) == (0, len(trial)) or stop - start < 2 else trial.select(start, stop)
+    if not gaps.size:
+        return (trial,)
+    edges = np.array([0, *(gaps + 1).tolist(), len(trial)])
+    lasts = trial.t[edges[1:] - 1] - trial.t[edges[:-1]]
+    kept = (lasts >= PART_S) | (lasts == lasts.max())
+    if lasts[~kept].sum() > LEFT_OUT * lasts.sum():
+        short = f"{lasts[~kept].sum():.3g} of {lasts.sum():.3g} s lie in parts shorter than {PART_S:g} s"
+        raise LogError(f"{_widest_gap(trial, limit)}; {short}, expected at most {100 * LEFT_OUT:g} %")
+    parts = [trial.select(edges[k], edges[k + 1]) for k in np.flatnonzero(kept).tolist()]
+    if len(parts) == 1:
+        return (parts[0],)
+    return tuple(replace(part, source=f"{trial.source} from {part.t[0]:.4g} s") for part in parts)
+
+
+def _widest_gap(trial: Trial, limit: float) -> str:
+    """The start of an error line."""
+    intervals = np.diff(trial.t)
+    k = int(np.argmax(intervals))
+    return (
+        f"{trial.source}: gap of {intervals[k]:.3g} s from {trial.t[k]:.6g} s (samples {k} and {k + 1}), "
+        f"expected at most {limit:.3g} s"
+    )
+
+
+def at_rate(trials: Iterable[Trial], rate_hz: float) -> list[Trial]:
+    """Trials cut at their gaps, on a uniform grid; one that lies on it is left as it is.
+
+    Raises:
+        ConfigError, LogError: see `parts_at_gaps` and `resample`.
+    """
+    parts = [part for trial in trials for part in parts_at_gaps(trial)]
+    return [part if _lies_at(part, rate_hz) else resample(part, rate_hz) for part in parts]
+
+
+def _lies_at(trial: Trial, rate_hz: float) -> bool:
+    try:
+        return bool(np.isclose(require_uniform(trial) * rate_hz, 1.0, rtol=1e-9))
+    except LogError:
+        return False
 
 
 def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Trial:
     """Interpolate linearly onto t[0] + k / rate_hz, up to the last sample; channels come along.
 
-    Loose ends are left out first (`without_loose_ends`). There is no anti-aliasing filter: a command that a controller
-    sent is not band-limited, and a filter would shift its turning points.
+    Short parts beside a gap are left out first (`parts_at_gaps`). There is no anti-aliasing filter: a command that a
+    controller sent is not band-limited, and a filter would shift its turning points.
 
     Args:
         trial: recorded at any, also varying, rate.
@@ -241,22 +294,16 @@ def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Tria
         ConfigError: if the rate is not a positive number.
         LogError: at a gap, on a rate above 1.5 times the log's own, or if the trial is shorter than one interval.
     """
-    if not (math.isfinite(rate_hz) and rate_hz > 0):
-        raise ConfigError(f"rate_hz: got {rate_hz}, expected a positive number")
-    trial = without_loose_ends(trial, max_gap_s)
+    positive_rate(rate_hz)
+    first, *others = parts_at_gaps(trial, max_gap_s)
+    if others:
+        raise LogError(f"{_widest_gap(trial, gap_limit_s(trial.dt, max_gap_s))}; cut the log there")
+    trial = first
     own_hz = 1.0 / trial.dt
     if rate_hz > _RATE_MARGIN * own_hz:
         raise LogError(
             f"{trial.source}: got rate_hz {rate_hz:g}, expected at most {_RATE_MARGIN * own_hz:.4g} "
             f"({_RATE_MARGIN:g} times the log's own median rate of {own_hz:.4g} Hz)"
-        )
-    intervals = np.diff(trial.t)
-    limit = gap_limit_s(trial.dt, max_gap_s)
-    widest = int(np.argmax(intervals))
-    if intervals[widest] > limit:
-        raise LogError(
-            f"{trial.source}: gap of {intervals[widest]:.3g} s from {trial.t[widest]:.6g} s "
-            f"(samples {widest} and {widest + 1}), expected at most {limit:.3g} s; cut the log there"
         )
     count = math.floor(trial.duration_s * rate_hz + 1e-6) + 1
     t = trial.t[0] + np.arange(count) / rate_hz

@@ -113,8 +113,10 @@ def _identified(
     rows: tuple[PartRow, ...] = ()
     last = search
     try:
+        lost: set[str] = set()
         while not search.interrupted and (nothing := without_meaning(found, parameters)):
-            found = search.less(found, *nothing)
+            lost.add(nothing[0])
+            found = search.beside(search.less(found, *nothing), lost)
             parameters = tuple(widened_rows(found, runs, search.tried, settings))
     except KeyboardInterrupt:
         search.interrupted = True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import final
@@ -14,13 +14,15 @@ import numpy as np
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
+from ..chain import Chain
 from ..effects.effect import Candidate, Scale
 from ..operators.dynamics import Delay
+from ..operators.static_curves import Line
 from .baseline import FreeCoreBaseline
 from .chain_fit import nothing_found
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain
 from .parts import CoreForm, Form, core_forms, device_parts
-from .problem import TrialTerms
+from .problem import Problem, TrialTerms
 from .runs import Blocks, Run, command_range
 
 SearchProgress = Callable[[float, float], None]
@@ -43,7 +45,8 @@ class AutoSettings:
     Attributes:
         standard_errors: by which the held-out error has to fall for a part to be added.
         least_share: of the held-out mean square error, by which it has to fall.
-        near: alternatives within this factor of the best training error are judged on held-out trials.
+        near: alternatives within this factor of the best training error may be the best on held-out trials. Simpler
+            ones are judged there, too, unless even the error of their fit is significantly above that of the best.
         rounds: greatest number of passes over all parts.
         evaluations: free runs of one fit.
         widening: factor on intervals for what no alternative of the list can express.
@@ -79,7 +82,7 @@ class Choice:
     @property
     def size(self) -> int:
         """Free parameters."""
-        return self.core.size + sum(len(c.free) for form in self.forms.values() for c in form)
+        return size_of(self.core, self.forms)
 
     @property
     def hypothesis(self) -> Hypothesis:
@@ -119,6 +122,8 @@ class AutoSearch:
 
     Source: one-standard-error rule of Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984),
     section 3.4.3; the number of standard errors is `AutoSettings.standard_errors`.
+
+    In a single trial the drive may begin anywhere: there, plays could take up its start. In several they cannot.
     """
 
     def __init__(
@@ -132,6 +137,7 @@ class AutoSearch:
         self.runs, self.settings, self._progress = tuple(runs), settings, progress
         scale = Scale.of(runs)
         self._cores, self._parts = core_forms(trials, scale), device_parts(scale)
+        self._names = (*(part.name for part in self._parts), _CORE)
         self._command = command_range(trials)
         self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in points from which fits start
         self.offsets, self.interrupted = offsets, False
@@ -146,14 +152,13 @@ class AutoSearch:
         except KeyboardInterrupt:
             raise nothing_found("the first core", interrupted=True) from None
         try:
-            names = (*(part.name for part in self._parts), _CORE)
-            self._plan([a for n in names for a in self._alternatives(n, present)], present, self.settings.rounds)
+            self._plan([a for n in self._names for a in self._alternatives(n, present)], present, self.settings.rounds)
             # of each part: the device when it was chosen last, and what was tried
             seen: dict[str, tuple[tuple[str, ...], list[Choice]]] = {}
             for k in range(self.settings.rounds):
                 self._weight = _NEXT_ROUND**k
                 before = _labels(present.core, present.forms)
-                for name in names:
+                for name in self._names:
                     device, tried = seen.get(name, ((), []))
                     if device == _labels(present.core, present.forms):
                         self.tried += tried  # again the same, which weighs in the intervals as often
@@ -213,6 +218,13 @@ class AutoSearch:
         left = choice.forms | {part: max(open_forms, key=free_numbers)}
         return self._polished(self._judged(choice.core, left, self._fitted(choice.core, left, choice)))
 
+    def beside(self, choice: Choice, lost: Collection[str]) -> Choice:
+        """The device with all parts chosen anew but those that lost an effect: the others were chosen beside it."""
+        for name in self._names:
+            if name not in lost:
+                choice = self._simplest(self._alternatives(name, choice), choice)
+        return self._polished(choice)
+
     def bought(self, choice: Choice) -> Iterator[PartRow]:
         """What each part bought, the chosen device less that part fitted anew."""
         for name, form in choice.forms.items():
@@ -270,27 +282,50 @@ class AutoSearch:
             least = min(fit.mse for *_, fit in fits)
             near = [fit for fit in fits if fit[2].mse < self.settings.near * least]
             choices = list(pool.map(lambda fit: self._choice(*fit), near))
-        self.tried += choices
         best = min(choices, key=lambda choice: choice.judged.mse)
-        for choice in sorted(choices, key=lambda choice: choice.size):
-            if choice is best or not self.settings.worth(choice.judged, best.judged):
-                return choice
-        return best
+        judged = {id(choice.hypothesis): choice for choice in choices}
+        found = best
+        for core, forms, hypothesis in sorted(fits, key=lambda fit: size_of(fit[0], fit[1])):
+            if hypothesis is best.hypothesis:
+                break
+            if id(hypothesis) not in judged:
+                # The errors of a fit flatter it: what they do not excuse, trials that it did not see will not either.
+                if self.settings.worth(self._validation(core).fitted_errors(hypothesis), best.judged):
+                    continue
+                judged[id(hypothesis)] = self._choice(core, forms, hypothesis)
+            if not self.settings.worth(judged[id(hypothesis)].judged, best.judged):
+                found = judged[id(hypothesis)]
+                break
+        self.tried += judged.values()
+        return found
 
     def _fitted(self, core: CoreForm, forms: Mapping[str, Form], present: Choice | None) -> Hypothesis:
         """Joint fit from the present values where a part stays, from its own starts where it is new."""
-        validation, terms = self._validation(core), TrialTerms(own_offset=self.offsets)
+        validation, terms = self._validation(core), TrialTerms(own_offset=self.offsets, own_start=len(self.runs) == 1)
         effects = [*(c for form in forms.values() for c in form), *core.curve]
         held = _values(present.hypothesis) if present else {}
         starts = [[held[c.label]] if c.label in held else [list(start) for start in c.starts] for c in effects]
         values = [list(chosen) for chosen in itertools.product(*starts)]
         if present is not None and present.core.label == core.label:
-            z = present.hypothesis.problem.retuned(present.hypothesis.q)
-            return validation.with_causes(effects, terms, z, values)
+            known = present.hypothesis.problem
+            validation = replace(validation, baseline=known.baseline)
+            return validation.with_causes(effects, terms, known.retuned(present.hypothesis.q), values)
+        chains = core.starts
+        if isinstance(core.starts[0].core, Line):
+            chains = (self._line_behind([c for c in effects if c not in core.curve], values[0]),)
+            validation = replace(validation, baseline=FreeCoreBaseline(chains[0], self._command))
         longer = replace(validation, evaluations=_FROM_AFAR * self.settings.evaluations)
-        cores = [np.array(start.core.values) for start in core.starts]
+        cores = [np.array(chain.core.values) for chain in chains]
         found = [longer.with_causes(effects, terms, z, values[:1]) for z in cores]
         return min(found, key=lambda fit: fit.mse)
+
+    def _line_behind(self, effects: Sequence[Candidate], values: Sequence[Sequence[float]]) -> Chain:
+        """The line through what a drive hands on: behind a slow one its gain is many times that over the command."""
+        problem = Problem(FreeCoreBaseline(Chain(Line(1.0, 0.0)), self._command), effects)
+        q = problem.start(np.array([1.0, 0.0]), values[: len(effects)])
+        travel = np.concatenate([problem.angles(q, run)[run.counts] for run in self.runs])
+        angle = np.concatenate([run.angle[run.counts] for run in self.runs])
+        return Chain(Line(*np.polyfit(travel, angle, 1).tolist()))
 
     def _polished(self, choice: Choice) -> Choice:
         validation = self._validation(choice.core)
@@ -343,6 +378,11 @@ def _labels(core: CoreForm, forms: Mapping[str, Form]) -> tuple[str, ...]:
 def _title(candidate: Candidate) -> str:
     plain = candidate.variant in ("command", "output")
     return candidate.effect.replace("_", " ") + ("" if plain else f" ({candidate.variant})")
+
+
+def size_of(core: CoreForm, forms: Mapping[str, Form]) -> int:
+    """Free parameters of a device."""
+    return core.size + sum(map(free_numbers, forms.values()))
 
 
 def free_numbers(form: Form) -> int:

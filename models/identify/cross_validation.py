@@ -117,6 +117,10 @@ class CrossValidation:
         found = fit_problem(hypothesis.problem, self.runs, hypothesis.q, 60, 1e-6)
         return Hypothesis(hypothesis.problem, found.q, found.mse)
 
+    def fitted_errors(self, hypothesis: Hypothesis) -> Blocks:
+        """Errors of the fit itself, in the blocks of `judge`."""
+        return blocks_of([hypothesis.problem.error(hypothesis.q, run)[0] for run in self.runs], self.runs)
+
     def judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
         """Errors on each fold of a fit to the others; with one run, on thirds of it or of the fit to it."""
         if self._thirds:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -151,14 +151,14 @@ def core_forms(trials: Sequence[Trial], scale: Scale) -> tuple[CoreForm, ...]:
         raise falls(f"(by {-slope * span / height:.2g} of its range over that of the command)", unit)
     lead = _lead(trials)
     stops = _stops(slope, offset, max(lead, 0.0), span, scale) if lead > _LEADS * height or slope <= 0 else ()
-    line = CoreForm("line", (Chain(Line(slope, offset)),), 2)
+    line, known = CoreForm("line", (Chain(Line(slope, offset)),), 2), {c.label: c for c in candidates(scale, ())}
     if slope <= 0 and float(np.corrcoef(command, angle)[0, 1]) < _FALLS:
         return line, *stops
     if slope <= 0:
         slope = height / span
         offset = float(angle.mean() - slope * command.mean())
-        line = replace(line, starts=(*line.starts, *(Chain(Line(way * slope, offset)) for way in (1.0, -1.0))))
-    return line, *_plays(slope, offset, command, scale), *stops
+    # Without a curve of its own a device without hysteresis would be given plays for the curve that comes with them.
+    return line, _bent(line, known[_CURVES[0]]), *_plays(slope, offset, command, known), *stops
 
 
 def _lead(trials: Sequence[Trial]) -> float:
@@ -182,7 +182,13 @@ def _stops(slope: float, offset: float, height: float, span: float, scale: Scale
     return tuple(made)
 
 
-def _plays(slope: float, offset: float, command: Vec, scale: Scale) -> list[CoreForm]:
+def _bent(core: CoreForm, curve: Candidate) -> CoreForm:
+    """A core with a curve."""
+    label = f"{core.label}, {curve.label}"
+    return replace(core, label=label, size=core.size + len(curve.free), curve=(curve,))
+
+
+def _plays(slope: float, offset: float, command: Vec, known: Mapping[str, Candidate]) -> list[CoreForm]:
     """Sums of plays, alone and with a curve, for a line that rises."""
     span = float(np.ptp(command))
 
@@ -199,14 +205,9 @@ def _plays(slope: float, offset: float, command: Vec, scale: Scale) -> list[Core
         CoreForm(f"pi, {plays} plays", tuple(Chain(pi(plays, reach)) for reach in _REACHES), plays + 3)
         for plays in (3, 6, 10)
     ]
-    known = {c.label: c for c in candidates(scale, ())}
     plain = next(core for core in made if core.label == _BENT)
 
-    def bent(core: CoreForm, curve: str) -> CoreForm:
-        free = known[curve].free
-        return replace(core, label=f"{core.label}, {curve}", size=core.size + len(free), curve=(known[curve],))
-
-    made += [bent(plain, curve) for curve in _CURVES]
+    made += [_bent(plain, known[curve]) for curve in _CURVES]
     bottom, radii = offset + slope * float(command.min()), tuple(np.geomspace(*_RADII, _PLAYS) * span)
 
     def curved(pieces: int, turn: int) -> CoreForm:
@@ -216,4 +217,4 @@ def _plays(slope: float, offset: float, command: Vec, scale: Scale) -> list[Core
         return CoreForm(label, (Chain(core),), len(slopes) + 1)
 
     gradual = curved(_MANY, 1)
-    return [*made, curved(_FEW, 0), gradual, bent(gradual, _SLACK), curved(_MANY, 0)]
+    return [*made, curved(_FEW, 0), gradual, _bent(gradual, known[_SLACK]), curved(_MANY, 0)]

@@ -21,6 +21,8 @@ from .runs import Run, RunsTogether
 _BLOCK_S = 4.0
 _RIDGE = 1e-9
 _LEAKS = 2.0  # times what leaks from the motion's own frequencies: less is no line of its own
+_UNSEEN = 0.01
+_FAINT = 1e-4  # of the working units: a start that long ago is forgotten
 
 
 @final
@@ -31,6 +33,7 @@ class TrialTerms:
     Attributes:
         shift: offset, gain and width of the trial, to first order: columns 1, theta and d theta / d width.
         own_offset: an offset alone; no effect, as sensors are zeroed anew for a trial.
+        own_start: where a slow drive stood at the start, to first order; no effect, as it need not have come to rest.
         frequency_hz: of a disturbance whose phase each trial has for itself; 0 for none.
         harmonics: of that disturbance.
         width: position of the baseline's width among the unknowns, -1 for none.
@@ -38,6 +41,7 @@ class TrialTerms:
 
     shift: bool = False
     own_offset: bool = False
+    own_start: bool = False
     frequency_hz: float = 0.0
     harmonics: int = 2
     width: int = -1
@@ -48,8 +52,10 @@ class TrialTerms:
         return (*(("trial_shift",) if self.shift else ()), *(("periodic_disturbance",) if self.frequency_hz else ()))
 
     def columns(self, run: Run, theta: Vec, by_q: Vec) -> Vec:
-        """The terms (C, K) at the samples that count."""
+        """The terms (C, K) at the samples that count; with an own start its derivative is the first of `by_q`."""
         made: list[Vec] = [np.ones(theta.size)] if self.own_offset else []
+        if self.own_start and np.max(np.abs(by_q[:, 0]), initial=0.0) > _FAINT:
+            made.append(by_q[:, 0])
         if self.shift:
             made += [np.ones(theta.size), theta - theta.mean()]
             if self.width >= 0 and np.ptp(by_q[:, self.width]) > 0:
@@ -108,6 +114,8 @@ class TrialTerms:
             seen = ~chosen if (~chosen).any() else chosen
             square = columns[seen].T @ columns[seen]
             square += _RIDGE * np.trace(square) * np.eye(square.shape[0])
+            if self.own_start:  # blocks in which the start is forgotten must not say what it was
+                square += _UNSEEN * np.diag(np.sum(columns**2, axis=0))
             left[chosen] -= columns[chosen] @ np.linalg.solve(square, columns[seen].T @ error[seen])
         return left
 
@@ -179,6 +187,9 @@ class Problem:
         self._core = slice(at[core], at[core + 1])
         first = core + 1 + len(nominal.after)
         owners = [*((c, k) for k, (c, _) in enumerate(leading)), *((c, first + k) for k, (c, _) in enumerate(trailing))]
+        self._first = int(terms.own_start)  # leading columns of a pass
+        drive = [range(states[k], states[k + 1]) for k, (c, _) in enumerate(leading) if c.effect == "lag"]
+        self._drive = [state for own in drive for state in own]
         self._carried = [(c.carries, states[k]) for c, k in owners if c.carries]
         kept = {k for name, own in baseline.effects.items() if name not in self._in_core() for k in own.values()}
         kept.update(baseline.held)
@@ -253,13 +264,13 @@ class Problem:
     def linearised(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angles (T,) and their derivative (T, Q)."""
         theta, both = self._pass(q, RunsTogether.of([run]))
-        return theta, both[:, :-1]
+        return theta, both[:, self._first : -1]
 
     def error(self, q: Vec, run: Run) -> tuple[Vec, Vec]:
         """Angle less measurement where it counts (C,) and its derivative (C, Q), a trial's own terms projected out."""
         theta, both = self._pass(q, RunsTogether.of([run]))
         left = self.terms.projected(run, theta[run.scored], both[run.scored])
-        return left[:, -1], left[:, :-1]
+        return left[:, -1], left[:, self._first : -1]
 
     def held_out_error(self, q: Vec, run: Run) -> Vec:
         """Angle less measurement where it counts (C,); what belongs to the trial alone is estimated on other blocks."""
@@ -280,14 +291,25 @@ class Problem:
             scored = [(run, theta[at][run.scored], both[at][run.scored]) for run, at in together.each()]
             parts = [self.terms.projected(*own) for own in scored]
             common = [self.terms.common(*own) for own in scored] if self.terms.apart else []
+        parts = [part[:, self._first :] for part in parts]
+        common = [row[:, self._first :] for row in common]
         return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common
 
     def _pass(self, q: Vec, together: RunsTogether) -> tuple[Vec, Vec]:
-        """Angles (T,), their derivative and, in the last column, their error (T, Q + 1) over all samples."""
+        """Angles (T,), their derivative and, in the last column, their error (T, Q + 1) over all samples.
+
+        With an own start the first column is the derivative by the command at which the drive began.
+        """
         p, slope = self._values(q)
-        seeds = np.column_stack([slope, np.zeros(p.size)])
-        start = self._start(together, p, seeds)
-        theta, both = self._staged.differentiate(together.command, together.dt_s, *start, p, seeds, together.first)
+        seeds = np.column_stack([np.zeros((p.size, self._first)), slope, np.zeros(p.size)])
+        state, moving = self._start(together, p, seeds)
+        if self._first:
+            began = np.array([run.rest_command for run in together.runs])
+            moved = self._staged.rest(began + 1.0, began, p) - self._staged.rest(began, began, p)
+            moving[self._drive, :, 0] = moved[self._drive]
+        theta, both = self._staged.differentiate(
+            together.command, together.dt_s, state, moving, p, seeds, together.first
+        )
         theta += together.correction
         np.subtract(theta, together.angle, out=both[:, -1])
         return theta, both

@@ -6,8 +6,9 @@ Identification Benchmarks, Brussels (2016); data doi 10.4121/12967592.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import final
 
 import numpy as np
 from scipy.signal import firwin
@@ -16,8 +17,13 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.operators.oscillator import Oscillator
 from hystmpc.trials.errors import LogError
+from hystmpc.trials.layouts import LOG_TIME
+from hystmpc.trials.mat_ import open_mat
 from hystmpc.trials.trial import Trial, Units
 from hystmpc.trials.types import Vec
+
+from .records import Case, PublicData, Published, ScoredRecord
+from .settings import PublicSettings
 
 RATE_HZ = 750.0
 PERIOD = 8192
@@ -27,12 +33,15 @@ UNITS = Units("N", "m")
 COLUMNS = ("force_N", "displacement_m")
 # m, c, k, alpha, beta gamma, beta delta; the noise of the training record is 8e-6 m before its low-pass.
 PUBLISHED_SYSTEM = (2.0, 10.0, 5e4, 5e4, 1e3 * 0.8, 1e3 * -1.1)
-PUBLISHED: tuple[tuple[str, float], ...] = (
-    ("structured neural state space", 7.53e-6),
-    ("polynomial nonlinear state space (PNLSS)", 1.21e-5),
-    ("polynomial state space", 1.34e-5),
-    ("Koopman", 1.43e-5),
-    ("linear", 1.6e-4),
+PUBLISHED = tuple(
+    Published(model, "multisine, official", rmse)
+    for model, rmse in (
+        ("structured neural state space", 7.53e-6),
+        ("polynomial nonlinear state space (PNLSS)", 1.21e-5),
+        ("polynomial state space", 1.34e-5),
+        ("Koopman", 1.43e-5),
+        ("linear", 1.6e-4),
+    )
 )
 """RMSE on the official multisine test [m], as their authors print them."""
 
@@ -42,20 +51,31 @@ _SWEEP_HZ, _SWEEP_HZ_PER_S, _SWEEP_N = (20.0, 50.0), 10 / 60, 40.0
 _PERIODS = 3
 
 
-@dataclass(frozen=True, eq=False)
-class ScoredRecord:
-    """A record of the test.
+@final
+class BoucWenData(PublicData):
+    """The benchmark: one training record, official test records where they are given, and tests simulated here."""
 
-    Attributes:
-        periodic: one period of a steady state: a model runs over it several times, and the last time counts. Else the
-            device rests without load at its start.
-        simulated: whether it was simulated here.
-    """
+    title = "A public benchmark: Bouc-Wen"
+    about = """The Bouc-Wen benchmark: a force in N moves a mass on a spring with a hysteretic force behind it. Its
+displacement in m is to be predicted from the force alone. Models are identified from the training record and run
+freely over the test, from rest; over one period of a steady state they run three times, and the third counts. RMSE is
+over all samples. Tests that are simulated here are the published system (Runge-Kutta at 15 kHz, no noise): a
+multisine of another realisation and a sine sweep."""
+    units = UNITS
+    published = PUBLISHED
+    note = (
+        "The published figures are of the official multisine. An error on a test simulated here is no official score."
+    )
 
-    name: str
-    trial: Trial
-    periodic: bool
-    simulated: bool
+    def files(self, settings: PublicSettings) -> tuple[Path, ...]:
+        return (Path(settings.data), *map(Path, settings.test))
+
+    def cases(self, settings: PublicSettings) -> Sequence[Case]:
+        training = read_record(settings.data)
+        noise = noise_of_periods(training)
+        known = "unknown" if np.isnan(noise) else f"{noise:.3g} m, from what differs between its periods"
+        tests = [*given_tests(settings.test), *simulated_tests(settings.seed, settings.quick)]
+        return [Case("", [training], tests, {"noise of the training record": known})]
 
 
 def read_record(path: Path | str) -> Trial:
@@ -93,9 +113,35 @@ def noise_of_periods(trial: Trial) -> float:
 
 
 def given_tests(paths: tuple[str, ...]) -> list[ScoredRecord]:
-    """Test records from files; one of exactly a period is periodic."""
-    trials = [(Path(path).stem, read_record(path)) for path in paths]
-    return [ScoredRecord(name, trial, len(trial) == PERIOD, simulated=False) for name, trial in trials]
+    """Test records from files; one of exactly a period is periodic.
+
+    Of MATLAB files together every pair `uval_NAME` and `yval_NAME` is a record: the official ones hold a signal a file.
+
+    Raises:
+        LogError: if a file cannot be used, or a signal is without its partner.
+    """
+    tables = [path for path in paths if Path(path).suffix.lower() != ".mat"]
+    found = [(Path(path).stem, read_record(path)) for path in tables]
+    signals: dict[str, tuple[str, Vec]] = {}
+    for path in sorted(set(paths) - set(tables)):
+        log = open_mat(path)
+        own = [name for name in log.names() if name[:5] in ("uval_", "yval_")]
+        if not own:
+            raise LogError(f"{path}: no variable uval_... or yval_..., available: {', '.join(log.names()) or 'none'}")
+        signals |= {name: (path, log.series([name], LOG_TIME)[0].values) for name in own}
+    for record in sorted({name[5:] for name in signals}):
+        pair = [signals.get(f"{letter}val_{record}") for letter in "uy"]
+        (path, force), (_, displacement) = (one or _alone(record, signals) for one in pair)
+        found.append((record, _record(force, displacement, path)))
+    return [ScoredRecord(f"{name}, given", trial, 0.0, periodic=len(trial) == PERIOD) for name, trial in found]
+
+
+def _alone(record: str, signals: Mapping[str, tuple[str, Vec]]) -> tuple[str, Vec]:
+    name = next(name for name in signals if name[5:] == record)
+    other = f"{'y' if name.startswith('u') else 'u'}val_{record}"
+    raise LogError(
+        f"{signals[name][0]}: {name} without {other}, expected both; name the file that holds it with --test"
+    )
 
 
 def simulated_tests(seed: int, quick: bool = False) -> list[ScoredRecord]:
@@ -120,7 +166,10 @@ def simulated_tests(seed: int, quick: bool = False) -> list[ScoredRecord]:
     low_pass = np.asarray(firwin(_FINE * _FINE + 1, 0.95 / _FINE), dtype=np.float64)
     filtered = np.convolve(_answer(swept), low_pass, "same")
     sweep = _record(swept[::_FINE], filtered[::_FINE], "sine sweep, simulated here")
-    return [ScoredRecord("multisine", multisine, True, True), ScoredRecord("sine sweep", sweep, False, True)]
+    return [
+        ScoredRecord("multisine, simulated", multisine, 0.0, periodic=True, simulated=True),
+        ScoredRecord("sine sweep, simulated", sweep, 0.0, simulated=True),
+    ]
 
 
 def _answer(force: Vec) -> Vec:

@@ -1,11 +1,12 @@
-"""One kind of model on a public data set: identified from the training record, scored on the test."""
+"""One kind of model on one case of a public data set: identified from its trials, scored on its test."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import re
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,35 +21,53 @@ from hystmpc.models.simulator import ChainModel, load_simulator, save_simulator
 from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.trials.types import Vec
 
-from .boucwen import ScoredRecord, given_tests, read_record, simulated_tests
+from .catalogue import data_set
+from .records import Case, ScoredRecord
 from .settings import PublicSettings
 
-FORMAT = "hystmpc-public-job/1"
+FORMAT = "hystmpc-public-job/2"
 _LAPS = 3  # passes over a period: the first two end the transient
 
 
 @dataclass(frozen=True)
 class PublicJob:
-    """One kind of model."""
+    """One kind of model on one case."""
 
+    case: str
     kind: str
 
     @property
     def key(self) -> str:
         """Name of its files."""
-        return self.kind
+        words = re.sub(r"[^A-Za-z0-9.]+", "-", self.case).strip("-")
+        return f"{words}-{self.kind}" if words else self.kind
+
+
+@dataclass(frozen=True)
+class Score:
+    """Errors of a free run over one record, in the unit of the data set.
+
+    Attributes:
+        rmse: root mean square error.
+        spread: the same less the mean error.
+        span: range of the measured output where it counts.
+    """
+
+    rmse: float
+    spread: float
+    span: float
 
 
 @dataclass(frozen=True)
 class PublicResult:
-    """Outcome of one kind.
+    """Outcome of one kind on one case.
 
     Attributes:
         status: `failed` if anything raised.
         message: the error of a failed job, else how the identification went.
         fit_s: time of the identification [s].
         parameters: values of its readable form, with their labels; nothing of a network.
-        rmse: of free runs by test record, in the unit of the data set.
+        scores: by test record.
     """
 
     job: PublicJob
@@ -58,18 +77,18 @@ class PublicResult:
     seconds: float
     fit_s: float = 0.0
     parameters: Mapping[str, float] = field(default_factory=dict)
-    rmse: Mapping[str, float] = field(default_factory=dict)
+    scores: Mapping[str, Score] = field(default_factory=dict)
 
 
-def public_jobs(settings: PublicSettings) -> tuple[PublicJob, ...]:
-    """A job for each kind."""
-    return tuple(PublicJob(kind) for kind in dict.fromkeys(settings.kinds))
+def public_jobs(settings: PublicSettings, cases: Sequence[Case]) -> tuple[PublicJob, ...]:
+    """A job for each case and kind."""
+    return tuple(PublicJob(case.name, kind) for case in cases for kind in dict.fromkeys(settings.kinds))
 
 
 def fingerprint(job: PublicJob, settings: PublicSettings) -> str:
     """SHA-256 over the settings and the files."""
-    files = [hashlib.sha256(Path(path).read_bytes()).hexdigest() for path in (settings.data, *settings.test)]
-    own = settings.model_dump(mode="json") | {"kinds": job.kind, "data": "", "test": files}
+    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in data_set(settings).files(settings)]
+    own = settings.model_dump(mode="json") | {"kinds": job.kind, "data": job.case, "test": files}
     return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()
 
 
@@ -78,26 +97,22 @@ def result_files(folder: Path) -> ResultFiles[PublicResult]:
     return ResultFiles(folder, PublicResult, FORMAT)
 
 
-def tests_of(settings: PublicSettings) -> list[ScoredRecord]:
-    """The test records: those given, else those that are simulated here."""
-    return given_tests(settings.test) or simulated_tests(settings.seed, settings.quick)
-
-
 def study_kind(
     job: PublicJob, settings: PublicSettings, folder: Path
-) -> tuple[str, float, dict[str, float], dict[str, float]]:
-    """Identify and score; the model and its free runs are written into the folder.
+) -> tuple[str, float, dict[str, float], dict[str, Score]]:
+    """Identify and score; the model is written into the folder.
 
     Returns:
-        Message, time of the identification [s], parameters and errors, see `PublicResult`.
+        Message, time of the identification [s], parameters and scores, see `PublicResult`.
 
     Raises:
         HystmpcError: if a file cannot be used, or the kind cannot be identified from it.
     """
-    kind, trial = kind_named(job.kind), read_record(settings.data)
+    kind = kind_named(job.kind)
+    case = next(case for case in data_set(settings).cases(settings) if case.name == job.case)
     request = FitRequest(kind.usual_preset(False), settings.seed, settings.steps(job.kind))
     start = time.perf_counter()
-    found = kind.fit([trial], request)
+    found = kind.fit(case.training, request)
     seconds = time.perf_counter() - start
     (folder / "models").mkdir(exist_ok=True)
     export_onnx(found.bundle, _file(job, folder, "onnx"))
@@ -106,23 +121,23 @@ def study_kind(
         save_simulator(found.simulator, _file(job, folder, "yaml"))
         chain = found.simulator.chain
         parameters = dict(zip(chain.labels, chain.values.tolist(), strict=True))
-    errors = {}
-    for record in tests_of(settings):
-        predicted = over_record(job, folder, record)
-        errors[record.name] = float(np.sqrt(np.mean((predicted - record.trial.angle) ** 2)))
-    return found.report, seconds, parameters, errors
+    scores = {}
+    for record in case.tests:
+        left = record.errors(over_record(job, folder, record))
+        scores[record.name] = Score(float(np.sqrt(np.mean(left**2))), float(np.std(left)), record.span)
+    return found.report, seconds, parameters, scores
 
 
 def over_record(job: PublicJob, folder: Path, record: ScoredRecord) -> Vec:
-    """Free run (T,) of the model in the folder over a test record, from rest; of a periodic one the steady state."""
+    """Free run (T,) of the model in the folder over a test record; of a periodic one the steady state."""
     commands, readable = record.trial.command, _file(job, folder, "yaml")
     laps = np.tile(commands, _LAPS if record.periodic else 1)
     if readable.exists():
-        run = ChainModel(load_simulator(readable)).run(laps, 0.0)
+        run = ChainModel(load_simulator(readable)).run(laps, record.start)
     else:
-        run = free_run(load_onnx(_file(job, folder, "onnx")), laps, 0.0)
+        run = free_run(load_onnx(_file(job, folder, "onnx")), laps, record.start)
     return run[-commands.size :]
 
 
 def _file(job: PublicJob, folder: Path, suffix: str) -> Path:
-    return folder / "models" / f"{job.kind}.{suffix}"
+    return folder / "models" / f"{job.key}.{suffix}"

@@ -1,4 +1,4 @@
-"""The whole study of a public data set: a job for each kind, then the page; the same command goes on."""
+"""The whole study of a public data set: a job for each case and kind, then the page; the same command goes on."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 from hystmpc.trials.types import Progress
 
 from ..ready import ReadyStudy, do_kept, ready_study
-from .boucwen import read_record
+from .catalogue import data_set
 from .job import PublicJob, PublicResult, fingerprint, public_jobs, result_files, study_kind
 from .report import PublicOutcome, public_report
 from .settings import PublicSettings
 
 # Processor seconds of a fit on one core of a two-core x86-64 machine, from runs of the study itself.
-_FIT_S = {"oscillator": 15.0, "state_network": 200.0}
-_OTHER_S, _QUICK_S = 300.0, 30.0
+_FIT_S = {"oscillator": 15.0, "state_network": 200.0, "auto": 20.0, "maxwell_slip_rate": 15.0}
+_OTHER_S, _QUICK_S = 10.0, 30.0
 
 ReadyPublic = ReadyStudy[PublicSettings, PublicJob, PublicResult]
 
@@ -26,12 +26,11 @@ def prepare_public(settings: PublicSettings, out: Path | str) -> ReadyPublic:
     Raises:
         LogError: if a record cannot be used.
     """
-    for path in (settings.data, *settings.test):
-        read_record(path)
+    cases = data_set(settings).cases(settings)
     return ready_study(
         settings,
         settings.study,
-        public_jobs(settings),
+        public_jobs(settings, cases),
         out,
         result_files,
         lambda job, folder: fingerprint(job, settings),
@@ -44,7 +43,9 @@ def run_public(study: ReadyPublic, workers: int = 1, progress: Progress | None =
     folder = study.folder.path
     do = partial(do_job, settings=study.settings, folder=folder)
     results = study.complete([study.jobs], do, workers, progress)
-    outcome = PublicOutcome(study.settings, results, folder, study.folder.meta)
+    outcome = PublicOutcome(
+        study.settings, data_set(study.settings).cases(study.settings), results, folder, study.folder.meta
+    )
     page, tables = public_report(outcome)
     study.leave(page, tables)
     return outcome
@@ -53,5 +54,5 @@ def run_public(study: ReadyPublic, workers: int = 1, progress: Progress | None =
 def do_job(job: PublicJob, settings: PublicSettings, folder: Path) -> PublicResult:
     """Do one job and write its result; see `do_kept`."""
     blank = PublicResult(job, fingerprint(job, settings), "failed", "", 0.0)
-    fields = ("message", "fit_s", "parameters", "rmse")
+    fields = ("message", "fit_s", "parameters", "scores")
     return do_kept(blank, fields, lambda: study_kind(job, settings, folder), result_files(folder))

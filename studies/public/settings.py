@@ -10,7 +10,13 @@ from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, did_you_mean
 
-DATA_SETS = ("boucwen",)
+DATA_SETS = {
+    "boucwen": ("oscillator", "state_network"),
+    "seals": ("maxwell_slip", "maxwell_slip_rate", "auto", "bouc_wen", "pi", "play_kernel"),
+    "rig": ("auto", "backlash", "pi", "maxwell_slip"),
+}
+"""Data sets, and the kinds of model that are tried on each where none is named."""
+
 _STEPS = {"state_network": 60}
 _QUICK_STEPS = 4
 
@@ -21,9 +27,9 @@ class PublicSettings(Settings):
     Attributes:
         study: always `public`.
         dataset: name of the data set, see `DATA_SETS`.
-        data: file that is identified from.
-        test: files of the test; without any, records that are simulated here.
-        kinds: of model, by name.
+        data: file that is identified from, or a folder of them.
+        test: further files of the test.
+        kinds: of model, by name; those of `DATA_SETS` where left out.
         seed: of everything drawn at random.
         quick: few steps, short tests: proves that everything runs, and nothing else.
     """
@@ -32,7 +38,7 @@ class PublicSettings(Settings):
     dataset: str
     data: str
     test: tuple[str, ...] = ()
-    kinds: tuple[str, ...] = ("oscillator", "state_network")
+    kinds: tuple[str, ...]
     seed: Annotated[int, Field(ge=0)] = 1
     quick: bool = False
 
@@ -48,11 +54,10 @@ class PublicSettings(Settings):
             raise ConfigError(f"study public: expected a data set ({', '.join(DATA_SETS)}) and its file, --data FILE")
         given = {name: value for name, value in changes.items() if value not in (None, (), [])}
         given |= {"data": str(changes["data"]), "test": tuple(str(file) for file in changes.get("test") or ())}
-        settings = cls.parse(given, "study public")
-        if settings.dataset not in DATA_SETS:
-            raise ConfigError(
-                f"study public: no data set {settings.dataset!r}, {did_you_mean(settings.dataset, DATA_SETS)}"
-            )
+        name = str(changes["dataset"])
+        if name not in DATA_SETS:
+            raise ConfigError(f"study public: no data set {name!r}, {did_you_mean(name, DATA_SETS)}")
+        settings = cls.parse({"kinds": DATA_SETS[name]} | given, "study public")
         for kind in settings.kinds:
             kind_named(kind)
         return settings

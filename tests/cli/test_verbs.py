@@ -97,6 +97,26 @@ def test_a_folder_of_logs_and_both_ways_to_count(
         assert "hold drift" in " ".join(out.split())
 
 
+def test_the_clock_that_check_proposes_is_one_that_check_fit_and_evaluate_take(
+    logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken, model = tmp_path / "broken.csv", tmp_path / "model.yaml"
+    header, *rows = logs[1].read_text().splitlines()
+    rows = [",".join([f"{float(row.split(',')[0]):.2g}", *row.split(",")[1:]]) for row in rows]  # 10.1 s reads 10 s
+    broken.write_text("\n".join([header, *rows]) + "\n")
+    code, out, _ = run(capsys, "check", broken)
+    assert (code, "--sampled-hz 100" in " ".join(out.replace("│", " ").split())) == (1, True)
+    assert run(capsys, "fit", "backlash", broken, "--out", model)[0] == 2
+    given = (broken, "--sampled-hz", 100)
+    assert run(capsys, "check", *given)[0] == 0
+    assert run(capsys, "fit", "backlash", *given, "--out", model)[0] == 0
+    found = [tmp_path / f"{name}.json" for name in ("broken", "sound")]
+    assert run(capsys, "evaluate", model, *given, "--json", found[0])[0] == 0
+    assert run(capsys, "evaluate", model, logs[1], "--json", found[1])[0] == 0
+    one, other = (json.loads(file.read_text())["mean"] for file in found)
+    assert one == pytest.approx(other, rel=1e-6)
+
+
 NO_LOG = "missing.csv"
 
 

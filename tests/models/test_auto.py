@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.effects.effect import Scale
 from hystmpc.models.identify.auto import identify_auto
 from hystmpc.models.identify.auto_search import AutoSearch, AutoSettings
 from hystmpc.models.identify.baseline import FreeCoreBaseline
 from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.models.identify.free_run import StagedChain
+from hystmpc.models.identify.parts import device_parts
+from hystmpc.models.identify.problem import TrialTerms
 from hystmpc.models.identify.runs import command_range, runs_of
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
@@ -20,6 +23,7 @@ from hystmpc.models.operators.dynamics import Delay, Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from hystmpc.models.operators.slow_changes import Creep
+from hystmpc.models.operators.static_curves import Line
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
@@ -165,3 +169,39 @@ def test_an_angle_that_falls_with_the_command_is_refused() -> None:
     fallen = [replace(trial, angle=-trial.angle) for trial in recorded()]
     with pytest.raises(FitError, match="falls with the command"):
         identify_auto(fallen)
+
+
+def started_in_motion(core: Operator, seed: int = 3) -> Trial:
+    """A slow drive behind a curved valve that has not come to rest when the recording begins; one trial of 60 s."""
+    random = np.random.default_rng(seed)
+    steps = np.repeat(random.uniform(0.5, 5.5, 45), 40)
+    u = np.asarray(np.convolve(steps, np.ones(10) / 10, mode="full")[:1500], dtype=np.float64)
+    valve, chain = u + 0.15 * (u - 3.0) * abs(u - 3.0), Chain(core, (Lag(8.0),))
+    staged = StagedChain(chain)
+    state = staged.rest(valve[:1] + 1.0, np.array([25.0]))
+    angle = staged.simulate(valve[:, None], DT, state)[0][:, 0] + NOISE_DEG * random.standard_normal(u.size)
+    return Trial(np.arange(u.size) * DT, u, angle)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("core", "kept"), [(Line(10.0, 5.0), False), (CORE, True)], ids=["line", "plays"])
+def test_slow_dynamics_are_no_hysteresis_and_do_not_hide_it(core: Operator, kept: bool) -> None:
+    label = identify_auto([started_in_motion(core)]).choice.core.label
+    assert (label != "line") == kept
+
+
+def test_where_a_slow_drive_stood_at_the_start_is_no_error_of_its_model() -> None:
+    trial = started_in_motion(Line(10.0, 5.0))
+    runs = runs_of([replace(trial, command=trial.command + 0.15 * (trial.command - 3.0) * abs(trial.command - 3.0))])
+    drive = next(form for form in device_parts(Scale.of(runs))[0].forms if form and form[0].variant == "one pole")
+    core, found = Chain(Line(8.0, 0.0)), []
+    validation = CrossValidation(FreeCoreBaseline(core, command_range([trial])), runs, 60)
+    for own_start in (False, True):
+        terms = TrialTerms(own_start=own_start)
+        found.append(validation.with_causes(drive, terms, np.array(core.core.values), [[[2.0]]]))
+    at_rest, free = (np.sqrt(fit.mse) for fit in found)
+    assert free == pytest.approx(NOISE_DEG, rel=0.05)
+    assert at_rest > 2 * free
+    assert found[1].problem.effect_values(found[1].q)[0]["tau_s"] == pytest.approx(8.0, rel=0.01)
+    error, by_q = found[1].problem.error(found[1].q, runs[0])
+    assert by_q.shape == (error.size, found[1].q.size)

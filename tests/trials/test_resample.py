@@ -13,7 +13,7 @@ from hystmpc.trials.check import Severity, check
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.read import read_trials
-from hystmpc.trials.trial import MAX_GAP_S, Trial, Units, require_uniform, resample, without_loose_ends
+from hystmpc.trials.trial import MAX_GAP_S, Trial, Units, at_rate, parts_at_gaps, require_uniform, resample
 
 
 def jittered(count: int, seed: int, start: float = 3.0) -> Trial:
@@ -82,31 +82,51 @@ def test_uniform_means_uniform() -> None:
         require_uniform(jittered(100, 0))
 
 
-@given(st.integers(0, 20), st.integers(0, 20), st.floats(0.25, 5.0))
+@given(st.integers(0, 300), st.integers(0, 300), st.floats(0.25, 5.0))
 def test_a_gap_near_an_end_costs_what_lies_beyond_it(head: int, tail: int, gap_s: float) -> None:
     t = 0.01 * np.arange(6000.0)
     t[head + 1 :] += gap_s
     t[-1 - tail :] += gap_s
     trial = Trial(t, 2 * t, t)
-    used = without_loose_ends(trial)
+    (used,) = parts_at_gaps(trial)
     assert len(used) == 6000 - (head + 1) - (tail + 1)
     assert used.t[0] == t[head + 1]
     assert resample(trial, 50.0).t[0] == used.t[0]
     (gaps,) = check(trial).of("gaps")
     assert gaps.severity is Severity.NOTE
-    assert f"parting {head + tail + 2} samples" in gaps.message
+    assert f"{head + tail + 2} samples beside a gap are left out" in gaps.message
 
 
-def test_a_gap_that_parts_more_is_refused_and_a_sound_log_is_left_as_it_is() -> None:
+@given(st.lists(st.integers(501, 2000), min_size=1, max_size=4), st.floats(0.25, 5.0))
+def test_a_log_is_cut_at_its_gaps_and_no_sample_of_a_long_part_is_lost(lengths: list[int], gap_s: float) -> None:
+    t = 0.01 * np.arange(float(sum(lengths)))
+    for edge in np.cumsum(lengths)[:-1]:
+        t[edge:] += gap_s
+    trial = Trial(t, 2 * t, -t, {"force": 3 * t}, source="log.csv")
+    parts = parts_at_gaps(trial)
+    assert [len(part) for part in parts] == lengths
+    np.testing.assert_array_equal(np.concatenate([part.t for part in parts]), t)
+    np.testing.assert_array_equal(np.concatenate([part.channels["force"] for part in parts]), 3 * t)
+    assert len({part.source for part in parts}) == len(parts)
+    found = at_rate([trial], 50.0)
+    assert [part.source for part in found] == [part.source for part in parts]
+    assert [part.t[0] for part in found] == [part.t[0] for part in parts]
+    (gaps,) = check(trial).of("gaps")
+    assert gaps.severity is (Severity.NOTE if len(parts) > 1 else Severity.OK)
+    assert (f"cut into {len(parts)} trials" in gaps.message) == (len(parts) > 1)
+
+
+def test_a_log_that_falls_to_pieces_is_refused_and_a_sound_one_is_left_as_it_is() -> None:
     t = 0.01 * np.arange(6000.0)
-    assert without_loose_ends(trial := Trial(t, t, t)) is trial
-    t[80:] += 0.3  # behind 0.8 s, more than 0.5 s
-    with pytest.raises(LogError, match=r"gap of 0\.31 s from 0\.79 s"):
-        resample(Trial(t, t, t), 50.0)
-    short = 0.01 * np.arange(500.0)
-    short[20:] += 0.3  # behind 0.2 s of 5 s, more than 1 %
-    with pytest.raises(LogError, match=r"gap of 0\.31 s"):
-        resample(Trial(short, short, short), 50.0)
+    (same,) = parts_at_gaps(trial := Trial(t, t, t))
+    assert same is trial
+    broken = t + 0.3 * (np.arange(6000) // 400)  # parts of 4 s
+    with pytest.raises(LogError, match=r"gap of 0\.31 s .* in parts shorter than 5 s, expected at most 10 %"):
+        at_rate([Trial(broken, t, t)], 50.0)
+    assert check(Trial(broken, t, t)).worst is Severity.ERROR
+    t[3000:] += 0.3
+    with pytest.raises(LogError, match=r"gap of 0\.31 s from 29\.99 s .*; cut the log there"):
+        resample(Trial(t, t, t), 50.0)  # one trial cannot be two
 
 
 def test_a_clock_that_runs_out_of_digits_is_stood_in_for(tmp_path: Path) -> None:
@@ -116,14 +136,20 @@ def test_a_clock_that_runs_out_of_digits_is_stood_in_for(tmp_path: Path) -> None
     path.write_text(
         "time_s,command,angle_deg\n" + "".join(f"{s},{np.sin(v):.6f},{v:.6f}\n" for s, v in zip(stamps, t, strict=True))
     )
-    with pytest.raises(LogError, match=r"expected increasing time .*`rate_hz: 200` stands in for the broken clock"):
+    with pytest.raises(LogError, match=r"expected increasing time .*`--sampled-hz 200` stands in for the broken clock"):
         read_trials(path)
     (finding,) = check(path).of("duplicates")
     assert finding.severity is Severity.ERROR
-    assert "a mapping file with `rate_hz: 200`" in finding.message
+    assert "`--sampled-hz 200`" in finding.message
     layout.write_text("command: command\nangle: angle_deg\nrate_hz: 200\n")
     (trial,) = read_trials(path, str(layout))
     np.testing.assert_allclose(trial.t, t)
+    for given_layout in ("auto", str(layout)):
+        (again,) = read_trials(path, given_layout, sampled_hz=200)
+        np.testing.assert_array_equal(again.t, trial.t)
+        assert check(path, given_layout, sampled_hz=200).worst is not Severity.ERROR
+    with pytest.raises(ConfigError, match="expected a positive number"):
+        read_trials(path, sampled_hz=0)
 
 
 def test_the_unit_of_the_log_is_the_unit_of_the_trial(tmp_path: Path) -> None:
