@@ -99,16 +99,20 @@ def moved_numbers(
     Args:
         prepared: trials and the baseline.
         retuned: the simulator refitted.
-        quantities: gain, offset and width of it.
+        quantities: gain, offset and width of it, in working units.
+
+    Returns:
+        the numbers in the units of the log.
     """
-    baseline = prepared.baseline
+    baseline, decades, units = prepared.baseline, prepared.decades, prepared.checked.trials[0].units
     given = dict(baseline.quantities(baseline.nominal))
-    command = prepared.checked.trials[0].units.command
     rows = [(row, given[row.name]) for row in quantities if row.owner == "baseline"]
     rows += [(row, float(row.neutral or 0.0)) for row in core_rows(retuned, prepared.development)]
     found = []
     for row, before in rows:
         sure = not row.flat and np.isfinite(row.ci90).all() and not row.ci90[0] <= before <= row.ci90[1]
         if sure and abs(row.value - before) > _LEAST_MOVE * max(abs(before), abs(row.value)):
-            found.append(Moved(row.name, row.unit.replace("cmd", command), before, row.value, row.ci90))
+            shown = row.times(decades.in_log(row.unit))
+            was, unit = decades.log_value(before, row.unit), units.named(row.unit) or "1"
+            found.append(Moved(row.name, unit, was, shown.value, shown.ci90))
     return tuple(found)

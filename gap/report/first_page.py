@@ -61,7 +61,7 @@ def how_sure(diagnosis: Diagnosis) -> tuple[str, ...]:
         untested = f"The order of recording is unknown, so that these cannot be tested: {names}."
     if diagnosis.verdict == "too_little":
         return tuple(filter(None, ("Nothing is named, and no share is worth reading.", untested)))
-    floor = floor_words(diagnosis.gap) if diagnosis.gap.floor_kind == "noise" else ""
+    floor = floor_words(diagnosis.gap, diagnosis.unit) if diagnosis.gap.floor_kind == "noise" else ""
     said = (_probability(diagnosis), stability_sentence(diagnosis), _intervals(diagnosis), floor, untested)
     return tuple(filter(None, said))
 
@@ -77,7 +77,7 @@ def _intervals(diagnosis: Diagnosis) -> str:
 
 def _retuned(diagnosis: Diagnosis, command_unit: str) -> str:
     """Numbers of the simulator that retuning moves by more than it is shown with."""
-    units = baseline_units(command_unit)
+    units = baseline_units(command_unit, diagnosis.unit)
     each = [
         f"{in_words(name)} from {given:.3g} to {found:.3g} {units.get(name, '')}"
         for name, (given, found) in diagnosis.retuned.items()
@@ -126,7 +126,7 @@ def _corrected(evidence: Evidence) -> str:
         return f"Do not use {FIXED_FILE}: these logs are too little to retune on."
     given, retuned = diagnosis.gap.nominal_rmse_deg, diagnosis.gap.retuned_rmse_deg
     if retuned < given:
-        fall = f"from {given:.3g} deg to {retuned:.3g} deg"
+        fall = f"from {given:.3g} to {retuned:.3g} {diagnosis.unit}"
         return f"Use {FIXED_FILE}: its retuned numbers lower the RMSE on the {evidence.measured_on} {fall}."
     return f"Keep the simulator as given: retuning does not lower the RMSE on the {evidence.measured_on}."
 
