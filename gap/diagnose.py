@@ -182,9 +182,7 @@ def _localisation(prepared: PreparedTrials, retuned: Hypothesis, seed: int) -> L
     errors = prepared.residuals(retuned)
     if not any(np.any(error) for error in errors):
         return None
-    width = (
-        prepared.baseline.quantities(retuned.problem.retuned(retuned.q))["backlash_width"] * prepared.decades.command
-    )
+    width = prepared.decades.command * prepared.baseline.loop_width(retuned.problem.retuned(retuned.q))
     return localise(prepared.checked.trials, errors, max(width, 0.0), seed, prepared.order == "known")
 
 

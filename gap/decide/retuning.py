@@ -76,8 +76,7 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
     """
     residuals = prepared.residuals(retuned)
     noise, form, baseline = white_noise(residuals), prepared.form_mse, prepared.baseline
-    given, found = (baseline.quantities(z) for z in (baseline.nominal, retuned.problem.retuned(retuned.q)))
-    before, after = (q["gain"] * q["backlash_width"] for q in (given, found))
+    before, after = (baseline.loop_height(z) for z in (baseline.nominal, retuned.problem.retuned(retuned.q)))
     grown = min(max(1.0, after / before), _MOST_GROWN) if before > 0 else 1.0
     still = min(noise**2, _MOST_NOISE * form)
     start = retuned.problem.start(baseline.nominal, [])

@@ -140,7 +140,15 @@ UNKNOWN: Interval = (float("nan"), float("nan"))
 
 _NUDGE = 1e-3
 _OF_PLAYS = re.compile(r"a\d+|alpha|r\d+")  # weights, spacing of half-widths, half-widths
-BASELINE_UNITS = {"gain": "deg/cmd", "offset": "deg", "backlash_width": "cmd"}
+BASELINE_UNITS = {
+    "gain": "deg/cmd",
+    "offset": "deg",
+    "backlash_width": "cmd",
+    "stiffness": "deg/cmd",
+    "friction": "deg",
+}
+"""Unit of each quantity of a baseline."""
+
 _ENDINGS = {"_deg_s": "deg/s", "_deg": "deg", "_hz": "Hz", "_s": "s"}  # longest first
 
 
