@@ -194,7 +194,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     grouped = configuration_of(conclusion.chosen, prepared.everything)
     effects = _effects(findings, probabilities, parameters, grouped)
     ambiguity = tuple(tuple(_called(name, grouped) for name in names) for names in ruling.ambiguity)
-    decades, unit = prepared.decades, prepared.checked.trials[0].units.angle
+    decades, units = prepared.decades, prepared.checked.trials[0].units
     nominal, retuned = (
         {name: decades.log_value(v, BASELINE_UNITS[name]) for name, v in prepared.baseline.quantities(z).items()}
         for z in (prepared.baseline.nominal, hypothesis.problem.retuned(hypothesis.q))
@@ -206,7 +206,13 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     return Diagnosis(
         verdict=ruling.verdict,
         reason=reason_for(
-            replace(ruling, ambiguity=ambiguity), effects, sizes, prepared.too_little, checked.unrelated, moved, unit
+            replace(ruling, ambiguity=ambiguity),
+            effects,
+            sizes,
+            prepared.too_little,
+            checked.unrelated,
+            moved,
+            units.angle,
         ),
         effects=effects,
         ambiguity=ambiguity,
@@ -214,7 +220,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
         gap=sizes,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
         where=dict(findings.localisation.places) if findings.localisation else {},
-        notes=(*checked.notes, *([decades.log_sizes(jumps).note(unit)] if jumps else [])),
+        notes=(*checked.notes, *([decades.log_sizes(jumps).note(units.angle)] if jumps else [])),
         order=prepared.order,
         untestable=_untestable(findings),
         stability=findings.stability,
@@ -222,7 +228,8 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
         moved=moved,
         groups=grouped.groups if grouped else (),
         detectable=findings.detectable,
-        unit=unit,
+        unit=units.angle,
+        command_unit=units.command,
     )
 
 

@@ -276,6 +276,7 @@ class Diagnosis:
             left out; None without a gap.
         detectable: the least size at which these logs would show each effect; None where it was not asked for.
         unit: of the output as logged, such as deg or N; every number whose name ends in `_deg` is in it.
+        command_unit: of the command as logged.
     """
 
     verdict: Verdict
@@ -297,6 +298,7 @@ class Diagnosis:
     groups: tuple[tuple[str, ...], ...] = ()
     detectable: DetectableSizes | None = None
     unit: str = "deg"
+    command_unit: str = "mm"
 
     def as_json(self) -> dict[str, Any]:
         """The fixed form `hystmpc-diagnosis/2`: plain dicts, lists, numbers and strings."""

@@ -71,7 +71,7 @@ def _first_page(evidence: Evidence) -> Iterator[Piece]:
     diagnosis = evidence.diagnosis
     yield Heading(headline(diagnosis))
     blocks = {
-        "Why": why(diagnosis, evidence.command_unit),
+        "Why": why(diagnosis),
         "What to do next": what_next(evidence),
         "How sure it is": how_sure(diagnosis),
     }

@@ -113,7 +113,7 @@ def parameters_table(evidence: Evidence) -> Table:
 
 def retuned_table(evidence: Evidence) -> Table:
     """Baseline quantities before and after the refit."""
-    units = baseline_units(evidence.command_unit, evidence.unit)
+    units = baseline_units(evidence.diagnosis)
     rows = [
         (in_words(name), units[name], given, found, "" if given == 0 else f"{100 * (found / given - 1):+.1f} %")
         for name, (given, found) in evidence.diagnosis.retuned.items()

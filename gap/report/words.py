@@ -168,12 +168,32 @@ def floor_words(gap: Gap, unit: str = "deg") -> str:
 
 
 _ORDER_HIDES = " What is marked `order unknown` needs the order in which the trials were recorded."
+_MIS_SET = 2.0  # mean square error as given over the retuned one, as for the verdict `retuned`
 DETECTABLE_COLUMNS = ("effect", "least size", "hidden", "remark")
 
 
-def baseline_units(command: str, angle: str) -> dict[str, str]:
+def baseline_units(diagnosis: Diagnosis) -> dict[str, str]:
     """Unit of each quantity that retuning changes."""
-    return {name: Units(command, angle).named(unit) for name, unit in BASELINE_UNITS.items()}
+    units = Units(diagnosis.command_unit, diagnosis.unit)
+    return {name: units.named(unit) for name, unit in BASELINE_UNITS.items()}
+
+
+def retuning_sentence(diagnosis: Diagnosis) -> str:
+    """Quantities of the simulator that retuning moves by more than they are shown with; empty where there are none."""
+    units = baseline_units(diagnosis)
+    each = [
+        f"{in_words(name)} from {given:.3g} to {found:.3g} {units.get(name, '')}"
+        for name, (given, found) in diagnosis.retuned.items()
+        if f"{given:.3g}" != f"{found:.3g}"
+    ]
+    return f"Retuning moves {listed(each, 'and')}." if each else ""
+
+
+def mis_set_sentence(diagnosis: Diagnosis) -> str:
+    """The same where these numbers were a good half of the mean square error as given, beside the verdict's cause."""
+    gap = diagnosis.gap
+    mis_set = gap.nominal_rmse_deg**2 > _MIS_SET * gap.retuned_rmse_deg**2
+    return retuning_sentence(diagnosis) if mis_set and diagnosis.verdict in ("named", "one_of", "unknown") else ""
 
 
 def detectable_rows(found: DetectableSizes) -> list[tuple[str, ...]]:
