@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import Field, dataclass, fields, replace
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -27,7 +27,7 @@ _FACTOR = re.compile(r"([a-z]+|1)(?:\^(\d))?")
 class _Record(Protocol):
     """A dataclass."""
 
-    __dataclass_fields__: dict[str, Field[Any]]
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
 
 _R = TypeVar("_R", bound=_Record)
