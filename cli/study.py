@@ -36,6 +36,13 @@ class Name(StrEnum):
     PUBLIC = "public"
 
 
+_OTHERS = {
+    Name.CONTROL: control,
+    Name.IDENTIFY: identify,
+    Name.COMMISSION: commission,
+    Name.PUBLIC: public,
+    Name.KINDS: kinds_over_devices,
+}
 _STAGES = "; ".join(f"{name}: {', '.join(stages)}" for name, stages in STAGES.items())
 
 
@@ -70,9 +77,7 @@ def study(
     ] = None,
     kind: Annotated[str | None, typer.Option(help="Of `identify`: kind of model, see `fit`; else auto.")] = None,
     drive: Annotated[str | None, typer.Option(help="Of `identify`: auto for an identified drive before it.")] = None,
-    data: Annotated[
-        Path | None, typer.Option(help="Of `public`: file that is identified from. Of `kinds`: list of devices.")
-    ] = None,
+    data: Annotated[Path | None, typer.Option(help="Of `public`: training file. Of `kinds`: devices.")] = None,
     test: Annotated[list[Path] | None, typer.Option(help="Of `public`: test file, repeatable; else simulated.")] = None,
 ) -> None:
     """Do all jobs of a study and write its report.
@@ -87,13 +92,11 @@ def study(
     benches = {"devices": devices, "rates_hz": loop["rates_hz"], "diagnose": diagnose}
     benchmark = {"dataset": dataset, "data": data, "test": test, "kinds": _names(kinds)}
     own: dict[Name, Mapping[str, object]] = {Name.CONTROL: loop, Name.IDENTIFY: drawn, Name.COMMISSION: benches}
-    own[Name.PUBLIC] = benchmark
-    own[Name.KINDS] = {"data": data, "kinds": _names(kinds), "presets": _names(presets)}
+    compared = {"data": data, "kinds": _names(kinds), "presets": _names(presets)}
+    own |= {Name.PUBLIC: benchmark, Name.KINDS: compared}
     _check_options(name, {"logs": logs, "epochs-scale": epochs_scale, **modelling}, own)
-    others = {Name.CONTROL: control, Name.IDENTIFY: identify, Name.COMMISSION: commission, Name.PUBLIC: public}
-    others[Name.KINDS] = kinds_over_devices
-    if name in others:
-        others[name]({**own[name], "seed": seed, "quick": quick}, folder, workers)
+    if name in _OTHERS:
+        _OTHERS[name]({**own[name], "seed": seed, "quick": quick}, folder, workers)
         return
     settings = StudySettings.for_study(
         name.value,
