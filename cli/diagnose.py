@@ -102,7 +102,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     from hystmpc.gap.report import words
     from hystmpc.gap.report.words import in_words, percent
 
-    said = (words.closed_sentence, words.stability_sentence, words.tracking_sentence)
+    said = (words.closed_sentence, words.mis_set_sentence, words.stability_sentence, words.tracking_sentence)
     sentences = (*(sentence(diagnosis) for sentence in said), *words.order_sentences(diagnosis))
     for line in (words.headline(diagnosis), diagnosis.reason, *sentences):
         if line:

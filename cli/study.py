@@ -19,6 +19,7 @@ from .study_commission import commission
 from .study_control import control, rates
 from .study_identify import identify
 from .study_jobs import completed, ended
+from .study_kinds import kinds as kinds_over_devices
 from .study_public import public
 
 
@@ -28,12 +29,20 @@ class Name(StrEnum):
     S1 = "s1"
     S2 = "s2"
     REAL = "real"
+    KINDS = "kinds"
     CONTROL = "control"
     IDENTIFY = "identify"
     COMMISSION = "commission"
     PUBLIC = "public"
 
 
+_OTHERS = {
+    Name.CONTROL: control,
+    Name.IDENTIFY: identify,
+    Name.COMMISSION: commission,
+    Name.PUBLIC: public,
+    Name.KINDS: kinds_over_devices,
+}
 _STAGES = "; ".join(f"{name}: {', '.join(stages)}" for name, stages in STAGES.items())
 
 
@@ -68,7 +77,9 @@ def study(
     ] = None,
     kind: Annotated[str | None, typer.Option(help="Of `identify`: kind of model, see `fit`; else auto.")] = None,
     drive: Annotated[str | None, typer.Option(help="Of `identify`: auto for an identified drive before it.")] = None,
-    data: Annotated[Path | None, typer.Option(help="Of `public`: file or folder that is identified from.")] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Of `public`: file or folder that is identified from. Of `kinds`: devices.")
+    ] = None,
     test: Annotated[list[Path] | None, typer.Option(help="Of `public`: further test file, repeatable.")] = None,
 ) -> None:
     """Do all jobs of a study and write its report.
@@ -83,11 +94,11 @@ def study(
     benches = {"devices": devices, "rates_hz": loop["rates_hz"], "diagnose": diagnose}
     benchmark = {"dataset": dataset, "data": data, "test": test, "kinds": _names(kinds)}
     own: dict[Name, Mapping[str, object]] = {Name.CONTROL: loop, Name.IDENTIFY: drawn, Name.COMMISSION: benches}
-    own[Name.PUBLIC] = benchmark
+    compared = {"data": data, "kinds": _names(kinds), "presets": _names(presets)}
+    own |= {Name.PUBLIC: benchmark, Name.KINDS: compared}
     _check_options(name, {"logs": logs, "epochs-scale": epochs_scale, **modelling}, own)
-    others = {Name.CONTROL: control, Name.IDENTIFY: identify, Name.COMMISSION: commission, Name.PUBLIC: public}
-    if name in others:
-        others[name]({**own[name], "seed": seed, "quick": quick}, folder, workers)
+    if name in _OTHERS:
+        _OTHERS[name]({**own[name], "seed": seed, "quick": quick}, folder, workers)
         return
     settings = StudySettings.for_study(
         name.value,

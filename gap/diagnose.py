@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS, confounders
 from hystmpc.models.identify.cross_validation import CrossValidation
-from hystmpc.models.identify.uncertainty import ParameterRow, parameter_rows
+from hystmpc.models.identify.uncertainty import BASELINE_UNITS, ParameterRow, parameter_rows
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
 from hystmpc.trials.errors import GapError, did_you_mean
@@ -118,13 +118,15 @@ def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diag
     from .report.report_data import report_data
 
     clock = _Clock()
+    prepared = findings.prepared
     rows = _parameters(findings)
     diagnosis = _diagnosis(findings, rows)
     proposal = next_step(findings)
     diagnosis = replace(diagnosis, next_motion=proposal.summary() if proposal else None)
     clock.lap("what next")
     findings = replace(findings, seconds={**findings.seconds, **clock.seconds})
-    evidence = report_data(findings, diagnosis, proposal, rows)
+    shown = tuple(_in_log(row, prepared) for row in rows)
+    evidence = report_data(findings, diagnosis, proposal, shown)
     (progress or _no_progress)(_CONCLUDED, _STEPS, diagnosis.verdict)
     return diagnosis, evidence
 
@@ -187,7 +189,7 @@ def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
     errors = prepared.residuals(retuned)
     if not any(np.any(error) for error in errors):
         return None
-    width = prepared.baseline.quantities(retuned.problem.retuned(retuned.q))["backlash_width"]
+    width = prepared.decades.command * prepared.baseline.loop_width(retuned.problem.retuned(retuned.q))
     return localise(prepared.checked.trials, errors, max(width, 0.0), seed, prepared.order == "known")
 
 
@@ -199,16 +201,25 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     grouped = configuration_of(conclusion.chosen, prepared.everything)
     effects = _effects(findings, probabilities, parameters, grouped)
     ambiguity = tuple(tuple(_called(name, grouped) for name in names) for names in ruling.ambiguity)
-    nominal = prepared.baseline.quantities(prepared.baseline.nominal)
-    retuned = prepared.baseline.quantities(hypothesis.problem.retuned(hypothesis.q))
+    decades, units = prepared.decades, prepared.checked.trials[0].units
+    nominal, retuned = (
+        {name: decades.log_value(v, BASELINE_UNITS[name]) for name, v in prepared.baseline.quantities(z).items()}
+        for z in (prepared.baseline.nominal, hypothesis.problem.retuned(hypothesis.q))
+    )
     library = [name for name in LIBRARY if name not in findings.left_out]
     moved = moved_numbers(prepared, hypothesis, parameters) if ruling.verdict == "retuned" else ()
-    sizes, checked = conclusion.closed.gap, prepared.checked
+    sizes, checked = decades.log_sizes(conclusion.closed.gap), prepared.checked
     ranked = ranking(probabilities, attribution.inclusion, ruling.ambiguity or (unseparated(findings),), library)
     return Diagnosis(
         verdict=ruling.verdict,
         reason=reason_for(
-            replace(ruling, ambiguity=ambiguity), effects, sizes, prepared.too_little, checked.unrelated, moved
+            replace(ruling, ambiguity=ambiguity),
+            effects,
+            sizes,
+            prepared.too_little,
+            checked.unrelated,
+            moved,
+            units.angle,
         ),
         effects=effects,
         ambiguity=ambiguity,
@@ -216,7 +227,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
         gap=sizes,
         retuned={name: (nominal[name], retuned[name]) for name in nominal},
         where=dict(findings.localisation.places) if findings.localisation else {},
-        notes=(*checked.notes, *([jumps.note] if jumps else [])),
+        notes=(*checked.notes, *([decades.log_sizes(jumps).note(units.angle)] if jumps else [])),
         order=prepared.order,
         untestable=_untestable(findings),
         stability=findings.stability,
@@ -224,6 +235,8 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
         moved=moved,
         groups=grouped.groups if grouped else (),
         detectable=findings.detectable,
+        unit=units.angle,
+        command_unit=units.command,
     )
 
 
@@ -240,12 +253,16 @@ def _explainable_share(findings: Findings) -> float | None:
 
 
 def _parameters(findings: Findings) -> tuple[ParameterRow, ...]:
-    """Every number of the corrected simulator, in the unit of the command."""
+    """Every number of the corrected simulator, in working units."""
     prepared, conclusion = findings.prepared, findings.conclusion
     own = {name: cause.parameters for name, cause in conclusion.closed.causes.items()}
-    command = prepared.checked.trials[0].units.command
-    rows = parameter_rows(conclusion.chosen, prepared.development, own)
-    return tuple(replace(row, unit=row.unit.replace("cmd", command)) for row in rows)
+    return parameter_rows(conclusion.chosen, prepared.development, own)
+
+
+def _in_log(row: ParameterRow, prepared: PreparedTrials) -> ParameterRow:
+    """A number in the units of the log, which have their own names."""
+    units = prepared.checked.trials[0].units
+    return replace(row.times(prepared.decades.in_log(row.unit)), unit=units.named(row.unit) or "1")
 
 
 def _untestable(findings: Findings) -> tuple[Untestable, ...]:
@@ -280,8 +297,12 @@ def _effects(
     grouped: Configuration | None,
 ) -> tuple[FoundEffect, ...]:
     """Effects found, largest share first."""
-    closed = findings.conclusion.closed
-    return tuple(
+    closed, decades, log = findings.conclusion.closed, findings.prepared.decades, findings.prepared.checked.trials[0]
+    units = {
+        name: dict(UNITS) if grouped and name == SHIFT else {r.name: r.unit for r in parameters if r.owner == name}
+        for name in closed.causes
+    }
+    found = (
         FoundEffect(
             name=_called(name, grouped),
             probability=probabilities[name],
@@ -290,9 +311,13 @@ def _effects(
             closed_ci90=cause.ci90,
             rmse_before_deg=cause.rmse_without_deg,
             rmse_after_deg=closed.gap.with_effects_rmse_deg,
-            parameters=grouped.sizes if grouped and name == SHIFT else cause.parameters,
-            units=UNITS if grouped and name == SHIFT else {r.name: r.unit for r in parameters if r.owner == name},
+            parameters={
+                parameter: decades.log_value(value, units[name].get(parameter, "1"))
+                for parameter, value in (grouped.sizes if grouped and name == SHIFT else cause.parameters).items()
+            },
+            units={parameter: log.units.named(unit) or "1" for parameter, unit in units[name].items()},
             undetermined=tuple(row.name for row in parameters if row.owner == name and row.flat),
         )
         for name, cause in sorted(closed.causes.items(), key=lambda item: -item[1].share)
     )
+    return tuple(decades.log_sizes(effect) for effect in found)

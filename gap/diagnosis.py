@@ -158,11 +158,13 @@ class DetectableSizes:
         needed_rmse_deg: RMSE that an effect has to leave after retuning to count as a gap [deg].
         effects: the least size of each; empty where it cannot be said.
         why_not: why it cannot be said, in one sentence; empty where it can.
+        unit: of the needed RMSE, that of the log.
     """
 
     needed_rmse_deg: float
     effects: tuple[Detectable, ...] = ()
     why_not: str = ""
+    unit: str = "deg"
 
 
 @dataclass(frozen=True)
@@ -273,6 +275,8 @@ class Diagnosis:
         explainable_share: share of the structural gap that a flexible model of the command's past explains on trials
             left out; None without a gap.
         detectable: the least size at which these logs would show each effect; None where it was not asked for.
+        unit: of the output as logged, such as deg or N; every number whose name ends in `_deg` is in it.
+        command_unit: of the command as logged.
     """
 
     verdict: Verdict
@@ -293,6 +297,8 @@ class Diagnosis:
     moved: tuple[Moved, ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()
     detectable: DetectableSizes | None = None
+    unit: str = "deg"
+    command_unit: str = "mm"
 
     def as_json(self) -> dict[str, Any]:
         """The fixed form `hystmpc-diagnosis/2`: plain dicts, lists, numbers and strings."""
@@ -329,7 +335,11 @@ class Diagnosis:
             "with effects": gap.with_effects_rmse_deg,
             "floor": gap.floor_rmse_deg,
         }
-        pieces = Paragraph(self.reason), Table(columns, rows), Table(("final trials", "RMSE [deg]"), [*sizes.items()])
+        pieces = (
+            Paragraph(self.reason),
+            Table(columns, rows),
+            Table(("final trials", f"RMSE [{self.unit}]"), [*sizes.items()]),
+        )
         shown = (*pieces, Plot(self.plot())) if self.ranking else pieces
         return Report(f"Diagnosis: {self.verdict}", shown).fragment()
 

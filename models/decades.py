@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import Field, dataclass, fields, replace
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,17 @@ from .effects.effect import Side, unit_on
 from .operators.operator import Operator
 
 _ROUNDING = 1e-9  # of a decade: a range that is 10 but for rounding is 10
+_SUFFIXES = {"_deg": "deg", "_deg_s": "deg/s"}
 _FACTOR = re.compile(r"([a-z]+|1)(?:\^(\d))?")
+
+
+class _Record(Protocol):
+    """A dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+
+_R = TypeVar("_R", bound=_Record)
 
 
 @dataclass(frozen=True)
@@ -94,6 +104,11 @@ class Decades:
             model_sigma_deg=None if model is None else model * self.angle,
         )
 
+    def log_sizes(self, found: _R) -> _R:
+        """A record in working units, brought back: numbers, arrays and pairs whose names end in `_deg` or `_deg_s`."""
+        named = [(f.name, unit) for f in fields(found) for end, unit in _SUFFIXES.items() if f.name.endswith(end)]
+        return replace(found, **{name: _times(getattr(found, name), self.in_log(unit)) for name, unit in named})
+
     def in_log(self, unit: str) -> float:
         """Log units in one working unit of a quantity, as `deg s/cmd` or `1/deg^2`; 1 of what has none of these."""
         above, *below = unit.split("/")
@@ -106,6 +121,10 @@ class Decades:
         found = [match for factor in part.split() if (match := _FACTOR.fullmatch(factor))]
         own = {"cmd": self.command, "deg": self.angle}
         return math.prod(own.get(match[1], 1.0) ** int(match[2] or 1) for match in found)
+
+    def log_operator(self, operator: Operator, side: Side) -> Operator:
+        """An operator in working units that acts on that side, brought back."""
+        return self._operator(operator, side, 1)
 
     def _converted(self, chain: Chain, way: int) -> Chain:
         if self.usual:
@@ -126,6 +145,10 @@ def _signals(trials: Sequence[Trial]) -> tuple[list[Vec], list[Vec]]:
     """Commands and outputs of the device."""
     devices = [trial.swapped() if trial.inverted else trial for trial in trials]
     return [trial.command for trial in devices], [trial.angle for trial in devices]
+
+
+def _times(value: Any, factor: float) -> Any:
+    return tuple(factor * end for end in value) if isinstance(value, tuple) else factor * value
 
 
 def _decade(span: float) -> int:

@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 
 from .errors import LogError
 from .files import write_atomically
-from .layouts import CANONICAL, COMMAND_UNITS, Preset, detect_preset, get_preset
+from .layouts import (
+    CANONICAL,
+    COMMAND_UNITS,
+    OUTPUT_COLUMN,
+    Preset,
+    command_column,
+    detect_preset,
+    get_preset,
+)
 from .trial import Trial, Units, clock_advice, even_time
 from .types import Vec
 
@@ -339,17 +347,16 @@ def write_csv(trial: Trial, path: Path | str) -> Path:
         LogError: if a channel has the name of a canonical column, or a unit cannot be named in the header.
     """
     unit = trial.units.command
-    angle = {"deg": CANONICAL.angle} | {unit: name for name, unit in CANONICAL.other_angles.items()}
-    if unit not in COMMAND_UNITS or trial.units.angle not in angle or trial.inverted:
+    if unit not in COMMAND_UNITS or trial.units.angle not in OUTPUT_COLUMN or trial.inverted:
         raise LogError(
             f"{trial.source}: units are {unit} and {trial.units.angle}, "
-            f"expected a command in {', '.join(COMMAND_UNITS)} and an output in {', '.join(angle)}"
+            f"expected a command in {', '.join(COMMAND_UNITS)} and an output in {', '.join(OUTPUT_COLUMN)}"
         )
-    reserved = {CANONICAL.time, *angle.values(), *CANONICAL.command}
+    reserved = {CANONICAL.time, *OUTPUT_COLUMN.values(), *CANONICAL.command}
     if clash := sorted(reserved & set(trial.channels)):
         raise LogError(f"{trial.source}: channel {clash[0]!r} has the name of a canonical column, expected another")
-    command = "command" if unit == COMMAND_UNITS[0] else f"command_{unit}"
-    columns = {CANONICAL.time: trial.t, command: trial.command, angle[trial.units.angle]: trial.angle, **trial.channels}
+    signals = {command_column(unit): trial.command, OUTPUT_COLUMN[trial.units.angle]: trial.angle}
+    columns = {CANONICAL.time: trial.t, **signals, **trial.channels}
     return write_atomically(path, format_table(columns))
 
 

@@ -92,10 +92,12 @@ class Preset:
         return found[0], self.other_angles.get(found[0], "deg")
 
 
-COMMAND_UNITS = ("mm", "bar", "kPa", "V", "A", "N")
+_FURTHER = ("nm", "mbar", "mV", "kV", "mA", "mN", "kN", "Nm", "K", "count", "1")
+
+COMMAND_UNITS = ("mm", "bar", "kPa", "V", "A", "N", "deg", "rad", "percent", *_FURTHER)
 """Units that a canonical command column may carry in its name; a bare `command` is in the first of them."""
 
-OUTPUT_UNITS = ("mm", "um", "m", "N", "V", "A", "bar", "kPa", "percent")
+OUTPUT_UNITS = ("mm", "um", "m", "N", "V", "A", "bar", "kPa", "percent", "cm", "Pa", "MPa", "psi", *_FURTHER)
 """Units, beside deg, that the canonical column `angle_<unit>` may carry in its name."""
 
 CANONICAL = Preset(
@@ -106,6 +108,15 @@ CANONICAL = Preset(
     angle="angle_deg",
     other_angles={f"angle_{unit}": unit for unit in OUTPUT_UNITS},
 )
+
+OUTPUT_COLUMN = MappingProxyType({"deg": CANONICAL.angle} | {u: name for name, u in CANONICAL.other_angles.items()})
+"""Unit of an output -> its canonical column."""
+
+
+def command_column(unit: str) -> str:
+    """The canonical column of a command in one of `COMMAND_UNITS`."""
+    return "command" if unit == COMMAND_UNITS[0] else f"command_{unit}"
+
 
 TENDON_CATHETER = Preset(
     name="tendon-catheter",

@@ -58,13 +58,12 @@ class Jumps:
         """Energy of a sawtooth of that height [deg^2], the part of it that no free run can predict."""
         return self.height_deg**2 / 12.0 if self.seen else 0.0
 
-    @property
-    def note(self) -> str:
-        """Note for the report."""
+    def note(self, unit: str) -> str:
+        """Note for the report, sizes in that unit."""
         return (
             f"Stick-slip by its jumps: in {self.stuck:.0%} of {self.windows} windows of steady motion the tip stands "
-            f"still, in {self.jumped:.0%} it jumps, by {self.height_deg:.2g} deg, at speeds up to "
-            f"{self.fastest_deg_s:.2g} deg/s. When it lets go cannot be predicted in a free run: what it closes "
+            f"still, in {self.jumped:.0%} it jumps, by {self.height_deg:.2g} {unit}, at speeds up to "
+            f"{self.fastest_deg_s:.2g} {unit}/s. When it lets go cannot be predicted in a free run: what it closes "
             "is the energy of a sawtooth of that height."
         )
 

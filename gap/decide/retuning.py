@@ -83,8 +83,7 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
     """
     residuals = prepared.residuals(retuned)
     noise, form, baseline = white_noise(residuals), prepared.form_mse, prepared.baseline
-    given, found = (baseline.quantities(z) for z in (baseline.nominal, retuned.problem.retuned(retuned.q)))
-    before, after = (q["gain"] * q["backlash_width"] for q in (given, found))
+    before, after = (baseline.loop_height(z) for z in (baseline.nominal, retuned.problem.retuned(retuned.q)))
     grown = min(max(1.0, after / before), _MOST_GROWN) if before > 0 else 1.0
     still = min(noise**2, _MOST_NOISE * form)
     start = retuned.problem.start(baseline.nominal, [])
@@ -101,11 +100,8 @@ def width_grown(hypothesis: Hypothesis) -> float:
 
     Effects take their part of the width: what is left is what the friction of the core has become.
     """
-    problem = hypothesis.problem
-    before, after = (
-        problem.baseline.quantities(z)["backlash_width"]
-        for z in (problem.baseline.nominal, problem.retuned(hypothesis.q))
-    )
+    baseline = hypothesis.problem.baseline
+    before, after = (baseline.loop_width(z) for z in (baseline.nominal, hypothesis.problem.retuned(hypothesis.q)))
     return after / before if before > 0 else 1.0
 
 
@@ -124,7 +120,7 @@ def anew_share(
         floor_mse: below which an error carries no evidence [deg^2].
     """
     try:
-        forms = core_forms(prepared.checked.trials, Scale.of(validation.runs))
+        forms = core_forms(prepared.decades.trials(prepared.checked.trials), Scale.of(validation.runs))
     except FitError:
         return 0.0
     curved = (chain for form in forms for chain in form.starts if isinstance(chain.core, CurvedPlays))
@@ -145,16 +141,20 @@ def moved_numbers(
     Args:
         prepared: trials and the baseline.
         retuned: the simulator refitted.
-        quantities: gain, offset and width of it.
+        quantities: gain, offset and width of it, in working units.
+
+    Returns:
+        the numbers in the units of the log.
     """
-    baseline = prepared.baseline
+    baseline, decades, units = prepared.baseline, prepared.decades, prepared.checked.trials[0].units
     given = dict(baseline.quantities(baseline.nominal))
-    command = prepared.checked.trials[0].units.command
     rows = [(row, given[row.name]) for row in quantities if row.owner == "baseline"]
     rows += [(row, float(row.neutral or 0.0)) for row in core_rows(retuned, prepared.development)]
     found = []
     for row, before in rows:
         sure = not row.flat and np.isfinite(row.ci90).all() and not row.ci90[0] <= before <= row.ci90[1]
         if sure and abs(row.value - before) > _LEAST_MOVE * max(abs(before), abs(row.value)):
-            found.append(Moved(row.name, row.unit.replace("cmd", command), before, row.value, row.ci90))
+            shown = row.times(decades.in_log(row.unit))
+            was, unit = decades.log_value(before, row.unit), units.named(row.unit) or "1"
+            found.append(Moved(row.name, unit, was, shown.value, shown.ci90))
     return tuple(found)

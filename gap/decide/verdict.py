@@ -303,30 +303,31 @@ def reason_for(
     too_little: str,
     unrelated: str,
     moved: Sequence[Moved] = (),
+    unit: str = "deg",
 ) -> str:
     """The verdict in one sentence, with its numbers; `too_little` and `unrelated` say why trials are unusable."""
-    sizes = f"retuned {gap.retuned_rmse_deg:#.3g} deg, floor {gap.floor_rmse_deg:#.3g} deg"
+    sizes = f"retuned {gap.retuned_rmse_deg:#.3g} {unit}, floor {gap.floor_rmse_deg:#.3g} {unit}"
     names = ", ".join(effect.name.replace("_", " ") for effect in effects)
     closed = f"{100 * gap.closed_share:.0f} % of the structural gap closed on trials kept for the end"
     sets = "; ".join(" or ".join(name.replace("_", " ") for name in names) for names in ruling.ambiguity)
     unexplained = "a structural gap that no effect of the library explains"
     if gap.unrepeatable:
-        differ = f"repeats of a motion differ by {gap.repeats_rmse_deg:#.3g} deg"
+        differ = f"repeats of a motion differ by {gap.repeats_rmse_deg:#.3g} {unit}"
         unexplained = f"{unexplained}: {differ}, and no more is left, so that it does not depend on the command alone"
     return {
         "named": f"{names}: {closed}, {100 * gap.unexplained_share:.0f} % unexplained ({sizes})",
         "one_of": f"one of {sets}: these trials cannot tell them apart; {closed} ({sizes})",
         "unknown": f"{unrelated or unexplained} ({sizes})",
-        "retuned": f"{_retuned(ruling, gap, moved)} ({sizes})",
+        "retuned": f"{_retuned(ruling, gap, moved, unit)} ({sizes})",
         "none": f"no structural gap: retuning leaves no more than noise and the simulator's own form error ({sizes})",
         "too_little": f"too little: {too_little} ({sizes})",
     }[ruling.verdict]
 
 
-def _retuned(ruling: Ruling, gap: Gap, moved: Sequence[Moved]) -> str:
+def _retuned(ruling: Ruling, gap: Gap, moved: Sequence[Moved], unit: str) -> str:
     """What moved, and by how much the error falls with it."""
     numbers = ", ".join(moved_words(row) for row in moved) or "numbers of the core, none of them for sure"
-    fall = f"the RMSE falls from {gap.nominal_rmse_deg:#.3g} to {gap.retuned_rmse_deg:#.3g} deg"
+    fall = f"the RMSE falls from {gap.nominal_rmse_deg:#.3g} to {gap.retuned_rmse_deg:#.3g} {unit}"
     said = f"numbers of the same structure have moved, nothing is missing in it: {numbers}; {fall}"
     if ruling.case == "moved":
         return said

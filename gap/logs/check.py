@@ -109,8 +109,8 @@ def _left_out(trial: Trial) -> str:
 
 def _require_units(trial: Trial, facts: ModelMetadata) -> None:
     got, wanted = (trial.units.command, trial.units.angle), (facts.command_unit, facts.angle_unit)
-    if facts.angle_unit != "deg":
-        raise GapError(f"the simulator maps {wanted[0]} to {wanted[1]}, expected one that gives angles in deg")
+    if facts.inverted:
+        raise GapError(f"the simulator maps {wanted[0]} to {wanted[1]} as an inverse, expected a forward model")
     if got != wanted:
         raise GapError(
             f"{trial.source}: command in {got[0]} and angle in {got[1]}, expected {wanted[0]} and {wanted[1]} as the "
@@ -125,8 +125,8 @@ def _require_motion(trials: Sequence[Trial]) -> None:
     for trial in trials:
         if np.ptp(trial.command) > 0 and np.ptp(trial.angle) == 0:
             raise GapError(
-                f"{trial.source}: the angle is {trial.angle[0]:g} deg throughout while the command moves, expected an "
-                "angle that follows it"
+                f"{trial.source}: the angle is {trial.angle[0]:g} {trial.units.angle} throughout while the command "
+                "moves, expected an angle that follows it"
             )
         if trial.duration_s < LEAST_S:
             raise GapError(f"{trial.source}: {trial.duration_s:.3g} s long, expected {LEAST_S:g} s or more")
@@ -178,10 +178,11 @@ def _require_angles(trials: Sequence[Trial], facts: ModelMetadata) -> None:
     expected = (facts.trained_angle.upper - facts.trained_angle.lower) * command / trained
     factor = angle / expected
     if not 1 / _WRONG_SCALE <= factor <= _WRONG_SCALE:
-        name = Path(trials[0].source).name if len(trials) == 1 else f"{len(trials)} trials"
+        name, unit = Path(trials[0].source).name if len(trials) == 1 else f"{len(trials)} trials", facts.angle_unit
+        remark = _unit_remark(factor, _ANGLE_UNITS if unit == "deg" else {}) or "; another unit or device?"
         raise GapError(
-            f"{name}: the angle ranges over {angle:.4g} deg, expected about {expected:.4g} deg from the simulator "
-            f"(factor {factor:.3g}{_unit_remark(factor, _ANGLE_UNITS) or '; another unit or device?'})"
+            f"{name}: the angle ranges over {angle:.4g} {unit}, expected about {expected:.4g} {unit} from the "
+            f"simulator (factor {factor:.3g}{remark})"
         )
 
 
@@ -207,8 +208,9 @@ def _log_notes(trial: Trial, part: Trial) -> Iterator[str]:
         travel = float(np.ptp(part.command[stuck])) / float(np.ptp(part.command)) if stuck.any() else 0.0
         if np.mean(stuck) > _AT_EXTREME and travel > _TRAVEL:
             yield (
-                f"{name}: the angle sits at its {end} value, {at:.4g} deg, for {np.mean(stuck):.0%} of the samples "
-                f"while the command goes on by {travel:.0%} of its range: a saturated sensor, a stop, or slack."
+                f"{name}: the angle sits at its {end} value, {at:.4g} {trial.units.angle}, for {np.mean(stuck):.0%} "
+                f"of the samples while the command goes on by {travel:.0%} of its range: a saturated sensor, a stop, "
+                "or slack."
             )
     if _correlation(trial) < -_WRONG_SIGN:
         yield f"{name}: the angle hardly follows the command (correlation {_correlation(trial):.2f})."

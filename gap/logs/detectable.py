@@ -45,15 +45,22 @@ def sizes_shown(prepared: PreparedTrials, no_gap: float, without: Collection[str
     needed_mse, units = (no_gap - 1.0) * prepared.form_mse, prepared.checked.trials[0].units
     if needed_mse <= 0:
         return DetectableSizes(math.nan, why_not=_NO_FORM)
-    found = detectable_sizes(prepared.baseline, prepared.everything, needed_mse, units.command, units.angle)
+    found = detectable_sizes(prepared.baseline, prepared.everything, needed_mse)
     unordered = () if prepared.order == "known" else tuple(NEEDS_ORDER)
-    kept = tuple(replace(one, untestable=one.effect in unordered) for one in found if one.effect not in without)
-    return DetectableSizes(math.sqrt(needed_mse), kept)
+    kept = tuple(
+        replace(
+            one,
+            size=prepared.decades.log_value(one.size, one.unit),
+            unit=units.named(one.unit) or "1",
+            untestable=one.effect in unordered,
+        )
+        for one in found
+        if one.effect not in without
+    )
+    return prepared.decades.log_sizes(DetectableSizes(math.sqrt(needed_mse), kept, unit=units.angle))
 
 
-def detectable_sizes(
-    baseline: Baseline, runs: Sequence[Run], needed_mse: float, command_unit: str, angle_unit: str = "deg"
-) -> tuple[Detectable, ...]:
+def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float) -> tuple[Detectable, ...]:
     """For every effect the size at which the part of it that retuning cannot take up reaches a mean square.
 
         d(s) = theta(with the effect at size s) - theta(nominal),   left(s) = d - J (J^T J)^-1 J^T d
@@ -67,7 +74,9 @@ def detectable_sizes(
         baseline: the nominal simulator and what retuning may change.
         runs: trials, whose commands count.
         needed_mse: below which an error counts as no gap [deg^2].
-        command_unit, angle_unit: in which sizes are stated.
+
+    Returns:
+        sizes in the units of the runs, called `cmd` and `deg`.
     """
     problem = Problem(baseline)
     at = problem.start(baseline.nominal, [])
@@ -77,13 +86,11 @@ def detectable_sizes(
     low, high = np.quantile(angles, (0.01, 0.99))
     scale = _scale(runs, float(low), float(high))
     found = {
-        "trial_shift": _own(len(runs), needed_mse, angle_unit),
-        "periodic_disturbance": _wave(needed_mse, angle_unit),
+        "trial_shift": _own(len(runs), needed_mse),
+        "periodic_disturbance": _wave(needed_mse),
     }
     for candidate in _first_forms(candidates(scale, ())):
-        found[candidate.effect] = _least(
-            candidate, baseline, runs, angles, known, needed_mse, (command_unit, angle_unit)
-        )
+        found[candidate.effect] = _least(candidate, baseline, runs, angles, known, needed_mse)
     return tuple(found[name] for name in DIAGNOSABLE if name in found)
 
 
@@ -101,14 +108,14 @@ def _first_forms(forms: Sequence[Candidate]) -> Iterator[Candidate]:
             yield form
 
 
-def _own(trials: int, needed_mse: float, unit: str) -> Detectable:
+def _own(trials: int, needed_mse: float) -> Detectable:
     """Of shifts between trials the common one is an offset."""
     kept = 1.0 - 1.0 / trials
-    return Detectable("trial_shift", "offset", unit, math.sqrt(needed_mse / kept) if kept else math.inf, 1.0 - kept)
+    return Detectable("trial_shift", "offset", "deg", math.sqrt(needed_mse / kept) if kept else math.inf, 1.0 - kept)
 
 
-def _wave(needed_mse: float, unit: str) -> Detectable:
-    return Detectable("periodic_disturbance", "amplitude", unit, math.sqrt(2.0 * needed_mse), 0.0)
+def _wave(needed_mse: float) -> Detectable:
+    return Detectable("periodic_disturbance", "amplitude", "deg", math.sqrt(2.0 * needed_mse), 0.0)
 
 
 def _least(
@@ -118,7 +125,6 @@ def _least(
     nominal: Vec,
     known: Mat,
     needed_mse: float,
-    units: tuple[str, str],
 ) -> Detectable:
     """Sizes are tried from the least on; between the two about the bar the mean square is a power of the size."""
     effect, names = EFFECTS[candidate.effect], [freedom.name for freedom in candidate.free]
@@ -128,7 +134,7 @@ def _least(
     step = start[place] - neutral or _TYPICAL.get(candidate.effect, 1.0) * freedom.scale * 10.0
     problem, before = Problem(baseline, (candidate,)), (0.0, 0.0)
     parameter = next(p for p in candidate.operators[0].parameters if p.name == names[place])
-    unit = unit_on(parameter.unit, candidate.side).replace("cmd", units[0]).replace("deg", units[1])
+    unit = unit_on(parameter.unit, candidate.side)
     for share in _SIZES:
         value = neutral + float(share) * step
         if not freedom.lower <= value <= freedom.upper:

@@ -10,6 +10,7 @@ import numpy as np
 
 from hystmpc.models.chain import Chain
 from hystmpc.models.contract.metadata import Range
+from hystmpc.models.decades import Decades
 from hystmpc.models.identify.baseline import Baseline, FreeCoreBaseline, ScaledBaseline, baseline_of
 from hystmpc.models.identify.cross_validation import Hypothesis
 from hystmpc.models.identify.least_squares import fit_problem
@@ -36,7 +37,11 @@ _PLAYS, _EVALUATIONS, _TOLERANCE = 8, 40, 1e-5
 class PreparedTrials:
     """Trials and nominal simulator, ready for the attribution.
 
+    Trials are in the units of the log. All else is in working units, in which the simulator has the size of a tendon
+    catheter: thresholds and bounds are stated for that size. There `deg` and `cmd` stand for a working unit.
+
     Attributes:
+        decades: the working units.
         given: diagnosed trials as recorded.
         checked: trials at one rate, and what their commands excite.
         signs: of the sensor.
@@ -50,6 +55,7 @@ class PreparedTrials:
         order: whether the order of recording is known.
     """
 
+    decades: Decades
     given: tuple[Trial, ...]
     checked: Checked
     signs: SensorSigns
@@ -83,28 +89,32 @@ def prepare(
         GapError: on unusable trials, see `check_trials` and `in_recording_order`.
         ModelError: if the simulator is an inverse map.
     """
-    if isinstance(simulator, Simulator):
-        _require_size(simulator)
     trials, order = in_recording_order(trials, ordered)
-    facts, known = simulator if isinstance(simulator, Simulator) else simulator.metadata, order == "known"
-    checked = check_trials(trials, facts, seed, known)
-    identification = simulator.identification if isinstance(simulator, Simulator) else Identification(method="network")
+    known = order == "known"
+    checked = check_trials(trials, simulator if isinstance(simulator, Simulator) else simulator.metadata, seed, known)
+    facts = simulator.metadata() if isinstance(simulator, Simulator) else simulator.metadata
+    decades = Decades.of_ranges(facts.trained_command, facts.trained_angle)
+    if isinstance(simulator, Simulator):
+        _require_size(simulator, decades)
+    identification = _identification(simulator, decades)
     nominal = nominal_noise_deg(identification)
-    signs = sensor_signs(checked.recorded, nominal)
-    repaired_trials = [repaired(trial, signs) for trial in checked.trials]
+    signs = sensor_signs(decades.trials(checked.recorded), nominal)
+    in_working_units = decades.trials(checked.trials)
+    repaired_trials = [repaired(trial, signs) for trial in in_working_units]
     command = Range(
         lower=min(float(t.command.min()) for t in repaired_trials),
         upper=max(float(t.command.max()) for t in repaired_trials),
     )
     if isinstance(simulator, Simulator):
-        baseline, corrections = baseline_of(simulator.chain, command), None
+        baseline, corrections = baseline_of(decades.chain(simulator.chain), command), None
     else:
-        baseline, corrections = _network_baseline(simulator, repaired_trials, command)
-    runs = runs_of(repaired_trials, corrections, checked.before)
+        baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
+    runs = runs_of(repaired_trials, corrections, [b.scaled(1 / decades.command) for b in checked.before])
     motions = checked.excitation.motions
     development, final = split_runs(runs, motions, known)
     faulty = signs.noisy or signs.coarse
     return PreparedTrials(
+        decades=decades,
         given=checked.given,
         checked=checked,
         signs=signs,
@@ -112,7 +122,7 @@ def prepare(
         development=development,
         final=final,
         everything=runs,
-        raw=tuple(trial.angle for trial in checked.trials),
+        raw=tuple(trial.angle for trial in in_working_units),
         form_mse=model_form_mse(identification, trials, motions, _sample_time(simulator)),
         too_little=shortage(checked.trials),
         excess_mse=max(signs.energy - nominal**2, 0.0) if nominal is not None and faulty else 0.0,
@@ -120,17 +130,28 @@ def prepare(
     )
 
 
-def _require_size(simulator: Simulator) -> None:
-    """A diagnosis searches within the bounds of its operators, which are stated for a device of usual size."""
-    units = Units(simulator.command_unit, simulator.angle_unit)
-    for name, parameter, value in zip(
-        simulator.chain.labels, simulator.chain.parameters, simulator.chain.values, strict=True
-    ):
+def _require_size(simulator: Simulator, decades: Decades) -> None:
+    """A diagnosis searches within the bounds of its operators, which are stated in working units."""
+    units, chain = Units(simulator.command_unit, simulator.angle_unit), decades.chain(simulator.chain)
+    for name, parameter, value in zip(chain.labels, chain.parameters, chain.values, strict=True):
         if not parameter.lower <= value <= parameter.upper:
+            found, low, high = (decades.log_value(v, parameter.unit) for v in (value, parameter.lower, parameter.upper))
             raise GapError(
-                f"simulator: {name} is {value:.4g} {units.named(parameter.unit)}, expected {parameter.lower:g} to "
-                f"{parameter.upper:g}; log command or angle in a smaller or larger unit (`scale` in a mapping file)"
+                f"simulator: {name} is {found:.4g} {units.named(parameter.unit)}, expected {low:g} to {high:g} from "
+                "the ranges that it was identified in"
             )
+
+
+def _identification(simulator: Simulator | LoadedModel, decades: Decades) -> Identification:
+    """What the simulator's file says of its identification, residuals in working units."""
+    if not isinstance(simulator, Simulator):
+        return Identification(method="network")
+    own = simulator.identification
+    residuals = tuple(
+        r.model_copy(update={"rmse_deg": r.rmse_deg / decades.angle, "bias_deg": r.bias_deg / decades.angle})
+        for r in own.residuals
+    )
+    return own.model_copy(update={"residuals": residuals})
 
 
 def shortage(trials: Sequence[Trial]) -> str:
@@ -148,7 +169,9 @@ def _sample_time(simulator: Simulator | LoadedModel) -> float:
     return simulator.dt_s if isinstance(simulator, Simulator) else simulator.metadata.dt_s
 
 
-def _network_baseline(model: LoadedModel, trials: Sequence[Trial], command: Range) -> tuple[Baseline, list[Vec]]:
+def _network_baseline(
+    model: LoadedModel, trials: Sequence[Trial], command: Range, decades: Decades
+) -> tuple[Baseline, list[Vec]]:
     """Plays in place of a network on these commands, and the difference of the network's angles from theirs (T,) each.
 
     Effects are applied to the plays: exact without effects, first order with them.
@@ -158,8 +181,9 @@ def _network_baseline(model: LoadedModel, trials: Sequence[Trial], command: Rang
     predictor = predictor_for(model)
     angles = []
     for trial in trials:
-        state = predictor.initial(float(trial.angle[0]), float(trial.command[0]))
-        angles.append(predictor.rollout(state, trial.command[None])[0])
+        commands = decades.command * trial.command
+        state = predictor.initial(decades.angle * float(trial.angle[0]), float(commands[0]))
+        angles.append(predictor.rollout(state, commands[None])[0] / decades.angle)
     copies = [replace(trial, angle=y) for trial, y in zip(trials, angles, strict=True)]
     baseline = ScaledBaseline(_plays(copies, command), command)
     problem = Problem(baseline)

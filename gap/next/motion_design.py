@@ -13,6 +13,7 @@ from scipy.special import ndtr
 from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.layouts import OUTPUT_COLUMN, command_column
 from hystmpc.trials.types import Vec
 
 from ..diagnosis import NextMotion
@@ -168,17 +169,17 @@ def separations(candidates: Sequence[OpenHypothesis], command: Vec, dt: float) -
     return angles, directions
 
 
-def write_motion(path: Path | str, proposal: MotionProposal, command_unit: str = "mm") -> Path:
-    """Write the motion in canonical columns.
+def write_motion(path: Path | str, proposal: MotionProposal, command_unit: str = "mm", unit: str = "deg") -> Path:
+    """Write the motion in canonical columns of these units.
 
-    `angle_deg` is the expected angle, the mean of the candidates, so that the file also serves as a sampled reference;
+    The angle is the expected angle, the mean of the candidates, so that the file also serves as a sampled reference;
     `separation_deg` is the difference of the candidates after retuning.
     """
     chosen = proposal.chosen
     columns = {
         "time_s": np.round(chosen.motion.t, 9),
-        "command_bar" if command_unit == "bar" else "command": chosen.motion.command,
-        "angle_deg": chosen.angles.mean(axis=0),
+        command_column(command_unit): chosen.motion.command,
+        OUTPUT_COLUMN[unit]: chosen.angles.mean(axis=0),
         SEPARATION_COLUMN: chosen.separation,
     }
     return write_atomically(path, format_table(columns))

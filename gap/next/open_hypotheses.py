@@ -186,19 +186,20 @@ def _families(findings: Findings) -> dict[str, Hypothesis]:
 
 def _noise(findings: Findings) -> Noise:
     """White noise of the sensor, and the error of the best explanation beyond it."""
-    conclusion = findings.conclusion
+    conclusion, decades = findings.conclusion, findings.prepared.decades
     rmse = max(conclusion.floor.noise_deg, _LEAST_NOISE_DEG)
     if conclusion.ruling.effects_unknown:
-        return Noise(rmse)
-    return Noise(rmse, white=1.0, form_deg=float(np.sqrt(max(conclusion.chosen.mse - rmse**2, 0.0))))
+        return decades.log_sizes(Noise(rmse))
+    form = float(np.sqrt(max(conclusion.chosen.mse - rmse**2, 0.0)))
+    return decades.log_sizes(Noise(rmse, white=1.0, form_deg=form))
 
 
 def _limits(findings: Findings) -> CommandLimits:
     """Range of the recorded commands; the higher of the recorded rate and that of the simulator's file."""
-    simulator, runs = findings.simulator, findings.prepared.everything
+    simulator, trials = findings.simulator, findings.prepared.checked.trials
     facts: ModelMetadata = simulator.metadata() if isinstance(simulator, Simulator) else simulator.metadata
-    fastest = max(float(np.abs(np.diff(run.command)).max()) / run.dt_s for run in runs)
-    commands: Sequence[float] = [float(v) for run in runs for v in (run.command.min(), run.command.max())]
+    fastest = max(float(np.abs(np.diff(trial.command)).max()) / trial.dt for trial in trials)
+    commands: Sequence[float] = [float(v) for t in trials for v in (t.command.min(), t.command.max())]
     return CommandLimits(min(commands), max(commands), max(fastest, facts.command_rate))
 
 
@@ -220,12 +221,13 @@ def open_hypothesis(name: str, hypothesis: Hypothesis, prepared: PreparedTrials)
 
 
 def _simulator(problem: Problem, q: Vec, prepared: PreparedTrials) -> Simulate:
-    """Free run of a chain from a settled start at the motion's first command."""
-    carried, runs = {c.carries for c in problem.effects}, prepared.everything
+    """Free run of a chain from a settled start at the motion's first command, in the units of the log."""
+    carried, runs, decades = {c.carries for c in problem.effects}, prepared.everything, prepared.decades
     last = runs[-1]
     bent = max(last.bent_before, float(last.command.max())) if "bend" in carried else -np.inf
     clock = last.clock_s + last.command.size * last.dt_s if "clock" in carried else 0.0
-    return free_run(problem.fitted_chain(q), runs[0].rest_angle, bent, clock)
+    chain, rest = decades.log_chain(problem.fitted_chain(q)), decades.angle * runs[0].rest_angle
+    return free_run(chain, rest, decades.command * bent, clock)
 
 
 def free_run(chain: Chain, rest_angle: float, bent: float = -np.inf, clock_s: float = 0.0) -> Simulate:

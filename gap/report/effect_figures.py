@@ -16,7 +16,7 @@ from hystmpc.trials.types import Vec
 
 from ..diagnosis import Diagnosis, Gap
 from ..next.motion_design import MotionProposal
-from .figure_style import COLOUR, COMMANDED, INTERVAL, LABEL, MARKER, QUIET, short, shown, thin
+from .figure_style import COLOUR, COMMANDED, INTERVAL, LABEL, MARKER, QUIET, measured_label, short, shown, thin
 from .report_data import CandidateRow, Evidence, Stage, TrialEvidence
 from .words import in_words
 
@@ -49,7 +49,7 @@ def closed_figure(evidence: Evidence) -> Figure:
         axes.set_yticks(range(rows), names)
         axes.get_yticklabels()[0].set_fontweight("bold")
         axes.axhline(0.5, color=REFERENCE, linewidth=0.6)
-        axes.set(ylim=(rows - 0.5, -0.5), xlabel="RMSE of simulated less measured angle [deg]")
+        axes.set(ylim=(rows - 0.5, -0.5), xlabel=f"RMSE of simulated less measured angle [{evidence.unit}]")
         axes.set_xlim(left=0.0)
         axes.grid(visible=False, axis="y")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
@@ -104,7 +104,7 @@ def effects_figure(evidence: Evidence) -> Figure:
     with new_figure(7.0, 1.0 + 0.29 * len(names)) as figure:
         chance, gain, closed = figure.subplots(1, 3, sharey=True, width_ratios=(3, 3, 3))
         _probabilities(chance, diagnosis, names)
-        _gains(gain, [rows.get(name) for name in names])
+        _gains(gain, [rows.get(name) for name in names], evidence.unit)
         _shares(closed, diagnosis, names)
         chance.set_yticks(range(len(names)), [_label(diagnosis, name) for name in names])
         chance.set_ylim(len(names) - 0.4, -0.6)
@@ -154,7 +154,7 @@ def _probabilities(axes: Axes, diagnosis: Diagnosis, names: Sequence[str]) -> No
     axes.set_xticks((0, 0.5, 1))
 
 
-def _gains(axes: Axes, rows: Sequence[CandidateRow | None]) -> None:
+def _gains(axes: Axes, rows: Sequence[CandidateRow | None], unit: str) -> None:
     for k, row in enumerate(rows):
         if row is None:
             continue
@@ -162,7 +162,7 @@ def _gains(axes: Axes, rows: Sequence[CandidateRow | None]) -> None:
         axes.plot(row.gain_deg, k, "o", color=MEASURED, markersize=4.5)
     axes.axvline(0.0, **QUIET)
     axes.margins(x=0.08)
-    axes.set(xlabel="fall of RMSE [deg]", title="Held-out gain, alone")
+    axes.set(xlabel=f"fall of RMSE [{unit}]", title="Held-out gain, alone")
 
 
 def _shares(axes: Axes, diagnosis: Diagnosis, names: Sequence[str]) -> None:
@@ -191,23 +191,23 @@ def _look(diagnosis: Diagnosis, name: str) -> tuple[str, str]:
     return (_CHOSEN, "") if any(effect.name == name for effect in diagnosis.effects) else (_OTHER, "")
 
 
-def next_figure(proposal: MotionProposal, unit: str) -> Figure:
+def next_figure(proposal: MotionProposal, command_unit: str, unit: str = "deg") -> Figure:
     """Command of the proposed motion, angles expected of each candidate, and their separation after retuning."""
     chosen = proposal.chosen
     t, command, separation, *angles = thin(chosen.motion.t, chosen.motion.command, chosen.separation, *chosen.angles)
     with new_figure(7.0, 4.6) as figure:
         rows = figure.subplots(3, 1, sharex=True, height_ratios=(3, 4, 2.4))
         rows[0].plot(t, command, **COMMANDED)
-        rows[0].set(ylabel=f"command [{unit}]", title=in_words(chosen.motion.name))
+        rows[0].set(ylabel=f"command [{command_unit}]", title=in_words(chosen.motion.name))
         for k, (name, angle) in enumerate(zip(proposal.names, angles, strict=True)):
             style = {"color": _COLOURS[k % 5], "linestyle": _DASHES[k % 5], "linewidth": 1.2}
             rows[1].plot(t, angle, label=f"if {in_words(name)}", **style)
-        rows[1].set_ylabel("tip angle [deg]")
+        rows[1].set_ylabel(measured_label(unit))
         rows[1].legend(loc="upper right", ncols=min(len(angles), 3))
         low, high = rows[1].get_ylim()
         rows[1].set_ylim(low, high + 0.22 * (high - low))
         rows[2].fill_between(t, separation, color=MODEL, alpha=0.75, linewidth=0.0)
-        rows[2].set_ylabel("apart after\nretuning [deg]")
+        rows[2].set_ylabel(f"apart after\nretuning [{unit}]")
         rows[2].set_ylim(bottom=0.0)
         rows[2].set_xlabel("time [s]")
         rows[2].axhline(0.0, color=REFERENCE, linewidth=0.6)

@@ -21,6 +21,11 @@ HEAT = "magma_r"  # even steps of lightness: also read in grey and by colour-bli
 _POINTS = 3000
 
 
+def measured_label(unit: str) -> str:
+    """Label of an axis of the measured and simulated output."""
+    return "tip angle [deg]" if unit == "deg" else f"output [{unit}]"
+
+
 def worst_first(trials: Sequence[TrialEvidence]) -> list[TrialEvidence]:
     """Trials by their retuned RMSE, greatest first."""
     return sorted(trials, key=lambda trial: -trial.rmse("retuned"))

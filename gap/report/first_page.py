@@ -11,13 +11,14 @@ from hystmpc.models.simulator import Simulator
 from ..diagnosis import Diagnosis, NextMotion, Place
 from .report_data import FIXED_FILE, Evidence
 from .words import (
-    baseline_units,
     closed_sentence,
     floor_words,
     in_words,
     listed,
+    mis_set_sentence,
     parameter_words,
     percent,
+    retuning_sentence,
     stability_sentence,
     tracking_sentence,
 )
@@ -27,14 +28,14 @@ _BY_SIGNS = ("stick_slip",)  # found by its jumps, it is in the simulator only w
 _DENSE, _MOST = 1.5, 0.3  # density and share of the error, above which a place is worth a sentence
 
 
-def why(diagnosis: Diagnosis, command_unit: str) -> tuple[str, ...]:
+def why(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Facts behind the verdict, each with its number."""
     if diagnosis.verdict in ("named", "one_of"):
-        said = (closed_sentence(diagnosis), _values(diagnosis))
+        said = (closed_sentence(diagnosis), _values(diagnosis), mis_set_sentence(diagnosis))
     else:
         unknown, none = diagnosis.verdict == "unknown", diagnosis.verdict == "none"
-        more = _densest(diagnosis) if unknown else _retuned(diagnosis, command_unit) if none else ""
-        said = (_sentence(diagnosis.reason), more)
+        more = _densest(diagnosis) if unknown else retuning_sentence(diagnosis) if none else ""
+        said = (_sentence(diagnosis.reason), more, mis_set_sentence(diagnosis))
     return tuple(filter(None, said))
 
 
@@ -61,7 +62,7 @@ def how_sure(diagnosis: Diagnosis) -> tuple[str, ...]:
         untested = f"The order of recording is unknown, so that these cannot be tested: {names}."
     if diagnosis.verdict == "too_little":
         return tuple(filter(None, ("Nothing is named, and no share is worth reading.", untested)))
-    floor = floor_words(diagnosis.gap) if diagnosis.gap.floor_kind == "noise" else ""
+    floor = floor_words(diagnosis.gap, diagnosis.unit) if diagnosis.gap.floor_kind == "noise" else ""
     said = (_probability(diagnosis), stability_sentence(diagnosis), _intervals(diagnosis), floor, untested)
     return tuple(filter(None, said))
 
@@ -73,17 +74,6 @@ def _intervals(diagnosis: Diagnosis) -> str:
         if all(map(math.isfinite, e.closed_ci90))
     ]
     return f"By the 90 % interval{'s' if len(each) > 1 else ''}, {listed(each, 'and')}." if each else ""
-
-
-def _retuned(diagnosis: Diagnosis, command_unit: str) -> str:
-    """Numbers of the simulator that retuning moves by more than it is shown with."""
-    units = baseline_units(command_unit)
-    each = [
-        f"{in_words(name)} from {given:.3g} to {found:.3g} {units.get(name, '')}"
-        for name, (given, found) in diagnosis.retuned.items()
-        if f"{given:.3g}" != f"{found:.3g}"
-    ]
-    return f"Retuning moves {listed(each, 'and')}." if each else ""
 
 
 def _values(diagnosis: Diagnosis) -> str:
@@ -126,7 +116,7 @@ def _corrected(evidence: Evidence) -> str:
         return f"Do not use {FIXED_FILE}: these logs are too little to retune on."
     given, retuned = diagnosis.gap.nominal_rmse_deg, diagnosis.gap.retuned_rmse_deg
     if retuned < given:
-        fall = f"from {given:.3g} deg to {retuned:.3g} deg"
+        fall = f"from {given:.3g} to {retuned:.3g} {diagnosis.unit}"
         return f"Use {FIXED_FILE}: its retuned numbers lower the RMSE on the {evidence.measured_on} {fall}."
     return f"Keep the simulator as given: retuning does not lower the RMSE on the {evidence.measured_on}."
 

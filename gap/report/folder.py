@@ -16,6 +16,7 @@ import numpy as np
 from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.layouts import OUTPUT_COLUMN, command_column
 from hystmpc.trials.run_folder import RunFolder
 
 from ..diagnosis import FORMATS, Diagnosis
@@ -96,7 +97,7 @@ def _write(evidence: Evidence, run: RunFolder) -> None:
         if simulator is not None:
             save_simulator(simulator, run.path / name)
     if evidence.proposal is not None:
-        write_motion(run.path / MOTION_FILE, evidence.proposal, evidence.command_unit)
+        write_motion(run.path / MOTION_FILE, evidence.proposal, evidence.command_unit, evidence.unit)
     for name, content in evidence.files.items():
         write_atomically(run.path / name, content)
     from .page import write_report  # imports matplotlib
@@ -113,9 +114,9 @@ def _log(evidence: Evidence) -> dict[str, Any]:
     trials = evidence.trials
     joined = {
         "time_s": [trial.trial.t + start for trial, start in zip(trials, starts, strict=True)],
-        "command_bar" if evidence.command_unit == "bar" else "command": [trial.trial.command for trial in trials],
-        "angle_deg": [trial.trial.angle for trial in trials],
-        **{f"{stage}_deg": [getattr(trial, stage) for trial in trials] for stage in STAGES},
+        command_column(evidence.command_unit): [trial.trial.command for trial in trials],
+        OUTPUT_COLUMN[evidence.unit]: [trial.trial.angle for trial in trials],
+        **{f"{stage}_{evidence.unit}": [getattr(trial, stage) for trial in trials] for stage in STAGES},
     }
     texts = {
         "trial": [trial.name for trial in trials for _ in range(len(trial.trial))],

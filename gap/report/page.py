@@ -71,7 +71,7 @@ def _first_page(evidence: Evidence) -> Iterator[Piece]:
     diagnosis = evidence.diagnosis
     yield Heading(headline(diagnosis))
     blocks = {
-        "Why": why(diagnosis, evidence.command_unit),
+        "Why": why(diagnosis),
         "What to do next": what_next(evidence),
         "How sure it is": how_sure(diagnosis),
     }
@@ -84,7 +84,8 @@ def _first_page(evidence: Evidence) -> Iterator[Piece]:
     yield Plot(
         before_after_figure(worst, after),
         f"{worst.name}, the one of the {evidence.measured_on} with the largest error. Its RMSE is "
-        f"{worst.rmse('nominal'):.3g} deg {LABEL['nominal']} and {worst.rmse(after):.3g} deg {LABEL[after]}.",
+        f"{worst.rmse('nominal'):.3g} {evidence.unit} {LABEL['nominal']} and {worst.rmse(after):.3g} {evidence.unit} "
+        f"{LABEL[after]}.",
     )
 
 
@@ -98,7 +99,7 @@ def _sizes(evidence: Evidence) -> Iterator[Piece]:
     yield Plot(
         closed_figure(evidence),
         f"RMSE on the {evidence.measured_on}, with 90 % intervals over blocks of 2 s. "
-        + floor_words(diagnosis.gap)
+        + floor_words(diagnosis.gap, diagnosis.unit)
         + (f" {left_out} further {evidence.measured_on} are in the table below." if left_out > 0 else ""),
     )
 
@@ -151,9 +152,10 @@ def _where(evidence: Evidence) -> Iterator[Piece]:
             "the gap is dense. The parts exclude each other; after reversal: within one loop width of the last turn.",
         )
     of = evidence.measured_on
-    yield Plot(loop_figure(shown(final, MOST_LOOPS), unit, after), f"Tip angle over command, real and simulated: {of}.")
+    what = "Tip angle" if evidence.unit == "deg" else "Output"
+    yield Plot(loop_figure(shown(final, MOST_LOOPS), unit, after), f"{what} over command, real and simulated: {of}.")
     worst = worst_first(final)[:MOST_TIMES]
-    yield Plot(time_figure(worst, after), f"Tip angle and residual over time: the {of} with the largest gap.")
+    yield Plot(time_figure(worst, after), f"{what} and residual over time: the {of} with the largest gap.")
     bins = bins_figure(final, after)
     if bins is not None:
         yield Plot(bins, "RMSE by command, angle and speed of the command; grey: share of time, of the whole height.")
@@ -183,7 +185,7 @@ def _next(evidence: Evidence) -> Iterator[Piece]:
         return
     yield Paragraph(next_sentence(proposal))
     yield Plot(
-        next_figure(proposal, evidence.command_unit),
+        next_figure(proposal, evidence.command_unit, evidence.unit),
         f"{MOTION_FILE}: command within limits and rate limit, from rest to rest at the lowest command. Middle: what "
         "each candidate expects. Below: what stays apart when each is retuned to the other.",
     )

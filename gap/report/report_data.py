@@ -170,8 +170,13 @@ class Evidence:
 
     @property
     def command_unit(self) -> str:
-        """mm or bar."""
+        """Of the command: mm, bar or another."""
         return self.trials[0].trial.units.command
+
+    @property
+    def unit(self) -> str:
+        """Of the output: deg or another."""
+        return self.trials[0].trial.units.angle
 
 
 def report_data(
@@ -183,13 +188,13 @@ def report_data(
     return Evidence(
         diagnosis=diagnosis,
         simulator="simulator",
-        trials=_trials(findings),
+        trials=_trials(findings, diagnosis.gap.floor_rmse_deg),
         excitation=prepared.checked.excitation,
         candidates=_candidates(findings, diagnosis),
         confusable=rows,
         parameters=parameters,
         localisation=findings.localisation,
-        noise_deg=findings.conclusion.floor.noise_deg,
+        noise_deg=prepared.decades.angle * findings.conclusion.floor.noise_deg,
         proposal=proposal,
         cannot_show=tuple(_sentence(row) for row in rows if not row.separable and not row.one_class),
         fixed=_fixed(findings),
@@ -207,16 +212,15 @@ def _fixed(findings: Findings) -> Simulator | None:
         return None
     chosen, checked = findings.conclusion.chosen, prepared.checked
     return corrected_simulator(
-        simulator, chosen, prepared.everything, prepared.development, checked.trials, prepared.given
+        simulator, chosen, prepared.everything, prepared.development, checked.trials, prepared.given, prepared.decades
     )
 
 
 def _network_effects(findings: Findings) -> Mapping[str, str]:
     """The effects beside a network, as the file that its user reads back."""
-    prepared = findings.prepared
-    return network_effects(
-        findings.conclusion.chosen, prepared.baseline, prepared.everything[-1], prepared.checked.dt, "the network"
-    )
+    prepared, chosen = findings.prepared, findings.conclusion.chosen
+    last, dt = prepared.everything[-1], prepared.checked.dt
+    return network_effects(chosen, prepared.baseline, last, dt, "the network", prepared.decades)
 
 
 def _sentence(row: Confusable) -> str:
@@ -224,13 +228,13 @@ def _sentence(row: Confusable) -> str:
     return f"{names[:1].upper()}{names[1:]} cannot be told apart ({row.found}); {row.separated_by} would do it."
 
 
-def _trials(findings: Findings) -> tuple[TrialEvidence, ...]:
+def _trials(findings: Findings, floor_deg: float) -> tuple[TrialEvidence, ...]:
     """Every trial with its free runs; of one that is cut in parts, the final part counts."""
     prepared, conclusion = findings.prepared, findings.conclusion
     retuned, chosen = findings.attribution.retuned, conclusion.chosen
     final = {run.name: int(np.flatnonzero(run.counts)[0]) for run in prepared.final}
     nominal_q = retuned.problem.start(prepared.baseline.nominal, [])
-    made = []
+    made, unit = [], prepared.decades.angle
     for trial, run, motion in zip(
         prepared.checked.trials, prepared.everything, prepared.checked.excitation.motions, strict=True
     ):
@@ -240,10 +244,10 @@ def _trials(findings: Findings) -> tuple[TrialEvidence, ...]:
                 trial=trial,
                 role=role,
                 motion=motion,
-                nominal=retuned.problem.angles(nominal_q, run),
-                retuned=retuned.problem.angles(retuned.q, run),
-                with_effects=run.angle + chosen.problem.held_out_error(chosen.q, run),
-                floor_deg=conclusion.closed.gap.floor_rmse_deg,
+                nominal=unit * retuned.problem.angles(nominal_q, run),
+                retuned=unit * retuned.problem.angles(retuned.q, run),
+                with_effects=unit * (run.angle + chosen.problem.held_out_error(chosen.q, run)),
+                floor_deg=floor_deg,
                 start=final.get(run.name, 0),
             )
         )
@@ -252,18 +256,18 @@ def _trials(findings: Findings) -> tuple[TrialEvidence, ...]:
 
 def _candidates(findings: Findings, diagnosis: Diagnosis) -> tuple[CandidateRow, ...]:
     """Each effect that was tried alone, and a faulty sensor."""
-    selection = findings.attribution.selection
+    selection, decades = findings.attribution.selection, findings.prepared.decades
     probabilities, before = dict(diagnosis.ranking), selection.baseline
     chosen = {effect.name for effect in diagnosis.effects}
     rows = [
-        _row(name, before, judged, probabilities.get(name, 0.0), name in chosen)
+        decades.log_sizes(_row(name, before, judged, probabilities.get(name, 0.0), name in chosen))
         for names, judged in selection.tried.items()
         if len(names) == 1
         for name in names
     ]
     for effect in diagnosis.effects:
         if effect.name == "sensor":
-            mended = float(np.sqrt(before.mse))
+            mended = decades.angle * float(np.sqrt(before.mse))
             raw = diagnosis.gap.retuned_rmse_deg
             rows.append(CandidateRow("sensor", "sensor", mended, raw - mended, 0.0, effect.probability, True))
     return tuple(sorted(rows, key=lambda row: (-row.probability, row.rmse_deg)))

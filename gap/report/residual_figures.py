@@ -17,7 +17,7 @@ from hystmpc.trials.types import Vec
 
 from ..diagnosis import Place
 from ..residual.spectrum import SpectralLine
-from .figure_style import COLOUR, COMMANDED, HEAT, INTERVAL, LABEL, QUIET, REAL, short, thin
+from .figure_style import COLOUR, COMMANDED, HEAT, INTERVAL, LABEL, QUIET, REAL, measured_label, short, thin
 from .report_data import Stage, TrialEvidence
 from .words import in_words
 
@@ -53,7 +53,7 @@ def heat_figure(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Sta
             _strip(strip, trial, stages, top)
         rows[-1].set(xlim=(0.0, longest), xlabel="time [s]")
         bar = figure.colorbar(rows[-1].images[0], ax=rows.tolist(), aspect=14 * len(trials), pad=0.01, extend="max")
-        bar.set_label("|residual| [deg]", fontsize=8.0)
+        bar.set_label(f"|residual| [{trials[0].trial.units.angle}]", fontsize=8.0)
     return figure
 
 
@@ -101,7 +101,7 @@ def loop_figure(trials: Sequence[TrialEvidence], unit: str, stages: Sequence[Sta
         for axes in grid[max(len(trials) - across, 0) : len(trials)]:
             axes.tick_params(labelbottom=True)
         figure.supxlabel(f"command [{unit}]", fontsize=9.0)
-        figure.supylabel("tip angle [deg]", fontsize=9.0)
+        figure.supylabel(measured_label(trials[0].trial.units.angle), fontsize=9.0)
         figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
@@ -117,10 +117,10 @@ def time_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Fig
                 angle.plot(t, run, **_LOOK[stage])
                 left.plot(t, run - real, **{**_LOOK[stage], "linestyle": "-"})
             angle.set_title(short(trial.name, 60), fontsize=8.5)
-            angle.set_ylabel("tip angle [deg]")
+            angle.set_ylabel(measured_label(trial.trial.units.angle))
             angle.tick_params(labelbottom=False)
             left.axhline(0.0, **QUIET)
-            left.set_ylabel("residual [deg]")
+            left.set_ylabel(f"residual [{trial.trial.units.angle}]")
             left.sharex(angle)
         rows[-1].set_xlabel("time [s]")
         figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
@@ -141,8 +141,8 @@ def before_after_figure(trial: TrialEvidence, after: Stage) -> Figure:
             angle.plot(t[part], run[part], **_LOOK[stage])
             error.plot(t[part], (run - trial.trial.angle)[part], **{**_LOOK[stage], "linestyle": "-"})
         error.axhline(0.0, **QUIET)
-        angle.set_ylabel("tip angle [deg]")
-        error.set(ylabel="simulated less\nmeasured [deg]", xlabel="time [s]")
+        angle.set_ylabel(measured_label(trial.trial.units.angle))
+        error.set(ylabel=f"simulated less\nmeasured [{trial.trial.units.angle}]", xlabel="time [s]")
         figure.legend(*angle.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
@@ -201,7 +201,7 @@ def bins_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Fig
             axes.set_zorder(shares.get_zorder() + 1)
             axes.patch.set_visible(False)
             axes.set_xlabel(f"{group.quantity} [{group.unit}]")
-        rows[0].set_ylabel("RMSE [deg]")
+        rows[0].set_ylabel(f"RMSE [{trials[0].trial.units.angle}]")
         rows[0].set_ylim(bottom=0.0)
         figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
@@ -227,10 +227,10 @@ class Binned:
 
 def binned(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> list[Binned]:
     """RMSE by command, angle and speed of the command over all samples that count; constant quantities are left out."""
-    unit = trials[0].trial.units.command
+    unit, angle = trials[0].trial.units.command, trials[0].trial.units.angle
     values = {
         ("command", unit): [t.trial.command[t.start :] for t in trials],
-        ("angle", "deg"): [t.trial.angle[t.start :] for t in trials],
+        ("angle", angle): [t.trial.angle[t.start :] for t in trials],
         ("command speed", f"{unit}/s"): [np.gradient(t.trial.command, t.trial.t)[t.start :] for t in trials],
     }
     squares: dict[Stage, Vec] = {s: np.concatenate([t.residual(s) ** 2 for t in trials]) for s in stages}
@@ -273,7 +273,8 @@ def spectrum_figure(
         for k, line in enumerate(lines):
             label = "not the command's" if not k else None
             axes.axvline(line.hz, color=MEASURED, linestyle=(0, (1, 2)), linewidth=1.2, label=label)
-        axes.set(xscale="log", yscale="log", xlabel="frequency [Hz]", ylabel="residual [deg/√Hz]")
+        label = f"residual [{trials[0].trial.units.angle}/√Hz]"
+        axes.set(xscale="log", yscale="log", xlabel="frequency [Hz]", ylabel=label)
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
     return figure
 

@@ -30,7 +30,8 @@ def effects_table(evidence: Evidence) -> Table:
         )
         for effect in evidence.diagnosis.effects
     ]
-    columns = ("effect", "probability", "inclusion", "closed share", "90 % interval", "without [deg]", "with [deg]")
+    sizes = f"without [{evidence.unit}]", f"with [{evidence.unit}]"
+    columns = ("effect", "probability", "inclusion", "closed share", "90 % interval", *sizes)
     caption = (
         "Inclusion: share of resamples of the data in which the effect was chosen. Without, with: RMSE on the final "
         "trials, the other chosen effects present."
@@ -40,7 +41,8 @@ def effects_table(evidence: Evidence) -> Table:
 
 def candidates_table(evidence: Evidence) -> Table:
     """Every effect of the library, added alone."""
-    columns = ("effect", "acts on", "RMSE [deg]", "gain [deg]", "standard error [deg]", "probability", "")
+    sizes = (f"{size} [{evidence.unit}]" for size in ("RMSE", "gain", "standard error"))
+    columns = ("effect", "acts on", *sizes, "probability", "")
     return Table(
         columns,
         [_candidate(row) for row in evidence.candidates],
@@ -62,7 +64,8 @@ def tracking_table(found: TrackingGap) -> Table:
 def trials_table(evidence: Evidence) -> Table:
     """RMSE of every trial; final ones first."""
     rows = sorted(evidence.trials, key=lambda trial: trial.role != "final")
-    columns = ("trial", "motion", "used to", "s", *(f"{LABEL[stage]} [deg]" for stage in STAGES), "floor [deg]")
+    sizes = (f"{size} [{evidence.unit}]" for size in (*(LABEL[stage] for stage in STAGES), "floor"))
+    columns = ("trial", "motion", "used to", "s", *sizes)
     return Table(columns, [_trial(row) for row in rows], "RMSE of simulated less measured angle.")
 
 
@@ -110,7 +113,7 @@ def parameters_table(evidence: Evidence) -> Table:
 
 def retuned_table(evidence: Evidence) -> Table:
     """Baseline quantities before and after the refit."""
-    units = baseline_units(evidence.command_unit)
+    units = baseline_units(evidence.diagnosis)
     rows = [
         (in_words(name), units[name], given, found, "" if given == 0 else f"{100 * (found / given - 1):+.1f} %")
         for name, (given, found) in evidence.diagnosis.retuned.items()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from hystmpc.models.identify.uncertainty import Interval
+from hystmpc.models.identify.uncertainty import BASELINE_UNITS, Interval
+from hystmpc.trials.trial import Units
 
 from ..diagnosis import Detectable, DetectableSizes, Diagnosis, FoundEffect, Gap, TrackingGap
 from ..next.motion_design import MotionProposal
@@ -47,12 +48,13 @@ def choices(diagnosis: Diagnosis) -> list[str]:
 
 def closed_sentence(diagnosis: Diagnosis) -> str:
     """Sizes of the gap, before and after, against the floor; without final trials on all of them."""
-    gap, chosen = diagnosis.gap, bool(diagnosis.effects)
+    gap, chosen, unit = diagnosis.gap, bool(diagnosis.effects), diagnosis.unit
     count = len(gap.final_trials)
     trials = f"{count} trial{'' if count == 1 else 's'} that nothing was chosen on" if count else "all trials together"
-    sizes = [f"{_deg(gap.nominal_rmse_deg)} with the simulator as given", f"{_deg(gap.retuned_rmse_deg)} retuned"]
-    sizes += [f"{_deg(gap.with_effects_rmse_deg)} with effects"] if chosen else []
-    text = f"On {trials}, the RMSE is {listed(sizes, 'and')}; the floor is {_deg(gap.floor_rmse_deg)}."
+    sizes = [f"{_size(gap.nominal_rmse_deg, unit)} with the simulator as given"]
+    sizes += [f"{_size(gap.retuned_rmse_deg, unit)} retuned"]
+    sizes += [f"{_size(gap.with_effects_rmse_deg, unit)} with effects"] if chosen else []
+    text = f"On {trials}, the RMSE is {listed(sizes, 'and')}; the floor is {_size(gap.floor_rmse_deg, unit)}."
     if not (chosen and math.isfinite(gap.closed_share)):
         return text
     low, high = gap.closed_ci90
@@ -126,12 +128,12 @@ def tracking_sentence(diagnosis: Diagnosis) -> str:
         return ""
     if found.why_not:
         return f"How far the closed-loop tracking error falls cannot be said: {found.why_not}."
-    before, after = (_deg_of(v, ends) for v, ends in _errors(found))
+    before, after = (_size_of(v, ends, diagnosis.unit) for v, ends in _errors(found))
     floor = diagnosis.gap.floor_rmse_deg
     if not found.changes(floor):
         return (
             f"No fall of the closed-loop tracking error is expected: {before} RMS with the simulator as given, {after} "
-            f"with the corrected one; the floor is {_deg(floor)}."
+            f"with the corrected one; the floor is {_size(floor, diagnosis.unit)}."
         )
     change = "fall" if found.fall_deg > 0 else "rise"
     return (
@@ -145,18 +147,19 @@ def _errors(found: TrackingGap) -> tuple[tuple[float, Interval], tuple[float, In
     return (found.before_deg, found.before_range_deg), (found.after_deg, found.after_range_deg)
 
 
-def _deg_of(value: float, ends: Interval) -> str:
-    return f"{_deg(value)} ({ends[0]:.3g} to {ends[1]:.3g})" if ends[1] > ends[0] else _deg(value)
+def _size_of(value: float, ends: Interval, unit: str) -> str:
+    size = _size(value, unit)
+    return f"{size} ({ends[0]:.3g} to {ends[1]:.3g})" if ends[1] > ends[0] else size
 
 
-def floor_words(gap: Gap) -> str:
+def floor_words(gap: Gap, unit: str = "deg") -> str:
     """What the floor comes from and what follows for the shares."""
     if gap.floor_kind == "repeats":
         return "The floor comes from repeats of a motion: what differs between them no simulator can follow."
     if gap.unrepeatable:
         return (
-            f"Repeats of a motion differ by {_deg(gap.repeats_rmse_deg)}, which is all that retuning leaves: that is "
-            "the gap, so that the floor is the noise in the upper band of the residual."
+            f"Repeats of a motion differ by {_size(gap.repeats_rmse_deg, unit)}, which is all that retuning leaves: "
+            "that is the gap, so that the floor is the noise in the upper band of the residual."
         )
     return (
         "No motion was repeated: the floor is the noise in the upper band of the residual, a lower bound, and every "
@@ -165,12 +168,32 @@ def floor_words(gap: Gap) -> str:
 
 
 _ORDER_HIDES = " What is marked `order unknown` needs the order in which the trials were recorded."
+_MIS_SET = 2.0  # mean square error as given over the retuned one, as for the verdict `retuned`
 DETECTABLE_COLUMNS = ("effect", "least size", "hidden", "remark")
 
 
-def baseline_units(command: str) -> dict[str, str]:
+def baseline_units(diagnosis: Diagnosis) -> dict[str, str]:
     """Unit of each quantity that retuning changes."""
-    return {"gain": f"deg/{command}", "offset": "deg", "backlash_width": command}
+    units = Units(diagnosis.command_unit, diagnosis.unit)
+    return {name: units.named(unit) for name, unit in BASELINE_UNITS.items()}
+
+
+def retuning_sentence(diagnosis: Diagnosis) -> str:
+    """Quantities of the simulator that retuning moves by more than they are shown with; empty where there are none."""
+    units = baseline_units(diagnosis)
+    each = [
+        f"{in_words(name)} from {given:.3g} to {found:.3g} {units.get(name, '')}"
+        for name, (given, found) in diagnosis.retuned.items()
+        if f"{given:.3g}" != f"{found:.3g}"
+    ]
+    return f"Retuning moves {listed(each, 'and')}." if each else ""
+
+
+def mis_set_sentence(diagnosis: Diagnosis) -> str:
+    """The same where these numbers were a good half of the mean square error as given, beside the verdict's cause."""
+    gap = diagnosis.gap
+    mis_set = gap.nominal_rmse_deg**2 > _MIS_SET * gap.retuned_rmse_deg**2
+    return retuning_sentence(diagnosis) if mis_set and diagnosis.verdict in ("named", "one_of", "unknown") else ""
 
 
 def detectable_rows(found: DetectableSizes) -> list[tuple[str, ...]]:
@@ -178,7 +201,7 @@ def detectable_rows(found: DetectableSizes) -> list[tuple[str, ...]]:
     return [
         (
             in_words(one.effect),
-            _size(one),
+            _least(one),
             percent(one.hidden) if math.isfinite(one.hidden) else "",
             _detectable_remark(one),
         )
@@ -186,7 +209,7 @@ def detectable_rows(found: DetectableSizes) -> list[tuple[str, ...]]:
     ]
 
 
-def _size(one: Detectable) -> str:
+def _least(one: Detectable) -> str:
     if not math.isfinite(one.size):
         return "none shows"
     return f"{one.parameter} {one.size:.2g}" + (f" {one.unit}" if one.unit != "1" else "")
@@ -201,10 +224,10 @@ def _detectable_remark(one: Detectable) -> str:
 def detectable_sentence(found: DetectableSizes) -> str:
     """What the least sizes mean, or why there are none."""
     return found.why_not or (
-        f"An effect has to leave {_deg(found.needed_rmse_deg)} RMS after retuning: less passes for the simulator's own "
-        "model-form error. Each size is that of one effect alone in a free run over these commands; no measured angle "
-        "was looked at, but for the first of each trial. Hidden: share of the effect's energy that retuning takes up. "
-        "Stick-slip is seen by its jumps, which needs about 2.5 times its size."
+        f"An effect has to leave {_size(found.needed_rmse_deg, found.unit)} RMS after retuning: less passes for the "
+        "simulator's own model-form error. Each size is that of one effect alone in a free run over these commands; "
+        "no measured angle was looked at, but for the first of each trial. Hidden: share of the effect's energy that "
+        "retuning takes up. Stick-slip is seen by its jumps, which needs about 2.5 times its size."
         + (_ORDER_HIDES if any(one.untestable for one in found.effects) else "")
     )
 
@@ -231,8 +254,8 @@ def percent(share: float) -> str:
     return f"{100 * share:.0f} %" if math.isfinite(share) else "an unknown share"
 
 
-def _deg(value: float) -> str:
-    return f"{value:.3g} deg" if math.isfinite(value) else "unknown"
+def _size(value: float, unit: str) -> str:
+    return f"{value:.3g} {unit}" if math.isfinite(value) else "unknown"
 
 
 def in_words(name: str) -> str:

@@ -75,6 +75,8 @@ def covered_motions(trials: Sequence[TrialEvidence], fixed: Simulator, seed: int
 def _why_not(evidence: Evidence) -> str:
     """Why no fall can be said, in one sentence; empty where it can."""
     diagnosis: Diagnosis = evidence.diagnosis
+    if evidence.unit != "deg":
+        return f"the controllers follow angles in deg, and the output of this device is in {evidence.unit}"
     if evidence.nominal is None:
         return "the simulator is a network, of which a diagnosis makes no corrected simulator"
     if diagnosis.verdict == "too_little":

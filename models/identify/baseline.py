@@ -14,6 +14,7 @@ from hystmpc.trials.types import Vec
 from ..chain import Chain
 from ..contract.metadata import Range
 from ..operators.curved_plays import CurvedPlays
+from ..operators.friction import MaxwellSlip
 from ..operators.hysteresis import Backlash
 from .free_run import StagedChain
 
@@ -56,7 +57,20 @@ class Baseline(ABC):
 
     @abstractmethod
     def quantities(self, z: Vec) -> Mapping[str, float]:
-        """`gain` [deg/cmd], `offset` [deg at the middle of the command's range], `backlash_width` [cmd]."""
+        """`gain` [deg/cmd], `offset` [deg at the middle of the command's range], `backlash_width` [cmd].
+
+        Of a friction force, which leads its displacement: `stiffness` [deg/cmd] and `friction` [deg, half the height of
+        the loop] instead of gain and width.
+        """
+
+    def loop_height(self, z: Vec) -> float:
+        """Height of the loop [deg]."""
+        found = self.quantities(z)
+        return 2 * found["friction"] if "friction" in found else found["gain"] * found["backlash_width"]
+
+    def loop_width(self, z: Vec) -> float:
+        """Travel after a reversal over which the loop changes its branch [cmd]."""
+        return self.quantities(z)["backlash_width"]
 
     def freed(self) -> Baseline:
         """The same with the widths of its plays free, where retuning usually holds them; itself where none are held."""
@@ -166,7 +180,14 @@ class FreeCoreBaseline(Baseline):
     def quantities(self, z: Vec) -> Mapping[str, float]:
         """Read off the major loop of the core over the command's range."""
         core = self.chain.core.with_values(self.core_values(z)[0].tolist())
+        if isinstance(core, MaxwellSlip):
+            stiffness, offset, height = _major_loop(Chain(core), self.command)
+            return {"stiffness": stiffness, "offset": offset, "friction": -0.5 * height}
         return _loop_quantities(Chain(core), self.command)
+
+    def loop_width(self, z: Vec) -> float:
+        core = self.chain.core.with_values(self.core_values(z)[0].tolist())
+        return 2 * core.spacing * core.elements if isinstance(core, MaxwellSlip) else super().loop_width(z)
 
 
 @final
@@ -223,7 +244,13 @@ def _differences(core: CurvedPlays, size: int) -> Vec:
 
 
 def _loop_quantities(chain: Chain, command: Range) -> Mapping[str, float]:
-    """Gain, offset and width of the major loop, run slowly and twice over the command's range."""
+    """Gain, offset and width of the major loop."""
+    gain, offset, height = _major_loop(chain, command)
+    return {"gain": gain, "offset": offset, "backlash_width": height / gain if gain else 0.0}
+
+
+def _major_loop(chain: Chain, command: Range) -> tuple[float, float, float]:
+    """Gain and offset of the major loop, run slowly and twice over the range, and how far its way back lies above."""
     up = np.linspace(command.lower, command.upper, _LOOP_SAMPLES)
     u = np.concatenate([up, up[::-1], up, up[::-1]])[:, None]
     staged = StagedChain(chain)
@@ -233,8 +260,7 @@ def _loop_quantities(chain: Chain, command: Range) -> Mapping[str, float]:
     quarter = slice(_LOOP_SAMPLES // 4, 3 * _LOOP_SAMPLES // 4)
     gain = float(np.polyfit(up[quarter], 0.5 * (rise + fall)[quarter], 1)[0])
     middle = _LOOP_SAMPLES // 2
-    width = float(np.mean((fall - rise)[quarter])) / gain if gain else 0.0
-    return {"gain": gain, "offset": float(0.5 * (rise + fall)[middle]), "backlash_width": width}
+    return gain, float(0.5 * (rise + fall)[middle]), float(np.mean((fall - rise)[quarter]))
 
 
 def baseline_of(chain: Chain, command: Range) -> Baseline:

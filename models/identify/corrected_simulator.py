@@ -15,6 +15,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
+from ..decades import Decades
 from ..effects.catalogue import EFFECTS
 from ..effects.place import PlacedEffect, effect_spec
 from ..operators.catalogue import operator_spec
@@ -28,6 +29,7 @@ from .estimation_noise import estimation_noise
 from .free_run import StagedChain
 from .methods import residual
 from .runs import Run, fingerprint
+from .uncertainty import BASELINE_UNITS
 
 EFFECTS_FILE = "effects.yaml"
 _FORMAT = "hystmpc-effects/1"
@@ -41,6 +43,7 @@ def corrected_simulator(
     development: Sequence[Run],
     trials: Sequence[Trial],
     given: Sequence[Trial],
+    decades: Decades,
 ) -> Simulator:
     """A simulator retuned, with the effects found.
 
@@ -55,14 +58,15 @@ def corrected_simulator(
         runs: all trials in recording order, the sensor's faults repaired.
         development: those that were fitted.
         trials, given: all trials at the common rate, and as recorded.
+        decades: units in which the simulator was fitted and the runs are; the trials are in those of the log.
     """
-    chain = chosen.problem.fitted_chain(chosen.q)
-    disturbance = _disturbance(chosen, runs[-1], simulator.dt_s)
+    chain = decades.log_chain(chosen.problem.fitted_chain(chosen.q))
+    disturbance = _disturbance(chosen, runs[-1], simulator.dt_s, decades)
     if disturbance is not None:
         chain = replace(chain, after=(*chain.after, disturbance))
     names, skip = {run.name for run in development}, simulator.identification.skip_first_flexure
     fitted = [(run, trial, log) for run, trial, log in zip(runs, trials, given, strict=True) if run.name in names]
-    compared = [_compared(chain, run, trial, skip) for run, trial, _ in fitted]
+    compared = [_compared(chain, decades.angle * run.angle, trial, skip) for run, trial, _ in fitted]
     errors = [(trial.angle - theta)[start:] for trial, theta, start in compared]
     identification = Identification(
         method=f"{simulator.identification.method}; diagnosed: {chosen.label}{_remarks(chosen)}",
@@ -75,7 +79,9 @@ def corrected_simulator(
     return replace(simulator, chain=chain, identification=identification).at_sample_time(simulator.dt_s)
 
 
-def network_effects(chosen: Hypothesis, baseline: Baseline, last: Run, dt_s: float, simulator: str) -> dict[str, str]:
+def network_effects(
+    chosen: Hypothesis, baseline: Baseline, last: Run, dt_s: float, simulator: str, decades: Decades
+) -> dict[str, str]:
     """The file that stands beside a network, which cannot hold effects itself; none where there are no effects.
 
     Args:
@@ -84,9 +90,10 @@ def network_effects(chosen: Hypothesis, baseline: Baseline, last: Run, dt_s: flo
         last: trial recorded last.
         dt_s: sample time of the trials [s].
         simulator: what the network is called in the file's note.
+        decades: units in which the effects were fitted; the file is in those of the log.
     """
-    effects = [_spec(c.effect, c.side, operator) for c, operator in _placed(chosen)]
-    disturbance = _disturbance(chosen, last, dt_s)
+    effects = [_spec(c.effect, c.side, decades.log_operator(operator, c.side)) for c, operator in _placed(chosen)]
+    disturbance = _disturbance(chosen, last, dt_s, decades)
     if disturbance is not None:
         effects.append(effect_spec(PlacedEffect(EFFECTS[disturbance.name], "output", disturbance)))
     if not effects:
@@ -99,13 +106,16 @@ def network_effects(chosen: Hypothesis, baseline: Baseline, last: Run, dt_s: flo
             "nothing else changes, first order beyond. No simulator by itself; the effects have the form of a "
             f"study's plant.effects.{_remarks(chosen)}"
         ),
-        "retuned": {name: float(value) for name, value in baseline.quantities(z).items()},
+        "retuned": {
+            name: decades.log_value(float(value), BASELINE_UNITS[name])
+            for name, value in baseline.quantities(z).items()
+        },
         "effects": effects,
     }
     return {EFFECTS_FILE: dump_yaml(content)}
 
 
-def _disturbance(chosen: Hypothesis, last: Run, dt_s: float) -> Operator | None:
+def _disturbance(chosen: Hypothesis, last: Run, dt_s: float, decades: Decades) -> Operator | None:
     """The disturbance of the last trial, for a clock of that sample time; None if there is none.
 
     Terms are s_h sin(2 pi h f t) + c_h cos(2 pi h f t), taken off the error; the operator's clock has made one step
@@ -119,7 +129,8 @@ def _disturbance(chosen: Hypothesis, last: Run, dt_s: float) -> Operator | None:
     sines, cosines = weights[-2 * terms.harmonics :].reshape(-1, 2).T
     turns = 2 * math.pi * terms.frequency_hz * dt_s * np.arange(1, terms.harmonics + 1)
     phases = np.angle(np.exp(1j * (np.arctan2(cosines, sines) - turns)))
-    return PeriodicDisturbance(terms.frequency_hz, tuple(np.hypot(sines, cosines).tolist()), tuple(phases.tolist()))
+    sizes = decades.angle * np.hypot(sines, cosines)
+    return PeriodicDisturbance(terms.frequency_hz, tuple(sizes.tolist()), tuple(phases.tolist()))
 
 
 def _remarks(chosen: Hypothesis) -> str:
@@ -134,13 +145,13 @@ def _remarks(chosen: Hypothesis) -> str:
     return "".join(f"; {text}" for text in said)
 
 
-def _compared(chain: Chain, run: Run, trial: Trial, skip_first_flexure: bool) -> tuple[Trial, Vec, int]:
-    """A trial with its sensor's faults repaired, the chain's free run (T,), and the first sample that counts.
+def _compared(chain: Chain, angle: Vec, trial: Trial, skip_first_flexure: bool) -> tuple[Trial, Vec, int]:
+    """A trial with the angle as repaired (T,), the chain's free run (T,), and the first sample that counts.
 
     The chain starts anew, at rest at the first command.
     """
-    repaired = Trial(trial.t, trial.command, run.angle, units=trial.units, source=trial.source)
-    state = settled(chain, float(trial.command[0]), float(run.angle[0]), -math.inf, 0.0)
+    repaired = Trial(trial.t, trial.command, angle, units=trial.units, source=trial.source)
+    state = settled(chain, float(trial.command[0]), float(angle[0]), -math.inf, 0.0)
     theta = StagedChain(chain).simulate(trial.command[:, None], trial.dt, state[:, None])[0][:, 0]
     moves = skip_first_flexure and segment(repaired).reversals.size
     return repaired, theta, first_flexure_end(repaired) if moves else 0

@@ -133,6 +133,10 @@ class Before:
     bent: float = -np.inf
     clock_s: float = 0.0
 
+    def scaled(self, factor: float) -> Before:
+        """The same with commands times a factor."""
+        return Before(factor * self.bent, self.clock_s)
+
     @classmethod
     def each(cls, trials: Sequence[Trial]) -> tuple[Before, ...]:
         """Of every trial, in recording order."""

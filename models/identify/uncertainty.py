@@ -140,7 +140,15 @@ UNKNOWN: Interval = (float("nan"), float("nan"))
 
 _NUDGE = 1e-3
 _OF_PLAYS = re.compile(r"a\d+|alpha|r\d+")  # weights, spacing of half-widths, half-widths
-_BASELINE_UNITS = {"gain": "deg/cmd", "offset": "deg", "backlash_width": "cmd"}
+BASELINE_UNITS = {
+    "gain": "deg/cmd",
+    "offset": "deg",
+    "backlash_width": "cmd",
+    "stiffness": "deg/cmd",
+    "friction": "deg",
+}
+"""Unit of each quantity of a baseline."""
+
 _ENDINGS = {"_deg_s": "deg/s", "_deg": "deg", "_hz": "Hz", "_s": "s"}  # longest first
 
 
@@ -213,7 +221,9 @@ def _effect_rows(hypothesis: Hypothesis, found: Uncertainty) -> Iterator[Paramet
         in_core = {} if c.operators else problem.baseline.effects.get(c.effect, {})
         for name, at in in_core.items():
             half, value = found.half_width(_slope(_entry(problem, at), q)), float(z[at])
-            yield ParameterRow(c.effect, name, value, (value - half, value + half), float(problem.baseline.nominal[at]))
+            ends, nominal = (value - half, value + half), float(problem.baseline.nominal[at])
+            unit = next((p.unit for p in problem.baseline.chain.core.parameters if p.name == name), "1")
+            yield ParameterRow(c.effect, name, value, ends, nominal, unit=unit)
 
 
 def _baseline_rows(hypothesis: Hypothesis, found: Uncertainty) -> Iterator[ParameterRow]:
@@ -221,7 +231,7 @@ def _baseline_rows(hypothesis: Hypothesis, found: Uncertainty) -> Iterator[Param
     for name, value in problem.baseline.quantities(problem.retuned(q)).items():
         half = found.half_width(_slope(_quantity(problem, name), q))
         flat = half > _FLAT_RANGE * _reach(problem, name, q)
-        yield ParameterRow("baseline", name, value, (value - half, value + half), flat=flat, unit=_BASELINE_UNITS[name])
+        yield ParameterRow("baseline", name, value, (value - half, value + half), flat=flat, unit=BASELINE_UNITS[name])
 
 
 def _reach(problem: Problem, name: str, q: Vec) -> float:

@@ -87,13 +87,13 @@ def ablate(
         raise ConfigError(
             "ablation: the simulator is a core without effects, expected one such as the sim.fixed.yaml of a diagnosis"
         )
-    whole, floor_deg = _judged(trials, simulator)
+    whole, floor_deg, unit = _judged(trials, simulator)
     found = []
     for k, name in enumerate(names):
         if progress:
             progress(k, len(names), name)
         less = without(simulator, name)
-        row = _row(name, whole, _judged(trials, less)[0], floor_deg)
+        row = _row(name, whole, _judged(trials, less)[0], floor_deg, unit)
         found.append(_asked(row, trials, less, folder / name, seed) if row.needed else row)
     found.sort(key=lambda row: -row.without_deg)
     rows = [{**asdict(r), "needed": r.needed, "right": r.right if r.needed else None} for r in found]
@@ -123,20 +123,21 @@ def answered(row: Ablated, said: DiagnosisReading) -> Ablated:
     return replace(row, verdict=said.verdict, said=said.claims, left_open=tuple(groups) if said.claims else ())
 
 
-def _judged(trials: Sequence[Trial], simulator: Simulator) -> tuple[HeldOutErrors, float]:
-    """The refitted simulator, judged on trials left out, and the floor [deg]."""
+def _judged(trials: Sequence[Trial], simulator: Simulator) -> tuple[HeldOutErrors, float, float]:
+    """The refitted simulator, judged on trials left out in working units, the floor [deg], and deg in one of these."""
     prepared = prepare(trials, simulator, ordered=False)
     validation = CrossValidation(prepared.baseline, prepared.everything)
     retuned = validation.retuned()
     errors = [run.angle - retuned.problem.angles(retuned.q, run) for run in prepared.everything]
     checked = prepared.checked
     floor = find_floor(checked.trials, errors, checked.dt, checked.excitation.repeats)
-    return validation.judge(retuned), floor.rmse_deg
+    return validation.judge(retuned), prepared.decades.angle * floor.rmse_deg, prepared.decades.angle
 
 
-def _row(component: str, whole: HeldOutErrors, less: HeldOutErrors, floor_deg: float) -> Ablated:
+def _row(component: str, whole: HeldOutErrors, less: HeldOutErrors, floor_deg: float, unit: float) -> Ablated:
     rise, error = gain(less, whole)
-    return Ablated(component, float(np.sqrt(whole.mse)), float(np.sqrt(less.mse)), floor_deg, rise / max(error, 1e-12))
+    with_deg, without_deg = (unit * float(np.sqrt(errors.mse)) for errors in (whole, less))
+    return Ablated(component, with_deg, without_deg, floor_deg, rise / max(error, 1e-12))
 
 
 def _asked(row: Ablated, trials: Sequence[Trial], less: Simulator, folder: Path, seed: int) -> Ablated:

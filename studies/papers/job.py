@@ -6,7 +6,9 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from pathlib import Path
 
 from hystmpc.models.identify.runs import fingerprint
 from hystmpc.models.kinds.catalogue import kind_named
@@ -145,7 +147,8 @@ def study_splits(settings: StudySettings) -> Splits:
 
 
 def _logs(settings: StudySettings) -> tuple[Trial, ...]:
-    trials = tuple(resample(t, settings.rate_hz) for t in read_trials(settings.logs, settings.layout))
+    whole = (resample(t, settings.rate_hz) for t in read_trials(settings.logs, settings.layout))
+    trials = tuple(part for trial in whole for part in _parts(trial, settings.parts))
     sources = [trial.source for trial in trials]
     if len(sources) < _FEWEST_LOGS:
         raise ConfigError(f"study real: got {len(sources)} log, expected at least two: each is tested on the others")
@@ -153,6 +156,17 @@ def _logs(settings: StudySettings) -> tuple[Trial, ...]:
     if twice:
         raise ConfigError(f"study real: {twice[0]} is given twice, expected each log once")
     return trials
+
+
+def _parts(trial: Trial, count: int) -> list[Trial]:
+    """Equal parts of a trial, each with a name of its own."""
+    if count == 1:
+        return [trial]
+    edges, path = [len(trial) * k // count for k in range(count + 1)], Path(trial.source)
+    return [
+        replace(trial.select(start, stop), source=str(path.with_stem(f"{path.stem}_part{k + 1}")))
+        for k, (start, stop) in enumerate(pairwise(edges))
+    ]
 
 
 def _shortened(split: str, trials: tuple[Trial, ...]) -> tuple[Trial, ...]:

@@ -46,6 +46,7 @@ class JobResult:
         status: `failed` if the kind, the export or the free runs raised.
         message: the error of a failed job, else the fit's own report.
         history: step and best error so far, in the unit of the output.
+        numbers: that the model holds: parameters of operators, weights of a network; 0 in older results.
     """
 
     job: TrainingJob
@@ -56,6 +57,7 @@ class JobResult:
     samples: int
     history: tuple[tuple[int, float], ...] = ()
     scores: tuple[Score, ...] = ()
+    numbers: int = 0
 
     def of_split(self, split: str) -> tuple[Score, ...]:
         """Scores of one split, in the order of its trials."""

@@ -51,6 +51,7 @@ class StudySettings(Settings):
         quick: a hundredth of the training on a few short trials: proves that everything runs, and nothing else.
         logs: recorded trials or folders of them, for `real`.
         rate_hz: rate to which logs are resampled [Hz].
+        parts: equal parts that each log is cut into.
     """
 
     study: StudyName
@@ -65,6 +66,7 @@ class StudySettings(Settings):
     logs: tuple[str, ...] = ()
     layout: str = "auto"
     rate_hz: Annotated[float, Field(gt=0)] = 25.0
+    parts: Annotated[int, Field(ge=1)] = 1
 
     @field_validator("kinds", "presets", "directions", "stages", "betas")
     @classmethod

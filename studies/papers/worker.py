@@ -71,7 +71,8 @@ def do_job(task: TrainingTask, folder: Path) -> JobResult:
     if made.value is not None:
         found, scores = made.value
         history = tuple((int(step), float(error)) for step, error in found.history if math.isfinite(error))
-        result = replace(result, status="done", message=found.report, history=history, scores=scores)
+        numbers = _numbers(found)
+        result = replace(result, status="done", message=found.report, history=history, scores=scores, numbers=numbers)
     result_files(folder).save(result)
     return result
 
@@ -84,6 +85,14 @@ def _trained(task: TrainingTask, folder: Path) -> tuple[Identified, tuple[Score,
     path.parent.mkdir(parents=True, exist_ok=True)
     export_onnx(found.bundle, path)
     return found, tuple(_scores(load_onnx(path), task))
+
+
+def _numbers(found: Identified) -> int:
+    """Numbers that a model holds."""
+    if found.simulator is not None:
+        return int(found.simulator.chain.values.size)
+    graph = found.bundle.graph() if callable(found.bundle.graph) else found.bundle.graph
+    return sum(math.prod(tensor.dims) for tensor in graph.initializer)
 
 
 def _identified(task: TrainingTask) -> Identified:

@@ -97,7 +97,7 @@ def test_an_offset_command_is_refused() -> None:
 def test_an_inverse_map_is_refused() -> None:
     facts = SIMULATOR.metadata()
     inverse = facts.model_copy(update={"command_unit": "deg", "angle_unit": "mm"})
-    with pytest.raises(GapError, match=r"the simulator maps deg to mm, expected one that gives angles in deg"):
+    with pytest.raises(GapError, match=r"the simulator maps deg to mm as an inverse, expected a forward model"):
         check_trials([trial(LONG)], inverse)
 
 

@@ -46,7 +46,7 @@ def posed(given: tuple[Trial, ...]) -> tuple[Baseline, tuple[Run, ...]]:
 
 @cache
 def found(needed: float = NEEDED, slow: float = 1.0, seed: int = 0) -> dict[str, Detectable]:
-    made = detectable_sizes(*posed(trials(slow, seed)), needed, "mm")
+    made = detectable_sizes(*posed(trials(slow, seed)), needed)
     return {one.effect: one for one in made}
 
 
@@ -72,13 +72,8 @@ def test_slow_motions_hide_what_is_fast() -> None:
 
 
 def test_one_trial_shows_no_shift_between_trials() -> None:
-    alone = detectable_sizes(*posed(trials()[:1]), NEEDED, "mm")
+    alone = detectable_sizes(*posed(trials()[:1]), NEEDED)
     assert np.isinf(next(one.size for one in alone if one.effect == "trial_shift"))
-
-
-def test_sizes_carry_the_units_of_the_device() -> None:
-    bar = {one.effect: one.unit for one in detectable_sizes(*posed(trials()), NEEDED, "bar", "um")}
-    assert (bar["slack"], bar["trial_shift"], bar["drift"]) == ("bar", "um", "um/min")
 
 
 FORM_DEG = 0.3

@@ -132,6 +132,8 @@ def test_the_result_has_the_fixed_form() -> None:
         "detectable",
         "moved",
         "groups",
+        "unit",
+        "command_unit",
     }
     assert set(read) == set(KEYS) | {"reason", "notes", "next_motion", "tracking"} | second
     assert (read["order"], read["untestable"]) == ("known", [])

@@ -11,6 +11,7 @@ import pytest
 from hystmpc.gap.logs.preparation import PreparedTrials, prepare
 from hystmpc.gap.next.open_hypotheses import open_hypothesis
 from hystmpc.models.chain import Chain
+from hystmpc.models.decades import Decades
 from hystmpc.models.effects.place import effect_from
 from hystmpc.models.identify.corrected_simulator import EFFECTS_FILE, corrected_simulator, network_effects, settled
 from hystmpc.models.identify.cross_validation import CrossValidation, Hypothesis
@@ -142,9 +143,9 @@ def disturbed() -> tuple[PreparedTrials, Hypothesis, Vec]:
     return prepared, hypothesis, prepared.everything[-1].angle
 
 
-def of(prepared: PreparedTrials) -> tuple[Sequence[Run], Sequence[Run], Sequence[Trial], Sequence[Trial]]:
+def of(prepared: PreparedTrials) -> tuple[Sequence[Run], Sequence[Run], Sequence[Trial], Sequence[Trial], Decades]:
     """What a correction takes of prepared trials."""
-    return prepared.everything, prepared.development, prepared.checked.trials, prepared.given
+    return prepared.everything, prepared.development, prepared.checked.trials, prepared.given, prepared.decades
 
 
 def test_the_corrected_simulator_has_the_disturbance_of_the_last_trial() -> None:
@@ -175,7 +176,7 @@ def test_effects_beside_a_network_can_be_read_back(tmp_path: Path) -> None:
     prepared = prepared_of(Lag(0.2))
     problem = Problem(BASELINES["network"], (named("network", "lag/command"),))
     hypothesis = Hypothesis(problem, problem.start(BASELINES["network"].nominal, [(0.2,)]), 0.0)
-    files = network_effects(hypothesis, BASELINES["network"], prepared.everything[-1], DT, "net.onnx")
+    files = network_effects(hypothesis, BASELINES["network"], prepared.everything[-1], DT, "net.onnx", Decades())
     (tmp_path / EFFECTS_FILE).write_text(files[EFFECTS_FILE], encoding="utf-8")
     content = read_yaml(tmp_path / EFFECTS_FILE)
     assert content["format"] == "hystmpc-effects/1"
@@ -185,4 +186,4 @@ def test_effects_beside_a_network_can_be_read_back(tmp_path: Path) -> None:
     assert placed.effect.name == "lag"
     assert placed.operator.values[0] == pytest.approx(0.2)
     alone = Hypothesis(Problem(BASELINES["network"]), BASELINES["network"].nominal, 0.0)
-    assert network_effects(alone, BASELINES["network"], prepared.everything[-1], DT, "net.onnx") == {}
+    assert network_effects(alone, BASELINES["network"], prepared.everything[-1], DT, "net.onnx", Decades()) == {}

@@ -30,7 +30,7 @@ SHARES = st.floats(0.01, 0.99)
 def said(evidence: Evidence) -> list[str]:
     """All points of the first page."""
     diagnosis = evidence.diagnosis
-    return [*why(diagnosis, evidence.command_unit), *what_next(evidence), *how_sure(diagnosis)]
+    return [*why(diagnosis), *what_next(evidence), *how_sure(diagnosis)]
 
 
 def crowded() -> Evidence:
