@@ -8,10 +8,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS, confounders
 from hystmpc.models.identify.cross_validation import CrossValidation
+from hystmpc.models.identify.least_squares import one_blas_thread
 from hystmpc.models.identify.uncertainty import BASELINE_UNITS, ParameterRow, parameter_rows
 from hystmpc.models.model import LoadedModel
 from hystmpc.models.simulator import Simulator
@@ -43,9 +43,7 @@ _STEPS, _CONCLUDED = 100, 97  # of the progress
 _STABILITY_UNKNOWN = 0.5
 
 
-# The products of a fit are tall and narrow: several BLAS threads take up to seven times the processor time, and no less
-# wall time.
-@threadpool_limits.wrap(limits=1, user_api="blas")
+@one_blas_thread
 def find_causes(
     trials: Sequence[Trial],
     simulator: Simulator | LoadedModel,
@@ -112,7 +110,7 @@ def find_causes(
     )
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
+@one_blas_thread
 def conclude(findings: Findings, progress: Progress | None = None) -> tuple[Diagnosis, Evidence]:
     """The next motion, the diagnosis, and all that its report shows."""
     from .report.report_data import report_data

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.segments import first_flexure_end
@@ -20,6 +19,7 @@ from ..effects.catalogue import EFFECTS
 from .auto_search import SEARCH_HZ, AutoSearch, AutoSettings, Choice, PartRow, SearchProgress
 from .chain_fit import nothing_found
 from .estimation_noise import estimation_noise
+from .least_squares import one_blas_thread
 from .part_intervals import moved_row, widened_rows, without_meaning
 from .runs import Run, check_trial_set, runs_of
 from .uncertainty import ParameterRow
@@ -62,6 +62,7 @@ class AutoFit:
     interrupted: bool = False
 
 
+@one_blas_thread
 def identify_auto(
     trials: Sequence[Trial],
     settings: AutoSettings | None = None,
@@ -85,15 +86,14 @@ def identify_auto(
     Raises:
         FitError: on unusable trials, or an angle that falls with the command.
     """
-    with threadpool_limits(1, user_api="blas"):  # fits run side by side; more threads in each would only wait
-        decades = Decades.of(trials)
-        return _identified(
-            decades.trials(trials),
-            settings or AutoSettings(),
-            skip_first_flexure,
-            lambda share, rmse: progress(share, rmse * decades.angle),
-            decades,
-        )
+    decades = Decades.of(trials)
+    return _identified(
+        decades.trials(trials),
+        settings or AutoSettings(),
+        skip_first_flexure,
+        lambda share, rmse: progress(share, rmse * decades.angle),
+        decades,
+    )
 
 
 def _identified(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 from scipy.optimize import least_squares
+from threadpoolctl import threadpool_limits
 
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mat, Vec
@@ -29,6 +31,9 @@ from .free_run import FreeRuns
 from .problem import Problem
 from .runs import Run, RunsTogether
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
 RESTART_SPREAD = 0.2
 
 _EDGE = 1e-9
@@ -38,6 +43,20 @@ _MANY = 10_000  # samples
 _FAR, _STEEP = 1e6, 1e100  # residual and derivative in working units of a run that diverged; both can be squared
 _COMMON = 1.0  # of the samples, that the mean of the trials' own terms counts as
 _HELD = 1e-10  # of the greatest curvature: what no run determines stays where it began
+
+
+def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
+    """The function on one BLAS thread.
+
+    The products of a fit are tall and narrow: with two threads a diagnosis took up to seven times the processor time.
+    """
+
+    @functools.wraps(function)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        with threadpool_limits(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from .chain_kinds import Structure, backlash_starts, chain_task, prandtl_ishlins
 from .estimation_noise import estimation_noise
 from .global_search import GlobalSettings, adapt, evolve, fit_globally
 from .iterated import IteratedSettings, fit_by_iteration
-from .least_squares import OperatorFitSettings, fit_by_least_squares, fit_chain
+from .least_squares import OperatorFitSettings, fit_by_least_squares, fit_chain, one_blas_thread
 from .runs import angle_range, check_trial_set, command_range, fastest_command, fingerprint
 
 HOLDS_SHARE = 0.2
@@ -109,6 +109,7 @@ def identify_chain(
     return found.chain, found
 
 
+@one_blas_thread
 def identify(
     kind: str,
     trials: Sequence[Trial],
