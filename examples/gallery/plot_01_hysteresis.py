@@ -41,6 +41,7 @@ over_time.set(xlabel="time [s]", ylabel="position [mm]", ylim=(-0.2, 7.4), title
 over_time.legend(loc="upper right", ncols=2)
 loop.plot(command_mm, pin_mm, color="C1")
 loop.set(xlabel="command [mm]", ylabel="pin [mm]", title="Its loops are parallelograms")
+plt.show()
 
 # %%
 # The pin stands still after each turn until the command has moved by 2 r. One command therefore belongs to many
@@ -58,6 +59,7 @@ for each, plays in zip(axes, (1, 3, 12), strict=True):
     each.plot(command_mm, total, color="C1")
     each.set(xlabel="command [mm]", title=f"{plays} play{'s' * (plays > 1)}")
 axes[0].set_ylabel("output [mm]")
+plt.show()
 
 # %%
 # A catheter
@@ -79,3 +81,4 @@ axes.plot(command_mm, angle_deg, color="C0")
 axes.plot([3.0, 3.0], [up_deg, down_deg], "o-", color="C3", label=f"{height_deg:.1f} deg at one command")
 axes.set(xlabel="command [mm]", ylabel="tip angle [deg]", title="The catheter remembers where it turned")
 axes.legend()
+plt.show()

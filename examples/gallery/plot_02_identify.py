@@ -58,6 +58,7 @@ for each, trial in zip(axes, trials, strict=True):
     each.plot(trial.t, trial.command, color="C2")
     each.set(ylabel="[mm]", title=trial.source)
 axes[-1].set_xlabel("time [s]")
+plt.show()
 
 # %%
 # Identify
@@ -84,6 +85,7 @@ for each, run in zip(axes, evaluation, strict=True):
     each.set(ylabel="tip angle [deg]", title=f"{run.trial.source}: RMSE {run.errors.rmse_deg:.2f} deg")
 axes[-1].set_xlabel("time [s]")
 axes[0].legend(loc="upper right", ncols=2)
+plt.show()
 
 # %%
 # What the model leaves
@@ -97,3 +99,4 @@ for run in evaluation:
     axes.plot(run.trial.t, run.trial.angle - run.theta, linewidth=0.8, label=run.trial.source)
 axes.set(xlabel="time [s]", ylabel="measured - model [deg]", title="Residuals on motions left out")
 axes.legend(loc="upper right", ncols=2)
+plt.show()

@@ -42,6 +42,7 @@ unseen = [record(4, 0.25, 0.08), record(5, 0.38, 0.03)]
 figure, axes = plt.subplots(figsize=(4.2, 3.0))
 axes.plot(trials[0].command, trials[0].angle, color="C0")
 axes.set(xlabel="command [mm]", ylabel="tip angle [deg]", title="The rod's first loop differs from the later ones")
+plt.show()
 
 # %%
 # Fit and compare
@@ -65,6 +66,7 @@ error.set(xlabel="RMSE on motions left out [deg]", title="Free run")
 error.invert_yaxis()
 duration.barh(kinds, [seconds[kind] for kind in kinds], color="C6")
 duration.set(xlabel="processor time to fit [s]", title="Cost")
+plt.show()
 
 # %%
 # Where they differ
@@ -79,3 +81,4 @@ for kind in ("backlash", "pi", "auto"):
     axes.plot(run.trial.t[counted], (run.trial.angle - run.theta)[counted], linewidth=0.9, label=kind)
 axes.set(xlabel="time [s]", ylabel="measured - model [deg]", title="Error on the first motion left out")
 figure.legend(loc="outside lower center", ncols=3)
+plt.show()

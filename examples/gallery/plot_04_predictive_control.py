@@ -59,6 +59,7 @@ for result in study.results:
     axes.plot(result.run.log.time_s, result.run.error_deg, linewidth=0.9, label=label)
 axes.set(xlabel="time [s]", ylabel="true angle - reference [deg]", title="Error along a scan")
 figure.legend(loc="outside lower center", ncols=3)
+plt.show()
 
 # %%
 # The PID waits for an error before it acts, so it is late at each turn. The inverse crosses the plays of its model at
@@ -77,6 +78,7 @@ axes.axvline(turn_s, color="C6", linewidth=0.8)
 axes.set(xlim=(turn_s - 0.6, turn_s + 0.8), ylim=(3.8, 5.2))
 axes.set(xlabel="time [s]", ylabel="command [mm]", title="Commands around a turn of the reference (line)")
 axes.legend(loc="upper right")
+plt.show()
 
 # %%
 # A model without memory
@@ -105,3 +107,4 @@ for label, model in (("with the state of the plays", simulator), ("without", mem
     axes.plot(run.log.time_s, run.error_deg, linewidth=0.9, label=text)
 axes.set(xlabel="time [s]", ylabel="true angle - reference [deg]", title="The same controller with two models")
 figure.legend(loc="outside lower center", ncols=2)
+plt.show()

@@ -71,6 +71,7 @@ angle.set(ylabel="tip angle [deg]", title=f"A scan at {FREQUENCY_HZ} Hz: RMSE {s
 angle.legend(loc="upper left")
 error.plot(time_s[arrived:], scan_error_deg, color="C1")
 error.set(xlabel="time [s]", ylabel="error [deg]")
+plt.show()
 
 # %%
 # A ring of targets
@@ -120,6 +121,7 @@ angle.set(ylabel="bend [deg]", title=f"Eight targets, settled after {settled_s.m
 angle.legend(loc="lower center")
 command.step(time_s, command_mm, where="pre", color="C2")
 command.set(xlabel="time [s]", ylabel="command [mm]")
+plt.show()
 
 # %%
 # The command rests in each pause. The friction that the model does not know costs no steady error, since the estimate
@@ -131,3 +133,4 @@ axes.plot(*ring.T, color="C6", linewidth=2.4, alpha=0.45)
 points = axes.scatter(roll_deg, bend_deg, c=pause_error_deg, cmap="viridis", vmin=0.0, zorder=3)
 axes.set(xlabel="roll [deg]", ylabel="bend [deg]", title="The ring as roll and bend")
 figure.colorbar(points, label="greatest error in the pause [deg]")
+plt.show()

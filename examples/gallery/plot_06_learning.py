@@ -54,6 +54,7 @@ for result in study.results:
     axes.plot(result.run.log.time_s, result.run.error_deg, linewidth=0.9, label=label)
 axes.set(xlabel="time [s]", ylabel="true angle - reference [deg]", title="Error along a scan at 0.6 Hz")
 figure.legend(loc="outside lower center", ncols=2)
+plt.show()
 
 # %%
 # Without learning each cycle is as bad as the one before. With it the way to the first cycle has already taught the
@@ -74,3 +75,4 @@ for result in study.results:
     axes.plot(np.arange(1, 11), each_deg, "o-", markersize=3, label=result.controller)
 axes.set(xlabel="cycle of the scan [1]", ylabel="RMSE [deg]", ylim=(0, None), title="What the learning brings")
 axes.legend()
+plt.show()

@@ -46,6 +46,7 @@ axes.plot(trials[0].t, trials[0].angle, color="C0", label="device")
 axes.plot(trials[0].t, before[0].theta, color="C1", label="simulator")
 axes.set(xlabel="time [s]", ylabel="tip angle [deg]", title=f"The gap: RMSE {before.mean.rmse_deg:.1f} deg")
 axes.legend(loc="upper right", ncols=2)
+plt.show()
 
 # %%
 # Diagnose
@@ -76,6 +77,7 @@ chance.invert_yaxis()
 error.barh(list(sizes), list(sizes.values()), color="C6")
 error.set(xlabel="RMSE on trials kept for the end [deg]", title="How far the gap closes")
 error.invert_yaxis()
+plt.show()
 
 # %%
 # Retuning gain, offset and widths of the simulator closes a part of the gap. The effect closes the rest, down to what
@@ -100,3 +102,4 @@ for name, run in after.items():
     axes.plot(fresh.t, fresh.angle - run.theta, linewidth=0.9, label=label)
 axes.set(xlabel="time [s]", ylabel="device - simulator [deg]", title="A motion that the diagnosis has not seen")
 figure.legend(loc="outside lower center", ncols=2)
+plt.show()

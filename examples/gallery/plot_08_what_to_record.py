@@ -58,6 +58,7 @@ for trial in trials:
 motion.set(xlabel="time [s]", ylabel="tip angle [deg]", title="Four slow trials")
 chance.barh([name for name, _ in first.ranking], [p for _, p in first.ranking], color="C1")
 chance.set(xlim=(0, 1), xlabel="probability [1]", title="They hardly decide")
+plt.show()
 
 # %%
 # The motion that decides
@@ -71,6 +72,7 @@ command_mm = planned["command"]
 figure, axes = plt.subplots(figsize=(7.0, 2.2))
 axes.step(device.dt * np.arange(command_mm.size), command_mm, where="pre", color="C2")
 axes.set(xlabel="time [s]", ylabel="command [mm]", title=f"To record next: {first.next_motion.duration_s:.0f} s")
+plt.show()
 
 # %%
 # Record it and diagnose again
@@ -89,3 +91,4 @@ for shift, (label, diagnosis) in zip((-0.2, 0.2), (("before", first), ("after", 
 axes.set_yticks(np.arange(2), LIBRARY)
 axes.set(xlim=(0, 1), xlabel="probability [1]", title="The device has a lag of 0.12 s")
 axes.legend(loc="lower right")
+plt.show()

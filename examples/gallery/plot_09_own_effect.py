@@ -72,6 +72,7 @@ for label, simulator in (("centred pulley", plain), ("eccentric pulley", eccentr
     axes.plot(command_mm, [device.apply(u) for u in command_mm], linewidth=0.9, label=label)
 axes.set(xlabel="command [mm]", ylabel="tip angle [deg]", title="The effect shows as waves on the loop")
 axes.legend()
+plt.show()
 
 # %%
 # Control
@@ -91,6 +92,7 @@ for label, model in (("without the effect", plain), ("with the effect", eccentri
     axes.plot(run.log.time_s, run.error_deg, linewidth=0.9, label=text)
 axes.set(xlabel="time [s]", ylabel="true angle - reference [deg]", title="Predictive control behind the pulley")
 figure.legend(loc="outside lower center", ncols=2)
+plt.show()
 
 # %%
 # Export

@@ -67,6 +67,7 @@ command.step(np.arange(HORIZON + 1), np.append(0.0, plan_mm), where="pre", color
 command.set(xlabel="sample [1]", ylabel="command [mm]", title="One plan to 40 deg: the rate limit holds")
 angle.plot(np.arange(1, HORIZON + 1), plan_deg, "o-", color="C1", markersize=3)
 angle.set(xlabel="sample [1]", ylabel="tip angle [deg]", title="What the model expects of it")
+plt.show()
 
 # %%
 # Two solvers, one model
@@ -125,6 +126,7 @@ plan.set(xlabel="sample [1]", ylabel="command [mm]", title="Commands")
 plan.legend()
 cost.set(xlabel="sample [1]", ylabel="time of a step [ms]", title="Time")
 print(difference_mm)
+plt.show()
 
 # %%
 # Along the network both solvers find the same commands. Along the sum of plays they agree at first and then part: plays

@@ -4,7 +4,7 @@ Tune a controller
 
 ``hystmpc.tune`` searches the settings of a controller on a set of simulated devices that differ in lag, noise and
 friction. It judges the result on devices that the search has not seen. This page tunes a PID with
-twenty trials on three devices. Sixty trials on ten devices are the default.
+twelve trials on three devices. Sixty trials on ten devices are the default.
 """
 
 import tempfile
@@ -40,7 +40,7 @@ tuning = hystmpc.tune(
         },
         "plants": {"count": 3, "seed": 1},
         "held_out": {"count": 8, "seed": 2},
-        "trials": 20,
+        "trials": 12,
         "seed": 0,
     },
     Path(scratch.name) / "tuning",
@@ -54,6 +54,7 @@ axes.step(np.arange(len(objective)), np.minimum.accumulate(objective), where="po
 axes.set_yscale("log")
 axes.set(xlabel="trial [1]", ylabel="objective [deg]", title="The search")
 axes.legend()
+plt.show()
 
 # %%
 # On devices that the search has not seen
@@ -67,3 +68,4 @@ axes.plot((0, reach_deg), (0, reach_deg), color="C6", linewidth=0.8)
 axes.plot(given_deg, tuned_deg, "o", color="C0", markersize=4)
 axes.set(xlim=(0, reach_deg), ylim=(0, reach_deg), aspect="equal")
 axes.set(xlabel="RMSE, given settings [deg]", ylabel="RMSE, tuned settings [deg]", title="Eight new devices")
+plt.show()

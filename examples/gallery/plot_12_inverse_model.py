@@ -45,6 +45,7 @@ loop.set(xlabel="tip angle [deg]", ylabel="command [mm]", title="The inverse is 
 loop.legend()
 over_time.plot(run.trial.t, run.theta - run.trial.angle, color="C1", linewidth=0.8)
 over_time.set(xlabel="time [s]", ylabel="error of the command [mm]", title=f"Motion left out: RMSE {error_mm:.3f} mm")
+plt.show()
 
 # %%
 # Use it as a feedforward
@@ -88,3 +89,4 @@ for colour, (name, commands_mm) in zip(("C0", "C1"), plans_mm.items(), strict=Tr
 angle.set(ylabel="tip angle [deg]", title="Feedforward alone")
 error.set(xlabel="time [s]", ylabel="error [deg]", ylim=(-6, 6))
 figure.legend(loc="outside lower center", ncols=3)
+plt.show()

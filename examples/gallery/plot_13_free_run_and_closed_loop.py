@@ -51,6 +51,7 @@ figure, axes = plt.subplots(figsize=(5.0, 2.2))
 axes.barh(list(free_deg), list(free_deg.values()), color="C1")
 axes.set(xlabel="RMSE on motions left out [deg]", title="Free run")
 axes.invert_yaxis()
+plt.show()
 
 # %%
 # The same models in closed loop
@@ -80,6 +81,7 @@ for axis, ticks in ((axes.xaxis, (0.2, 0.5, 1.0, 2.0, 4.0)), (axes.yaxis, (0.05,
     axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.set_minor_locator(NullLocator())
 axes.legend(loc="upper left")
+plt.show()
 
 # %%
 # The measurement takes away much of what a rough model gets wrong: the straight line errs most in the free run, and its

@@ -66,6 +66,7 @@ for name, angles_deg in futures_deg.items():
     axes.plot(0.04 * np.arange(1, 21), angles_deg, label=name)
 axes.set(xlabel="time from the snapshot [s]", ylabel="tip angle [deg]", title="Three futures of one snapshot")
 axes.legend()
+plt.show()
 
 # %%
 # The environment was put back three times. Played again, a future is the same to the last bit.
@@ -109,21 +110,10 @@ class Snapshots:
 # Thirty-two plans of eight samples are tried at each sample. For comparison a second run keeps the command at rest.
 
 torch.manual_seed(0)
-low = torch.full((1,), -1.0)
 snapshots = Snapshots()
-planner = MPPI(
-    snapshots.dynamics,
-    snapshots.cost,
-    1,
-    torch.eye(1) * 0.02,
-    num_samples=32,
-    horizon=8,
-    lambda_=0.5,
-    u_min=low,
-    u_max=-low,
-    u_init=torch.zeros(1),
-    U_init=low.repeat(8, 1),
-)
+bounds = {"u_min": -torch.ones(1), "u_max": torch.ones(1), "u_init": torch.zeros(1), "U_init": -torch.ones(8, 1)}
+spread = torch.eye(1) * 0.02
+planner = MPPI(snapshots.dynamics, snapshots.cost, 1, spread, num_samples=32, horizon=8, lambda_=0.5, **bounds)
 
 
 def track(act, samples=75):
@@ -153,3 +143,4 @@ for name, run in runs.items():
     axes.plot(time_s, run[:, 1], linewidth=0.9, label=f"{name}: RMSE {rmse_deg[name]:.2f} deg")
 axes.set(xlabel="time [s]", ylabel="tip angle [deg]", title="MPPI that knows the device")
 figure.legend(loc="outside lower center", ncols=3)
+plt.show()

@@ -113,6 +113,8 @@ def test_a_page_is_text_and_figures(page: Path) -> None:
     title, rule, blank = (ast.get_docstring(ast.parse(page.read_text(encoding="utf-8"))) or "").splitlines()[:3]
     assert (len(rule), set(rule), blank) == (len(title), {"="}, "")
     assert longest_stretch(page) <= LONGEST
+    # Without it a reader at a terminal sees no figure, and the page prints the last value of the cell.
+    assert all(cell.rstrip().endswith("plt.show()") for cell in cells(page) if "plt.subplots(" in cell)
 
 
 @pytest.mark.slow
