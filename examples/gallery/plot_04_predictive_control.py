@@ -62,22 +62,25 @@ figure.legend(loc="outside lower center", ncols=3)
 plt.show()
 
 # %%
-# The PID waits for an error before it acts, so it is late at each turn. The inverse crosses the plays of its model at
-# once, but it never sees that the plays have become wider. The predictive controller does both.
+# The inverse crosses the plays of its model, which are too narrow now. It never sees that, so it stays behind in both
+# directions. The PID sees it. But it has nothing except the error to act on, and needs high gains. The predictive
+# controller knows the plays and also corrects what it measures.
 #
-# What the plays ask for
-# ----------------------
-# At a turn the command has to cross the play before the tip moves. The figure shows the commands around one turn. The
-# controllers with a model jump; the PID builds up its command bit by bit.
+# What the device has to do
+# -------------------------
+# High gains pass the noise of the sensor on to the command. The figure shows the commands around one turn, and the
+# travel of each command over the whole scan.
 
 turn_s = study.results[0].run.log.time_s[np.argmax(study.results[0].run.log.reference_deg)]
-figure, axes = plt.subplots(figsize=(7.0, 2.6))
+travel_mm = {result.controller: result.metrics.command_travel for result in study.results}
+figure, axes = plt.subplots(figsize=(7.0, 2.8))
 for result in study.results:
-    axes.step(result.run.log.time_s, result.run.log.command, where="pre", label=result.controller)
+    label = f"{result.controller}: {travel_mm[result.controller]:.0f} mm"
+    axes.step(result.run.log.time_s, result.run.log.command, where="pre", linewidth=0.9, label=label)
 axes.axvline(turn_s, color="C6", linewidth=0.8)
-axes.set(xlim=(turn_s - 0.6, turn_s + 0.8), ylim=(3.8, 5.2))
+axes.set(xlim=(turn_s - 1.2, turn_s + 0.8), ylim=(3.2, 5.2))
 axes.set(xlabel="time [s]", ylabel="command [mm]", title="Commands around a turn of the reference (line)")
-axes.legend(loc="upper right")
+figure.legend(loc="outside lower center", ncols=3)
 plt.show()
 
 # %%

@@ -70,6 +70,9 @@ angle.set(xlabel="sample [1]", ylabel="tip angle [deg]", title="What the model e
 plt.show()
 
 # %%
+# The plan is at the rate limit until its last sample. The model then expects the tip to go on while the command rests,
+# since the plays of this model are wider in fast motion. A plan can use that because its model knows it.
+#
 # Two solvers, one model
 # ----------------------
 # Both get the same state, disturbance and reference at each sample. The linearised controller drives the device. It

@@ -77,6 +77,7 @@ for name, free in free_deg.items():
 line = np.array([min(free_deg.values()), max(free_deg.values())])
 axes.loglog(line, line, color="C6", linewidth=0.8, label="equal errors")
 axes.set(xlabel="RMSE of the free run [deg]", ylabel="RMSE in closed loop [deg]", title="One point a model")
+axes.margins(0.12)
 for axis, ticks in ((axes.xaxis, (0.2, 0.5, 1.0, 2.0, 4.0)), (axes.yaxis, (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0))):
     axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.set_minor_locator(NullLocator())

@@ -28,6 +28,7 @@ LAWS = {
     "plot_03_kinds": ("all(rmse_deg[kind] < rmse_deg['backlash'] for kind in kinds if kind != 'backlash')",),
     "plot_04_predictive_control": (
         "rmse_deg['linearised_mpc'] < rmse_deg['pid'] < rmse_deg['inverse']",
+        "travel_mm['linearised_mpc'] < travel_mm['pid']",
         "memory_rmse_deg['with the state of the plays'] < 0.5 * memory_rmse_deg['without']",
     ),
     "plot_05_scan_and_ring": (
