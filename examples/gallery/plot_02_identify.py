@@ -64,7 +64,7 @@ plt.show()
 # Identify
 # --------
 # The report names the parts that were found, and the error on trials left out of the fit. The lag that was put in is
-# 0.08 s. The command is held over each sample, which the model sees as a little more lag.
+# 0.08 s. The fit finds a little more, since the plays of this device widen with speed: in motion that looks like a lag.
 
 model = hystmpc.fit("auto", trials, limits=hystmpc.Limits(0.0, 6.0, 10.0))
 print(model.found.report)
