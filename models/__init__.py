@@ -7,16 +7,31 @@ from typing import TYPE_CHECKING
 from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
+    from .chain import Chain
     from .effects.catalogue import EFFECTS
     from .effects.effect import Scale
     from .effects.place import effect_operator, neutral_operator, with_effect
+    from .operators.operator import Number, Operator, maximum, minimum
 
-__all__ = ["EFFECTS", "Scale", "effect_operator", "neutral_operator", "with_effect"]
+__all__ = [
+    "EFFECTS",
+    "Chain",
+    "Number",
+    "Operator",
+    "Scale",
+    "effect_operator",
+    "maximum",
+    "minimum",
+    "neutral_operator",
+    "with_effect",
+]
 
 if not TYPE_CHECKING:
     __getattr__ = lazily(
         __name__,
+        ("hystmpc.models.chain", "Chain"),
         ("hystmpc.models.effects.catalogue", "EFFECTS"),
         ("hystmpc.models.effects.effect", "Scale"),
         ("hystmpc.models.effects.place", "effect_operator neutral_operator with_effect"),
+        ("hystmpc.models.operators.operator", "Number Operator maximum minimum"),
     )

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
+    from .closed_loop import run_closed_loop
     from .config import SimulationConfig
     from .devices.dataset import read_dataset, write_dataset
     from .devices.paper_data import make_dataset
@@ -29,6 +30,7 @@ __all__ = [
     "SimulationConfig",
     "make_dataset",
     "read_dataset",
+    "run_closed_loop",
     "simulate_rod",
     "write_dataset",
 ]
@@ -36,6 +38,7 @@ __all__ = [
 if not TYPE_CHECKING:  # the environment needs gymnasium, an extra
     __getattr__ = lazily(
         __name__,
+        ("hystmpc.sim.closed_loop", "run_closed_loop"),
         ("hystmpc.sim.config", "SimulationConfig"),
         ("hystmpc.sim.devices.dataset", "read_dataset write_dataset"),
         ("hystmpc.sim.devices.paper_data", "make_dataset"),

@@ -9,13 +9,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import matplotlib as mpl
-from cycler import cycler
 from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -23,60 +22,24 @@ from matplotlib.ticker import LogFormatter
 
 from .files import write_atomically
 
-# Okabe and Ito, "Color Universal Design", 2008.
-REFERENCE = "#4d4d4d"
-MEASURED = "#0072b2"
-COMMAND = "#009e73"
-MODEL = "#d55e00"
-ACCENTS = ("#cc79a7", "#56b4e9", "#e69f00")
-PALETTE = (MEASURED, MODEL, COMMAND, *ACCENTS, REFERENCE)
 
-_INK = "#222222"
-_STYLE: Any = {
-    "font.family": "sans-serif",
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.labelsize": 9.0,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "legend.fontsize": 8.0,
-    "legend.frameon": False,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": _INK,
-    "axes.labelcolor": _INK,
-    "text.color": _INK,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 3.0,
-    "ytick.major.size": 3.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e4e4e4",
-    "grid.linewidth": 0.5,
-    "lines.linewidth": 1.2,
-    "lines.solid_capstyle": "round",
-    "patch.linewidth": 0.6,
-    "axes.prop_cycle": cycler(color=PALETTE),
-    "figure.facecolor": "white",
-    "figure.constrained_layout.use": True,
-    "savefig.facecolor": "white",
-    "savefig.dpi": 200,
-    "svg.fonttype": "path",  # a report must look the same where the font is missing
-    "svg.hashsalt": "hystmpc",  # the same figure gives the same bytes
-}
+@cache
+def _style() -> mpl.RcParams:
+    """The style file beside this one, which a script takes by `plt.style.use("hystmpc.trials.report")`."""
+    with as_file(files("hystmpc.trials").joinpath("report.mplstyle")) as path:
+        return mpl.rc_params_from_file(path, use_default_template=False)
+
+
+PALETTE: tuple[str, ...] = tuple(_style()["axes.prop_cycle"].by_key()["color"])
+MEASURED, MODEL, COMMAND, *_accents, REFERENCE = PALETTE
+ACCENTS = tuple(_accents)
 
 
 class StyledFigure(Figure):
     """A figure that a notebook shows without pyplot."""
 
-    def _repr_png_(self) -> bytes:
-        return _png(self)
+    def _repr_html_(self) -> str:
+        return _bitmap(self)
 
 
 @contextmanager
@@ -88,14 +51,14 @@ def new_figure(width: float = 7.0, height: float = 3.2) -> Iterator[StyledFigure
     Args:
         width, height: size [inch].
     """
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(_style()):
         yield StyledFigure(figsize=(width, height))
 
 
 @contextmanager
 def style() -> Iterator[None]:
     """The style alone, for saving a figure that was made by `new_figure`."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(_style()):
         yield
 
 
@@ -222,17 +185,13 @@ def _print_as_it_is(figure: Figure) -> None:
             text.set_parse_math(False)
 
 
-def _png(figure: Figure) -> bytes:
+def _bitmap(figure: Figure, prefix: str = "") -> str:
+    """A figure as an `<img>` element that holds its own data."""
+    del prefix
     out = io.BytesIO()
     with style():
         figure.savefig(out, format="png", dpi=110)
-    return out.getvalue()
-
-
-def _bitmap(figure: Figure, prefix: str) -> str:
-    """A figure as an `<img>` element that holds its own data."""
-    del prefix
-    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(_png(figure)).decode()}">'
+    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(out.getvalue()).decode()}">'
 
 
 def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figure_svg) -> dict[str, Any]:

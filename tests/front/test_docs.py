@@ -48,7 +48,7 @@ def test_imports_of_long_blocks_are_there(where: str, text: str) -> None:
     exec(compile("\n".join(lines), where, "exec"), {})
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.name)
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").rglob("*.py")), ids=lambda path: path.name)
 def test_examples_import_no_deeper_than_a_room(path: Path) -> None:
     assert [name for name in imports(path.read_text(encoding="utf-8")) if name.count(".") > 1] == []
 

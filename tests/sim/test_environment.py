@@ -1,13 +1,9 @@
-"""The environment: gymnasium's own checker, a state that is the whole state, disturbances, and a public sampler."""
+"""The environment: gymnasium's own checker, a state that is the whole state, and disturbances."""
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 import warnings
 from copy import deepcopy
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -25,7 +21,6 @@ from .small import MOVE, SCAN, study, study_data
 
 gym_ = pytest.importorskip("hystmpc.sim.environment.gym_", reason="gymnasium is an extra")
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 STUDY = SimulationConfig.parse(
     study_data(
         plant={"simulator": "builtin:tendon-catheter", "lag_s": 0.08, "noise_deg": 0.15},
@@ -124,27 +119,6 @@ def test_disturbances_act_on_angle_and_command() -> None:
     assert dict(slipped[-1][-1])["command"] == dict(plain[-1][-1])["command"]
     assert dict(slipped[-1][-1])["true_angle_deg"] > dict(plain[-1][-1])["true_angle_deg"] + 1.0
     ENV.disturb(None)
-
-
-def example() -> ModuleType:
-    """examples/environment_mppi.py."""
-    spec = importlib.util.spec_from_file_location("environment_mppi", EXAMPLES / "environment_mppi.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.mark.slow
-def test_a_public_sampler_tracks_on_it() -> None:
-    pytest.importorskip("pytorch_mppi", reason="pytorch-mppi is an extra")
-    steps = 30
-    error = example().track(steps, samples=24, horizon=5)
-    ENV.reset(seed=1, options={"motion": "scan"})
-    idle = [dict(info)["error_deg"] for *_, info in played(ENV, [-1.0] * steps)]
-    assert error < 0.5 * float(np.sqrt(np.mean(np.square(idle))))
 
 
 def test_an_environment_shows_the_frame_taken_last_and_can_be_rewound() -> None:

@@ -23,6 +23,7 @@ from hystmpc.trials.report import (
     Table,
     figure_svg,
     new_figure,
+    style,
 )
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
@@ -142,6 +143,20 @@ def test_the_style_leaves_no_trace() -> None:
     assert dict(mpl.rcParams) == before
     assert figure.axes[0].lines[0].get_color() == PALETTE[0]
     assert not figure.axes[0].spines["top"].get_visible()
+
+
+def test_a_script_takes_the_style_by_its_name() -> None:
+    with style():
+        ours = dict(mpl.rcParams)
+    with mpl.style.context("hystmpc.trials.report"):
+        assert dict(mpl.rcParams) == ours
+    assert ours["axes.prop_cycle"].by_key()["color"] == list(PALETTE)
+
+
+def test_a_figure_shows_itself_in_a_notebook() -> None:
+    with new_figure() as figure:
+        figure.subplots()
+    assert figure._repr_html_().startswith('<img alt="" src="data:image/png;base64,')
 
 
 @pytest.mark.parametrize("name", ["$x$.csv", "a$b$c$", r"$\frac{$", "$", "$$", r"cost \$5$"])

@@ -1,4 +1,4 @@
-"""The examples and the fault injection, in their smallest honest versions."""
+"""Fault injection and endurance, in their smallest honest versions."""
 
 from __future__ import annotations
 
@@ -25,33 +25,6 @@ def script(path: str) -> ModuleType:
     sys.modules[spec.name] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
     return module
-
-
-@pytest.mark.slow
-def test_ring_of_targets_is_visited_and_every_pause_rests() -> None:
-    visits = script("examples/ring_of_targets.py").run(3, 0.4)
-    assert [round(v.target_deg) for v in visits] == [73, 52, 52]
-    assert visits[1].roll_deg == pytest.approx(-visits[2].roll_deg)
-    for visit in visits:
-        assert visit.settled_s < 3.0
-        assert visit.error_deg < 1.5
-
-
-@pytest.mark.slow
-def test_scan_is_followed() -> None:
-    rmse, worst = script("examples/scan.py").run(1.0, 0.25)
-    assert rmse < 0.8
-    assert worst < 3.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("model", "steps"), [("builtin:lstm", 8), ("builtin:pi", 5)])
-def test_ipopt_with_the_same_model_file_finds_the_same_commands(model: str, steps: int) -> None:
-    """A network and a simulator; on kinks of plays, which the scan meets later, two local searches may part."""
-    compared = script("examples/casadi_ipopt.py").run(model, 5, steps)
-    assert compared[-1].mpc > compared[0].mpc + 0.3  # there is something to compare
-    for sample in compared:
-        assert sample.mpc == pytest.approx(sample.ipopt, abs=2e-3)
 
 
 @pytest.mark.slow
