@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,7 +17,7 @@ from typing import Any
 import jinja2
 import matplotlib as mpl
 from cycler import cycler
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import LogFormatter
@@ -100,6 +101,7 @@ def style() -> Iterator[None]:
 
 
 _ID = re.compile(r'(\bid="|url\(#|href="#)')
+_CODE = re.compile("`([^`]+)`")
 _NAMESPACE = re.compile(r'\s+xmlns(?::\w+)?="[^"]*"')  # an SVG inside HTML needs none
 
 
@@ -258,7 +260,13 @@ def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figu
 def _cell(value: object) -> dict[str, object]:
     """Text of a value and whether it is a number; floats are shown to four digits."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return {"text": f"{value:.4g}" if isinstance(value, float) else str(value), "is_number": is_number}
+    text = ("-" if math.isnan(value) else f"{value:.4g}") if isinstance(value, float) else str(value)
+    return {"text": text, "is_number": is_number}
+
+
+def _prose(text: str) -> Markup:
+    """A sentence with what stands between backticks set as code."""
+    return Markup(_CODE.sub(r"<code>\1</code>", str(escape(text))))
 
 
 def _resource(name: str) -> str:
@@ -270,4 +278,5 @@ def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
+    environment.filters["prose"] = _prose
     return environment.from_string(_resource("report.html.j2"))

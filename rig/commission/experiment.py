@@ -103,7 +103,7 @@ def _fits(settings: RunSettings, assembly: Assembly) -> None:
     if abs(dt_s * settings.rate_hz - 1) > 1e-6:
         raise ConfigError(
             f"controller: got a model at {1 / dt_s:g} Hz, expected rate_hz {settings.rate_hz:g}; identify one at that "
-            "rate (`fit --rate`), or run at the model's"
+            "rate (`fit --rate-hz`), or run at the model's"
         )
     if unit != settings.command_unit:
         raise ConfigError(f"controller: got a model with commands in {unit}, expected {settings.command_unit}")
