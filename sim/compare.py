@@ -72,7 +72,9 @@ def _runs(study: Study, progress: Progress | None) -> Iterator[Result]:
 
     for motion, name in pairs:
         controller = study.controller(study.config.controllers[name])
-        run = run_closed_loop(controller, study.plant, study.motions[motion], step, study.config.sensor)
+        run = run_closed_loop(
+            controller, study.plant, study.motions[motion], step, study.config.sensor, study.approach_s[motion]
+        )
         if run.log.interrupted:
             return
         yield result_of(study.config, motion, name, run)

@@ -6,7 +6,7 @@ import base64
 import io
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -136,11 +136,12 @@ class KeyValues:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a header row; numbers are set flush right."""
+    """A table with a header row; numbers are set flush right, and cells of `marked` (row, column) in bold."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
     caption: str = ""
+    marked: Collection[tuple[int, int]] = ()
 
 
 @dataclass(frozen=True)
@@ -251,7 +252,10 @@ def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figu
     if isinstance(piece, KeyValues):
         return {"kind": "key_values", "rows": [(key, _cell(value)) for key, value in piece.rows.items()]}
     if isinstance(piece, Table):
-        rows = [[_cell(value) for value in row] for row in piece.rows]
+        rows = [
+            [_cell(value) | {"marked": (i, j) in piece.marked} for j, value in enumerate(row)]
+            for i, row in enumerate(piece.rows)
+        ]
         return {"kind": "table", "columns": piece.columns, "rows": rows, "caption": piece.caption}
     svg = drawn(piece.figure, f"figure-{number}-")
     return {"kind": "figure", "svg": Markup(svg), "caption": piece.caption, "id": f"figure-{number}"}
@@ -261,7 +265,7 @@ def _cell(value: object) -> dict[str, object]:
     """Text of a value and whether it is a number; floats are shown to four digits."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     text = ("-" if math.isnan(value) else f"{value:.4g}") if isinstance(value, float) else str(value)
-    return {"text": text, "is_number": is_number}
+    return {"text": text, "is_number": is_number, "marked": False}
 
 
 def _prose(text: str) -> Markup:
