@@ -178,6 +178,8 @@ def print_study(result: StudyResult) -> None:
         best = best_figures(runs)
         rows = [_row(run, best) for run in runs]
         out.print(table(f"{motion}: true tip angle less reference [deg], command [{result.unit}]", _COLUMNS, rows))
+    for warning in result.warnings:
+        errors.print(f"warning: {warning}", style="yellow", soft_wrap=True, highlight=False)
     for sentence in (conclusion(result), approach_sentence(result)):
         if sentence:
             out.print(sentence, soft_wrap=True, highlight=False)

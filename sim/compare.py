@@ -52,7 +52,7 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
         if folder is not None and not results:
             _take_back(folder.path)
         raise
-    found = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta)
+    found = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta, study.warnings())
     if folder is not None:
         folder.write_report(study_report(found).html())
     return found

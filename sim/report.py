@@ -179,7 +179,7 @@ def _summary(result: StudyResult) -> Iterator[Piece]:
         for controller in result.controllers
     ]
     yield Heading("Tracking error")
-    for sentence in (conclusion(result), approach_sentence(result)):
+    for sentence in (*result.warnings, conclusion(result), approach_sentence(result)):
         if sentence:
             yield Paragraph(sentence)
     columns = [[row[j] for row in rows] for j in range(1, len(rows[0]))]

@@ -169,11 +169,13 @@ class StudyResult:
         config: the settings as they ran: files, limits and tuned gains.
         results: motion by motion, in the order of the settings; without those that were not reached; at least one.
         meta: versions, host, start and model hashes; empty where no folder was written.
+        warnings: what of the motions the model cannot be brought to, a sentence each.
     """
 
     config: SimulationConfig
     results: tuple[Result, ...]
     meta: Mapping[str, Any]
+    warnings: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:

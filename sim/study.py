@@ -14,12 +14,14 @@ from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.limits import CommandLimits, ModelledLimitsSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
+from hystmpc.ctrl.planner.reach import angles_at_rest, beyond_reach
 from hystmpc.models.contract.metadata import ModelMetadata, Range
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trajectories import PreviewTable, Trajectory
 from hystmpc.trajectories.drawn import approached
 from hystmpc.trials.errors import ConfigError, ControllerError
+from hystmpc.trials.types import Vec
 
 from .config import SimulationConfig
 from .plants.computed import ComputedPlant
@@ -58,6 +60,12 @@ class Study:
         predictive = isinstance(settings, LinearisedMpcSettings | SamplingMpcSettings)
         predictor, inverse = (self.predictor, self.inverse) if predictive else self.feedforward
         return build_controller(settings, predictor, inverse, self.limits)
+
+    def warnings(self) -> tuple[str, ...]:
+        """What of the motions the model cannot be brought to, a sentence each."""
+        reach = angles_at_rest(self.predictor, self.limits, self.plant.true_angle)
+        found = {name: beyond_reach(_angles(motion), reach) for name, motion in self.motions.items()}
+        return tuple(f"{name} {beyond}." for name, beyond in found.items() if beyond)
 
     def steps(self, motion: str) -> int:
         """Samples that a motion takes."""
@@ -137,12 +145,16 @@ _FAR = 0.05  # of the reference's range, the rest included: a start that far awa
 _POINTS = 1000
 
 
+def _angles(motion: Trajectory) -> Vec:
+    return motion(np.linspace(0.0, motion.duration_s, _POINTS))
+
+
 def _led_to(motion: Trajectory, rest_deg: float | None) -> tuple[Trajectory, float]:
     """A motion behind an approach from the rest where it starts far from it, and the time of that [s].
 
     Without one, the error of the first jump would hide all others.
     """
-    angles = motion(np.linspace(0.0, motion.duration_s, _POINTS))
+    angles = _angles(motion)
     start = float(angles[0])
     if rest_deg is None or abs(start - rest_deg) <= _FAR * float(np.ptp(np.append(angles, rest_deg))):
         return motion, 0.0

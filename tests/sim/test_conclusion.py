@@ -100,3 +100,10 @@ def test_a_first_jump_no_longer_hides_the_tracking(tmp_path) -> None:
     jumped = compare(study(motions={"far": far}, controllers=mpc, approach=False)).results[0]
     assert led.metrics.rmse_deg < 0.3 * jumped.metrics.rmse_deg
     assert math.isclose(load_results(tmp_path / "led").results[0].metrics.rmse_deg, led.metrics.rmse_deg, rel_tol=1e-9)
+
+
+def test_a_target_that_the_model_cannot_reach_is_said() -> None:
+    far = MOVE | {"targets_deg": [40.0, 150.0]}
+    (warning,) = prepare(study(motions={"far": far, "near": MOVE})).warnings()
+    assert warning.startswith("far asks for 2")
+    assert "to 150 deg, the model reaches 2" in warning
