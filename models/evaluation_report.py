@@ -63,14 +63,12 @@ def loop_figure(results: Sequence[TrialEvaluation]) -> Figure:
     """Output over command, measured and simulated, of the three trials with the greatest error."""
     worst = _worst(results)
     with new_figure(7.0, 2.9) as figure:
-        row = figure.subplots(1, _SHOWN, squeeze=False, sharey=True)[0]
-        for axes, run in zip(row, worst, strict=False):
+        row = figure.subplots(1, len(worst), squeeze=False, sharey=True)[0]
+        for axes, run in zip(row, worst, strict=True):
             axes.plot(run.trial.command, run.trial.angle, color=MEASURED, label="measured")
             axes.plot(run.trial.command, run.theta, color=MODEL, label="model", linewidth=0.9)
             axes.set(xlabel=f"command [{run.trial.units.command}]", title=Path(run.trial.source).name)
         row[0].set(ylabel=f"output [{worst[0].trial.units.angle}]")
-        for axes in row[len(worst) :]:
-            axes.remove()
         figure.legend(*row[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure
 
