@@ -208,7 +208,7 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
     return found
 
 
-def _part_tables(found: AutoFit, units: Units) -> Iterator[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
+def _part_tables(found: AutoFit, units: Units) -> Iterator[tuple[str, Sequence[str], Sequence[Sequence[str]]]]:
     """Title, columns and rows of what each part bought, and of its numbers."""
     if found.rows:
         rows = [(r.part, r.form, _figure(r.without_deg), _figure(r.with_deg)) for r in found.rows]

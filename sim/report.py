@@ -182,8 +182,12 @@ def _summary(result: StudyResult) -> Iterator[Piece]:
     for sentence in (*result.warnings, conclusion(result), approach_sentence(result)):
         if sentence:
             yield Paragraph(sentence)
-    columns = [[row[j] for row in rows] for j in range(1, len(rows[0]))]
-    marked = {(int(np.nanargmin(column)), j) for j, column in enumerate(columns, 1)} if len(rows) > 1 else ()
+    marked = {
+        (result.controllers.index(controller), j)
+        for j, motion in enumerate(result.motions, 1)
+        for controller, name in best_figures(result.of_motion(motion))
+        if name == "rmse_deg"
+    }
     caption = "RMSE of the tip angle without sensor noise [deg]; bold: the least."
     yield Table(("controller", *result.motions), rows, caption, marked)
     violations = sum(r.metrics.limit_violations for r in result.results)
