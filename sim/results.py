@@ -111,7 +111,7 @@ def log_columns(run: ClosedLoopRun) -> dict[str, Sequence[str] | Vec]:
     numbers = {column: getattr(log, field) for column, field in _LOOP.items()}
     stages = {f"{_STAGE}{name.replace(' ', '_')}_s": seconds for name, seconds in log.stage_s.items()}
     command = {f"command_{run.unit}": log.command}
-    counted = {_COUNTED: np.arange(run.true_deg.size) >= run.first}
+    counted = {_COUNTED: (np.arange(run.true_deg.size) >= run.first).astype(np.float64)}
     texts = {"source": log.source, "status": log.status}
     return {**command, **numbers, _TRUE: run.true_deg, **counted, **stages, **texts}
 
