@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -58,7 +57,7 @@ def run_closed_loop(
     """Follow a motion once from the plant's rest, as fast as it computes.
 
     Args:
-        approach_s: time at the motion's beginning that does not count [s].
+        approach_s: time at the motion's beginning that does not count, a whole number of samples [s].
         sensor: what the controller sees; the plant's own angle in every sample where left out. The frames of an imaging
             system show the true angle with their own noise, drawn from the plant's seed; without a sensor the true
             angle of the rest is declared.
@@ -79,5 +78,5 @@ def run_closed_loop(
         viewer = Viewer(sensor, plant.seed, lambda: plant.true_angle)
     rest = plant.rest_command
     log = run_loop(controller, plant, preview.at, preview.steps, u_start=rest, on_sample=note, viewer=viewer)
-    first = math.ceil(approach_s / plant.dt)
+    first = round(approach_s / plant.dt)
     return ClosedLoopRun(log, np.array(angles), plant.rest_command, plant.dt, plant.command_unit, first)

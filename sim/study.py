@@ -124,7 +124,7 @@ def prepare(config: SimulationConfig, known: Knowledge | None = None) -> Study:
         )
     motions = {name: motion.build() for name, motion in config.motions.items()}
     rest_deg = plant.true_angle if config.approach else None
-    led = {name: _led_to(motion, rest_deg) for name, motion in motions.items()}
+    led = {name: _led_to(motion, rest_deg, plant.dt) for name, motion in motions.items()}
     study = Study(
         config=config.model_copy(update={"limits": config.limits or _as_settings(limits)}),
         plant=plant,
@@ -149,7 +149,7 @@ def _angles(motion: Trajectory) -> Vec:
     return motion(np.linspace(0.0, motion.duration_s, _POINTS))
 
 
-def _led_to(motion: Trajectory, rest_deg: float | None) -> tuple[Trajectory, float]:
+def _led_to(motion: Trajectory, rest_deg: float | None, dt_s: float) -> tuple[Trajectory, float]:
     """A motion behind an approach from the rest where it starts far from it, and the time of that [s].
 
     Without one, the error of the first jump would hide all others.
@@ -158,7 +158,7 @@ def _led_to(motion: Trajectory, rest_deg: float | None) -> tuple[Trajectory, flo
     start = float(angles[0])
     if rest_deg is None or abs(start - rest_deg) <= _FAR * float(np.ptp(np.append(angles, rest_deg))):
         return motion, 0.0
-    led = approached("", rest_deg, start, motion)
+    led = approached("", rest_deg, start, motion, dt_s=dt_s)
     return led.trajectory, led.approach_s
 
 

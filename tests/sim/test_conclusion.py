@@ -9,6 +9,7 @@ import pytest
 
 from hystmpc.ctrl.limits import CommandLimits
 from hystmpc.ctrl.loop import LoopLog
+from hystmpc.gap.tracking.measured import measured_runs
 from hystmpc.sim.closed_loop import ClosedLoopRun
 from hystmpc.sim.compare import compare
 from hystmpc.sim.results import (
@@ -83,6 +84,7 @@ def test_a_motion_that_starts_at_the_rest_needs_no_approach_and_one_far_away_doe
     ready = prepare(study(motions={"near": near, "far": far, "scan": SCAN | {"start_deg": rest}}))
     assert ready.approach_s["near"] == ready.approach_s["scan"] == 0.0
     assert float(ready.motions["far"](0.0)) == pytest.approx(rest)
+    assert ready.approach_s["far"] / ready.plant.dt == pytest.approx(round(ready.approach_s["far"] / ready.plant.dt))
     assert float(ready.motions["far"](ready.approach_s["far"])) == pytest.approx(rest + 17.0)
     assert set(prepare(study(motions={"far": far}, approach=False)).approach_s.values()) == {0.0}
 
@@ -97,6 +99,9 @@ def test_a_first_jump_no_longer_hides_the_tracking(tmp_path) -> None:
     assert led.metrics.rmse_deg < 0.3 * jumped.metrics.rmse_deg
     (back,) = load_results(tmp_path / "led").results
     assert back.run.first == led.run.first
+    (measured,) = measured_runs(tmp_path / "led")
+    assert (measured.led, measured.rmse_deg) == (True, pytest.approx(led.metrics.rmse_deg))
+    np.testing.assert_allclose(measured.reference_deg, measured.reference(measured.t), atol=1e-9)
     assert math.isclose(back.metrics.rmse_deg, led.metrics.rmse_deg, rel_tol=1e-9)
 
 
