@@ -30,13 +30,12 @@ if TYPE_CHECKING:
     from hystmpc.sim.config import SimulationConfig
     from hystmpc.sim.results import StudyResult
     from hystmpc.sim.tuning.objective import Tuning
+    from hystmpc.trials.report import Report
 
 Logs = Log | Iterable[Log]
 Start = Literal["initial", "conditioned"]
 Settings = Path | str | Mapping[str, Any]
 """A YAML file, or the same as a mapping."""
-
-_SHOWN = 3  # trials in a figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,30 +65,22 @@ class Evaluation:
         return self.trials[k]
 
     def plot(self) -> Figure:
-        """Measurement and model over time, of the three trials with the greatest error."""
-        from hystmpc.trials.report import MEASURED, MODEL, new_figure
+        """Measurement, model and error over time, of the three trials with the greatest error."""
+        from hystmpc.models.evaluation_report import time_figure
 
-        worst = sorted(self.trials, key=lambda run: -run.errors.rmse_deg)[:_SHOWN]
-        with new_figure(7.0, 0.6 + 1.9 * len(worst)) as figure:
-            below = figure.subplots(len(worst), 1, squeeze=False)[:, 0]
-            for axes, run in zip(below, worst, strict=True):
-                unit = run.trial.units.angle
-                axes.plot(run.trial.t, run.trial.angle, color=MEASURED, label="measured")
-                axes.plot(run.trial.t, run.theta, color=MODEL, label="model", linewidth=0.9)
-                axes.set(
-                    ylabel=f"[{unit}]", title=f"{Path(run.trial.source).name}: RMSE {run.errors.rmse_deg:.3g} {unit}"
-                )
-            below[-1].set(xlabel="time [s]")
-            figure.legend(*below[-1].get_legend_handles_labels(), loc="outside upper right", ncols=2)
-        return figure
+        return time_figure(self.trials)
+
+    def report(self, path: Path | str) -> Path:
+        """Write one page with tables and figures, which opens offline."""
+        return self._page().save(path)
+
+    def _page(self) -> Report:
+        from hystmpc.models.evaluation_report import evaluation_report
+
+        return evaluation_report("Free run", f"{len(self)} trials", [("", self.trials)])
 
     def _repr_html_(self) -> str:
-        from hystmpc.trials.report import Plot, Report, Table
-
-        rows = [(Path(run.trial.source).name, *vars(run.errors).values()) for run in self.trials]
-        unit, names = self.trials[0].trial.units.angle, [name.removesuffix("_deg") for name in vars(self.mean)]
-        table = Table(("trial", *names), [*rows, ("mean", *vars(self.mean).values())])
-        return Report("Free run", (table, Plot(self.plot())), f"{len(self)} trials, errors in {unit}").fragment()
+        return self._page().fragment()
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -77,8 +76,3 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], las
             grid.add_section()
         grid.add_row(*row)
     return grid
-
-
-def decimals(span: float) -> int:
-    """Decimal places that show an error in a table: three of a range of tens, more of a smaller one."""
-    return 3 if span <= 0 else max(3, 4 - math.floor(math.log10(span)))

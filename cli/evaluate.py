@@ -7,20 +7,31 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 from rich.table import Table
 
 from hystmpc.models.contract.metadata import ModelMetadata
-from hystmpc.models.evaluate import Errors, TrialEvaluation, evaluation_json, mean_errors
+from hystmpc.models.evaluate import ERROR_COLUMNS, TrialEvaluation, error_rows, error_sentence, evaluation_json
 from hystmpc.models.evaluate import evaluate as score
 from hystmpc.models.load import load_model
+from hystmpc.models.model import LoadedModel
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.trial import Trial
 
-from .console import bar, decimals, errors, out, table
-from .options import EVALUATION, Force, Layout, Logs, SampledHz, SkipFirstFlexure, check_output, files_read, trials_at
-
-_COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
+from .console import bar, errors, out, table
+from .options import (
+    EVALUATION,
+    Force,
+    Layout,
+    Logs,
+    Page,
+    SampledHz,
+    SkipFirstFlexure,
+    check_output,
+    check_page,
+    files_read,
+    trials_at,
+)
 
 
 def evaluate(
@@ -30,25 +41,39 @@ def evaluate(
     sampled_hz: SampledHz = None,
     skip_first_flexure: SkipFirstFlexure = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-evaluation/1 here.")] = None,
+    page: Page = None,
     force: Force = False,
 ) -> None:
     """Free run from the command alone against the measured angle.
 
     An inverse map runs from the angle to the command.
     """
+    inputs = [model, *files_read(logs, preset)]
     if json_file is not None:
-        check_output("--json", json_file, (EVALUATION,), [model, *files_read(logs, preset)], force)
+        check_output("--json", json_file, (EVALUATION,), inputs, force)
+    check_page(page, inputs, force)
     opened = load_model(model)
     trials = trials_at(logs, preset, 1 / opened.metadata.dt_s, sampled_hz)
-    results = []
-    with bar("free runs", len(trials)) as show:
-        for trial in trials:
-            results.append(score(opened, trial, skip_first_flexure))
-            show(len(results))
+    results = free_runs(opened, trials, skip_first_flexure)
     out.print(errors_table(f"{model}: free run{', from the first reversal on' if skip_first_flexure else ''}", results))
+    out.print(f"{error_sentence(results)}.", soft_wrap=True, highlight=False)
     warn_outside(results, opened.metadata)
     if json_file is not None:
         write_atomically(json_file, json.dumps(evaluation_json(results), indent=2) + "\n")
+    if page is not None:
+        from hystmpc.models.evaluation_report import evaluation_report  # matplotlib takes a second to import
+
+        out.print(f"report: {evaluation_report('Free run', str(model), [('', results)]).save(page)}")
+
+
+def free_runs(model: LoadedModel, trials: Sequence[Trial], skip_first_flexure: bool) -> list[TrialEvaluation]:
+    """Score a model on trials, behind a bar."""
+    results: list[TrialEvaluation] = []
+    with bar("free runs", len(trials)) as show:
+        for trial in trials:
+            results.append(score(model, trial, skip_first_flexure))
+            show(len(results))
+    return results
 
 
 def warn_outside(results: Sequence[TrialEvaluation], facts: ModelMetadata) -> None:
@@ -66,12 +91,4 @@ def warn_outside(results: Sequence[TrialEvaluation], facts: ModelMetadata) -> No
 
 def errors_table(title: str, results: Sequence[TrialEvaluation]) -> Table:
     """Errors a trial and their mean, in the output's unit; `no bias` is the offset-free RMSE."""
-    places = decimals(max(float(np.ptp(result.trial.angle)) for result in results))
-    rows = [_row(Path(result.trial.source).name, result.errors, places) for result in results]
-    title = f"{title}, in {results[0].trial.units.angle}"
-    return table(title, _COLUMNS, [*rows, _row("mean", mean_errors(results), places)], last_apart=True)
-
-
-def _row(name: str, e: Errors, places: int) -> list[str]:
-    figures = (e.rmse_deg, e.bias_deg, e.offset_free_rmse_deg, e.max_abs_error_deg)
-    return [name, *(f"{x:.{places}f}" for x in figures), f"{100 * e.nrmse:.3f}", f"{e.hold_drift_deg:.{places}f}"]
+    return table(f"{title}, in {results[0].trial.units.angle}", ERROR_COLUMNS, error_rows(results), last_apart=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -11,25 +12,29 @@ import typer
 
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
-from hystmpc.models.evaluate import evaluate
+from hystmpc.models.evaluate import RANGE_SLACK, error_sentence
 from hystmpc.models.identify.auto import AutoFit
 from hystmpc.models.kinds.catalogue import KINDS, chosen_kind
-from hystmpc.models.kinds.kind import FitRequest, ModelKind
+from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.load import load_model
 from hystmpc.models.simulator import save_simulator
+from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.read import expand_logs
 from hystmpc.trials.trial import Trial, Units
 
 from .console import bar, errors, out, table
-from .evaluate import errors_table
+from .evaluate import errors_table, free_runs, warn_outside
 from .options import (
     MODEL,
     SIMULATOR,
     Force,
     Layout,
     Logs,
+    Page,
     SampledHz,
     SkipFirstFlexure,
     check_output,
+    check_page,
     files_read,
     trials_at,
 )
@@ -41,6 +46,11 @@ class Direction(StrEnum):
     FORWARD = "forward"
     INVERSE = "inverse"
 
+
+Test = Annotated[
+    list[Path] | None,
+    typer.Option("--test", metavar="LOG", help="Log or folder to score on, which the fit does not see; repeatable."),
+]
 
 _PARTS = ("part", "form", "without it", "with it")
 _KINDS = ", ".join(kind.name for kind in KINDS)
@@ -78,12 +88,17 @@ def fit(
     command_rate: Annotated[
         float | None, typer.Option(min=0.0, help="Greatest command change per second; else the one seen.")
     ] = None,
+    test: Test = None,
+    page: Page = None,
     force: Force = False,
 ) -> None:
     """Identify a model; Ctrl-C keeps the best so far."""
     chosen = chosen_kind(kind, drive, residual)
     kinds = (MODEL, SIMULATOR) if chosen.readable else (MODEL,)
-    check_output("--out", path, kinds, files_read(logs, preset), force, of=chosen.name)
+    seen = files_read(logs, preset)
+    unseen = _unseen(test or [], seen)
+    check_output("--out", path, kinds, [*seen, *unseen], force, of=chosen.name)
+    check_page(page, [*seen, *unseen], force)
     request = FitRequest(
         preset=training or chosen.usual_preset(direction is Direction.INVERSE),
         seed=seed,
@@ -96,10 +111,66 @@ def fit(
     )
     chosen.check([], request)
     trials = trials_at(logs, preset, rate_hz, sampled_hz)
-    _identify(chosen, [t.swapped() for t in trials] if direction is Direction.INVERSE else trials, request, path)
+    held = trials_at(unseen, preset, rate_hz, sampled_hz) if unseen else []
+    _warn_of_limits([*trials, *held], request.limits.command)
+    swapped = direction is Direction.INVERSE
+    found = _identify(chosen, [t.swapped() for t in trials] if swapped else trials, request, path)
+    _score(found, path, {_SEEN: trials, _UNSEEN: held}, skip_first_flexure, page)
+
+
+_SEEN, _UNSEEN = " that it was identified from", " that the fit did not see"
+
+
+def _score(found: Identified, path: Path, sets: Mapping[str, list[Trial]], skip: bool, page: Path | None) -> None:
+    """Print, and draw where asked for, how well the model follows each set of trials; the last one counts most."""
     model = load_model(path)
-    title = f"{path}: free run on the trials it was identified from"
-    out.print(errors_table(title, [evaluate(model, trial, skip_first_flexure) for trial in trials]))
+    results = {which: free_runs(model, trials, skip) for which, trials in sets.items() if trials}
+    for which, runs in results.items():
+        out.print(errors_table(f"{path}: free run on the trials{which}", runs))
+        warn_outside(runs, model.metadata)
+    for which, runs in results.items():
+        out.print(f"{error_sentence(runs, which)}.", soft_wrap=True, highlight=False)
+    if page is not None:
+        from hystmpc.models.evaluation_report import evaluation_report  # matplotlib takes a second to import
+        from hystmpc.trials.report import Paragraph, Piece, Table
+
+        more: list[Piece] = [Paragraph(found.report)]
+        if found.parts is not None:
+            units = model.metadata.command_unit, model.metadata.angle_unit
+            more += [Table(columns, rows, title) for title, columns, rows in _part_tables(found.parts, Units(*units))]
+            more += [Paragraph(line) for line in found.parts.advice]
+        report = evaluation_report(f"Fit of {path.name}", model.metadata.kind, list(results.items())[::-1], more)
+        out.print(f"report: {report.save(page)}", soft_wrap=True)
+
+
+def _unseen(test: Sequence[Path], seen: Sequence[Path]) -> list[Path]:
+    """The logs of `--test`.
+
+    Raises:
+        ConfigError: on one that the fit sees.
+    """
+    logs, known = expand_logs(test) if test else [], {log.resolve() for log in seen}
+    for log in logs:
+        if log.resolve() in known:
+            raise ConfigError(f"--test {log}: is one of the logs of the fit, expected logs that it does not see")
+    return logs
+
+
+def _warn_of_limits(trials: Sequence[Trial], limits: Range | None) -> None:
+    """One line on standard error where the logs' commands go beyond the limits that the model is to have."""
+    if limits is None:
+        return
+    low, high = min(float(t.command.min()) for t in trials), max(float(t.command.max()) for t in trials)
+    slack = RANGE_SLACK * (limits.upper - limits.lower)
+    if low < limits.lower - slack or high > limits.upper + slack:
+        unit = trials[0].units.command
+        errors.print(
+            f"warning: the logs' commands go from {low:.4g} to {high:.4g} {unit}, beyond --command-limits "
+            f"{limits.lower:g} {limits.upper:g}: the device took more than controllers of this model will send",
+            style="yellow",
+            soft_wrap=True,
+            highlight=False,
+        )
 
 
 def _limits(command: tuple[float, float] | None, rate: float | None) -> DeviceLimits:
@@ -107,7 +178,7 @@ def _limits(command: tuple[float, float] | None, rate: float | None) -> DeviceLi
     return DeviceLimits(box, rate or None)
 
 
-def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: Path) -> None:
+def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: Path) -> Identified:
     kind.check(trials, request)
     unit, steps = trials[0].units.angle, kind.steps(request)
     seconds = kind.estimate(trials, request)
@@ -122,34 +193,34 @@ def _identify(kind: ModelKind, trials: list[Trial], request: FitRequest, path: P
     if found.interrupted:
         errors.print("interrupted: the best so far is kept", style="yellow")
     if found.parts is not None:
-        _print_parts(found.parts, trials[0].units)
+        for title, columns, rows in _part_tables(found.parts, trials[0].units):
+            out.print(table(title, columns, rows))
+        for line in found.parts.advice:
+            out.print(line, soft_wrap=True)
     if found.simulator is not None and path.suffix.lower() in SIMULATOR.endings:
         save_simulator(found.simulator, path)
         out.print(found.report, soft_wrap=True)
-        return
+        return found
     gate = export_onnx(found.bundle, path)
     out.print(
         f"{found.report}; exported within {max(gate.runtime_deg, gate.casadi_deg):.2g} {unit} of the reference "
         f"over {gate.steps} steps",
         soft_wrap=True,
     )
+    return found
 
 
-def _print_parts(found: AutoFit, units: Units) -> None:
-    """What each part bought, its numbers, and what the logs do not determine."""
+def _part_tables(found: AutoFit, units: Units) -> Iterator[tuple[str, Sequence[str], Sequence[Sequence[str]]]]:
+    """Title, columns and rows of what each part bought, and of its numbers."""
     if found.rows:
         rows = [(r.part, r.form, _figure(r.without_deg), _figure(r.with_deg)) for r in found.rows]
-        out.print(table(f"what each part buys, RMSE on trials left out, in {units.angle}", _PARTS, rows))
+        yield f"what each part buys, RMSE on trials left out, in {units.angle}", _PARTS, rows
     numbers = [
         (f"{r.owner} {r.name}", f"{r.value:.4g}", f"{r.ci90[0]:.4g} to {r.ci90[1]:.4g}", units.named(r.unit))
         for r in found.parameters
     ]
     if numbers:
-        out.print(
-            table("identified numbers, with intervals of 90 %", ("parameter", "value", "interval", "unit"), numbers)
-        )
-    for line in found.advice:
-        out.print(line, soft_wrap=True)
+        yield "identified numbers, with intervals of 90 %", ("parameter", "value", "interval", "unit"), numbers
 
 
 def _figure(value: float) -> str:

@@ -6,8 +6,9 @@ import sys
 from collections.abc import Mapping
 from difflib import get_close_matches
 from importlib import import_module
-from types import MappingProxyType
-from typing import Any, NoReturn
+from importlib.metadata import version
+from types import MappingProxyType, SimpleNamespace
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -42,7 +43,8 @@ VERBS: Mapping[str, str] = MappingProxyType(
 )
 """Every verb and its line in `hystmpc --help`. The verb's module and function, or group, have its name."""
 
-_PLAIN: Any = {"add_completion": False, "rich_markup_mode": None, "pretty_exceptions_enable": False}
+_PLAIN: Any = {"rich_markup_mode": None, "pretty_exceptions_enable": False}
+_HELP = {"help_option_names": ["-h", "--help"]}  # verbs inherit it
 
 
 def _nothing() -> None:
@@ -62,7 +64,7 @@ class Verbs(TyperGroup):
         if cmd_name not in VERBS:
             return None
         verb = getattr(import_module(f".{cmd_name}", __package__), cmd_name)
-        group = typer.Typer(**_PLAIN)
+        group = typer.Typer(add_completion=False, **_PLAIN)
         group.callback()(_nothing)  # a group, however many verbs it has
         if isinstance(verb, typer.Typer):
             group.add_typer(verb, name=cmd_name)
@@ -76,6 +78,15 @@ class Verbs(TyperGroup):
         with formatter.section("Commands"):
             formatter.write_dl(list(VERBS.items()))
 
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Verbs and options that begin with `incomplete`, without importing any verb."""
+        verbs = [
+            SimpleNamespace(type="plain", value=name, help=line)
+            for name, line in VERBS.items()
+            if name.startswith(incomplete)
+        ]
+        return [*verbs, *super(TyperGroup, self).shell_complete(ctx, incomplete)]
+
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The verb that was called; an unknown one is answered with the nearest."""
         if args and args[0] not in VERBS and not args[0].startswith("-"):
@@ -85,11 +96,21 @@ class Verbs(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-app = typer.Typer(cls=Verbs, name="hystmpc", no_args_is_help=True, **_PLAIN)
+app = typer.Typer(cls=Verbs, name="hystmpc", no_args_is_help=True, context_settings=_HELP, **_PLAIN)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"hystmpc {version('hystmpc')}")
+        raise typer.Exit
 
 
 @app.callback()
-def hystmpc() -> None:
+def hystmpc(
+    show_version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version and end.")
+    ] = False,
+) -> None:
     """Identify actuators with hysteresis, control them, and diagnose where a simulator and its device differ."""
 
 

@@ -149,6 +149,11 @@ def _of_json(path: Path) -> str:
     return _format(json.loads(path.read_text(encoding="utf-8")))
 
 
+def _of_page(path: Path) -> str:
+    with path.open(encoding="utf-8") as file:
+        return "hystmpc" if '<meta name="generator" content="hystmpc">' in file.read(1000) else ""
+
+
 def _format(data: Any) -> str:
     return str(data.get("format", "")) if isinstance(data, dict) else ""
 
@@ -157,6 +162,21 @@ MODEL = Output("an ONNX model of hystmpc", (".onnx",), _of_model, ("hystmpc-mode
 SIMULATOR = Output("a simulator file", (".yaml", ".yml"), _of_yaml, ("hystmpc-simulator/",))
 EVALUATION = Output("an evaluation", (".json",), _of_json, ("hystmpc-evaluation/", "hystmpc-inverse-evaluation/"))
 BENCHMARK = Output("a benchmark's result", (".json",), _of_json, ("hystmpc-bench/",))
+
+
+REPORT = Output("a report of hystmpc", (".html",), _of_page, ("hystmpc",))
+
+Page = Annotated[Path | None, typer.Option("--report", help="Write one page with tables and figures here, .html.")]
+
+
+def check_page(page: Path | None, inputs: Iterable[Path], force: bool) -> None:
+    """`check_output` for `--report`, where it is given.
+
+    Raises:
+        ConfigError: if the page may not be written.
+    """
+    if page is not None:
+        check_output("--report", page, (REPORT,), inputs, force)
 
 
 def check_output(

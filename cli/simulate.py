@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +11,7 @@ import typer
 
 from hystmpc.sim.compare import compare
 from hystmpc.sim.config import load_simulation
-from hystmpc.sim.results import Result, StudyResult
+from hystmpc.sim.results import Result, StudyResult, approach_sentence, best_figures, conclusion
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_resumable, require_vacant
@@ -171,16 +171,24 @@ def print_study(result: StudyResult) -> None:
     """A table a motion.
 
     Angles in degrees, commands in their unit, times in milliseconds: error over the run, over the last halves of holds,
-    greatest command range over one of those, time of a step, samples beyond a limit.
+    greatest command range over one of those, time of a step, samples beyond a limit. A star marks the least RMSE.
     """
     for motion in result.motions:
-        rows = [_row(run) for run in result.of_motion(motion)]
+        runs = result.of_motion(motion)
+        best = best_figures(runs)
+        rows = [_row(run, best) for run in runs]
         out.print(table(f"{motion}: true tip angle less reference [deg], command [{result.unit}]", _COLUMNS, rows))
+    for warning in result.warnings:
+        errors.print(f"warning: {warning}", style="yellow", soft_wrap=True, highlight=False)
+    for sentence in (conclusion(result), approach_sentence(result)):
+        if sentence:
+            out.print(sentence, soft_wrap=True, highlight=False)
 
 
-def _row(run: Result) -> list[str]:
+def _row(run: Result, best: Container[tuple[str, str]]) -> list[str]:
     m = run.metrics
-    angles = (m.rmse_deg, m.max_abs_deg, m.hold_error_deg)
+    rmse = f"{m.rmse_deg:.3f}{'*' if (run.controller, 'rmse_deg') in best else ' '}"
+    others = (m.max_abs_deg, m.hold_error_deg, m.hold_command_range)
     times = (1e3 * m.step_mean_s, 1e3 * m.step_p99_s)
-    figures = [f"{v:.3f}" for v in (*angles, m.hold_command_range)] + [f"{v:.1f}" for v in times]
-    return [run.controller, *("-" if text == "nan" else text for text in figures), str(m.limit_violations)]
+    figures = [f"{v:.3f}" for v in others] + [f"{v:.1f}" for v in times]
+    return [run.controller, rmse, *("-" if text == "nan" else text for text in figures), str(m.limit_violations)]

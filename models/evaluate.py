@@ -20,6 +20,7 @@ from .model import Model
 
 FORMAT = "hystmpc-evaluation/1"
 INVERSE_FORMAT = "hystmpc-inverse-evaluation/1"
+ERROR_COLUMNS = ("trial", "RMSE", "bias", "no bias", "max", "NRMSE %", "hold drift")
 HOLD_S, SETTLING_S = 10.0, 1.0
 RANGE_SLACK = 1e-3  # of the trained range: a sample that touches its end lies inside
 
@@ -133,6 +134,36 @@ def evaluation_json(evaluations: Sequence[TrialEvaluation]) -> dict[str, Any]:
     unit = evaluations[0].trial.units.angle
     plain = [{key.removesuffix("_deg"): value for key, value in row.items()} for row in (*rows, mean)]
     return {"format": INVERSE_FORMAT, "unit": unit, "trials": plain[:-1], "mean": plain[-1]}
+
+
+def error_rows(results: Sequence[TrialEvaluation]) -> list[list[str]]:
+    """The errors of each trial and their mean, in the unit of the output, as `ERROR_COLUMNS` name them."""
+    places = _decimals(max(float(np.ptp(result.trial.angle)) for result in results))
+    rows = [_row(Path(result.trial.source).name, result.errors, places) for result in results]
+    return [*rows, _row("mean", mean_errors(results), places)]
+
+
+def error_sentence(results: Sequence[TrialEvaluation], which: str = "") -> str:
+    """What the free runs err by, in a sentence.
+
+    Args:
+        results: one or more.
+        which: words behind their number, such as ` that the fit did not see`.
+    """
+    unit, mean = results[0].trial.units.angle, mean_errors(results)
+    trials = "1 trial" if len(results) == 1 else f"{len(results)} trials"
+    size = f"{mean.rmse_deg:.3g} {unit} RMS ({100 * mean.nrmse:.2g} % of the range)"
+    return f"The free run errs by {size} on {trials}{which}"
+
+
+def _row(name: str, e: Errors, places: int) -> list[str]:
+    figures = (e.rmse_deg, e.bias_deg, e.offset_free_rmse_deg, e.max_abs_error_deg)
+    return [name, *(f"{x:.{places}f}" for x in figures), f"{100 * e.nrmse:.3f}", f"{e.hold_drift_deg:.{places}f}"]
+
+
+def _decimals(span: float) -> int:
+    """Decimal places that show an error in a table: three of a range of tens, more of a smaller one."""
+    return 3 if span <= 0 else max(3, 4 - math.floor(math.log10(span)))
 
 
 def _outside(trial: Trial, metadata: ModelMetadata) -> float:

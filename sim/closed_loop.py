@@ -25,6 +25,7 @@ class ClosedLoopRun:
         true_deg: angles without sensor noise at the ends of the samples (N,) [deg].
         rest_command: the command that the plant held before the first sample.
         dt: sample time [s].
+        first: number of the first sample that counts: before it the reference leads from the rest to its start.
     """
 
     log: LoopLog
@@ -32,11 +33,17 @@ class ClosedLoopRun:
     rest_command: float
     dt: float
     unit: str
+    first: int = 0
 
     @property
     def error_deg(self) -> Vec:
         """True angle less reference (N,) [deg]."""
         return self.true_deg - self.log.reference_deg
+
+    @property
+    def counted_deg(self) -> Vec:
+        """The part of `error_deg` that counts [deg]."""
+        return self.error_deg[self.first :]
 
 
 def run_closed_loop(
@@ -45,10 +52,12 @@ def run_closed_loop(
     motion: Trajectory,
     on_sample: Callable[[LoopSample], None] | None = None,
     sensor: AnySensorSettings | None = None,
+    approach_s: float = 0.0,
 ) -> ClosedLoopRun:
     """Follow a motion once from the plant's rest, as fast as it computes.
 
     Args:
+        approach_s: time at the motion's beginning that does not count, a whole number of samples [s].
         sensor: what the controller sees; the plant's own angle in every sample where left out. The frames of an imaging
             system show the true angle with their own noise, drawn from the plant's seed; without a sensor the true
             angle of the rest is declared.
@@ -69,4 +78,5 @@ def run_closed_loop(
         viewer = Viewer(sensor, plant.seed, lambda: plant.true_angle)
     rest = plant.rest_command
     log = run_loop(controller, plant, preview.at, preview.steps, u_start=rest, on_sample=note, viewer=viewer)
-    return ClosedLoopRun(log, np.array(angles), plant.rest_command, plant.dt, plant.command_unit)
+    first = round(approach_s / plant.dt)
+    return ClosedLoopRun(log, np.array(angles), plant.rest_command, plant.dt, plant.command_unit, first)

@@ -52,7 +52,7 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
         if folder is not None and not results:
             _take_back(folder.path)
         raise
-    found = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta)
+    found = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta, study.warnings())
     if folder is not None:
         folder.write_report(study_report(found).html())
     return found
@@ -72,7 +72,9 @@ def _runs(study: Study, progress: Progress | None) -> Iterator[Result]:
 
     for motion, name in pairs:
         controller = study.controller(study.config.controllers[name])
-        run = run_closed_loop(controller, study.plant, study.motions[motion], step, study.config.sensor)
+        run = run_closed_loop(
+            controller, study.plant, study.motions[motion], step, study.config.sensor, study.approach_s[motion]
+        )
         if run.log.interrupted:
             return
         yield result_of(study.config, motion, name, run)

@@ -135,6 +135,8 @@ class SimulationConfig(Settings):
             not say something else.
         limits: hard limits of command and rate; those of the model where left out. Wider ones are refused unless
             `limits.beyond_model` is true.
+        approach: lead the tip from the plant's rest to the start of a motion that starts far from it; this part does
+            not count. Without it, the first jump is scored too.
         tune_pid: search the gains of every `pid` and `inverse_pid` on this plant and these motions first; where left
             out the gains stand as given.
         tuned: controllers whose gains such a search has found; a run writes them here beside the gains, so that its
@@ -149,6 +151,7 @@ class SimulationConfig(Settings):
     motions: dict[Name, Motion] = Field(min_length=1)
     controllers: dict[Name, Annotated[ControllerSettings, BeforeValidator(_known_controller)]] = Field(min_length=1)
     limits: ModelledLimitsSettings | None = None
+    approach: bool = True
     tune_pid: TuningSettings | None = None
     tuned: tuple[Name, ...] = ()
     seed: Annotated[int, Field(ge=0)] = 0

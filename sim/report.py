@@ -34,7 +34,18 @@ from hystmpc.trials.report import (
     new_figure,
 )
 
-from .results import LIMIT_LINE, Result, StudyResult, colours, limits_of, load_results, tracking_figure
+from .results import (
+    LIMIT_LINE,
+    Result,
+    StudyResult,
+    approach_sentence,
+    best_figures,
+    colours,
+    conclusion,
+    limits_of,
+    load_results,
+    tracking_figure,
+)
 
 _BINS = 61
 _ROWS = 3  # a loop plot smaller than a third of the width cannot be read
@@ -85,7 +96,7 @@ def loop_figure(results: Sequence[Result], colour: Mapping[str, str], unit: str)
 
 def histogram_figure(results: Sequence[Result], colour: Mapping[str, str]) -> Figure:
     """Share of samples by error; the outermost bins hold what lies beyond them."""
-    errors = [result.run.error_deg for result in results]
+    errors = [result.run.counted_deg for result in results]
     reach = float(np.quantile(np.abs(np.concatenate(errors)), 0.995))
     edges = np.linspace(-reach, reach, _BINS)
     with new_figure(7.0, 2.8) as figure:
@@ -168,7 +179,17 @@ def _summary(result: StudyResult) -> Iterator[Piece]:
         for controller in result.controllers
     ]
     yield Heading("Tracking error")
-    yield Table(("controller", *result.motions), rows, "RMSE of the tip angle without sensor noise [deg].")
+    for sentence in (*result.warnings, conclusion(result), approach_sentence(result)):
+        if sentence:
+            yield Paragraph(sentence)
+    marked = {
+        (result.controllers.index(controller), j)
+        for j, motion in enumerate(result.motions, 1)
+        for controller, name in best_figures(result.of_motion(motion))
+        if name == "rmse_deg"
+    }
+    caption = "RMSE of the tip angle without sensor noise [deg]; bold: the least."
+    yield Table(("controller", *result.motions), rows, caption, marked)
     violations = sum(r.metrics.limit_violations for r in result.results)
     yield Paragraph(f"Commands beyond their limits in {len(result.results)} runs: {violations}.")
 
@@ -209,14 +230,18 @@ def _gains(name: str, settings: PidControllerSettings | InversePidControllerSett
 
 
 def _metrics_table(runs: tuple[Result, ...], unit: str) -> Table:
-    rows = []
+    rows, best = [], best_figures(runs)
+    names = ("rmse_deg", "max_abs_deg", "hold_error_deg")
+    marked = {(i, j) for i, run in enumerate(runs) for j, name in enumerate(names, 1) if (run.controller, name) in best}
     for run in runs:
         m = run.metrics
         held = [value if math.isfinite(value) else "no hold" for value in (m.hold_error_deg, m.hold_command_range)]
         times = 1e3 * m.step_mean_s, 1e3 * m.step_p99_s
         rows.append((run.controller, m.rmse_deg, m.max_abs_deg, *held, m.command_travel, m.limit_violations, *times))
-    caption = "Errors of the tip angle without sensor noise; hold figures over the last half of every hold."
-    return Table([column.format(unit=unit) for column in _COLUMNS], rows, caption)
+    caption = (
+        "Errors of the tip angle without sensor noise; hold figures over the last half of every hold; bold: the least."
+    )
+    return Table([column.format(unit=unit) for column in _COLUMNS], rows, caption, marked)
 
 
 def _stability(result: StudyResult) -> Iterator[Piece]:

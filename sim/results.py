@@ -13,6 +13,7 @@ import numpy as np
 
 from hystmpc.ctrl.limits import CommandLimits, LimitsSettings
 from hystmpc.ctrl.loop import LoopLog
+from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.run_folder import RunFolder
@@ -24,6 +25,7 @@ from .config import SimulationConfig
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_PREDICTIVE = (LinearisedMpcSettings, SamplingMpcSettings)
 HOLD_S = 0.5
 LIMIT_LINE: Any = {"linestyle": (0, (4, 3)), "linewidth": 0.7}
 _STILL_DEG = 1e-9
@@ -38,14 +40,17 @@ _LOOP = {
     "disturbance_deg": "disturbance_deg",
 }
 _TRUE = "true_angle_deg"
+_COUNTED = "counted"  # 0 in the samples of an approach
 
 
 @dataclass(frozen=True)
 class TrackingMetrics:
     """Figures of one run. Errors are true angle less reference; a hold is a reference at rest for 0.5 s or longer.
 
+    Errors and holds of an approach do not count; commands and times do.
+
     Attributes:
-        rmse_deg: root mean square error over the whole run [deg].
+        rmse_deg: root mean square error [deg].
         max_abs_deg: greatest absolute error [deg].
         hold_error_deg: mean absolute error over the last halves of all holds; NaN without a hold [deg].
         hold_command_range: greatest range of the command over the last half of a hold; NaN without a hold [cmd].
@@ -67,8 +72,8 @@ class TrackingMetrics:
 
 def tracking_metrics(run: ClosedLoopRun, limits: CommandLimits) -> TrackingMetrics:
     """Metrics of one run under the limits that its controller had."""
-    error, command = run.error_deg, run.log.command
-    halves = [(start + (stop - start) // 2, stop) for start, stop in holds(run.log.reference_deg, run.dt)]
+    error, command = run.counted_deg, run.log.command[run.first :]
+    halves = [(a + (b - a) // 2, b) for a, b in holds(run.log.reference_deg[run.first :], run.dt)]
     still = np.concatenate([np.abs(error[a:b]) for a, b in halves]) if halves else np.array([math.nan])
     step = run.log.step_s
     return TrackingMetrics(
@@ -76,8 +81,8 @@ def tracking_metrics(run: ClosedLoopRun, limits: CommandLimits) -> TrackingMetri
         max_abs_deg=float(np.max(np.abs(error))),
         hold_error_deg=float(np.mean(still)),
         hold_command_range=max((float(np.ptp(command[a:b])) for a, b in halves), default=math.nan),
-        command_travel=float(np.sum(np.abs(np.diff(command, prepend=run.rest_command)))),
-        limit_violations=violations(command, run.rest_command, limits, run.dt),
+        command_travel=float(np.sum(np.abs(np.diff(run.log.command, prepend=run.rest_command)))),
+        limit_violations=violations(run.log.command, run.rest_command, limits, run.dt),
         step_mean_s=float(np.mean(step)),
         step_p99_s=float(np.quantile(step, 0.99)),
         ladder=dict(Counter(run.log.source)),
@@ -106,7 +111,9 @@ def log_columns(run: ClosedLoopRun) -> dict[str, Sequence[str] | Vec]:
     numbers = {column: getattr(log, field) for column, field in _LOOP.items()}
     stages = {f"{_STAGE}{name.replace(' ', '_')}_s": seconds for name, seconds in log.stage_s.items()}
     command = {f"command_{run.unit}": log.command}
-    return {**command, **numbers, _TRUE: run.true_deg, **stages, "source": log.source, "status": log.status}
+    counted = {_COUNTED: (np.arange(run.true_deg.size) >= run.first).astype(np.float64)}
+    texts = {"source": log.source, "status": log.status}
+    return {**command, **numbers, _TRUE: run.true_deg, **counted, **stages, **texts}
 
 
 def run_from(columns: Mapping[str, Column], rest_command: float, where: str) -> ClosedLoopRun:
@@ -134,7 +141,9 @@ def run_from(columns: Mapping[str, Column], rest_command: float, where: str) -> 
         **numbers, command=_numbers(columns[command]), source=source, status=status, stage_s=stages, interrupted=False
     )
     # The first sample ends one sample time after the start.
-    return ClosedLoopRun(log, _numbers(columns[_TRUE]), rest_command, float(log.time_s[0]), CANONICAL.command[command])
+    first = int(np.argmax(_numbers(columns[_COUNTED]))) if _COUNTED in columns else 0  # logs of older versions
+    true, dt = _numbers(columns[_TRUE]), float(log.time_s[0])
+    return ClosedLoopRun(log, true, rest_command, dt, CANONICAL.command[command], first)
 
 
 def _numbers(column: Column) -> Vec:
@@ -160,11 +169,13 @@ class StudyResult:
         config: the settings as they ran: files, limits and tuned gains.
         results: motion by motion, in the order of the settings; without those that were not reached; at least one.
         meta: versions, host, start and model hashes; empty where no folder was written.
+        warnings: what of the motions the model cannot be brought to, a sentence each.
     """
 
     config: SimulationConfig
     results: tuple[Result, ...]
     meta: Mapping[str, Any]
+    warnings: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -200,6 +211,47 @@ class StudyResult:
         return Report("Closed loop in simulation", (Table(columns, rows), Plot(self.plot()))).fragment()
 
 
+def best_figures(runs: Sequence[Result]) -> frozenset[tuple[str, str]]:
+    """Controller and name of the figure for the least RMSE, greatest error and hold error along a motion."""
+    names = ("rmse_deg", "max_abs_deg", "hold_error_deg")
+    least = {name: min(getattr(run.metrics, name) for run in runs) for name in names} if len(runs) > 1 else {}
+    return frozenset(
+        (run.controller, name) for run in runs for name in least if getattr(run.metrics, name) == least[name]
+    )
+
+
+def conclusion(result: StudyResult) -> str:
+    """Which controller tracks best over all motions, and how much better than the best of the other sort; one sentence.
+
+    The sorts are controllers that predict and those that do not. Empty where there is nothing to compare.
+    """
+    errors: dict[str, float] = {}
+    for name in result.controllers:
+        found = [run.metrics.rmse_deg for run in result.results if run.controller == name]
+        if len(found) == len(result.motions):
+            errors[name] = math.sqrt(sum(value**2 for value in found) / len(found))
+    if len(errors) < 2:
+        return ""
+    best = min(errors, key=errors.__getitem__)
+    motions = "the motion" if len(result.motions) == 1 else f"the {len(result.motions)} motions"
+    said = f"{best} tracks best: {errors[best]:.3g} deg RMS over {motions}"
+    predicts = {name: isinstance(s, _PREDICTIVE) for name, s in result.config.controllers.items()}
+    rivals = [name for name in errors if predicts[name] != predicts[best]]
+    if not rivals:
+        return f"{said}."
+    rival = min(rivals, key=errors.__getitem__)
+    sort = "with prediction" if predicts[rival] else "without prediction"
+    less = 100 * (1 - errors[best] / errors[rival])
+    return f"{said}, {less:.0f} % less than the best {sort} ({rival}, {errors[rival]:.3g} deg)."
+
+
+def approach_sentence(result: StudyResult) -> str:
+    """What does not count; empty where everything does."""
+    led = {run.motion: run.run.first * run.run.dt for run in result.results if run.run.first}
+    times = ", ".join(f"{seconds:.1f} s of {motion}" for motion, seconds in led.items())
+    return f"The first {times} lead from the rest to the start of the reference and do not count." if led else ""
+
+
 def colours(controllers: Sequence[str]) -> dict[str, str]:
     """One colour for each controller, the same in every figure of a study."""
     from hystmpc.trials.report import PALETTE  # matplotlib, which a run does without
@@ -216,6 +268,9 @@ def tracking_figure(results: Sequence[Result], colour: Mapping[str, str], unit: 
         angle, command = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         first = results[0]
         angle.plot(first.run.log.time_s, first.run.log.reference_deg, label="reference", **wanted)
+        if first.run.first:
+            for axes in (angle, command):
+                axes.axvspan(0.0, first.run.first * first.run.dt, color=REFERENCE, alpha=0.12, linewidth=0.0)
         for result in results:
             t, style = result.run.log.time_s, {"color": colour[result.controller], "linewidth": 0.9}
             angle.plot(t, result.run.true_deg, label=result.controller, **style)

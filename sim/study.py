@@ -14,11 +14,14 @@ from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.limits import CommandLimits, ModelledLimitsSettings
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
+from hystmpc.ctrl.planner.reach import angles_at_rest, beyond_reach
 from hystmpc.models.contract.metadata import ModelMetadata, Range
 from hystmpc.models.load import load_model, model_path
 from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trajectories import PreviewTable, Trajectory
+from hystmpc.trajectories.drawn import approached
 from hystmpc.trials.errors import ConfigError, ControllerError
+from hystmpc.trials.types import Vec
 
 from .config import SimulationConfig
 from .plants.computed import ComputedPlant
@@ -30,6 +33,8 @@ class Study:
     """A closed-loop study ready to run: plant, model, limits, motions.
 
     Attributes:
+        motions: references, each behind an approach where it starts far from the plant's rest.
+        approach_s: time of each approach, 0 for none [s]; it does not count.
         feedforward: predictor and inverse of the controllers that only invert: the same for a model that has an
             inverse and for an inverse map, else the operator that stands in for it. Corrected by the network at every
             sample, as predictive controllers want it for their first guess, that inverse would go back and forth across
@@ -43,6 +48,7 @@ class Study:
     feedforward: tuple[Predictor, Inverse]
     limits: CommandLimits
     motions: Mapping[str, Trajectory]
+    approach_s: Mapping[str, float]
     files: tuple[Path, ...]
 
     def controller(self, settings: AnyControllerSettings) -> GuardedController[Any]:
@@ -54,6 +60,12 @@ class Study:
         predictive = isinstance(settings, LinearisedMpcSettings | SamplingMpcSettings)
         predictor, inverse = (self.predictor, self.inverse) if predictive else self.feedforward
         return build_controller(settings, predictor, inverse, self.limits)
+
+    def warnings(self) -> tuple[str, ...]:
+        """What of the motions the model cannot be brought to, a sentence each."""
+        reach = angles_at_rest(self.predictor, self.limits, self.plant.true_angle)
+        found = {name: beyond_reach(_angles(motion), reach) for name, motion in self.motions.items()}
+        return tuple(f"{name} {beyond}." for name, beyond in found.items() if beyond)
 
     def steps(self, motion: str) -> int:
         """Samples that a motion takes."""
@@ -110,6 +122,9 @@ def prepare(config: SimulationConfig, known: Knowledge | None = None) -> Study:
             f"plant {config.plant.name} takes {plant.command_unit} and model {config.model} "
             f"{facts.command_unit}, expected one unit"
         )
+    motions = {name: motion.build() for name, motion in config.motions.items()}
+    rest_deg = plant.true_angle if config.approach else None
+    led = {name: _led_to(motion, rest_deg, plant.dt) for name, motion in motions.items()}
     study = Study(
         config=config.model_copy(update={"limits": config.limits or _as_settings(limits)}),
         plant=plant,
@@ -117,12 +132,34 @@ def prepare(config: SimulationConfig, known: Knowledge | None = None) -> Study:
         inverse=known.inverse,
         feedforward=known.feedforward,
         limits=limits,
-        motions={name: motion.build() for name, motion in config.motions.items()},
+        motions={name: motion for name, (motion, _) in led.items()},
+        approach_s={name: seconds for name, (_, seconds) in led.items()},
         files=(*plant_files(config.plant), *models),
     )
     for name, settings in config.controllers.items():
         _warm_up(study, name, settings)
     return study
+
+
+_FAR = 0.05  # of the reference's range, the rest included: a start that far away needs an approach
+_POINTS = 1000
+
+
+def _angles(motion: Trajectory) -> Vec:
+    return motion(np.linspace(0.0, motion.duration_s, _POINTS))
+
+
+def _led_to(motion: Trajectory, rest_deg: float | None, dt_s: float) -> tuple[Trajectory, float]:
+    """A motion behind an approach from the rest where it starts far from it, and the time of that [s].
+
+    Without one, the error of the first jump would hide all others.
+    """
+    angles = _angles(motion)
+    start = float(angles[0])
+    if rest_deg is None or abs(start - rest_deg) <= _FAR * float(np.ptp(np.append(angles, rest_deg))):
+        return motion, 0.0
+    led = approached("", rest_deg, start, motion, dt_s=dt_s)
+    return led.trajectory, led.approach_s
 
 
 def _as_settings(limits: CommandLimits) -> ModelledLimitsSettings:

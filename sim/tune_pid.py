@@ -142,8 +142,11 @@ def _point(settings: PidLike) -> Vec:
 
 def _mean_square(study: Study, settings: AnyControllerSettings) -> float:
     controller = study.controller(settings)
-    sensor = study.config.sensor
-    runs = [run_closed_loop(controller, study.plant, motion, sensor=sensor) for motion in study.motions.values()]
+    sensor, approach_s = study.config.sensor, study.approach_s
+    runs = [
+        run_closed_loop(controller, study.plant, motion, sensor=sensor, approach_s=approach_s[name])
+        for name, motion in study.motions.items()
+    ]
     if any(run.log.interrupted for run in runs):
         raise KeyboardInterrupt  # the loop ends quietly; the search must not go on with half a run
-    return float(np.mean([np.mean(run.error_deg**2) for run in runs]))
+    return float(np.mean([np.mean(run.counted_deg**2) for run in runs]))

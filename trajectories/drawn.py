@@ -92,16 +92,26 @@ def _range(random: np.random.Generator, reachable: tuple[float, float]) -> tuple
 
 
 def approached(
-    name: str, rest_deg: float, start_deg: float, motion: Trajectory, limits: MotionLimits | None = None
+    name: str,
+    rest_deg: float,
+    start_deg: float,
+    motion: Trajectory,
+    limits: MotionLimits | None = None,
+    dt_s: float | None = None,
 ) -> CountedMotion:
     """A motion behind a move from rest to its start and a hold there.
 
     Args:
         rest_deg, start_deg: ends of the move [deg].
         limits: of the move; None for the defaults of MotionLimits.
+        dt_s: sample time of which the approach shall last a whole number [s].
 
     Raises:
         TrajectoryError: if an angle is not finite.
     """
-    approach = PointToPoint(rest_deg, (start_deg,), (_APPROACH_HOLD_S,), limits or MotionLimits())
+    limits = limits or MotionLimits()
+    approach = PointToPoint(rest_deg, (start_deg,), (_APPROACH_HOLD_S,), limits)
+    if dt_s is not None:
+        hold_s = _APPROACH_HOLD_S + (-approach.duration_s) % dt_s
+        approach = PointToPoint(rest_deg, (start_deg,), (hold_s,), limits)
     return CountedMotion(name, Chain((approach, motion)), approach.duration_s)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .csv_files import Columns, read_columns
 from .errors import LogError
-from .layouts import CANONICAL, LogMapping, Preset
+from .layouts import CANONICAL, SECONDS, LogMapping, Preset
 from .read import Layout, Log, is_table, read_raw, resolve
 from .segments import Motion, Segments, segment
 from .signals import Raw
@@ -114,9 +114,11 @@ def _report(
     rows = np.column_stack((log.t, log.command, log.angle))
     rows = rows[np.isfinite(rows).all(axis=1)]
     rows = rows[np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0]
-    if len(rows) < 2:
-        found.append(Finding(Severity.ERROR, "values", f"{len(rows)} usable samples, expected at least 2"))
-    else:
+    if len(rows) < LEAST_SAMPLES:
+        found.append(
+            Finding(Severity.ERROR, "length", f"{len(rows)} usable samples, expected at least {LEAST_SAMPLES}")
+        )
+    if len(rows) > 1:
         t, command, angle = rows.T
         found += motion_findings(Trial(t, command, angle, units=log.units, source=log.source), layout)
     return CheckReport(log.source, name, tuple(found))
@@ -137,7 +139,11 @@ def _value_findings(log: Trial | Raw | Columns, where: Callable[[int], str]) -> 
         yield Finding(Severity.OK, "values", f"{log.t.size} samples, all finite")
 
 
+LEAST_SAMPLES = 50
+"""Samples of a trial from which a model can be identified."""
+
 _SLOW_INTERVAL_S = 1.0  # no closed loop of this field samples slower: time is then likely in ms
+_FINE = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 _JITTER_SHARE = 0.1  # of the median interval; more is worth knowing
 _STUCK_SHARE = 0.05  # of the range of the command: travel without any change of the angle
 
@@ -184,9 +190,10 @@ def gaps_said(trial: Trial, parts: Sequence[Trial]) -> str:
 
 
 def _slow(median: float, start: float, stop: float) -> str:
+    unit = next((unit for unit in _FINE if median * SECONDS[unit] < _SLOW_INTERVAL_S), "ms")
     return (
-        f"time_s runs from {start:g} to {stop:g}, sampling rate {1 / median:.3g} Hz, expected more than "
-        f"{1 / _SLOW_INTERVAL_S:g} Hz: is it in milliseconds?"
+        f"time_s runs from {start:.15g} to {stop:.15g}, sampling rate {1 / median:.3g} Hz, expected more than "
+        f"{1 / _SLOW_INTERVAL_S:g} Hz: is it in {_FINE[unit]}? A mapping file with `time_unit: {unit}` reads it"
     )
 
 
@@ -286,6 +293,10 @@ def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
         text = f"the command is {trial.command[0]:g} {trial.units.command} throughout: nothing can be identified"
         yield Finding(Severity.ERROR, "excitation", text)
         return
+    if np.ptp(trial.angle) == 0:
+        text = f"the angle is {trial.angle[0]:g} {trial.units.angle} throughout: nothing can be identified"
+        yield Finding(Severity.ERROR, "excitation", text)
+        return
     yield _sign(trial)
     try:
         longest = max(parts_at_gaps(trial), key=len)
@@ -303,7 +314,8 @@ def _units(name: str, values: Vec, unit: str, plausible: tuple[float, float], be
     low, high, topic = float(values.min()), float(values.max()), f"units of {name}"
     text = f"{low:.4g} to {high:.4g} {unit}"
     for least, most, suspicion in _MISTAKEN.get(unit, ()) if bends else ():
-        if least < high - low and least <= high - low <= most:
+        # 30.0 to 30.1 is no angle in radians: a signal in a larger unit has small values, not a small range alone.
+        if least < high - low <= most and max(-low, high) <= 2 * most:
             return Finding(Severity.WARNING, topic, f"{text}: looks like {suspicion}, expected {unit}")
     if low < plausible[0] or high > plausible[1]:
         return Finding(

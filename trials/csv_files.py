@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -20,6 +20,7 @@ from .files import write_atomically
 from .layouts import (
     CANONICAL,
     COMMAND_UNITS,
+    MAPPING_HINT,
     OUTPUT_COLUMN,
     Preset,
     command_column,
@@ -30,6 +31,7 @@ from .trial import Trial, Units, clock_advice, even_time
 from .types import Vec
 
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+_DECIMAL_COMMA = re.compile(r"(?<![^;\t])( *[-+]?\d*),(\d+(?:[eE][-+]?\d+)? *)(?![^;\t])")  # the whole of a cell
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +127,20 @@ def read_lines(path: Path | str) -> list[str]:
     if not text.strip():
         raise LogError(f"{path}: empty file, expected a header row and at least two rows of numbers")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def split_lines(lines: Sequence[str]) -> tuple[Sequence[str], str]:
+    """Lines and what separates their cells: commas, semicolons, tabs or spaces, as the first row that is not blank has.
+
+    Spaces become commas. Numbers with decimal commas get points where semicolons or tabs separate the cells.
+    """
+    head = next(line for line in lines if line.strip())
+    delimiter = max(",;\t", key=head.count)
+    if delimiter != ",":
+        return [_DECIMAL_COMMA.sub(r"\1.\2", line) for line in lines], delimiter
+    if delimiter not in head and " " in head.strip():
+        return [",".join(line.split()) for line in lines], ","
+    return lines, ","
 
 
 def first_row(lines: Sequence[str], delimiter: str) -> tuple[int, tuple[str, ...]]:
@@ -364,12 +380,21 @@ def _table_and_layout(log: Path | str | Frame, layout: Preset | None) -> tuple[T
     """The columns of a log, and their layout: the one given, or what the header tells."""
     if isinstance(log, Frame):
         table = frame_table(log)
-        return table, layout or _detect(table.header, table.source)
-    lines, source = read_lines(log), str(log)
+        layout = layout or _detect(table.header, table.source)
+        return _spelled(table, layout), layout
+    (lines, delimiter), source = split_lines(read_lines(log)), str(log)
     if layout is None:
-        index, header = first_row(lines, CANONICAL.delimiter)
+        index, header = first_row(lines, delimiter)
         layout = _detect(header, f"{source}, row {index + 1}")
-    return read_table(lines, source, layout.delimiter, layout.columns), layout
+    return _spelled(read_table(lines, source, delimiter, layout.columns), layout), layout
+
+
+def _spelled(table: Table, layout: Preset) -> Table:
+    """The table with its columns named as the layout writes them."""
+    header = layout.spelled(table.header)
+    names = dict(zip(table.header, header, strict=True))
+    numbers = {names[name]: values for name, values in table.numbers.items()}
+    return replace(table, header=header, numbers=numbers, texts={names[k]: v for k, v in table.texts.items()})
 
 
 def _detect(header: Sequence[str], where: str) -> Preset:
@@ -381,10 +406,6 @@ def _detect(header: Sequence[str], where: str) -> Preset:
 
 
 def _header_hint(header: Sequence[str]) -> str:
-    """What to add where the first row does not look like a row of column names."""
-    if len(header) > 1:
-        numbers = all(cell.lstrip("+-")[:1].isdigit() for cell in header)
-        return " (the first row holds numbers, expected column names)" if numbers else ""
-    separators = ((";", "semicolons"), ("\t", "tabs"), (" ", "spaces"))
-    found = next((name for sign, name in separators if sign in header[0]), "")
-    return f" (cells seem to be separated by {found}, expected commas)" if found else ""
+    """What to add where the first row holds none of the names."""
+    numbers = all(cell.lstrip("+-")[:1].isdigit() for cell in header)
+    return " (the first row holds numbers, expected column names)" if numbers else MAPPING_HINT

@@ -55,8 +55,12 @@ def require_writable(path: Path | str) -> None:
         raise ConfigError(f"{target}: cannot be written ({reason}), expected a path that can be made") from None
     if not place.is_dir():
         raise ConfigError(f"{target}: cannot be written ({place} is not a folder), expected a path that can be made")
-    if not os.access(place, os.W_OK | os.X_OK):
-        raise ConfigError(f"{target}: cannot be written (no permission in {place}), expected a writable folder")
+    try:
+        with tempfile.TemporaryFile(dir=place):  # what the system says of permissions is no promise: it has to be tried
+            pass
+    except OSError as error:
+        reason = f"{error.strerror} in {place}"
+        raise ConfigError(f"{target}: cannot be written ({reason}), expected a writable folder") from None
 
 
 def _mode(path: Path) -> int | None:

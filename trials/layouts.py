@@ -26,7 +26,6 @@ class Preset:
         command: command columns and their units; of these a log holds exactly one, or the first, which wins.
         angle: column of the tip angle [deg].
         channels: readable names of further columns; columns not listed keep the name they have in the log.
-        delimiter: what separates the cells.
         columns: column names of a log without a header row, in order; empty where the log has a header row.
         command_range, angle_range: least and greatest plausible value, for the quality check; None for any device.
         other_angles: columns of an output that is no angle, and their units; of these and `angle` a log holds one.
@@ -41,7 +40,6 @@ class Preset:
     command: Mapping[str, str]
     angle: str
     channels: Mapping[str, str] = field(default_factory=dict)
-    delimiter: str = ","
     columns: tuple[str, ...] = ()
     command_range: tuple[float, float] | None = None
     angle_range: tuple[float, float] | None = None
@@ -57,6 +55,15 @@ class Preset:
     def has_header(self) -> bool:
         """Whether the first row of the log names the columns."""
         return not self.columns
+
+    def spelled(self, header: Sequence[str]) -> tuple[str, ...]:
+        """The header with the names of this layout as it writes them, where only capitals differ."""
+        names = {name.casefold(): name for name in (self.time, self.angle, *self.command, *self.other_angles)}
+        found = list(header)
+        for k, name in enumerate(header):
+            own = names.get(name.casefold(), name)
+            found[k] = name if own in found else own
+        return tuple(found)
 
     def missing(self, header: Sequence[str]) -> list[str]:
         """Columns that this layout needs and `header` lacks; alternatives are joined by ` or `."""
@@ -161,10 +168,14 @@ def detect_preset(header: Sequence[str]) -> Preset:
         LogError: if none fits; lists what each would need and what there is.
     """
     for preset in PRESETS:
-        if preset.has_header and not preset.missing(header):
+        if preset.has_header and not preset.missing(preset.spelled(header)):
             return preset
-    needs = "; ".join(f"{p.name} misses {', '.join(p.missing(header))}" for p in PRESETS if p.has_header)
+    needs = "; ".join(f"{p.name} misses {', '.join(p.missing(p.spelled(header)))}" for p in PRESETS if p.has_header)
     raise LogError(f"columns fit no preset: {needs}; available: {', '.join(header)}")
+
+
+MAPPING_HINT = "; other names: a mapping file (--preset) with `time: COLUMN`, `command: COLUMN`, `angle: COLUMN`"
+"""For the end of an error line on columns that no preset knows."""
 
 
 COMMAND_UNIT_OF = MappingProxyType(

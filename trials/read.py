@@ -10,7 +10,7 @@ from typing import TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from .csv_files import Frame, Table, first_row, frame_table, read_csv, read_lines, read_table
+from .csv_files import Frame, Table, first_row, frame_table, read_csv, read_lines, read_table, split_lines
 from .errors import ConfigError, LogError
 from .layouts import LogMapping, Preset, get_preset, is_mapping_file, load_mapping
 from .mat_ import open_mat
@@ -151,11 +151,7 @@ def _open(log: Path | str | Frame) -> Source:
 
 def _guessed_table(path: Path) -> Table:
     """Delimited text whose delimiter is not known; columns without a header row are `[0]`, `[1]`, ..."""
-    lines = read_lines(path)
-    _, cells = first_row(lines, ",")
-    delimiter = next((sign for sign in ";\t" if len(cells) == 1 and sign in cells[0]), ",")
-    if delimiter == "," and len(cells) == 1 and " " in cells[0]:
-        lines = [",".join(line.split()) for line in lines]
+    lines, delimiter = split_lines(read_lines(path))
     _, cells = first_row(lines, delimiter)
     unnamed = [f"[{k}]" for k in range(len(cells))] if all(map(_is_number, cells)) else []
     return read_table(lines, str(path), delimiter, unnamed)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -15,7 +16,7 @@ from typing import Any
 
 import jinja2
 import matplotlib as mpl
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import LogFormatter
@@ -63,6 +64,7 @@ def style() -> Iterator[None]:
 
 
 _ID = re.compile(r'(\bid="|url\(#|href="#)')
+_CODE = re.compile("`([^`]+)`")
 _NAMESPACE = re.compile(r'\s+xmlns(?::\w+)?="[^"]*"')  # an SVG inside HTML needs none
 
 
@@ -97,11 +99,12 @@ class KeyValues:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a header row; numbers are set flush right."""
+    """A table with a header row; numbers are set flush right, and cells of `marked` (row, column) in bold."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
     caption: str = ""
+    marked: Collection[tuple[int, int]] = ()
 
 
 @dataclass(frozen=True)
@@ -208,7 +211,10 @@ def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figu
     if isinstance(piece, KeyValues):
         return {"kind": "key_values", "rows": [(key, _cell(value)) for key, value in piece.rows.items()]}
     if isinstance(piece, Table):
-        rows = [[_cell(value) for value in row] for row in piece.rows]
+        rows = [
+            [_cell(value) | {"marked": (i, j) in piece.marked} for j, value in enumerate(row)]
+            for i, row in enumerate(piece.rows)
+        ]
         return {"kind": "table", "columns": piece.columns, "rows": rows, "caption": piece.caption}
     svg = drawn(piece.figure, f"figure-{number}-")
     return {"kind": "figure", "svg": Markup(svg), "caption": piece.caption, "id": f"figure-{number}"}
@@ -217,7 +223,13 @@ def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figu
 def _cell(value: object) -> dict[str, object]:
     """Text of a value and whether it is a number; floats are shown to four digits."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return {"text": f"{value:.4g}" if isinstance(value, float) else str(value), "is_number": is_number}
+    text = ("-" if math.isnan(value) else f"{value:.4g}") if isinstance(value, float) else str(value)
+    return {"text": text, "is_number": is_number, "marked": False}
+
+
+def _prose(text: str) -> Markup:
+    """A sentence with what stands between backticks set as code."""
+    return Markup(_CODE.sub(r"<code>\1</code>", str(escape(text))))
 
 
 def _resource(name: str) -> str:
@@ -229,4 +241,5 @@ def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
+    environment.filters["prose"] = _prose
     return environment.from_string(_resource("report.html.j2"))

@@ -9,12 +9,15 @@ import numpy as np
 
 from hystmpc.models.model import Predictor
 from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.types import Vec
 
 from ..limits import CommandLimits
 
 _SETTLING_S = 2.0  # at either end: many times the lag of any catheter drive
 
 _MOST_SAMPLES = 4000  # of one ramp
+
+_REACH_SLACK = 0.02  # of the reach: a reference may begin at the rest of a device that is a little off its model
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,23 @@ class Workspace:
         cause = "the command limits" if bound == end else "the soft angle limits"
         side = "below the least" if below else "above the greatest"
         return Reach(False, low, high, f"{theta_deg:.6g} deg is {side} angle within {cause}, {bound:.6g} deg")
+
+
+def beyond_reach(angles_deg: Vec, reach_deg: tuple[float, float]) -> str:
+    """What of a reference the model cannot be brought to, in words that follow its name; empty where it reaches all.
+
+    Args:
+        angles_deg: of the reference (N,) [deg].
+        reach_deg: see `angles_at_rest` [deg].
+    """
+    low, high = float(np.min(angles_deg)), float(np.max(angles_deg))
+    slack = _REACH_SLACK * (reach_deg[1] - reach_deg[0])
+    if reach_deg[0] - slack <= low and high <= reach_deg[1] + slack:
+        return ""
+    return (
+        f"asks for {low:.4g} to {high:.4g} deg, the model reaches {reach_deg[0]:.4g} to {reach_deg[1]:.4g} deg "
+        "within the limits of the command"
+    )
 
 
 def angles_at_rest(predictor: Predictor, limits: CommandLimits, start_deg: float) -> tuple[float, float]:

@@ -163,7 +163,7 @@ def _expected(own: MeasuredRun, nominal: Simulator, corrected: Simulator) -> Tra
     nominal, corrected = nominal.at_sample_time(own.dt_s), corrected.at_sample_time(own.dt_s)
     settings: LawSettings = own.settings
     motion = CountedMotion(own.name or "reference", own.reference, 0.0)
-    if own.at_bench:
+    if own.led:
         rest = UnexplainedPlant(corrected, 1).true_angle
         motion = approached(motion.name, rest, float(own.reference(0.0)), own.reference)
     try:

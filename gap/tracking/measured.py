@@ -35,7 +35,7 @@ class MeasuredRun:
         t: end of the sample, from the beginning of the reference [s].
         reference_deg, angle_deg: wanted and measured angle; of a simulation the true one [deg].
         noise_deg: standard deviation of the noise in that angle; None where it is not known [deg].
-        at_bench: whether the reference began with a way from where the device was.
+        led: whether the reference began with a way from where the device was.
     """
 
     folder: Path
@@ -47,7 +47,7 @@ class MeasuredRun:
     reference_deg: Vec
     angle_deg: Vec
     noise_deg: float | None
-    at_bench: bool
+    led: bool
 
     @property
     def rmse_deg(self) -> float:
@@ -76,11 +76,11 @@ def measured_runs(folder: Path) -> tuple[MeasuredRun, ...]:
             reference=motions[r.motion],
             settings=study.config.controllers[r.controller],
             dt_s=r.run.dt,
-            t=r.run.log.time_s,
-            reference_deg=r.run.log.reference_deg,
-            angle_deg=r.run.true_deg,
+            t=r.run.log.time_s[r.run.first :] - r.run.first * r.run.dt,
+            reference_deg=r.run.log.reference_deg[r.run.first :],
+            angle_deg=r.run.true_deg[r.run.first :],
             noise_deg=0.0,
-            at_bench=False,
+            led=r.run.first > 0,
         )
         for r in study.results
     )
@@ -115,7 +115,7 @@ def _at_bench(run: RunFolder) -> MeasuredRun:
         reference_deg=wanted[rows],
         angle_deg=angle[rows],
         noise_deg=_noise_deg(settings.controller.model),
-        at_bench=True,
+        led=True,
     )
 
 

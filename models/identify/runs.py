@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hystmpc.trials.check import LEAST_SAMPLES
 from hystmpc.trials.errors import FitError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Index, Vec
@@ -223,9 +224,6 @@ def blocks_of(errors: Sequence[Vec], runs: Sequence[Run]) -> Blocks:
     return Blocks(np.concatenate(energy)[filled], np.concatenate(samples)[filled], np.concatenate(owner)[filled])
 
 
-LEAST_SAMPLES = 50
-
-
 def fingerprint(trials: Sequence[Trial]) -> str:
     """SHA-256 over time, command and angle of all trials, in order."""
     digest = hashlib.sha256()
@@ -264,7 +262,8 @@ def check_trial_set(trials: Sequence[Trial]) -> float:
             raise FitError(f"{trial.source}: {len(trial)} samples, expected at least {LEAST_SAMPLES}")
         if abs(trial.dt - dt) > 1e-3 * dt:
             raise FitError(
-                f"{trial.source}: sampled every {trial.dt:.6g} s, expected {dt:.6g} s as {trials[0].source}; resample"
+                f"{trial.source}: sampled every {trial.dt:.6g} s, expected {dt:.6g} s as {trials[0].source}; "
+                "resample all to one rate (`--rate-hz`)"
             )
         if trial.units != units:
             raise FitError(f"{trial.source}: units {trial.units}, expected {units} as {trials[0].source}")

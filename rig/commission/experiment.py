@@ -20,6 +20,7 @@ from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.law import Law, Proposal
 from hystmpc.ctrl.monitor import ChangeMonitor, MonitorState
 from hystmpc.ctrl.planner.assembly import Assembly, assemble
+from hystmpc.ctrl.planner.reach import beyond_reach
 from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.trajectories.ruckig_ import PiecewiseCubic
@@ -52,15 +53,16 @@ def run_experiment(
     Raises:
         HystmpcError: of any kind, see `tracking_phase` and `run_bench`.
     """
-    phase: list[Phase] = [tracking_phase(settings)]
+    phase: list[Phase] = [tracking_phase(settings, note=note)]
     return run_bench(settings, lambda: phase, sink, plants, folder=folder, note=note)
 
 
-def tracking_phase(settings: RunSettings, beside: bool = True) -> Tracking:
+def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lambda text: None) -> Tracking:
     """The controller of an experiment, compiled and warm, as a phase.
 
     Args:
         beside: whether the hand-over goes on beside the loop, see `Tracking`.
+        note: told where the reference goes beyond the model's reach.
 
     Raises:
         ConfigError: if model and bench differ in rate or unit, or the controller's limits go beyond the bench's.
@@ -83,6 +85,8 @@ def tracking_phase(settings: RunSettings, beside: bool = True) -> Tracking:
     controller, law_of_it = make_timely(assembly.controller)
     tip = TipController(replace(assembly, controller=controller), tip_settings)
     reference = settings.reference.build()
+    if beyond := beyond_reach(reference(np.linspace(0.0, reference.duration_s, 1000)), assembly.workspace.model):
+        note(f"warning: the reference {beyond}")
     motion = tip_settings.motion
 
     def lead_in(angle_deg: float) -> Trajectory:
@@ -103,7 +107,7 @@ def _fits(settings: RunSettings, assembly: Assembly) -> None:
     if abs(dt_s * settings.rate_hz - 1) > 1e-6:
         raise ConfigError(
             f"controller: got a model at {1 / dt_s:g} Hz, expected rate_hz {settings.rate_hz:g}; identify one at that "
-            "rate (`fit --rate`), or run at the model's"
+            "rate (`fit --rate-hz`), or run at the model's"
         )
     if unit != settings.command_unit:
         raise ConfigError(f"controller: got a model with commands in {unit}, expected {settings.command_unit}")

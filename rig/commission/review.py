@@ -62,6 +62,7 @@ class Review:
         offset_deg, gain: of the line that leads from the free run to the measured angle.
         corrected_deg: what is left of `free_run_deg` behind that line: the shape that the model does not have.
         change: whether the device has changed since identification, in a sentence; empty where too little was seen.
+        greatest_deg: greatest distance of the measured from the wanted angle [deg]; NaN without a reference.
     """
 
     advice: str
@@ -72,11 +73,16 @@ class Review:
     gain: float
     corrected_deg: float
     change: str = field(default="", kw_only=True)
+    greatest_deg: float = field(default=math.nan, kw_only=True)
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """Advice and change, as far as they are said."""
-        return tuple(line for line in (self.advice, self.change) if line)
+        """Tracking error, advice and change, as far as they are known."""
+        known = math.isfinite(self.tracking_deg)
+        tracking = (
+            f"tracking error {self.tracking_deg:.2f} deg RMS, {self.greatest_deg:.2f} deg at most" if known else ""
+        )
+        return tuple(line for line in (tracking, self.advice, self.change) if line)
 
 
 def compare_with_model(run: RunFolder, settings: RunSettings) -> ReviewedRun:
@@ -129,15 +135,18 @@ def review(found: ReviewedRun, due_above_deg: float) -> Review:
     moved = float(np.ptp(r)) > due_above_deg
     gain, offset = (float(c) for c in np.polyfit(r, y, 1)) if moved else (1.0, float(np.mean(y - r)))
     free, corrected = _rms(y - r), _rms(y - offset - gain * r)
+    error = (found.measured_deg - found.reference_deg)[found.counted]
+    error = error[np.isfinite(error)]
     return Review(
         advice=_advice(free, corrected, offset, gain, due_above_deg),
-        tracking_deg=_rms((found.measured_deg - found.reference_deg)[found.counted]),
+        tracking_deg=_rms(error),
         one_step_deg=_rms((found.measured_deg - found.predicted_deg)[found.counted]),
         free_run_deg=free,
         offset_deg=offset,
         gain=gain,
         corrected_deg=corrected,
         change=_change(found, r, y),
+        greatest_deg=float(np.max(np.abs(error))) if error.size else math.nan,
     )
 
 

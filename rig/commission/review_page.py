@@ -64,14 +64,16 @@ def write_page(
         LogError: if the log cannot be read.
     """
     timing = _timing(run.path / "timing.json")
-    pieces: list[Piece] = [Paragraph(line[0].upper() + line[1:] + ".") for line in verdict.lines]
     outcome = timing.get("outcome", {})
+    pieces: list[Piece] = []
     if not timing:
         pieces.append(
             Paragraph("The program was killed before it could say how the run ended: there is no timing.json.")
         )
     elif outcome.get("cause"):
-        pieces.append(Paragraph(f"Stopped: {outcome['cause']}. The stop is latched until a reset."))
+        pieces.append(Heading(f"Stopped: {outcome['cause']}"))
+        pieces.append(Paragraph("The stop is latched. Look at the device, then run again with `--reset`."))
+    pieces += [Paragraph(line[0].upper() + line[1:] + ".") for line in verdict.lines]
     log = run.log()
     pieces += [*more, Heading("Run"), KeyValues(_figures(settings, verdict, log, timing))]
     if found is not None:
@@ -101,6 +103,15 @@ def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[s
     wire, outcome = timing.get("wire", {}), timing.get("outcome", {})
     angles = numbers(log, "angle_deg")
     sent = outcome.get("samples", 0) - timing.get("skipped", 0)
+    judged = {
+        "RMS tracking error [deg]": verdict.tracking_deg,
+        "greatest tracking error [deg]": verdict.greatest_deg,
+        "RMS prediction error, one sample ahead [deg]": verdict.one_step_deg,
+        "RMS prediction error, free run [deg]": verdict.free_run_deg,
+        "... behind the best line [deg]": verdict.corrected_deg,
+        "gain of that line": verdict.gain,
+        "offset of that line [deg]": verdict.offset_deg,
+    }
     return {
         "device": settings.name,
         "transport": settings.transport.kind,
@@ -109,11 +120,7 @@ def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[s
         "samples": angles.size,
         "samples without an angle": int(np.count_nonzero(~np.isfinite(angles))),
         "samples not in the log": sent - angles.size if timing else "unknown",
-        "RMS tracking error [deg]": verdict.tracking_deg,
-        "RMS prediction error, one sample ahead [deg]": verdict.one_step_deg,
-        "RMS prediction error, free run [deg]": verdict.free_run_deg,
-        "... behind the best line [deg]": verdict.corrected_deg,
-        "gain and offset of that line": f"{verdict.gain:.4f}, {verdict.offset_deg:+.3f} deg",
+        **{name: value for name, value in judged.items() if math.isfinite(value)},
         "deadlines missed, samples skipped": f"{timing.get('missed', '?')}, {timing.get('skipped', '?')}",
         "commands limited at the last line": outcome.get("clipped", "unknown"),
         "measurements lost on the way": wire.get("lost", "unknown"),

@@ -187,9 +187,15 @@ class _Handler(BaseHTTPRequestHandler):
         self._begin("text/event-stream", None)
         number = 0
         while not self._page.latest.ended:
-            newest, text = self._page.latest.after(number)
-            self.wfile.write(b"data: " + text + b"\n\n" if newest > number else b": waiting\n\n")
-            number = newest
+            number = self._send(number)
+        self._send(number)
+        self.wfile.write(b"event: end\ndata: \n\n")  # else a browser would take the end for a broken connection
+
+    def _send(self, number: int) -> int:
+        """A message newer than `number`, or a comment; returns its number."""
+        newest, text = self._page.latest.after(number)
+        self.wfile.write(b"data: " + text + b"\n\n" if newest > number else b": waiting\n\n")
+        return newest
 
     def _begin(self, kind: str, length: int | None) -> None:
         self.send_response(200)

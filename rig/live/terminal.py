@@ -148,14 +148,20 @@ def headline(snapshot: LiveSnapshot, unit: str) -> Text:
     error = last.reference_deg - last.measured_deg
     text = Text(f"{last.t_s:8.1f} s  ", no_wrap=True)
     text.append(f" {last.source.upper()} ", _STATE_COLOURS.get(last.source, "cyan"))
-    angle = f"{last.measured_deg:7.2f}" if math.isfinite(last.measured_deg) else "     --"
-    text.append(f"  angle {angle} deg", "bold cyan")
-    text.append(f"  reference {last.reference_deg:7.2f}", "yellow")
-    text.append(f"  error {error:+6.2f} (rms {snapshot.rms_deg:.2f})" if math.isfinite(error) else "  no angle")
+    text.append(f"  angle {_angle(last.measured_deg)} deg", "bold cyan")
+    text.append(f"  reference {_angle(last.reference_deg)}", "yellow")
+    if math.isfinite(error):
+        text.append(f"  error {error:+6.2f} (rms {snapshot.rms_deg:.2f})")
+    elif not math.isfinite(last.measured_deg):
+        text.append("  no angle")
     text.append(f"  command {last.command:.3f} {unit}", "magenta")
     if last.status and last.status != last.source:
         text.append(f"  {' '.join(last.status.split())}", "dim")
     return text
+
+
+def _angle(value: float) -> str:
+    return f"{value:7.2f}" if math.isfinite(value) else "     --"
 
 
 def _plot(snapshot: LiveSnapshot, width: int) -> Table:
@@ -168,7 +174,8 @@ def _plot(snapshot: LiveSnapshot, width: int) -> Table:
     axis = [f"{high:6.1f}°", *[""] * (_PLOT_ROWS - 2), f"{low:6.1f}°"]
     grid = Table.grid(padding=(0, 1))
     grid.add_row(Text("\n".join(axis)), curves(fields))
-    grid.add_row("", Text(f"last {min(float(snapshot.t[-1] - snapshot.t[0]), WINDOW_S):.0f} s", style="dim"))
+    legend = Text(f"last {min(float(snapshot.t[-1] - snapshot.t[0]), WINDOW_S):.0f} s  ", style="dim")
+    grid.add_row("", legend.append("━ reference  ", "not dim yellow").append("━ measured angle", "not dim bold cyan"))
     return grid
 
 

@@ -93,7 +93,10 @@ def run_settings(config: SimulationConfig) -> tuple[TrackingMetrics, int]:
     study = prepare(config, shared_knowledge(config))
     ((motion, trajectory),) = study.motions.items()
     ((name, settings),) = study.config.controllers.items()
-    run = run_closed_loop(study.controller(settings), study.plant, trajectory, sensor=study.config.sensor)
+    approach_s = study.approach_s[motion]
+    run = run_closed_loop(
+        study.controller(settings), study.plant, trajectory, sensor=study.config.sensor, approach_s=approach_s
+    )
     if run.log.interrupted:
         raise KeyboardInterrupt  # the loop ends quietly
     return result_of(study.config, motion, name, run).metrics, len(run.true_deg)

@@ -73,7 +73,10 @@ def plant_score(config: SimulationConfig) -> PlantScore:
     ((name, controller),) = study.config.controllers.items()
     squares, travel, need, beyond = [], 0.0, 0.0, 0
     for motion, trajectory in study.motions.items():
-        run = run_closed_loop(study.controller(controller), study.plant, trajectory, sensor=study.config.sensor)
+        approach_s = study.approach_s[motion]
+        run = run_closed_loop(
+            study.controller(controller), study.plant, trajectory, sensor=study.config.sensor, approach_s=approach_s
+        )
         if run.log.interrupted:
             raise KeyboardInterrupt  # the loop ends quietly
         metrics = result_of(study.config, motion, name, run).metrics

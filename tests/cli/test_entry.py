@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 import time
+from importlib.metadata import version
 
 import pytest
 
@@ -67,6 +69,32 @@ def test_every_verb_explains_itself() -> None:
     done = subprocess.run([sys.executable, "-c", EXPLAINED], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert [verb for verb in VERBS if f"Usage: hystmpc {verb} " not in done.stdout] == []
+
+
+def program(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    code = "import sys; from hystmpc.cli.entry import main; sys.argv[0] = 'hystmpc'; main()"
+    settings = {**os.environ, **environment}
+    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, env=settings)
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert program("--version").stdout == f"hystmpc {version('hystmpc')}\n"
+
+
+@pytest.mark.parametrize("verb", [(), ("effects",)])
+def test_h_is_help(verb: tuple[str, ...]) -> None:
+    short, long = program(*verb, "-h"), program(*verb, "--help")
+    assert (short.returncode, short.stdout) == (0, long.stdout)
+    assert "-h, --help" in short.stdout
+
+
+@pytest.mark.parametrize(
+    ("typed", "word", "offered"),
+    [("hystmpc si", "1", {"simulate"}), ("hystmpc export --f", "2", {"--force"}), ("hystmpc --ve", "1", {"--version"})],
+)
+def test_a_shell_completes_verbs_and_options(typed: str, word: str, offered: set[str]) -> None:
+    shell = {"_HYSTMPC_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": word}
+    assert set(program(**shell).stdout.split()) == offered
 
 
 def test_every_verb_has_a_file_of_its_name() -> None:

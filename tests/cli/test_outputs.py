@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
+import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pytest
@@ -19,6 +23,7 @@ from hystmpc.models.simulator import export_simulator, save_simulator
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import require_writable
+from hystmpc.trials.report import Report
 from hystmpc.trials.run_folder import require_resumable, require_vacant
 from hystmpc.trials.trial import Trial
 
@@ -42,6 +47,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "notes.json").write_text('{"mine": true}')
     (folder / "mapping.yaml").write_text("time: time_s\ncommand: command\nangle: angle_deg\n")
     (folder / "empty.onnx").touch()
+    (folder / "mine.html").write_text("<html>my notes</html>")
+    Report("page", ()).save(folder / "page.html")
     for name in ("trial.csv.onnx", "trial.csv.json", "trial.csv.yaml"):  # a recording under another ending
         shutil.copy(folder / "trial.csv", folder / name)
     return folder
@@ -78,6 +85,8 @@ EVALUATE = ["evaluate", "sim.yaml", "trial.csv", "--json"]
         ([*EVALUATE, "evaluation.json"], "evaluation.json: exists"),
         ([*FIT, "sim.yaml"], "sim.yaml: exists"),
         (["bench", "--quick", "--json", "notes.json"], "notes.json: exists"),
+        ([*FIT, "new.yaml", "--report", "page.html"], "page.html: exists, expected a new file; --force replaces it"),
+        (["evaluate", "sim.yaml", "trial.csv", "--report", "mine.html", "--force"], "is not a report of hystmpc"),
         # --force replaces files of the same kind only
         ([*EXPORT, "trial.csv.onnx", "--force"], "is not an ONNX model of hystmpc"),
         ([*EXPORT, "empty.onnx", "--force"], "is not an ONNX model of hystmpc"),
@@ -121,7 +130,11 @@ def test_nothing_of_the_users_is_overwritten(
 
 @pytest.mark.parametrize(
     ("arguments", "file"),
-    [([*EXPORT, "model.onnx"], "model.onnx"), ([*EVALUATE, "evaluation.json"], "evaluation.json")],
+    [
+        ([*EXPORT, "model.onnx"], "model.onnx"),
+        ([*EVALUATE, "evaluation.json"], "evaluation.json"),
+        (["evaluate", "sim.yaml", "trial.csv", "--report", "page.html"], "page.html"),
+    ],
 )
 def test_force_replaces_a_file_of_the_same_kind(
     arguments: list[str], file: str, desk: Path, capsys: pytest.CaptureFixture[str]
@@ -167,19 +180,54 @@ def test_what_is_no_place_for_a_file_is_refused_before_any_work(
     assert err.startswith("error: --json")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="a place that says it can be written and cannot")
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [*FIT, "/proc/x.yaml"],
+        [*FIT, "new.yaml", "--report", "/proc/x.html"],
+        [*EXPORT, "/proc/x.onnx"],
+        [*EVALUATE, "/proc/x.json"],
+        ["diagnose", "trial.csv", "--sim", "sim.yaml", "--out", "/proc/x"],
+        ["data", "make", "s1", "--out", "/proc/x"],
+        ["study", "s1", "--quick", "--out", "/proc/x"],
+        ["commission", "--logs", "trial.csv", "--out", "/proc/x"],
+        ["bench", "--quick", "--json", "/proc/x.json"],
+        ["gap", "blind", "make", "--seed", "1", "--out", "/proc/x"],
+        ["demo", "--out", "/proc/x"],
+        ["effects", "--out", "/proc/x"],
+        ["faults", "--transport", "udp", "--out", "/proc/x"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_a_place_that_cannot_be_written_is_found_before_any_work(
+    arguments: list[str], desk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run(capsys, *arguments)
+    assert (code, out) == (2, "")
+    assert [line[:7] for line in err.splitlines()] == ["error: "]
+    assert "cannot be written" in err
+
+
 @POSIX
 def test_a_folder_without_permission_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     locked = tmp_path / "locked"
     locked.mkdir(mode=0o500)
-    real = os.access
-    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != locked and real(path, mode))  # as for non-root
+    real = tempfile.TemporaryFile
+
+    def refused(dir: Path) -> IO[bytes]:  # as for others than root
+        if dir == locked:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return real(dir=dir)
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refused)
     for path in (locked, locked / "a.json", locked / "a" / "b" / "c.json"):
-        with pytest.raises(ConfigError, match=r"no permission in .*locked"):
+        with pytest.raises(ConfigError, match=r"Permission denied in .*locked"):
             require_writable(path)
-    with pytest.raises(ConfigError, match=r"--json .*no permission"):
+    with pytest.raises(ConfigError, match=r"--json .*Permission denied"):
         check_output("--json", locked / "a.json", (EVALUATION,))
     for check in (require_vacant, require_resumable):
-        with pytest.raises(ConfigError, match="no permission"):
+        with pytest.raises(ConfigError, match="Permission denied"):
             check(locked)
 
 

@@ -117,6 +117,28 @@ def test_the_clock_that_check_proposes_is_one_that_check_fit_and_evaluate_take(
     assert one == pytest.approx(other, rel=1e-6)
 
 
+def test_a_fit_is_scored_on_trials_that_it_did_not_see_and_drawn(
+    logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sim, page = tmp_path / "sim.yaml", tmp_path / "fit.html"
+    fit = ["fit", "backlash", logs[0], "--out", sim, "--command-limits", 0, 3]
+    code, out, err = run(capsys, *fit, "--test", logs[1], "--report", page)
+    assert code == 0
+    assert "on 1 trial that it was identified from" in out
+    assert "warning: the logs' commands go from 0" in err
+    unseen = next(line for line in out.splitlines() if line.endswith("on 1 trial that the fit did not see."))
+    code, out, _ = run(capsys, "evaluate", sim, logs[1], "--report", tmp_path / "evaluation.html")
+    assert code == 0
+    assert unseen.removesuffix(" that the fit did not see.") + "." in out
+    for made in (page, tmp_path / "evaluation.html"):
+        html = made.read_text()
+        assert "<svg" in html
+        assert 'src="' not in html
+        assert logs[1].name in html
+    assert logs[0].name in page.read_text()
+    assert "limits" not in run(capsys, *fit[:4], tmp_path / "b.yaml", "--command-limits", 0, 6)[2]
+
+
 NO_LOG = "missing.csv"
 
 
@@ -131,6 +153,7 @@ NO_LOG = "missing.csv"
         (["fit", "backlash", "{log}", "--preset", "tendon", "--out", "sim.yaml"], "tendon-catheter"),
         (["fit", "backlash", "{log}", "--rate-hz", "5000", "--out", "sim.yaml"], "rate_hz 5000"),
         (["fit", "backlash", "{log}", "--command-limits", "6", "0", "--out", "sim.yaml"], "--command-limits"),
+        (["fit", "backlash", "{log}", "--test", "{log}", "--out", "sim.yaml"], "is one of the logs of the fit"),
         (["evaluate", "model.pkl", "{log}"], "expected a model file"),
         (["evaluate", "absent.onnx", "{log}"], "absent.onnx"),
         (["export", "{log}", "--out", "model.onnx"], "expected"),

@@ -137,6 +137,19 @@ def test_the_terminal_may_be_narrow_or_wide(width: int) -> None:
     assert max(map(len, view(width).splitlines())) <= width
 
 
+def test_an_angle_without_a_reference_is_no_fault() -> None:
+    shown = state(3, reference_deg=math.nan).snapshot()
+    assert shown is not None
+    text = headline(shown, "mm").plain
+    assert "reference      --" in text
+    assert "no angle" not in text
+    assert "nan" not in text
+
+
+def test_the_terminal_names_its_curves() -> None:
+    assert "━ reference  ━ measured angle" in view()
+
+
 def test_without_a_terminal_it_says_so_in_plain_lines() -> None:
     out = io.StringIO()
     terminal = TerminalView("bar", RATE, console=Console(file=out, width=200))
@@ -169,6 +182,13 @@ def first_event(page: LivePage) -> dict:
         if line.startswith(b"data: "):
             return json.loads(line[6:])
     raise AssertionError("no event")
+
+
+def test_a_browser_is_told_that_the_run_has_ended(page: LivePage) -> None:
+    answer = ask(page, "GET", "/events")
+    answer.readline()
+    page.close()
+    assert answer.read().decode().endswith("event: end\ndata: \n\n")
 
 
 def test_the_page_gets_figures_and_curves(page: LivePage) -> None:

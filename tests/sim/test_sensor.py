@@ -111,5 +111,6 @@ def test_gains_are_tuned_under_that_very_sensor() -> None:
     settings, motion = prepared.config.controllers["pid"], prepared.motions["move"]
     assert isinstance(settings, PidControllerSettings)
     plant = prepared.plant.reseeded(6)
-    error = run_closed_loop(prepared.controller(settings), plant, motion, sensor=prepared.config.sensor).error_deg
+    law, approach_s = prepared.controller(settings), prepared.approach_s["move"]
+    error = run_closed_loop(law, plant, motion, sensor=prepared.config.sensor, approach_s=approach_s).counted_deg
     assert tuned_gains(prepared, settings).start_rmse_deg == pytest.approx(float(np.sqrt(np.mean(error**2))))

@@ -98,6 +98,11 @@ def signals() -> dict[str, tuple[Trial, str, Severity, str]]:
         "kPa": (clean(command=u * 50, units=Units("bar")), "units of command", WARNING, "looks like kPa"),
         "offset": (clean(command=u + 500), "units of command", WARNING, "offset or another unit"),
         "radians": (clean(angle=np.radians(y)), "units of angle", WARNING, "looks like radians"),
+        "a still tip": (clean(angle=30.05 + 0.001 * y), "units of angle", OK, "30.08 to 30.14 deg"),
+        "no motion": (clean(angle=0 * y + 30), "excitation", ERROR, "the angle is 30 deg throughout"),
+        "microseconds": (clean(t=1e6 * t), "time base", ERROR, "is it in microseconds? A mapping file with"),
+        "epoch": (clean(t=1.7e12 + 1000 * t), "time base", ERROR, "from 1700000000000 to 1700000011980"),
+        "too short": (clean().select(0, 49), "length", ERROR, "49 usable samples, expected at least 50"),
         "sign": (clean(angle=90 - 10 * u), "sign", WARNING, "the angle falls as the command rises"),
         "unrelated": (clean(angle=40 + noise), "sign", WARNING, "hardly follows"),
         "constant": (clean(command=0 * u + 2), "excitation", ERROR, "the command is 2 mm throughout"),
@@ -133,7 +138,7 @@ def test_a_log_without_any_usable_sample_is_reported(tmp_path: Path) -> None:
     path.write_text("time_s,command,angle_deg\n" + "nan,nan,nan\n" * 5)
     report = check(path)
     assert report.worst is ERROR
-    assert report.findings[-1].message == "0 usable samples, expected at least 2"
+    assert report.findings[-1].message == "0 usable samples, expected at least 50"
 
 
 def test_what_is_no_table_is_refused(tmp_path: Path) -> None:

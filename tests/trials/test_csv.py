@@ -21,7 +21,7 @@ ELEVEN = "Time, Tendon1 Disp., Tendon2 Disp., Motor1 Curr., Motor2 Curr., " + NI
 GOOD = "time_s,command,angle_deg\n0,0,30\n0.1,1,31\n0.2,2,33\n"
 
 HEADERLESS = Preset(
-    name="bench", summary="no header", time="t", command={"p": "bar"}, angle="theta", delimiter=";",
+    name="bench", summary="no header", time="t", command={"p": "bar"}, angle="theta",
     columns=("t", "theta", "p", "temperature"),
 )  # fmt: skip
 LAYOUTS = [(preset, command) for preset in PRESETS for command in preset.command] + [(HEADERLESS, "p")]
@@ -34,7 +34,7 @@ def test_every_layout_reads_its_own_columns(preset: Preset, command: str, tmp_pa
     rows = [header] if preset.has_header else []
     rows += [tuple(map(str, row)) for row in block.tolist()]
     path = tmp_path / "log.csv"
-    path.write_text("\n".join(preset.delimiter.join(row) for row in rows))
+    path.write_text("\n".join(";".join(row) for row in rows))
 
     trial = read_csv(path, preset)
 
@@ -79,8 +79,14 @@ def test_unknown_preset_names_the_nearest(tmp_path: Path) -> None:
         lambda text: text.replace(",", " , "),
         lambda text: text.replace("30", '"30"'),
         lambda text: text.replace("\n", ",\n"),
+        lambda text: text.replace(",", ";"),
+        lambda text: text.replace(",", ";").replace("0.1", "0,1").replace("0.2", "2,0e-1"),
+        lambda text: text.replace(",", "\t"),
+        lambda text: text.replace(",", "  "),
+        lambda text: text.replace("time_s,command,angle_deg", "Time_s,COMMAND,Angle_Deg"),
     ],
-    ids=["bom", "crlf", "no last newline", "blank lines", "spaces", "quotes", "trailing commas"],
+    ids=["bom", "crlf", "no last newline", "blank lines", "spaces", "quotes", "trailing commas"]
+    + ["semicolons", "decimal commas", "tabs", "columns of spaces", "capitals"],
 )
 def test_harmless_differences_of_the_text_do_not_matter(change, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
@@ -107,7 +113,8 @@ BAD = {
     "time repeats": (GOOD.replace("0.2,", "0.1,").encode(), ["row 4", "'time_s'", "0.1 s after 0.1 s"]),
     "column twice": (b"time_s,command,command,angle_deg\n0,1,1,2\n", ["row 1", "'command' occurs twice"]),
     "two commands": (b"time_s,command_mm,command_bar,angle_deg\n0,1,1,2\n", ["command_mm, command_bar"]),
-    "semicolons": (GOOD.replace(",", ";").encode(), ["separated by semicolons"]),
+    "other names": (b"t,u,theta\n0,0,30\n", ["available: t, u, theta", "mapping file", "`angle: COLUMN`"]),
+    "decimal commas": (b"time_s;command;angle_deg\n0,0;1,1;2,2,2\n", ["row 2", "'2,2,2'"]),
     "no header": (b"0,0,30\n0.1,1,31\n", ["row 1", "first row holds numbers"]),
     "open quote": (b'time_s,command,angle_deg\n0,0,30\n1,"' + b"1,2\n" * 50_000, ["row", "limit"]),
 }

@@ -197,3 +197,12 @@ def test_a_folded_section_is_closed_without_a_script_and_mixes_up_no_figure() ->
     assert len(page.values("id")) == len(set(page.values("id")))
     assert page.tags.count("li") == 2
     assert {"c < d", "two < three.", "deep"} <= {text.strip() for text in page.text}
+
+
+def test_what_stands_between_backticks_is_set_as_code_and_nothing_is_shown_as_nan() -> None:
+    pieces = (Paragraph("run `fit <auto>` again"), Table(("a", "b"), [(float("nan"), 1.5)]))
+    html = Report("page", pieces).html()
+    assert "run <code>fit &lt;auto&gt;</code> again" in html
+    cells = Page(html).text
+    assert "-" in cells
+    assert "nan" not in "".join(cells)
