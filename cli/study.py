@@ -77,9 +77,7 @@ def study(
     ] = None,
     kind: Annotated[str | None, typer.Option(help="Of `identify`: kind of model, see `fit`; else auto.")] = None,
     drive: Annotated[str | None, typer.Option(help="Of `identify`: auto for an identified drive before it.")] = None,
-    data: Annotated[
-        Path | None, typer.Option(help="Of `public`: file or folder that is identified from. Of `kinds`: devices.")
-    ] = None,
+    data: Annotated[Path | None, typer.Option(help="Of `public`: file or folder to fit. Of `kinds`: devices.")] = None,
     test: Annotated[list[Path] | None, typer.Option(help="Of `public`: further test file, repeatable.")] = None,
 ) -> None:
     """Do all jobs of a study and write its report.

@@ -57,12 +57,16 @@ class Preset:
         return not self.columns
 
     def spelled(self, header: Sequence[str]) -> tuple[str, ...]:
-        """The header with the names of this layout as it writes them, where only capitals differ."""
-        names = {name.casefold(): name for name in (self.time, self.angle, *self.command, *self.other_angles)}
+        """The header with the names of this layout as it writes them, where only capitals differ.
+
+        A name that the layout knows as it stands is kept: capitals tell nm from Nm.
+        """
+        known = (self.time, self.angle, *self.command, *self.other_angles)
+        names = {name.casefold(): name for name in known}
         found = list(header)
         for k, name in enumerate(header):
             own = names.get(name.casefold(), name)
-            found[k] = name if own in found else own
+            found[k] = name if name in known or own in found else own
         return tuple(found)
 
     def missing(self, header: Sequence[str]) -> list[str]:
