@@ -17,7 +17,7 @@ from hystmpc.sim import SimulatedPlant
 from hystmpc.trials import write_csv
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 LONG = ("devices.md-0", "reconstruction.md-0")  # minutes; their imports are checked all the same
 
