@@ -18,7 +18,6 @@ release = version = installed("hystmpc")
 extensions = [
     "extension",
     "myst_parser",
-    "matplotlib.sphinxext.plot_directive",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_design",
@@ -42,11 +41,6 @@ napoleon_use_ivar = True
 
 myst_heading_anchors = 4
 myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist"]
-
-plot_formats = [("svg", 96)]
-plot_html_show_formats = False
-plot_html_show_source_link = False
-plot_working_directory = str(HERE.parent)
 
 html_theme = "furo"
 html_title = f"hystmpc {version}"
@@ -75,3 +69,4 @@ if any(GALLERY.glob("plot_*.py")):
 
 for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
+os.environ["MPLBACKEND"] = "Agg"

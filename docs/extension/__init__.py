@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from . import api, commands, configuration, effects, files
+from . import api, commands, configuration, effects, execution, files
 
 SOURCES: Mapping[str, Callable[[], str]] = MappingProxyType(
     {
@@ -26,6 +27,7 @@ SOURCES: Mapping[str, Callable[[], str]] = MappingProxyType(
         "examples": files.text,
     }
 )
+EXECUTED = ("tutorials", "explanation")  # folders whose pages run
 BLOCK = re.compile(r"^```\{generated\} (\w+)\n```$", re.MULTILINE)
 
 
@@ -38,8 +40,10 @@ def expanded(text: str) -> str:
     return BLOCK.sub(lambda block: SOURCES[block[1]](), text)
 
 
-def _expand(_app: Any, _name: str, source: list[str]) -> None:
+def _expand(app: Any, name: str, source: list[str]) -> None:
     source[0] = expanded(source[0])
+    if name.partition("/")[0] in EXECUTED:
+        source[0] = execution.executed(source[0], Path(app.srcdir) / name)
 
 
 def setup(app: Any) -> dict[str, Any]:
