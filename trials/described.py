@@ -59,7 +59,7 @@ class Key:
 
     Attributes:
         name: as it stands in the file.
-        type: what the value may be, in words.
+        accepts: what the value may be, in words.
         default: as YAML writes it; None where the key has to be given.
         unit: of the value; empty for none.
         bounds: of the value, in words; empty for none.
@@ -68,7 +68,7 @@ class Key:
     """
 
     name: str
-    type: str
+    accepts: str
     default: str | None
     unit: str
     bounds: str

@@ -25,6 +25,8 @@ SOURCES: Mapping[str, Callable[[], str]] = MappingProxyType(
         "configuration": configuration.text,
         "effects": effects.text,
         "examples": files.text,
+        "gallery": files.gallery,
+        "metadata": configuration.metadata,
     }
 )
 EXECUTED = ("tutorials", "explanation")  # folders whose pages run

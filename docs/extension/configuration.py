@@ -7,6 +7,7 @@ from functools import cache
 from typing import Literal, get_args, get_origin
 
 from hystmpc.cli.schema import FILES, settings_of
+from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.trials.config import Settings
 from hystmpc.trials.described import Key, keys_of, reachable, summary_of
 
@@ -34,6 +35,12 @@ def text() -> str:
             stands = f"Stands in: {', '.join(dict.fromkeys(places[block]))}."
             parts += [anchor(_name(block)), f"### {_title(block, places)}", _summary(block), stands, _keys(block)]
     return "\n\n".join(parts)
+
+
+def metadata() -> str:
+    """The entries of a model file, `hystmpc.NAME`, whose values are JSON."""
+    rows = [(f"`hystmpc.{key.name}`", _value(key), key.meaning) for key in keys_of(ModelMetadata)]
+    return table(("entry", "value", "meaning"), rows)
 
 
 def _members(annotation: object) -> tuple[Block, ...]:
@@ -113,11 +120,11 @@ def _keys(block: Block) -> str:
 
 
 def _row(key: Key) -> tuple[str, ...]:
-    value = ", ".join(part for part in (key.type, key.unit and f"[{key.unit}]", key.bounds) if part)
     more = f" {_links(key.blocks)}" if key.blocks else ""
-    return (
-        f"`{key.name}`",
-        value + more,
-        "required" if key.default is None else f"`{key.default}`",
-        sentence(key.meaning),
-    )
+    left_out = "required" if key.default is None else f"`{key.default}`"
+    return f"`{key.name}`", _value(key) + more, left_out, key.meaning
+
+
+def _value(key: Key) -> str:
+    kind = f"{key.accepts} [{key.unit}]" if key.unit else key.accepts
+    return f"{kind}, {key.bounds}" if key.bounds else kind

@@ -77,15 +77,15 @@ def test_meanings_are_those_of_the_nearest_class() -> None:
 
 
 def test_keys_in_words(keys: dict[str, Any]) -> None:
-    assert (keys["parts"].type, keys["parts"].default, keys["parts"].bounds) == (
+    assert (keys["parts"].accepts, keys["parts"].default, keys["parts"].bounds) == (
         "list of block",
         None,
         "at least 1 long",
     )
-    assert (keys["by_name"].type, keys["by_name"].bounds) == ("mapping of name to block", "")
-    assert (keys["either"].type, keys["either"].default) == ("block or null", "null")
-    assert (keys["file"].type, keys["on"].type, keys["on"].default) == ("file or null", "true or false", "true")
-    assert (keys["range_s"].type, keys["range_s"].default) == ("list of number, number", "[1, 2.5]")
+    assert (keys["by_name"].accepts, keys["by_name"].bounds) == ("mapping of name to block", "")
+    assert (keys["either"].accepts, keys["either"].default) == ("block or null", "null")
+    assert (keys["file"].accepts, keys["on"].accepts, keys["on"].default) == ("file or null", "true or false", "true")
+    assert (keys["range_s"].accepts, keys["range_s"].default) == ("list of number, number", "[1, 2.5]")
     assert (keys["range_s"].unit, keys["range_s"].bounds) == ("s", "at least 0")
     assert keys["offset_deg"].unit == "deg"
     assert keys["parts"].blocks == keys["by_name"].blocks == keys["either"].blocks == (Inner,)
@@ -93,7 +93,7 @@ def test_keys_in_words(keys: dict[str, Any]) -> None:
 
 def test_the_key_that_tells_kinds_apart_stands_first() -> None:
     first, width = keys_of(Inner)
-    assert (first.name, first.type) == ("kind", "`inner`")
+    assert (first.name, first.accepts) == ("kind", "`inner`")
     assert first.meaning
     assert (width.unit, width.bounds) == ("mm", "above 0")
 
