@@ -63,7 +63,7 @@ bench: $(VENV)/.installed ## time the roll-outs and controllers on this machine
 	$(VENV)/bin/hystmpc bench $(ARGS)
 
 clean: ## remove caches and build products; run folders and venvs stay
-	rm -rf .typecheck .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist site docs/*/drawn docs/gallery ./*.egg-info
+	rm -rf .typecheck .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist site docs/*/drawn docs/gallery docs/sg_execution_times.rst ./*.egg-info
 	find . -path './.venv*' -prune -o -name __pycache__ -prune -exec rm -rf {} +
 
 distclean: clean ## also remove the venvs

@@ -27,7 +27,6 @@ nitpicky = True
 # Types of other packages have no page here, nor have internal modules. Public names, `hystmpc.NAME` and
 # `hystmpc.ROOM.NAME`, have to be found.
 nitpick_ignore_regex = [("py:.*", r"(?!hystmpc\.).*"), ("py:.*", r"hystmpc\.\w+\.\w+\..*")]
-suppress_warnings = ["toc.empty_glob"]  # a checkout without the gallery of examples
 
 # Single back quotes of docstrings: a link where the name is known, else code.
 default_role = "py:obj"

@@ -61,7 +61,7 @@ def contents_of(page: Path) -> Iterator[Path]:
     """Pages that the contents of a page list."""
     for block in _TOCTREE.findall(page.read_text(encoding="utf-8")):
         for line in block.splitlines():
-            if line.strip() and not line.startswith(":") and "?" not in line:
+            if line.strip() and not line.startswith((":", "gallery/")):
                 yield (page.parent / f"{line.strip()}.md").resolve()
 
 
