@@ -68,7 +68,7 @@ def contents_of(page: Path) -> Iterator[Path]:
 def sentences_of(page: Path) -> list[str]:
     """Sentences of the running text of a page: without code, tables, headings and pictures."""
     text = _FENCE.sub("\n\n", page.read_text(encoding="utf-8"))
-    lines = [line for line in text.splitlines() if not re.match(r"\s*(#|\||!\[|\([\w-]+\)=)", line)]
+    lines = [line for line in text.splitlines() if not re.match(r"\s*(#|\||!\[|\([\w-]+\)=)|    +[^-*\s]", line)]
     plain = _SPAN.sub(lambda found: found[1] or "x", "\n".join(lines))
     paragraphs = re.split(r"\n\s*\n|\n\s*(?:[-*]|\d+\.) ", plain)
     pieces = (piece for paragraph in paragraphs for piece in re.split(r"(?<=[.!?:])\s+", " ".join(paragraph.split())))

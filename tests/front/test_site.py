@@ -1,4 +1,4 @@
-"""The site: every page is in its contents, every link leads somewhere, its own pages are easy to read, it builds."""
+"""The site: every page is in its contents, every link leads somewhere, sentences are short, it builds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import pytest
 
 from .site_pages import DOCS, PAGES, ROOT, anchors_of, contents_of, links_of, sentences_of, text_of
 
-READ_FIRST = tuple(page for page in PAGES if page.parent.name in ("tutorials", "explanation") and page.stem != "safety")
+TO_BE_SHORTENED = ("auto", "diagnosis", "gap_blind", "public", "public_friction")  # have longer sentences still
+READ = tuple(page for page in PAGES if page.stem not in TO_BE_SHORTENED and sentences_of(page))
 LONGEST, MEDIAN = 35, 18  # words of a sentence
 
 
@@ -60,8 +61,8 @@ def test_generated_pages_hold_every_public_name_key_verb_and_effect() -> None:
     assert [key for key in keys if f"`{key}`" not in reference["configuration"]] == []
 
 
-@pytest.mark.parametrize("page", READ_FIRST, ids=lambda page: page.stem)
-def test_pages_that_are_read_first_have_short_sentences(page: Path) -> None:
+@pytest.mark.parametrize("page", READ, ids=lambda page: str(page.relative_to(DOCS)))
+def test_sentences_are_short(page: Path) -> None:
     words = {sentence: len(sentence.split()) for sentence in sentences_of(page)}
     assert [sentence for sentence, count in words.items() if count > LONGEST] == []
     assert statistics.median(words.values()) <= MEDIAN
