@@ -50,10 +50,29 @@ def _expand(app: Any, name: str, source: list[str]) -> None:
         source[0] = execution.executed(source[0], Path(app.srcdir) / name)
 
 
+def _outdated(app: Any, env: Any, _added: set[str], _changed: set[str], _removed: set[str]) -> list[str]:
+    """Pages made from the package, and pages that run, that were read before the package last changed."""
+    newest = max(path.stat().st_mtime for path in sources())
+    read = {name: Path(app.doctreedir) / f"{name}.doctree" for name in env.found_docs if _is_made(env, name)}
+    return [name for name, file in read.items() if not file.exists() or file.stat().st_mtime < newest]
+
+
+def _is_made(env: Any, name: str) -> bool:
+    return name.partition("/")[0] in EXECUTED or bool(BLOCK.search(Path(env.doc2path(name)).read_text("utf-8")))
+
+
+def sources() -> list[Path]:
+    """Files of Python that the pages depend on: of the package and of this extension."""
+    here = Path(__file__).resolve().parent
+    rooms = [folder for folder in here.parents[1].iterdir() if (folder / "py.typed").exists()]
+    return [file for folder in (*rooms, here) for file in folder.rglob("*.py")]
+
+
 def setup(app: Any) -> dict[str, Any]:
     """Connect the texts to the pages, and draw the effects' pictures."""
     app.setup_extension("sphinx.ext.autodoc")
     app.connect("source-read", _expand)
+    app.connect("env-get-outdated", _outdated)
     app.connect("builder-inited", effects.draw)
     app.connect("autodoc-process-docstring", api.code, priority=100)
     app.connect("autodoc-process-docstring", api.plain, priority=900)
