@@ -58,6 +58,7 @@ if any(GALLERY.glob("plot_*.py")):
         "examples_dirs": str(GALLERY),
         "gallery_dirs": "gallery",
         "filename_pattern": r"plot_",
+        "within_subsection_order": "FileNameSortKey",
         "run_stale_examples": False,
         "download_all_examples": False,
         "show_memory": False,
