@@ -16,7 +16,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 PYTEST = $(ONE_THREAD) $(VENV)/bin/python -m pytest -n auto --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast lint format types wheel-test bench clean distclean
+.PHONY: help demo test test-fast lint format types docs wheel-test bench clean distclean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -47,6 +47,10 @@ types: $(VENV)/.installed ## mypy (strict) and pyright
 	cd .typecheck && "$(abspath $(VENV))/bin/mypy" --config-file ../pyproject.toml -p hystmpc
 	$(VENV)/bin/pyright --pythonpath $(VENV)/bin/python
 
+docs: $(VENV)/.installed ## the site with API, commands and configuration keys: site/index.html opens without a network
+	$(ONE_THREAD) $(VENV)/bin/python -m sphinx -b html -n -W --keep-going -q $(ARGS) docs site
+	@echo "site/index.html"
+
 # The suite runs on an editable install, where a package or data file that pyproject.toml forgets is found all the same.
 wheel-test: $(VENV)/.installed ## build sdist and wheel, install the wheel alone in an empty venv, test it there
 	@set -e; folder=$$(mktemp -d); trap 'rm -rf "$$folder"' EXIT; \
@@ -62,7 +66,7 @@ bench: $(VENV)/.installed ## time the roll-outs and controllers on this machine
 	$(VENV)/bin/hystmpc bench $(ARGS)
 
 clean: ## remove caches and build products; run folders and venvs stay
-	rm -rf .typecheck .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist ./*.egg-info
+	rm -rf .typecheck .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist site docs/*/drawn docs/gallery docs/sg_execution_times.rst ./*.egg-info
 	find . -path './.venv*' -prune -o -name __pycache__ -prune -exec rm -rf {} +
 
 distclean: clean ## also remove the venvs
@@ -70,7 +74,7 @@ distclean: clean ## also remove the venvs
 
 VENVS := $(VENV) $(DEMO_VENV)
 EXTRAS :=
-$(VENV)/.installed: EXTRAS := [train,tune,env,logs,rig,bench,dev]
+$(VENV)/.installed: EXTRAS := [train,tune,env,logs,rig,bench,docs,dev]
 # Editable, so that nothing is installed again after a change of code.
 $(VENVS:%=%/.installed): %/.installed: %/.python-$(VERSION) pyproject.toml constraints.txt
 	$*/bin/python $(INSTALL) --editable ".$(EXTRAS)"

@@ -4,7 +4,8 @@
 
 Every log is run freely from its command alone, from a virgin device: the logs begin before the first flexure. One
 number a log is its own: how much more or less its tendon was pulled beforehand (`--shared-start` leaves that out).
-Forces cannot be told from command and angle, only their ratios: the rod's stiffness is held, see docs/devices.md.
+Forces cannot be told from command and angle, only their ratios: the rod's stiffness is held, see
+docs/reference/devices.md.
 `--check` shows the parameters that the package ships: only the logs' own pulls are looked for.
 """
 

@@ -80,7 +80,13 @@ class CommandLimits:
 
 
 class LimitsSettings(Settings):
-    """Hard limits of the command [mm or bar] and of its rate [mm/s or bar/s]."""
+    """Hard limits of the command [mm or bar] and of its rate [mm/s or bar/s].
+
+    Attributes:
+        lower: least command [mm or bar].
+        upper: greatest command [mm or bar].
+        rate_per_s: greatest change of the command [mm/s or bar/s].
+    """
 
     lower: float
     upper: float

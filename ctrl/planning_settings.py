@@ -123,6 +123,9 @@ class PredictiveSettings(LawSettings):
         adaptation: learning on top of the model; null for none, which it is without a continuous sensor.
         handover: to feedback where nothing foretells; null for none, which it is without learning.
         horizon: samples of the preview; null for 20, or 0.24 s where that is more, but no more than 60.
+        estimator: how state and disturbance are estimated from the measurements.
+        weights: of the cost that a plan is chosen by.
+        hold: when a command is held.
     """
 
     estimator: EstimatorSettings = EstimatorSettings()
@@ -202,7 +205,11 @@ class LinearisationSettings(PredictiveSettings):
 # A noise is a matrix F (H, K): samples are F w with w standard normal (K,). Rows have unit norm, so that every sample
 # of a plan is perturbed with the same variance.
 class SplineNoiseSettings(Settings):
-    """Cubic spline through `knots` independent normals, evenly spaced over the horizon."""
+    """Cubic spline through `knots` independent normals, evenly spaced over the horizon.
+
+    Attributes:
+        knots: number of independent normals, at most the horizon.
+    """
 
     kind: Literal["spline"] = "spline"
     knots: Annotated[int, Field(ge=2)] = 6
@@ -227,6 +234,9 @@ class ColouredNoiseSettings(Settings):
 
     Amplitudes f^(-exponent / 2) on the frequencies of a window of 2H samples, so that ends are not tied together
     (Pinneri et al., "Sample-efficient cross-entropy method for real-time planning", CoRL 2020).
+
+    Attributes:
+        exponent: of the power spectrum.
     """
 
     kind: Literal["coloured"] = "coloured"

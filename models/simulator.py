@@ -63,6 +63,10 @@ class Identification(Settings):
     Attributes:
         residuals: one for each trial.
         noise: what they consist of, see `ModelMetadata.noise`.
+        method: name of the identification.
+        seed: of its random numbers.
+        skip_first_flexure: whether each trial counted only from the first reversal of the command on.
+        training_data_hash: of the trials.
     """
 
     method: str
@@ -74,7 +78,23 @@ class Identification(Settings):
 
 
 class SimulatorFile(Settings):
-    """Layout of the YAML file, bounds as in `ModelMetadata`; the operator catalogue reads the blocks of `chain`."""
+    """Layout of the YAML file, bounds as in `ModelMetadata`; the operator catalogue reads the blocks of `chain`.
+
+    Attributes:
+        format: name and version of the layout, `hystmpc-simulator/1`.
+        dt_s: sample time of the identification [s]; the operators hold at any.
+        command_unit: mm or bar, or what another device takes.
+        command_limits: what the device may be sent.
+        command_rate_per_s: greatest change of the command per second.
+        trained_command: commands that identification saw.
+        trained_angle_deg: angles that identification saw.
+        trained_rate_per_s: greatest rate of the command that identification saw.
+        angle_unit: deg; an inverse map takes deg and gives mm or bar.
+        inverse: whether it is an inverse map; null where one unit alone is deg and tells.
+        rest_command: at which the device rests before a motion; null for the lower end of its command.
+        chain: the operators: lists `before` and `after`, and one `core`.
+        identification: method, data and residuals.
+    """
 
     format: str
     dt_s: SampleTime

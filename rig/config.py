@@ -111,13 +111,22 @@ class BenchSettings(Settings):
 
 
 class ReviewSettings(Settings):
-    """Block `review`: from which error of the model's free run on something is due; see `review`."""
+    """Block `review`: from which error of the model's free run on something is due; see `review`.
+
+    Attributes:
+        due_above_deg: RMS error of the free run [deg].
+    """
 
     due_above_deg: Positive = 1.0
 
 
 class DrillSettings(Settings):
-    """Block `drill`: an exercise in which the controller's law fails for a time; counted from the tracking's start."""
+    """Block `drill`: an exercise in which the controller's law fails for a time; counted from the tracking's start.
+
+    Attributes:
+        solver_fails_from_s: when it begins [s].
+        solver_fails_for_s: how long it lasts [s].
+    """
 
     solver_fails_from_s: NotNegative
     solver_fails_for_s: Positive
@@ -161,7 +170,12 @@ class RunSettings(BenchSettings):
 
 
 class RecordSettings(BenchSettings):
-    """Recordings for identification: `hystmpc record`. Every excitation becomes one trial."""
+    """Recordings for identification: `hystmpc record`. Every excitation becomes one trial.
+
+    Attributes:
+        excitations: motions by name, each with its `kind`; each becomes one trial.
+        settle_s: rest before each of them [s].
+    """
 
     excitations: Mapping[Name, Excitation] = Field(min_length=1)
     settle_s: NotNegative = 1.0

@@ -33,6 +33,7 @@ class EffectSettings(Settings):
         parameters: by name; those left out have their neutral values, if they have any.
         terms, ways, harmonics, seed: sizes of creep, lag, periodic disturbance and sensor; all but the seed also follow
             from the names of the parameters.
+        effect: its name.
     """
 
     effect: str
@@ -62,6 +63,10 @@ class PlantSettings(Settings):
         mismatch: factors on parameters, of a simulator by label such as `prandtl_ishlinskii.a0`, of a device by name.
         effects: effects of the library beside the shorthands before them.
         virgin: start without the initialisation flexure.
+        lag_s: first-order lag of the command [s].
+        delay_s: delay of the command [s].
+        noise_deg: standard deviation of the sensor's white noise [deg].
+        quantisation_deg: step of the sensor's numbers [deg]; 0 for none.
     """
 
     simulator: str | None = None
@@ -141,6 +146,10 @@ class SimulationConfig(Settings):
             out the gains stand as given.
         tuned: controllers whose gains such a search has found; a run writes them here beside the gains, so that its
             configuration repeats the run without the search.
+        plant: the simulated device.
+        motions: references by name, each with its `kind`.
+        controllers: controllers by name, each with its `kind`.
+        seed: of sensor noise and disturbances.
     """
 
     plant: PlantSettings

@@ -21,7 +21,13 @@ NotNegative = Annotated[float, Field(ge=0)]
 
 
 class LimitsSettings(Settings):
-    """Block `limits`; defaults as MotionLimits."""
+    """Block `limits`; defaults as MotionLimits.
+
+    Attributes:
+        velocity_deg_s: greatest velocity [deg/s].
+        acceleration_deg_s2: greatest acceleration [deg/s^2].
+        jerk_deg_s3: greatest jerk [deg/s^3].
+    """
 
     velocity_deg_s: Positive = MotionLimits.velocity_deg_s
     acceleration_deg_s2: Positive = MotionLimits.acceleration_deg_s2
@@ -54,7 +60,14 @@ class MotionSettings(Settings):
 
 
 class PointToPointSettings(MotionSettings):
-    """`kind: point_to_point`; see PointToPoint."""
+    """`kind: point_to_point`; see PointToPoint.
+
+    Attributes:
+        start_deg: angle at time 0, at rest [deg].
+        targets_deg: angles to reach, in order [deg].
+        holds_s: time to rest at each target [s]; as many as targets, 0 allowed.
+        limits: greatest velocity, acceleration and jerk of every move.
+    """
 
     make = PointToPoint
     kind: Literal["point_to_point"]
@@ -65,7 +78,16 @@ class PointToPointSettings(MotionSettings):
 
 
 class RandomPointToPointSettings(MotionSettings):
-    """`kind: random_point_to_point`; see random_point_to_point."""
+    """`kind: random_point_to_point`; see random_point_to_point.
+
+    Attributes:
+        seed: of the random numbers.
+        start_deg: angle at time 0, at rest [deg].
+        range_deg: lowest and highest target [deg].
+        moves: number of moves.
+        hold_range_s: shortest and longest hold [s].
+        limits: greatest velocity, acceleration and jerk of every move.
+    """
 
     make = staticmethod(random_point_to_point)
     kind: Literal["random_point_to_point"]
@@ -78,7 +100,16 @@ class RandomPointToPointSettings(MotionSettings):
 
 
 class _ScanSettings(MotionSettings):
-    """The keys all scans share."""
+    """The keys all scans share.
+
+    Attributes:
+        start_deg: angle at time 0, at rest [deg].
+        centre_deg: centre of the sweeps [deg].
+        frequency_hz: of every sweep [Hz].
+        cycles: periods of each sweep, a multiple of 0.5.
+        limits: of the lead-in, for triangles of every leg; null for a sinusoid's own rates, or a triangle's sharp
+            corners.
+    """
 
     start_deg: float
     centre_deg: float
@@ -88,7 +119,11 @@ class _ScanSettings(MotionSettings):
 
 
 class SinusoidScanSettings(_ScanSettings):
-    """`kind: scan_sinusoid`; see SinusoidScan."""
+    """`kind: scan_sinusoid`; see SinusoidScan.
+
+    Attributes:
+        amplitude_deg: half the peak-to-peak angle [deg].
+    """
 
     make = SinusoidScan
     kind: Literal["scan_sinusoid"]
@@ -96,7 +131,11 @@ class SinusoidScanSettings(_ScanSettings):
 
 
 class TriangleScanSettings(_ScanSettings):
-    """`kind: scan_triangle`; see TriangleScan."""
+    """`kind: scan_triangle`; see TriangleScan.
+
+    Attributes:
+        amplitude_deg: half the peak-to-peak angle [deg].
+    """
 
     make = TriangleScan
     kind: Literal["scan_triangle"]
@@ -104,7 +143,12 @@ class TriangleScanSettings(_ScanSettings):
 
 
 class RasterSettings(_ScanSettings):
-    """`kind: raster`; see Raster."""
+    """`kind: raster`; see Raster.
+
+    Attributes:
+        amplitudes_deg: half the peak-to-peak angle of each sweep, in order [deg].
+        shape: of every sweep.
+    """
 
     make = Raster
     kind: Literal["raster"]
@@ -113,7 +157,11 @@ class RasterSettings(_ScanSettings):
 
 
 class SampledSettings(MotionSettings):
-    """`kind: sampled`; a CSV file with the columns time_s and angle_deg, see read_sampled."""
+    """`kind: sampled`; a CSV file with the columns time_s and angle_deg, see read_sampled.
+
+    Attributes:
+        file: name of the CSV file; a relative name starts at the folder of the configuration.
+    """
 
     kind: Literal["sampled"]
     file: Path

@@ -227,16 +227,29 @@ class SignalSettings(Settings):
     def _name_alone(cls, data: Any) -> Any:
         return {"signal": data} if isinstance(data, str) else data
 
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: Any, handler: Any) -> dict[str, Any]:
+        """The block, or the name of the signal alone."""
+        return {"anyOf": [{"type": "string", "minLength": 1}, dict(handler.resolve_ref_schema(handler(core)))]}
+
 
 class CommandSettings(SignalSettings):
-    """The command; of `COMMAND_UNIT_OF`, lengths become mm and pressures bar, which benches send."""
+    """The command; of `COMMAND_UNIT_OF`, lengths become mm and pressures bar, which benches send.
+
+    Attributes:
+        unit: unit of the result of scale and offset.
+    """
 
     unit: UnitName = "mm"
     hold: bool = True
 
 
 class AngleSettings(SignalSettings):
-    """The tip angle or another output, such as a displacement or force; rad become deg, all else keeps its unit."""
+    """The tip angle or another output, such as a displacement or force; rad become deg, all else keeps its unit.
+
+    Attributes:
+        unit: unit of the result of scale and offset.
+    """
 
     unit: UnitName = "deg"
 

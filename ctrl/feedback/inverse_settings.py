@@ -21,6 +21,7 @@ class FeedforwardSettings(LawSettings):
     Attributes:
         reference_dead_zone_deg: change of the reference that is not followed [deg].
         preview: samples of the reference that the inverse of a model with lag or delay looks at.
+        estimator: how state and disturbance are estimated from the measurements.
     """
 
     estimator: EstimatorSettings = EstimatorSettings()
@@ -55,7 +56,11 @@ class InverseControllerSettings(FeedforwardSettings):
 
 
 class InversePidControllerSettings(FeedforwardSettings):
-    """Inverse feedforward with PID feedback."""
+    """Inverse feedforward with PID feedback.
+
+    Attributes:
+        gains: of the PID.
+    """
 
     kind: Literal["inverse_pid"] = "inverse_pid"
     gains: PidSettings = PidSettings(kp_per_deg=0.01, ki_per_deg_s=0.2)

@@ -139,6 +139,7 @@ class PidControllerSettings(LawSettings):
 
     Attributes:
         estimator: how the measurements come; between the frames of an intermittent sensor the one taken last counts.
+        gains: of the PID.
     """
 
     falls_back_on_inverse: ClassVar[bool] = False

@@ -17,7 +17,13 @@ from ..mpc_settings import LinearisedMpcSettings
 
 
 class TargetMotionSettings(Settings):
-    """How fast `set_target` and `set_waypoints` let the reference move."""
+    """How fast `set_target` and `set_waypoints` let the reference move.
+
+    Attributes:
+        velocity_deg_s: greatest velocity of the reference [deg/s].
+        acceleration_deg_s2: greatest acceleration of the reference [deg/s^2].
+        jerk_deg_s3: greatest jerk of the reference [deg/s^3].
+    """
 
     velocity_deg_s: Positive = 60.0
     acceleration_deg_s2: Positive = 300.0

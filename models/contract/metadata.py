@@ -30,7 +30,12 @@ LONGEST_WARMUP = 1_000_000  # samples
 
 
 class Range(Settings):
-    """A closed interval, lower < upper, in the unit of what it bounds; both ends within 1e9 of zero."""
+    """A closed interval, lower < upper, in the unit of what it bounds; both ends within 1e9 of zero.
+
+    Attributes:
+        lower: lower end.
+        upper: upper end.
+    """
 
     lower: Amount
     upper: Amount

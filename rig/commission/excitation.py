@@ -47,7 +47,12 @@ class TrajectoryExcitation(Settings):
 
 
 class S1SinusoidSettings(TrajectoryExcitation):
-    """`kind: s1_sinusoid`: a decaying sinusoid of pressure, S1 eq. (5) (`zero`) or (6) (`raised`) [bar]."""
+    """`kind: s1_sinusoid`: a decaying sinusoid of pressure, S1 eq. (5) (`zero`) or (6) (`raised`) [bar].
+
+    Attributes:
+        baseline: `zero`: the decaying sinusoid has its lowest points at 0 bar; `raised`: it decays towards 1.5 bar.
+        frequency_hz: of the sinusoid [Hz].
+    """
 
     unit: ClassVar[str] = "bar"
 
@@ -61,7 +66,12 @@ class S1SinusoidSettings(TrajectoryExcitation):
 
 
 class S2SinusoidSettings(TrajectoryExcitation):
-    """`kind: s2_sinusoid`: seven decaying periods of tendon travel, S2 eq. (9), (10) [mm]."""
+    """`kind: s2_sinusoid`: seven decaying periods of tendon travel, S2 eq. (9), (10) [mm].
+
+    Attributes:
+        frequency_hz: of the sinusoid [Hz].
+        offset: `0BL`: lowest points at the pretension; `MidBL`: about 3 mm; `EndBL`: highest points at 6 mm.
+    """
 
     unit: ClassVar[str] = "mm"
 
@@ -74,7 +84,12 @@ class S2SinusoidSettings(TrajectoryExcitation):
 
 
 class S2PointToPointSettings(TrajectoryExcitation):
-    """`kind: s2_point_to_point`: ten moves and holds drawn from a seed, S2 eq. (11) [mm]."""
+    """`kind: s2_point_to_point`: ten moves and holds drawn from a seed, S2 eq. (11) [mm].
+
+    Attributes:
+        seed: of the random numbers.
+        split: part of the paper's data from whose distribution moves and holds are drawn.
+    """
 
     unit: ClassVar[str] = "mm"
 
@@ -87,7 +102,13 @@ class S2PointToPointSettings(TrajectoryExcitation):
 
 
 class StopsSettings(Settings):
-    """`kind: ramps`: jerk-limited ramps to commands, each with its hold; the first starts at `start`."""
+    """`kind: ramps`: jerk-limited ramps to commands, each with its hold; the first starts at `start`.
+
+    Attributes:
+        start: command at the start [mm or bar].
+        stops: commands to reach, in order [mm or bar].
+        holds_s: rest at each stop [s]; as many as stops.
+    """
 
     unit: ClassVar[str | None] = None  # the numbers are in that of the bench
 
@@ -108,7 +129,11 @@ class StopsSettings(Settings):
 
 
 class MotionFileSettings(Settings):
-    """`kind: file`: columns `time_s` and `command` (or `command_mm`, ...), as `diagnose` writes next_motion.csv."""
+    """`kind: file`: columns `time_s` and `command` (or `command_mm`, ...), as `diagnose` writes next_motion.csv.
+
+    Attributes:
+        file: its name; a relative name starts at the folder of the configuration.
+    """
 
     kind: Literal["file"]
     file: Path

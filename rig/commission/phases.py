@@ -220,7 +220,11 @@ class SafeStop(Phase):
 
 
 class MoveSettings(Settings):
-    """`step: move`: a ramp to a command."""
+    """`step: move`: a ramp to a command.
+
+    Attributes:
+        to: command at the end [mm or bar].
+    """
 
     step: Literal["move"]
     to: float
@@ -231,7 +235,14 @@ class MoveSettings(Settings):
 
 
 class FlexureSettings(Settings):
-    """`step: flexure`: to the upper command and back to the lower one, `cycles` times (S2: once, discarded)."""
+    """`step: flexure`: to the upper command and back to the lower one, `cycles` times (S2: once, discarded).
+
+    Attributes:
+        lower: command at the end [mm or bar].
+        upper: command at the far point [mm or bar].
+        cycles: how often.
+        hold_s: rest at either point [s].
+    """
 
     step: Literal["flexure"]
     lower: float
@@ -247,7 +258,11 @@ class FlexureSettings(Settings):
 
 
 class RelaxationSettings(Settings):
-    """`step: relaxation`: hold the command while creep dies down."""
+    """`step: relaxation`: hold the command while creep dies down.
+
+    Attributes:
+        duration_s: how long [s].
+    """
 
     step: Literal["relaxation"]
     duration_s: Positive

@@ -21,6 +21,12 @@ class RampSettings(Settings):
 
     A stop brakes first, see `stop_commands`: as gently as `acceleration_per_s2` where that keeps within the overshoot
     allowed, else with the deceleration that the overshoot needs, or with `brake_per_s2` where it is given.
+
+    Attributes:
+        velocity_per_s: greatest velocity [mm/s or bar/s].
+        acceleration_per_s2: greatest acceleration [mm/s^2 or bar/s^2].
+        jerk_per_s3: greatest jerk [mm/s^3 or bar/s^3].
+        brake_per_s2: deceleration of a stop [mm/s^2 or bar/s^2]; null for what the overshoot allowed needs.
     """
 
     velocity_per_s: Positive = 2.0

@@ -13,7 +13,13 @@ from .transport import TransportBase
 
 
 class QosSettings(Settings):
-    """Quality of service of both topics, in the words of ROS 2."""
+    """Quality of service of both topics, in the words of ROS 2.
+
+    Attributes:
+        reliability: whether a lost message is sent again.
+        durability: whether a late reader gets the last messages.
+        depth: messages that are kept.
+    """
 
     reliability: Literal["reliable", "best_effort"] = "reliable"
     durability: Literal["volatile", "transient_local"] = "volatile"

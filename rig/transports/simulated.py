@@ -142,7 +142,13 @@ def recorded_plant(run: RunFolder, dt_s: float) -> tuple[RecordedPlant, float]:
 
 
 class SimulatedSettings(TransportBase):
-    """`kind: simulated`: a device computed in this process; `plant` and `sensor` as in a simulation file."""
+    """`kind: simulated`: a device computed in this process; `plant` and `sensor` as in a simulation file.
+
+    Attributes:
+        plant: the device, as `plant` of a simulation file.
+        sensor: what it measures: every sample, frames of an imaging system, or nothing.
+        seed: of the sensor's noise.
+    """
 
     in_process: ClassVar[bool] = True
 
@@ -161,7 +167,11 @@ class SimulatedSettings(TransportBase):
 
 
 class ReplaySettings(TransportBase):
-    """`kind: replay`: the angles of a recorded run, one a sample, whatever is commanded."""
+    """`kind: replay`: the angles of a recorded run, one a sample, whatever is commanded.
+
+    Attributes:
+        run: folder of the recorded run.
+    """
 
     in_process: ClassVar[bool] = True
 

@@ -128,7 +128,14 @@ _TO_RUN = {"mm": ("mm", 1.0), "m": ("mm", 1e3), "bar": ("bar", 1.0), "kPa": ("ba
 
 
 class WireUnits(Settings):
-    """Block `wire`: what the device speaks. The angle in degrees is sign * raw + offset_deg, raw taken to degrees."""
+    """Block `wire`: what the device speaks. The angle in degrees is sign * raw + offset_deg, raw taken to degrees.
+
+    Attributes:
+        angle_unit: unit of the angle on the wire.
+        angle_sign: -1 where the device counts the other way.
+        angle_offset_deg: added to the angle [deg].
+        command_unit: unit of the command on the wire; null for that of the bench.
+    """
 
     angle_unit: AngleUnit = "deg"
     angle_sign: Literal[1, -1] = 1

@@ -315,7 +315,13 @@ class UdpSettings(TransportBase):
 
 
 class UdpListenSettings(Settings):
-    """`kind: udp`: where the device listens; port 0 takes a free one and says which."""
+    """`kind: udp`: where the device listens; port 0 takes a free one and says which.
+
+    Attributes:
+        bind_host: address where it listens.
+        bind_port: port where it listens.
+        allow_network: whether the address may be other than this machine's own.
+    """
 
     kind: Literal["udp"]
     bind_host: str = "127.0.0.1"

@@ -71,7 +71,10 @@ def advance(state: Any, commands: Any, p: Any, dt: float, parts: int, angle: Any
 
 @dataclass(frozen=True)
 class MuscleParameters(Quantities):
-    """Numbers of the muscle-driven catheter; S1 prints none of them, docs/devices.md says how they were set."""
+    """Numbers of the muscle-driven catheter.
+
+    S1 prints none of them; docs/reference/devices.md says how they were set.
+    """
 
     greatest_bar: float = quantity(3.0, "bar", 0.1, 20.0, "greatest pressure (S1)")
     supply_bar: float = quantity(5.0, "bar", 0.2, 30.0, "supply of the valve")

@@ -71,7 +71,7 @@ def s1_motions(settings: S1Settings, seed: int) -> Mapping[str, Mapping[str, Tra
 
 @dataclass(frozen=True)
 class S2Settings(Quantities):
-    """Choices that S2 leaves open, with our defaults; see docs/devices.md.
+    """Choices that S2 leaves open, with our defaults; see docs/reference/devices.md.
 
     Attributes:
         train_hz, val_hz, test_hz: frequencies of the sinusoids [Hz], each with all three baselines.

@@ -25,7 +25,9 @@ _PULL_DT_S = 1e6  # a pull slow against every relaxation
 
 @dataclass(frozen=True)
 class RodParameters(Quantities):
-    """Numbers of the rod device; the defaults were identified, see docs/devices.md. Altered by `dataclasses.replace`.
+    """Numbers of the rod device; the defaults were identified, see docs/reference/devices.md.
+
+    They are altered by `dataclasses.replace`.
 
     Raises:
         ConfigError: if a number is out of its bounds, the branches' shares leave no stiffness at rest, or the weight

@@ -78,7 +78,7 @@ def advance(
 
 @dataclass(frozen=True)
 class TendonParameters(Quantities):
-    """Numbers of the tendon catheter; `friction`, widths and noise were set as docs/devices.md says.
+    """Numbers of the tendon catheter; `friction`, widths and noise were set as docs/reference/devices.md says.
 
     Raises:
         ConfigError: if a number is out of its bounds, or the lines cross within the travel.

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from zlib import crc32
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, WithJsonSchema, field_validator, model_validator
 
 from hystmpc.trials.config import Settings, load_settings, read_yaml
 from hystmpc.trials.errors import ConfigError, did_you_mean
@@ -20,6 +20,7 @@ from hystmpc.trials.yaml_ import place_in
 from ..config import SimulationConfig, load_simulation, located
 
 NotNegative = Annotated[int, Field(ge=0)]
+_SEVERAL = {"anyOf": [{"type": "array", "minItems": 1}, {"type": "object", "minProperties": 1}]}
 _PART = re.compile(r'"([^"]+)"|([^."]+)')
 _WHOLE = re.compile(r'(?:"[^"]+"|[^."]+)(?:\.(?:"[^"]+"|[^."]+))*')
 
@@ -29,6 +30,9 @@ class DrawSettings(Settings):
 
     Attributes:
         log_uniform: lower and upper end, both positive; the logarithm is uniform.
+        uniform: lower and upper end; every number between is as likely.
+        integer: lowest and highest whole number, both included.
+        choice: the values there are; each is as likely.
     """
 
     uniform: tuple[float, float] | None = None
@@ -85,10 +89,12 @@ class SweepSettings(Settings):
         grid: values by dotted path; a mapping names them, which long ones want.
         draw: distributions by dotted path. Draw k is the same at every grid point.
         seeds: of sensor noise and disturbances; the study's own where left out.
+        count: number of draws.
+        draw_seed: of the draws.
     """
 
     base: str | dict[str, Any]
-    grid: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    grid: dict[str, Annotated[dict[str, Any], WithJsonSchema(_SEVERAL)]] = Field(default_factory=dict)
     draw: dict[str, DrawSettings] = Field(default_factory=dict)
     count: Annotated[int, Field(ge=1)] = 1
     draw_seed: NotNegative = 0

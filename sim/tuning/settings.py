@@ -71,7 +71,12 @@ def default_draws(plant: PlantSettings) -> dict[str, DrawSettings]:
 
 
 class PlantsSettings(Settings):
-    """A set of plants; `seed` is of the draws and of the plants' noise."""
+    """A set of plants; `seed` is of the draws and of the plants' noise.
+
+    Attributes:
+        count: number of plants.
+        seed: of the draws and of the plants' noise.
+    """
 
     count: Count
     seed: Seed
@@ -111,6 +116,9 @@ class TuneSettings(Settings):
         held_out: to judge by; drawn with another seed.
         trials: points of the search, the given settings being the first.
         pruner: what ends a trial before it has seen all plants.
+        plants: to search on.
+        objective: weights of what is made small.
+        seed: of the search.
     """
 
     base: str | dict[str, Any]

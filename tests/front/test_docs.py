@@ -17,14 +17,19 @@ from hystmpc.sim import SimulatedPlant
 from hystmpc.trials import write_csv
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+LESSONS = ("tutorials", "explanation")
 LONG = ("devices.md-0", "reconstruction.md-0")  # minutes; their imports are checked all the same
 
 
 def blocks() -> list[tuple[str, str]]:
-    """Page and number, and text, of every block."""
-    return [(f"{p.name}-{k}", m[1]) for p in PAGES for k, m in enumerate(BLOCK.finditer(p.read_text(encoding="utf-8")))]
+    """Page and number, and text, of every block; those of a lesson go on from one another and are one."""
+    found = {page: BLOCK.findall(page.read_text(encoding="utf-8")) for page in PAGES}
+    pieces = {
+        page: ["\n".join(texts)] if texts and page.parent.name in LESSONS else texts for page, texts in found.items()
+    }
+    return [(f"{page.name}-{k}", text) for page, texts in pieces.items() for k, text in enumerate(texts)]
 
 
 def imports(text: str) -> Iterator[str]:

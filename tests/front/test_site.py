@@ -1,0 +1,81 @@
+"""The site: every page is in its contents, every link leads somewhere, sentences are short, it builds."""
+
+from __future__ import annotations
+
+import os
+import re
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from .site_pages import DOCS, PAGES, ROOT, anchors_of, contents_of, links_of, sentences_of, text_of
+
+TO_BE_SHORTENED = ("auto", "diagnosis", "gap_blind", "public")  # have longer sentences still
+READ = tuple(page for page in PAGES if page.stem not in TO_BE_SHORTENED and sentences_of(page))
+LONGEST, MEDIAN = 35, 18  # words of a sentence
+
+
+def faults(page: Path) -> list[str]:
+    """Links of a page that lead to no file, or to no heading of one."""
+    found = []
+    for link in links_of(page):
+        file, _, anchor = link.partition("#")
+        target = (page.parent / file).resolve() if file else page
+        if not target.exists() and target.parent != DOCS / "reference" / "drawn":
+            found.append(f"{link}: no such file")
+        elif anchor and target.suffix == ".md" and anchor not in anchors_of(target):
+            found.append(f"{link}: no such heading")
+    return found
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_somewhere(page: Path) -> None:
+    assert faults(page) == []
+
+
+def test_a_link_that_leads_nowhere_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("# A b\n\n[x](#a-b) [y](#c) [z](gone.md) [w](https://example.org)\n\n```sh\n[v](code.md)\n```\n")
+    assert faults(page) == ["#c: no such heading", "gone.md: no such file"]
+
+
+def test_every_page_is_in_the_contents_once() -> None:
+    listed = [page for index in PAGES for page in contents_of(index)]
+    assert sorted(listed) == sorted(page for page in PAGES if page != DOCS / "index.md")
+
+
+def test_generated_pages_hold_every_public_name_key_verb_and_effect() -> None:
+    import hystmpc
+    from hystmpc.cli.main import VERBS
+    from hystmpc.models import EFFECTS
+
+    reference = {page.stem: text_of(page) for page in PAGES if page.parent.name == "reference"}
+    public = set(hystmpc.__all__) - {"__version__"}
+    assert [name for name in public if f":: hystmpc.{name}\n" not in reference["api"]] == []
+    assert [verb for verb in VERBS if f"`hystmpc {verb}`" not in reference["commands"]] == []
+    assert [name for name in EFFECTS if f"### `{name}`" not in reference["effects"]] == []
+    keys = ("kind: sampled", "kind: raster", "kind: scan_triangle", "kind: random_point_to_point", "kind: sampling_mpc")
+    assert [key for key in keys if f"`{key}`" not in reference["configuration"]] == []
+
+
+@pytest.mark.parametrize("page", READ, ids=lambda page: str(page.relative_to(DOCS)))
+def test_sentences_are_short(page: Path) -> None:
+    words = {sentence: len(sentence.split()) for sentence in sentences_of(page)}
+    assert [sentence for sentence, count in words.items() if count > LONGEST] == []
+    assert statistics.median(words.values()) <= MEDIAN
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning_and_asks_no_host(tmp_path: Path) -> None:
+    pytest.importorskip("sphinx")
+    command = [sys.executable, "-m", "sphinx", "-b", "html", "-n", "-W", "--keep-going", "-q"]
+    places = ["-d", str(tmp_path / "doctrees"), str(DOCS), str(tmp_path / "site")]
+    done = subprocess.run(
+        [*command, *places], capture_output=True, text=True, check=False, env={**os.environ, "MPLBACKEND": "Agg"}
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    asked = re.compile(r"<(?:script|link|img)\b[^>]*\b(?:src|href)=\"(?:https?:)?//")
+    assert [page.name for page in (tmp_path / "site").rglob("*.html") if asked.search(page.read_text("utf-8"))] == []
