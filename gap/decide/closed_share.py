@@ -44,24 +44,32 @@ class Shares:
     def of_causes(
         self, names: frozenset[str], blocks: Callable[[frozenset[str]], Blocks]
     ) -> dict[str, tuple[float, Interval]]:
-        """What each cause closes beyond the larger ones, and its 90 % interval; the smallest comes first.
+        """What each cause closes, and its 90 % interval.
 
-        The smallest of the causes is the one without which the others, fitted anew, leave the least error. Its share
-        is the fall from their error to that of all. It is taken away, and the same is asked of the rest. The shares add
-        up to that of all causes together. Blocks are resampled together before and after.
+        A cause is weighed by the error that comes back without it, the others fitted anew:
+
+            share_i = closed (E_without_i - E) / sum_j max(E_without_j - E, 0)
+
+        The shares add up to what all close together, where each of them lowers the error. Of causes that can replace
+        each other none closes anything. The interval is that of the fall, blocks resampled together before and after:
+        a small cause beside a large one is as sure as its own fall.
 
         Args:
             names: of the causes.
-            blocks: errors with some of them.
+            blocks: errors with all of them, with all but one, and with none.
         """
-        found: dict[str, tuple[float, Interval]] = {}
-        kept = names
-        while kept:
-            smallest = min(sorted(kept), key=lambda name: blocks(kept - {name}).mse)
-            before, after = blocks(kept - {smallest}), blocks(kept)
-            share = self.closed(after.mse) - self.closed(before.mse)
-            found[smallest] = share, self.interval(before, after)
-            kept = kept - {smallest}
+        after = blocks(names)
+        without = {name: blocks(names - {name}) for name in sorted(names)}
+        falls = sum(max(b.mse - after.mse, 0.0) for b in without.values())
+        together = max(self.closed(after.mse), 0.0)
+        found = {}
+        for name, before in without.items():
+            fall = before.mse - after.mse
+            share = together * fall / falls if falls > 0 else 0.0
+            one = self.closed(self.before.mse - fall)
+            scale = share / one if one else 0.0
+            low, high = closed_interval(self.before, before, after, self.floor_mse, self.seed)
+            found[name] = share, self._widened(share, (scale * low, scale * high))
         return found
 
     def _widened(self, middle: float, ends: Interval) -> Interval:

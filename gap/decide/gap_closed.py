@@ -33,7 +33,7 @@ class ClosedByCause:
     """What one cause closes.
 
     Attributes:
-        share: of the structural gap, beyond what the larger causes close.
+        share: of the structural gap, by what comes back without this cause.
         ci90: 90 % interval of it.
         rmse_without_deg: RMSE without this cause, the others present [deg].
         parameters: identified values by name.

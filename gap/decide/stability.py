@@ -158,11 +158,10 @@ class _Again:
     def _proven(self, names: Names, final: Mapping[Names, Blocks]) -> Names:
         """Causes left once those are dropped that do not surely lower the error of the final runs."""
         while names:
-            subsets = [frozenset(s) for k in range(len(names) + 1) for s in itertools.combinations(names, k)]
             shares = self._shares(names, final)
             together = shares.interval(final[frozenset()], final[names])
             least = dict.fromkeys(names, together[0])
-            if all(subset in final for subset in subsets):
+            if all(names - {name} in final for name in names):
                 for name, (_, ci90) in shares.of_causes(names, final.__getitem__).items():
                     least[name] = min(ci90[0], together[0])
             weakest = min(sorted(least), key=lambda name: least[name])

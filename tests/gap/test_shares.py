@@ -55,10 +55,21 @@ def test_a_cause_that_lowers_every_block_is_proven_however_small(errors: dict[fr
 
 
 @given(corrections())
-def test_the_smallest_is_the_one_that_the_others_miss_least(errors: dict[frozenset[str], Blocks]) -> None:
+def test_shares_rank_causes_by_the_error_without_them(errors: dict[frozenset[str], Blocks]) -> None:
     names = max(errors, key=len)
-    smallest = next(iter(of_causes(errors)))
-    assert errors[names - {smallest}].mse == min(errors[names - {name}].mse for name in names)
+    shares = {name: share for name, (share, _) in of_causes(errors).items()}
+    by_share = sorted(shares, key=lambda name: shares[name])
+    left = [errors[names - {name}].mse for name in by_share]
+    assert left == pytest.approx(sorted(left), rel=1e-9)
+
+
+@given(corrections())
+def test_of_two_causes_that_can_replace_each_other_none_closes_anything(errors: dict[frozenset[str], Blocks]) -> None:
+    before, after = errors[frozenset()], errors[max(errors, key=len)]
+    one, other = frozenset({"lag"}), frozenset({"delay"})
+    twins = {frozenset[str](): before, one: after, other: after, one | other: after}
+    for share, (low, high) in of_causes(twins).values():
+        assert (share, low, high) == (0.0, 0.0, 0.0)
 
 
 @given(corrections())
