@@ -156,7 +156,8 @@ def catheter(bend_deg: float, roll_deg: float) -> str:
 
 def tip(bend_deg: float, roll_deg: float) -> Vec:
     """The tip [px]."""
-    return to_screen(arc(bend_deg, roll_deg))[3]
+    point: Vec = to_screen(arc(bend_deg, roll_deg))[3]
+    return point
 
 
 # ---- pieces of SVG ----
@@ -272,8 +273,8 @@ def curve(panel: Panel, time_s: Vec, values: Vec, class_: str, width: float) -> 
 
 def right_half(ring: Ring, scene: Scene) -> str:
     """Bend and command over time; a cover moves off the curves as time passes."""
-    angle = Panel(66, 240, 36, 80, scene.seconds)
-    command = Panel(290, 416, 0, 6, scene.seconds)
+    angle = Panel(66, 212, 36, 80, scene.seconds)
+    command = Panel(258, 416, 0, 6, scene.seconds)
     drawn = [
         angle.axes("tip angle [deg], wide grey line: wanted", (40, 50, 60, 70, 80)),
         command.axes("tendon command [mm]", (0, 2, 4, 6)),
@@ -281,7 +282,7 @@ def right_half(ring: Ring, scene: Scene) -> str:
     drawn.append(curve(angle, ring.time_s, ring.reference_deg, "reference", 5.0))
     shown = [(angle, name, ring.tracks[name].angle_deg, 1.7) for name in ("inverse", "linearised_mpc")]
     shown += [
-        (command, name, ring.tracks[name].command, width) for name, width in (("pid", 2.4), ("linearised_mpc", 1.2))
+        (command, name, ring.tracks[name].command, width) for name, width in (("pid", 1.2), ("linearised_mpc", 1.6))
     ]
     drawn += [curve(panel, ring.time_s, values, SHOWN[name][0], width) for panel, name, values, width in shown]
     seconds = np.arange(0.0, scene.seconds, 2.0)
@@ -359,7 +360,7 @@ def svg(ring: Ring) -> str:
         for name, scene in (("moving", Scene(seconds, True)), ("still", Scene(seconds, False)))
     )
     name = "A catheter tip follows a ring of eight targets; its friction is twice what the model knows (simulated)"
-    paper = element("rect", {"x": 0.5, "y": 0.5, "width": WIDTH - 1, "height": HEIGHT - 1, "rx": 8, "class_": "paper"})
+    paper = element("rect", {"x": 0.5, "y": 0.5, "width": WIDTH - 1, "height": HEIGHT - 1, "rx": 4, "class_": "paper"})
     head = element("title", {}, name) + style() + paper + text(22, 30, name, "head")
     attributes = {"xmlns": "http://www.w3.org/2000/svg", "viewBox": f"0 0 {WIDTH} {HEIGHT}", "role": "img"}
     return element("svg", attributes, head + groups + legend(ring)) + "\n"
