@@ -67,7 +67,7 @@ def test_radians_are_pointed_out_and_fitted_all_the_same(
 
 
 def test_from_logs_to_an_exported_model(logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """check, fit, evaluate and export, one after the other, as the README has them."""
+    """check, fit, evaluate and export, one after the other, as the page on fitting has them."""
     assert run(capsys, "check", *logs)[0] == 0
     code, out, _ = run(capsys, "fit", "backlash", *logs, "--out", tmp_path / "sim.yaml", "--command-limits", 0, 6)
     assert code == 0

@@ -14,7 +14,7 @@ import pytest
 from .site_pages import DOCS, PAGES, ROOT, anchors_of, contents_of, links_of, sentences_of, text_of
 
 TO_BE_SHORTENED = ("auto", "diagnosis", "gap_blind", "public")  # have longer sentences still
-READ = tuple(page for page in PAGES if page.stem not in TO_BE_SHORTENED and sentences_of(page))
+READ = tuple(page for page in (ROOT / "README.md", *PAGES) if page.stem not in TO_BE_SHORTENED and sentences_of(page))
 LONGEST, MEDIAN = 35, 18  # words of a sentence
 
 
@@ -61,7 +61,7 @@ def test_generated_pages_hold_every_public_name_key_verb_and_effect() -> None:
     assert [key for key in keys if f"`{key}`" not in reference["configuration"]] == []
 
 
-@pytest.mark.parametrize("page", READ, ids=lambda page: str(page.relative_to(DOCS)))
+@pytest.mark.parametrize("page", READ, ids=lambda page: str(page.relative_to(ROOT)))
 def test_sentences_are_short(page: Path) -> None:
     words = {sentence: len(sentence.split()) for sentence in sentences_of(page)}
     assert [sentence for sentence, count in words.items() if count > LONGEST] == []
