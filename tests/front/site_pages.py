@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -66,10 +66,15 @@ def contents_of(page: Path) -> Iterator[Path]:
 
 
 def sentences_of(page: Path) -> list[str]:
-    """Sentences of the running text of a page: without code, tables, headings and pictures."""
+    """Sentences of the running text of a page: without code, tables, headings and pictures. A colon ends none."""
     text = _FENCE.sub("\n\n", page.read_text(encoding="utf-8"))
     lines = [line for line in text.splitlines() if not re.match(r"\s*(#|\||!\[|\([\w-]+\)=)|    +[^-*\s]", line)]
     plain = _SPAN.sub(lambda found: found[1] or "x", "\n".join(lines))
     paragraphs = re.split(r"\n\s*\n|\n\s*(?:[-*]|\d+\.) ", plain)
-    pieces = (piece for paragraph in paragraphs for piece in re.split(r"(?<=[.!?:])\s+", " ".join(paragraph.split())))
+    pieces = (piece for paragraph in paragraphs for piece in re.split(r"(?<=[.!?])\s+", " ".join(paragraph.split())))
     return [piece for piece in pieces if len(piece.split()) > 1]
+
+
+def running_text(sentences: Iterable[str]) -> str:
+    """Sentences as a text in which every full stop ends one: not that of 0.15 and of eq. (2)."""
+    return " ".join(re.sub(r"[.!?:;]+", " ", sentence).strip() + "." for sentence in sentences)
