@@ -139,7 +139,7 @@ def blind_report(score: Score) -> Report:
         Paragraph(
             "Names are asked for at gaps of three floors or more on motions that can tell the effects apart. The floor "
             "is noise and model-form error together; the gap is what a refit of the simulator leaves of the effect. "
-            "False alarms, calibration, configuration, aliasing and orders are over all cases of their suites. The "
+            "False alarms, calibration, aliasing and orders are over all cases of their suites. The "
             "interval says what the number could be on other cases: Wilson's for a share, else by resampling the cases."
         ),
         Table(BAR_COLUMNS, [bar_row(bar) for bar in score.bars]),
