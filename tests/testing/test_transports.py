@@ -130,6 +130,12 @@ def test_the_template_is_short_and_whole(tmp_path: Path) -> None:
     assert {name for name in tests if name.startswith("Test")} == {"TestWire", "TestLoop"}
 
 
+def test_the_tutorial_shows_the_template() -> None:
+    root = Path(__file__).resolve().parents[2]
+    text = (root / "testing" / "templates" / "transport" / "serial_line.py.txt").read_text()
+    assert text[text.index("class SerialLine") :] in (root / "docs" / "tutorials" / "your_hardware.md").read_text()
+
+
 def test_a_template_overwrites_nothing(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "serial_line.py").write_text("months of work")
