@@ -64,12 +64,14 @@ class PythonSettings(TransportBase):
         if missing := lacking(found):
             raise ConfigError(f"transport {self.python}: {lacks(missing)}")
         try:
-            taken = inspect.signature(found).parameters
-            inspect.signature(found).bind(**arguments)
-        except ValueError:  # compiled, without a signature
+            signature = inspect.signature(found)
+        except ValueError:  # compiled, without one
             return lambda: found(**arguments)
+        try:
+            signature.bind(**arguments)
         except TypeError as error:
-            raise ConfigError(f"transport {self.python}: {error}, {_expected(arguments, list(taken))}") from None
+            expected = _expected(arguments, list(signature.parameters))
+            raise ConfigError(f"transport {self.python}: {error}, {expected}") from None
         return lambda: found(**arguments)
 
 
