@@ -10,8 +10,8 @@ from types import MappingProxyType
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.run_folder import require_vacant
 
-KINDS: Mapping[str, str] = MappingProxyType({"transport": "a device on a serial line"})
-"""Kinds of templates, and what each is."""
+KINDS: Mapping[str, str] = MappingProxyType({"transport": "serial-line"})
+"""Kinds of classes, and the folder of the template of each."""
 
 
 def write_template(kind: str, folder: Path) -> tuple[Path, ...]:
@@ -25,7 +25,7 @@ def write_template(kind: str, folder: Path) -> tuple[Path, ...]:
     require_vacant(folder)
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    for source in sorted(files("hystmpc.testing.templates").joinpath(kind).iterdir(), key=lambda file: file.name):
+    for source in sorted(files("hystmpc.testing.templates").joinpath(KINDS[kind]).iterdir(), key=lambda file: file.name):
         target = folder / source.name.removesuffix(".txt")
         target.write_text(source.read_text(encoding="utf-8"), encoding="utf-8")
         written.append(target)

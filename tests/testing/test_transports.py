@@ -132,7 +132,7 @@ def test_the_template_is_short_and_whole(tmp_path: Path) -> None:
 
 def test_the_tutorial_shows_the_template() -> None:
     root = Path(__file__).resolve().parents[2]
-    text = (root / "testing" / "templates" / "transport" / "serial_line.py.txt").read_text()
+    text = (root / "testing" / "templates" / "serial-line" / "serial_line.py.txt").read_text()
     assert text[text.index("class SerialLine") :] in (root / "docs" / "tutorials" / "your_hardware.md").read_text()
 
 
