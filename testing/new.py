@@ -25,7 +25,9 @@ def write_template(kind: str, folder: Path) -> tuple[Path, ...]:
     require_vacant(folder)
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    for source in sorted(files("hystmpc.testing.templates").joinpath(KINDS[kind]).iterdir(), key=lambda file: file.name):
+    for source in sorted(
+        files("hystmpc.testing.templates").joinpath(KINDS[kind]).iterdir(), key=lambda file: file.name
+    ):
         target = folder / source.name.removesuffix(".txt")
         target.write_text(source.read_text(encoding="utf-8"), encoding="utf-8")
         written.append(target)
