@@ -9,6 +9,7 @@ _frames = mutated_file("rig", "safety/intake.py", "test_sensor_kinds.py")
 _followed = mutated_file("rig", "safety/plausibility.py", "test_drive_following.py")
 _order = mutated_file("rig", "transports/sessions.py", "test_parts.py", "test_udp.py")
 _units = mutated_file("rig", "transports/transport.py", "test_units.py")
+_guard = mutated_file("rig", "transports/guarded.py", "test_foreign.py")
 _datagram = mutated_file("rig", "transports/udp.py", "test_datagram.py", "test_udp.py")
 _signals = mutated_file("rig", "safety/stop.py", "test_signals.py")
 _prepare = mutated_file("rig", "commission/phases.py", "test_prepare.py")
@@ -225,6 +226,12 @@ MUTANTS: tuple[Mutant, ...] = (
         "            self._unsent += 1\n            self._anchor.not_sent(self._clock.boot_ns())",
         "            self._unsent += 1\n            self._gate.sent(u, self._clock.now_ns())",
     ),
+    _loop("a wire that takes no command goes on", "if now - self._refused_ns > self._stall_ns:", "if now < 0:"),
+    _loop("a way back that was not sent ends well", "if not self._phase.sent and not self._cause:", "if now is None:"),
+    _guard("nonsense is believed", "if fault := nonsense(found, self._now()):", "if fault := '':"),
+    _guard("calls wait behind one that hangs", "if self._newest is not None and not self._newest.done():", "if False:"),
+    _guard("a driver ends the program", "future.set_exception(OSError(f", "future.set_exception(type(error)(f"),
+    _guard("units are not converted", "raw = self._conversion.raw_command(command)", "raw = command"),
     _motion(
         "the stop has no ramp",
         "            self._commands = self._plan(now.held, now.velocity).tolist()\n        except",

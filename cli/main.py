@@ -32,6 +32,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "record": "Record identification trials on a device.",
         "device": "Serve a simulated device over UDP or DDS.",
         "report": "Write report.html of a run folder again.",
+        "new": "Write a class of yours to fill in, with its contract tests.",
         "schema": "Print the JSON schema of a configuration file, for editors.",
         "effects": "List the effects that can be put into any simulator.",
         "demo": "Track two motions with every controller on a simulated device.",

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
-    from .transports.transport import Reading
+    from .transports.transport import Reading, Transport
 
-__all__ = ["Reading"]
+__all__ = ["Reading", "Transport"]
 
 if not TYPE_CHECKING:
-    __getattr__ = lazily(__name__, ("hystmpc.rig.transports.transport", "Reading"))
+    __getattr__ = lazily(__name__, ("hystmpc.rig.transports.transport", "Reading Transport"))

@@ -24,6 +24,7 @@ from .safety.intake import Intake
 from .safety.plausibility import MotionWatch
 from .safety.ramp import ramp_commands, stop_commands
 from .safety.stop import RUNNING, Latch, StopFlag, latch_text, stopping_on_signals
+from .transports.foreign import PythonSettings
 from .transports.transport import Conversion, PlantFactory, RunContext, Transport
 
 _PAUSE_NS = 1_000_000
@@ -67,6 +68,7 @@ def run_bench(
     folder: Path | None = None,
     note: Note = lambda text: None,
     clock: Clock | None = None,
+    transport: Transport | None = None,
 ) -> BenchResult:
     """Prepare the device, go through the phases, and leave it at rest at the safe command.
 
@@ -79,28 +81,31 @@ def run_bench(
         note: told what goes on, outside the loop.
         clock: of a device that is computed faster than time passes; the process is left as it is then. None for the
             machine's own.
+        transport: to the device, in place of the block `transport`; it is called from a thread of its own.
 
     Raises:
         ConfigError: if the stop is latched, the device does not answer, or settings do not fit it; nothing has moved.
     """
+    if transport is not None:
+        settings = settings.model_copy(update={"transport": PythonSettings.of(transport)})
     control = control_process(settings.realtime) if clock is None else nullcontext(list[str]())
     clock, flag = clock or MonotonicClock(settings.realtime.spin_s), StopFlag()
     with Latch.of(settings.name, settings.latch_file).held() as latch, stopping_on_signals(flag):
         latch.require_released()
         conversion = Conversion.of(settings.wire, settings.command_unit)
-        transport = settings.transport.open(RunContext(conversion, settings.dt_s, clock.now_ns, plants))
+        wire = settings.transport.open(RunContext(conversion, settings.dt_s, clock.now_ns, plants))
         try:
-            contact = first_contact(settings, transport, clock, flag)
+            contact = first_contact(settings, wire, clock, flag)
             work = [*(step.phase(settings.ramps, settings.dt_s) for step in settings.prepare), *phases()]
             samples = _opened(latch, sink)
         except BaseException:
-            _part(transport)
+            _part(wire)
             raise
         try:
-            result = _loop(settings, transport, clock, contact, flag, work, samples, note, control)
+            result = _loop(settings, wire, clock, contact, flag, work, samples, note, control)
             _conclude(latch, result.outcome.cause)
         finally:
-            _part(transport)
+            _part(wire)
             samples.close()
     if folder is not None:
         _leave_files(result, folder)
@@ -231,7 +236,7 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
             )
         try:
             reading = transport.read()
-        except OSError:  # nobody listens yet
+        except Exception:  # noqa: BLE001 - nobody listens yet, or a driver fails: both show as silence
             reading = None
         if reading is None:
             clock.wait_until(clock.now_ns() + _PAUSE_NS)
@@ -240,7 +245,8 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
         angle = reading.angle_deg if sensor.kind == "continuous" or math.isfinite(reading.angle_deg) else angle
         if not listens and received - greeted > _GREET_NS:
             greeted = received
-            transport.greet()
+            with suppress(Exception):
+                transport.greet()
         inside = sensor.lower_deg <= angle <= sensor.upper_deg
         plausible = plausible or inside
         seen += listens and (inside or sensor.kind != "continuous")

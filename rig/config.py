@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from hystmpc.ctrl.config import sensor_fault, told_of_sensor
 from hystmpc.ctrl.limits import LimitsSettings, ModelledLimitsSettings, NotNegative, Positive
@@ -23,16 +23,26 @@ from .safety.intake import SensorSettings
 from .safety.plausibility import PlausibilitySettings
 from .safety.ramp import RampSettings
 from .transports.dds import DdsSettings
+from .transports.foreign import PythonSettings, with_kind
 from .transports.simulated import ReplaySettings, SimulatedSettings
-from .transports.transport import WireUnits
+from .transports.transport import TransportBase, WireUnits
 from .transports.udp import UdpSettings
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=80)]
 
 
-# The table of transports: a new one is one file and one line here.
+# The table of transports: a new one of the package is one file and one line here. Those from outside are `python`.
+TRANSPORTS: Mapping[str, type[TransportBase]] = {
+    "simulated": SimulatedSettings,
+    "replay": ReplaySettings,
+    "udp": UdpSettings,
+    "dds": DdsSettings,
+    "python": PythonSettings,
+}
 TransportSettings = Annotated[
-    SimulatedSettings | ReplaySettings | UdpSettings | DdsSettings, Field(discriminator="kind")
+    SimulatedSettings | ReplaySettings | UdpSettings | DdsSettings | PythonSettings,
+    Field(discriminator="kind"),
+    BeforeValidator(with_kind(TRANSPORTS)),
 ]
 
 

@@ -59,14 +59,15 @@ class ControlLoop:
 
     A sample is missed when its command leaves after its end; the next one starts at once and answers without a plan.
     Samples that have passed wholly are skipped and told to the phase. The loop stops safely on a signal, a
-    dead sensor, a fault of a phase, anything raised, and after standing still for longer than `stall_s`.
+    dead sensor, a fault of a phase, anything raised, and after standing still for longer than `stall_s`, or where no
+    command has left for that long. A run ends without a cause only where the safe command has been sent.
 
     Nothing is sent while it is not known what the device holds, see `Anchor`. The transport says goodbye only where the
     device has said that it holds the safe command.
 
     Args:
         to_safe: makes the last phase of every run.
-        stall_s: greatest time between two samples [s].
+        stall_s: greatest time between two samples, and between two commands that leave [s].
     """
 
     def __init__(
@@ -94,6 +95,7 @@ class ControlLoop:
         self._start_ns = self._woke_ns = self._boot_ns = 0
         self._sequence = self._skipped = self._waited = self._commands = self._unsent = self._refused = 0
         self._late = False
+        self._refused_ns: int | None = None  # since when no command leaves
         self._newest: Reading | None = None
         self._cause, self._stop_s, self._safe_s, self._confirmed = "", math.nan, math.nan, False
 
@@ -154,6 +156,9 @@ class ControlLoop:
             return True
         if isinstance(self._phase, SafeStop):
             self._confirmed = self._phase.confirmed
+            if not self._phase.sent and not self._cause:
+                self._cause = "the safe command could not be sent"
+                self._stop_s = _S * (self._clock.now_ns() - self._start_ns)
             if self._cause and self._phase.sent:
                 self._safe_s = _S * (self._clock.now_ns() - self._start_ns)
             return False
@@ -269,11 +274,20 @@ class ControlLoop:
         except Exception:  # noqa: BLE001 - counted and shown; a dead device ends the run by its silence
             self._unsent += 1
             self._anchor.not_sent(self._clock.boot_ns())
+            self._blocked()
             return False
         self._gate.sent(u, self._clock.now_ns())
         self._anchor.sent()
         self._commands += 1
+        self._refused_ns = None
         return True
+
+    def _blocked(self) -> None:
+        """Ask for a stop where the wire has taken no command for too long: a device may talk and not listen."""
+        now = self._clock.boot_ns()
+        self._refused_ns = now if self._refused_ns is None else self._refused_ns
+        if now - self._refused_ns > self._stall_ns:
+            self._flag.set(f"no command has left for {_S * (now - self._refused_ns):.2f} s")
 
     def _hand_on(self, sample: Sample) -> None:
         try:

@@ -33,7 +33,7 @@ from ..config import RunSettings
 from ..recording.sample import Sink
 from ..safety.intake import SensorSettings
 from ..safety.plausibility import ModelWatch
-from ..transports.transport import PlantFactory
+from ..transports.transport import PlantFactory, Transport
 from .phases import REMEMBERED, Decision, Past, Phase, PhaseInput
 
 # From the measured angle [deg] to the trajectory that starts there.
@@ -47,6 +47,7 @@ def run_experiment(
     *,
     folder: Path | None = None,
     note: Note = lambda text: None,
+    transport: Transport | None = None,
 ) -> BenchResult:
     """Do the experiment; everything that can be wrong is found before anything moves. Arguments as of `run_bench`.
 
@@ -54,7 +55,7 @@ def run_experiment(
         HystmpcError: of any kind, see `tracking_phase` and `run_bench`.
     """
     phase: list[Phase] = [tracking_phase(settings, note=note)]
-    return run_bench(settings, lambda: phase, sink, plants, folder=folder, note=note)
+    return run_bench(settings, lambda: phase, sink, plants, folder=folder, note=note, transport=transport)
 
 
 def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lambda text: None) -> Tracking:

@@ -24,7 +24,7 @@ from ..bench import BenchResult, Note, run_bench
 from ..config import RecordSettings
 from ..recording.sample import Sink
 from ..safety.ramp import way_commands
-from ..transports.transport import PlantFactory
+from ..transports.transport import PlantFactory, Transport
 from .phases import CommandMotion, Decision, Past, Phase, PhaseInput
 
 _ROUNDING = 1e-9
@@ -125,6 +125,7 @@ def record(
     folder: Path,
     *,
     note: Note = lambda text: None,
+    transport: Transport | None = None,
 ) -> RecordResult:
     """Play every excitation and write `trials/NAME.csv` in canonical columns and a manifest.
 
@@ -152,7 +153,7 @@ def record(
         phases += [CommandMotion("approach", way), recorded[-1]]
     if late is not None:
         note(_BETWEEN_FRAMES)
-    bench = run_bench(settings, lambda: phases, sink, plants, folder=folder, note=note)
+    bench = run_bench(settings, lambda: phases, sink, plants, folder=folder, note=note, transport=transport)
     written, cut = [], None
     for phase in recorded:
         file = phase.write(folder / ("trials" if phase.whole else "partial"), settings.command_unit)

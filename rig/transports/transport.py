@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -36,9 +37,24 @@ class Reading:
     held: float
     listens: bool = True
 
+    @classmethod
+    def now(cls, angle_deg: float, sequence: int, held: float = math.nan) -> Reading:
+        """A measurement that has just come, of a device without sessions and stamps.
+
+        Args:
+            angle_deg: measured angle, in the unit of the block `wire` [deg].
+            sequence: rises by one a measurement.
+            held: command that the device holds; NaN where it does not tell.
+        """
+        come_ns = time.monotonic_ns()
+        return cls(angle_deg, sequence, 0, come_ns, come_ns, held)
+
 
 class Transport(Protocol):
-    """The wire to a device. Nothing blocks for longer than a system call; what fails raises `OSError`."""
+    """The wire to a device. Nothing blocks for longer than a system call; what fails raises `OSError`.
+
+    One from outside the package may speak other units, see `GuardedTransport`.
+    """
 
     def read(self) -> Reading | None:
         """The oldest measurement that has not been read yet, None where there is none."""

@@ -17,7 +17,7 @@ TIERS = (
     ("models",),
     ("trajectories", "ctrl"),
     ("sim", "rig"),
-    ("gap",),
+    ("gap", "testing"),
     ("commissioning",),
     ("investigation",),
     ("studies",),

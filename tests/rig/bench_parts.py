@@ -155,6 +155,7 @@ class Rig:
     watchdog: bool = False
     fails: Callable[[int], bool] = lambda k: False
     plausibility: PlausibilitySettings = BLIND
+    stall_s: float = 0.5
 
     def __post_init__(self) -> None:
         self.clock, self.flag, self.sink = FakeClock(), StopFlag(), ListSink()
@@ -183,9 +184,8 @@ class Rig:
                 cause,
             )
 
-        self.loop = ControlLoop(
-            self.clock, self.transport, self.intake, self.gate, self.anchor, DT, self.sink, to_safe, self.flag
-        )
+        parts = self.clock, self.transport, self.intake, self.gate, self.anchor
+        self.loop = ControlLoop(*parts, DT, self.sink, to_safe, self.flag, self.stall_s)
         return self.loop.run(phases)
 
 

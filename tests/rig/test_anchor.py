@@ -124,6 +124,20 @@ def test_failed_sends_do_not_let_the_gate_run_on(tells: bool) -> None:
     assert max(map(abs, steps)) <= STEP + 1e-9
 
 
+@pytest.mark.parametrize("first", [1, 8, 60])
+@pytest.mark.parametrize(
+    ("stall_s", "cause"), [(0.5, "no command has left for 0."), (60.0, "the safe command could not be sent")]
+)
+def test_a_device_that_talks_and_takes_no_command_stops_the_run(first: int, stall_s: float, cause: str) -> None:
+    """From the first command on, in the motion, and at rest; also where the way back is given up before it is said."""
+    rig = Rig(following, fails=lambda k: k >= first, stall_s=stall_s)
+    outcome = rig.run([travel(4.0, hold_s=1.0)])
+    assert outcome.cause.startswith(cause)
+    assert math.isnan(outcome.safe_s)
+    assert not outcome.confirmed or rig.transport.held == 0.0  # where it has never left the safe command
+    assert len(rig.transport.sent) == first - 1
+
+
 @pytest.mark.parametrize("pause_s", [0.2, 0.7, 1.0, 3.0])
 def test_a_pause_during_the_stop_begins_its_way_out_anew(pause_s: float) -> None:
     """The device has come down meanwhile: the rest of the old way would lead it up again."""

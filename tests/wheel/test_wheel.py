@@ -22,6 +22,7 @@ ROOMS = (
     "sim",
     "rig",
     "gap",
+    "testing",
     "commissioning",
     "investigation",
     "studies",

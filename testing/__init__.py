@@ -1,0 +1,22 @@
+"""Contract tests that a lab runs against its own classes, simulated devices for them, and templates to begin with."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hystmpc.trials import lazily
+
+if TYPE_CHECKING:
+    from .line_device import LineDevice
+    from .loop import LoopContract
+    from .wire import Connected, TransportContract
+
+__all__ = ["Connected", "LineDevice", "LoopContract", "TransportContract"]
+
+if not TYPE_CHECKING:
+    __getattr__ = lazily(
+        __name__,
+        ("hystmpc.testing.line_device", "LineDevice"),
+        ("hystmpc.testing.loop", "LoopContract"),
+        ("hystmpc.testing.wire", "Connected TransportContract"),
+    )

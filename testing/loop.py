@@ -1,0 +1,269 @@
+"""What holds at the device with any transport in the loop, also with one that raises, hangs or talks nonsense.
+
+Limits, ramps, stop and latch are the loop's. A transport can lose them nothing: it only can lose the wire, and then the
+run ends, says that the safe command was not sent, and the device's own watchdog has to act.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Event, Thread
+from typing import NoReturn, final
+
+from hystmpc.rig.bench import BenchResult, run_bench
+from hystmpc.rig.commission.phases import CommandMotion
+from hystmpc.rig.config import BenchSettings
+from hystmpc.rig.recording.sample import Sample
+from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.transports.transport import Reading, Transport
+from hystmpc.trials.types import Vec
+
+from .wire import Connected, Wired, require
+
+_UPPER, _RATE, _RATE_HZ, _SILENCE_S = 6.0, 10.0, 50.0, 0.3
+_AWAY = 1.0  # command to which the tests move, far from the safe one
+
+
+@final
+@dataclass
+class _Dropped:
+    """A sink that keeps nothing."""
+
+    samples: int = 0
+
+    def put(self, sample: Sample) -> None:
+        del sample
+        self.samples += 1
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+@final
+@dataclass
+class _Failing(Transport):
+    """A transport that fails in its own way once a command has come near to where the run leads."""
+
+    inner: Transport
+    reads: Callable[[Reading | None], object] = lambda found: found
+    writes: Callable[[], object] = lambda: None
+    wrote: list[float] = field(default_factory=list)
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        return self.inner.counters
+
+    @property
+    def fails(self) -> bool:
+        """Whether it has begun to fail."""
+        return max(self.wrote, default=0.0) > 0.8 * _AWAY
+
+    def read(self) -> Reading | None:
+        found = self.inner.read()
+        return self.reads(found) if self.fails else found  # type: ignore[return-value]  # nonsense is what it is for
+
+    def write(self, command: float) -> None:
+        if self.fails:
+            self.writes()
+        self.inner.write(command)
+        self.wrote.append(command)
+
+    def greet(self) -> None:
+        self.inner.greet()
+
+    def stop(self, goodbye: bool = False) -> None:
+        self.inner.stop(goodbye)
+
+
+class LoopContract(Wired):
+    """Short runs of the real loop over the transport, on a device that follows at once; each takes about a second.
+
+    The wire speaks degrees and the run's unit.
+    """
+
+    def test_a_run_ends_at_the_safe_command(self) -> None:
+        """A run that nothing disturbs."""
+        with self.connected() as c:
+            outcome = self._run(c, c.transport, silence_s=1.0).outcome
+            got = list(c.heard())
+            require(outcome.cause == "", f"stopped: {outcome.cause}; {outcome.faults}")
+            require(self.near(max(got), _AWAY), f"the run leads to {_AWAY}, the device got at most {max(got)}")
+            self._is_safe(got)
+
+    def test_a_read_that_raises_ends_in_a_stop(self) -> None:
+        """Any exception of a driver."""
+        with self.connected() as c:
+            self._stops(c, _Failing(c.transport, reads=_raise(RuntimeError("a driver's own"))), reached=True)
+
+    def test_a_read_that_ends_the_program_ends_in_a_stop(self) -> None:
+        """A driver that calls `sys.exit` ends no program beside a moving device."""
+        with self.connected() as c:
+            self._stops(c, _Failing(c.transport, reads=_raise(SystemExit(1))), reached=True)
+
+    def test_a_read_that_returns_nonsense_ends_in_a_stop(self) -> None:
+        """Something that is no `Reading`."""
+        with self.connected() as c:
+            self._stops(c, _Failing(c.transport, reads=lambda found: "30.0"), reached=True)
+
+    def test_a_reading_without_numbers_ends_in_a_stop(self) -> None:
+        """Text in place of the angle."""
+
+        def spoilt(found: Reading | None) -> Reading | None:
+            return found and replace(found, angle_deg="30.0", held=None)  # type: ignore[arg-type]  # nonsense
+
+        with self.connected() as c:
+            self._stops(c, _Failing(c.transport, reads=spoilt), reached=True)
+
+    def test_a_reading_from_the_future_ends_in_a_stop(self) -> None:
+        """A stamp of another clock, with which no angle would ever be old."""
+
+        def ahead(found: Reading | None) -> Reading | None:
+            return found and replace(found, received_ns=found.received_ns + 10**15)
+
+        with self.connected() as c:
+            self._stops(c, _Failing(c.transport, reads=ahead), reached=True)
+
+    def test_a_read_that_repeats_itself_ends_in_a_stop(self) -> None:
+        """One measurement for ever, and never None."""
+        kept: list[Reading] = []
+
+        def same(found: Reading | None) -> Reading | None:
+            kept.extend([found] if found else [])
+            return kept[0] if kept else None
+
+        with self.connected() as c:
+            self._stops(c, _Failing(c.transport, reads=same), reached=True)
+
+    def test_a_write_that_raises_ends_the_run(self) -> None:
+        """The device talks, and no command leaves."""
+        with self.connected() as c:
+            self._stops(c, _Failing(c.transport, writes=_raise(RuntimeError("a driver's own"))), reached=False)
+
+    def test_a_read_that_hangs_ends_the_run(self) -> None:
+        """It never comes back, so that nothing can be written either."""
+        with self.connected() as c, _hanging() as hang:
+            self._stops(c, _Failing(c.transport, reads=hang), reached=False)
+
+    def test_a_write_that_hangs_ends_the_run(self) -> None:
+        """It never comes back."""
+        with self.connected() as c, _hanging() as hang:
+            self._stops(c, _Failing(c.transport, writes=hang), reached=False)
+
+    def _stops(self, c: Connected, transport: _Failing, reached: bool) -> None:
+        """The run stops, whatever the transport does, and says no more than is true.
+
+        Args:
+            reached: whether the wire still takes commands, so that the device is led to the safe one.
+        """
+        with TemporaryDirectory() as folder:
+            outcome = self._run(c, transport, _SILENCE_S, Path(folder)).outcome
+            latched = json.loads((Path(folder) / "latch.json").read_text())["cause"]
+        require(transport.fails, "the run ended before the transport failed")
+        require(outcome.cause != "", "the run has to be stopped")
+        require(latched == outcome.cause, f"latched {latched!r}, stopped for {outcome.cause!r}")
+        require(math.isfinite(outcome.safe_s) == reached, f"safe command at {outcome.safe_s}, {outcome.cause}")
+        got = list(c.heard())
+        self._is_within(got)
+        if reached:
+            self._is_safe(got)
+        else:
+            require(not outcome.confirmed, "nobody can know that the device holds the safe command")
+
+    def _is_within(self, got: list[float]) -> None:
+        slack = 2 * self.resolution
+        require(min(got) >= -slack and max(got) <= _UPPER + slack, f"beyond the limits: {min(got)} to {max(got)}")
+        step = max(abs(b - a) for a, b in pairwise([0.0, *got]))
+        require(step <= _RATE / _RATE_HZ + slack, f"a step of {step}, at most {_RATE / _RATE_HZ} in a sample")
+
+    def _is_safe(self, got: list[float]) -> None:
+        self._is_within(got)
+        require(self.near(got[-1], 0.0), f"the last command has to be the safe one, 0; the device got {got[-1]}")
+
+    def _run(self, c: Connected, transport: Transport, silence_s: float, folder: Path | None = None) -> BenchResult:
+        """Up to `_AWAY` and rest there for a second."""
+        with TemporaryDirectory() as spare:
+            settings = BenchSettings.parse(
+                {
+                    "name": "contract",
+                    "rate_hz": _RATE_HZ,
+                    "command_unit": "mm",
+                    "limits": {"lower": 0, "upper": _UPPER, "rate_per_s": _RATE},
+                    "ramps": {"velocity_per_s": 5, "acceleration_per_s2": 50, "jerk_per_s3": 1000},
+                    "start_command": 0,
+                    "safe_command": 0,
+                    "sensor": {
+                        "lower_deg": 0,
+                        "upper_deg": 120,
+                        "age_limit_s": silence_s,
+                        "dead_after_s": silence_s,
+                        "frozen_samples": None,
+                    },
+                    "transport": {"python": "contract:Given"},
+                    "latch_file": str((folder or Path(spare)) / "latch.json"),
+                }
+            )
+
+            def work() -> list[CommandMotion]:
+                def way(held: float) -> Vec:
+                    return way_commands(held, [_AWAY], [0.3], settings.ramps, settings.dt_s)
+
+                return [CommandMotion("away", way)]
+
+            with _following(c):
+                return run_bench(settings, work, _Dropped, _no_plants, transport=transport)
+
+
+@contextmanager
+def _following(c: Connected) -> Iterator[None]:
+    """The device's end, 100 times a second: it holds what it was sent last, and its angle follows at once."""
+    over = Event()
+
+    def go() -> None:
+        while not over.wait(0.01):
+            held = (list(c.heard()) or [0.0])[-1]
+            c.tell(30.0 + 10.0 * held, held)
+
+    thread = Thread(target=go, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+@contextmanager
+def _hanging() -> Iterator[Callable[..., None]]:
+    """A call that does not come back while the block lasts."""
+    over = Event()
+
+    def hang(*found: object) -> None:
+        del found
+        over.wait()
+
+    try:
+        yield hang
+    finally:
+        over.set()
+        time.sleep(0.01)
+
+
+def _raise(error: BaseException) -> Callable[..., object]:
+    def fail(*found: object) -> object:
+        del found
+        raise error
+
+    return fail
+
+
+def _no_plants(block: object, dt_s: float) -> NoReturn:
+    del block, dt_s
+    raise AssertionError("a transport from outside computes no device")

@@ -1,0 +1,1 @@
+"""Folders to begin with, each of a kind of class that a lab brings."""

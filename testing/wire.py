@@ -1,0 +1,209 @@
+"""What every transport owes to the loop, whatever the wire: a contract that a lab runs against its own class."""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass
+from typing import TypeVar
+
+from hystmpc.rig.transports.guarded import lacking, nonsense
+from hystmpc.rig.transports.transport import Reading, Transport
+
+_COMES_S = 5.0  # for something to arrive, on a busy machine
+_QUIET_S = 0.05  # for nothing to arrive
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Connected:
+    """A transport, open, and the device's end of its wire.
+
+    Attributes:
+        transport: that is tested.
+        tell: makes the device send one measurement: angle, and the command that it holds.
+        heard: all commands that the device has got so far, the oldest first.
+        spoil: sends rubbish to the transport; None where that cannot be done.
+        cut: pulls the plug; None where that cannot be done.
+    """
+
+    transport: Transport
+    tell: Callable[[float, float], None]
+    heard: Callable[[], Sequence[float]]
+    spoil: Callable[[], None] | None = None
+    cut: Callable[[], None] | None = None
+
+
+class Wired(ABC):
+    """Base of contracts: how a transport is connected to a device that the test plays.
+
+    Attributes:
+        resolution: of angles and commands on the wire, in its units.
+    """
+
+    resolution: float = 1e-3
+
+    @abstractmethod
+    def connected(self) -> AbstractContextManager[Connected]:
+        """A transport and its device; both are closed behind it."""
+
+    def near(self, got: float, expected: float) -> bool:
+        """Whether two numbers are the same on this wire."""
+        return abs(got - expected) <= self.resolution
+
+
+class TransportContract(Wired):
+    """The wire alone. Derive a class whose name begins with `Test`, give it `connected`, and run pytest."""
+
+    def test_it_has_what_a_transport_has(self) -> None:
+        """Four methods and the mapping `counters`."""
+        with self.connected() as c:
+            require(not lacking(c.transport), f"it lacks {lacking(c.transport)}")
+            require(
+                all(isinstance(n, int) for n in dict(c.transport.counters).values()), "counters maps causes to counts"
+            )
+
+    def test_a_measurement_comes_once_and_as_it_was_sent(self) -> None:
+        """With a sequence that rises, one session, and a stamp of this process's monotonic clock."""
+        with self.connected() as c:
+            first = contact(c)
+            for k in range(1, 4):
+                c.tell(40.0 + k, 0.5 * k)
+                found = until(c.transport.read)
+                require(nonsense(found, time.monotonic_ns()) == "", nonsense(found, time.monotonic_ns()))
+                require(self.near(found.angle_deg, 40.0 + k), f"sent angle {40.0 + k}, read {found.angle_deg}")
+                told = math.isnan(found.held) or self.near(found.held, 0.5 * k)
+                require(told, f"the device holds {0.5 * k}, read {found.held}; NaN where the wire does not tell")
+                require(found.sequence > first.sequence, "the sequence has to rise by every measurement")
+                require(found.session == first.session, "the session has to stay while the device runs")
+                require(found.received_ns >= first.received_ns, "received_ns has to rise")
+                first = found
+                require(c.transport.read() is None, "a measurement was read twice")
+
+    def test_measurements_that_pile_up_come_in_order(self) -> None:
+        """The oldest first, none lost."""
+        with self.connected() as c:
+            contact(c)
+            for k in range(5):
+                c.tell(40.0 + k, 0.0)
+            angles = [until(c.transport.read).angle_deg for _ in range(5)]
+            require(all(self.near(a, 40.0 + k) for k, a in enumerate(angles)), f"sent 40 to 44, read {angles}")
+
+    def test_commands_arrive_in_order_and_as_they_were_written(self) -> None:
+        """Each of them, to the resolution of the wire."""
+        with self.connected() as c:
+            contact(c)
+            wanted = [0.0, 0.125, 1.5, 5.9, 0.25]
+            for command in wanted:
+                c.transport.write(command)
+            until(lambda: len(c.heard()) >= len(wanted) or None)
+            got = list(c.heard())
+            fits = len(got) == len(wanted) and all(map(self.near, got, wanted))
+            require(fits, f"wrote {wanted}, the device got {got}")
+
+    def test_only_write_moves_the_device(self) -> None:
+        """Opening, reading, greeting and closing, with a goodbye and without, send no command."""
+        for goodbye in (False, True):
+            with self.connected() as c:
+                contact(c)
+                c.transport.greet()
+                c.transport.stop(goodbye)
+                time.sleep(_QUIET_S)
+                require(not c.heard(), f"the device got {list(c.heard())} without a write")
+
+    def test_after_stop_nothing_is_sent_and_stop_may_come_twice(self) -> None:
+        """The loop closes the wire whatever has happened before."""
+        with self.connected() as c:
+            contact(c)
+            c.transport.stop()
+            c.transport.stop()
+            with suppress(Exception):
+                c.transport.write(3.0)
+            time.sleep(_QUIET_S)
+            require(not c.heard(), f"the device got {list(c.heard())} after stop")
+
+    def test_rubbish_is_no_measurement_and_the_next_good_one_is_read(self) -> None:
+        """It may raise on rubbish, or pass it over; left out where `spoil` is None."""
+        with self.connected() as c:
+            if c.spoil is None:
+                return
+            contact(c)
+            c.spoil()
+            time.sleep(_QUIET_S)
+            c.tell(47.0, 0.0)
+            found = until(lambda: number(c.transport))
+            require(self.near(found.angle_deg, 47.0), f"sent rubbish and 47, read {found.angle_deg}")
+
+    def test_a_dead_wire_gives_no_measurement(self) -> None:
+        """It may raise, or return None; left out where `cut` is None."""
+        with self.connected() as c:
+            if c.cut is None:
+                return
+            contact(c)
+            c.cut()
+            for _ in range(20):
+                found = None
+                with suppress(Exception):
+                    found = c.transport.read()
+                require(found is None, f"the plug is pulled, read {found}")
+                with suppress(Exception):
+                    c.transport.write(1.0)
+            with suppress(Exception):
+                c.transport.stop()
+
+
+def require(holds: bool, text: str) -> None:
+    """Fail a test with a line.
+
+    Raises:
+        AssertionError: where it does not hold.
+    """
+    if not holds:
+        raise AssertionError(text)
+
+
+def until(get: Callable[[], T | None]) -> T:
+    """The first result that is not None.
+
+    Raises:
+        AssertionError: if none comes within 5 s.
+    """
+    end = time.monotonic() + _COMES_S
+    while time.monotonic() < end:
+        if (found := get()) is not None:
+            return found
+        time.sleep(0.001)
+    raise AssertionError(f"nothing came within {_COMES_S:g} s")
+
+
+def number(transport: Transport) -> Reading | None:
+    """The next reading with an angle; a transport may raise on rubbish, and may show it as not-a-number."""
+    with suppress(Exception):
+        found = transport.read()
+        return found if found is not None and math.isfinite(found.angle_deg) else None
+    return None
+
+
+def contact(c: Connected) -> Reading:
+    """The last of the first readings: the device talks, listens, and nothing is under way any more."""
+
+    def answer() -> Reading | None:
+        c.heard()
+        c.tell(40.0, 0.0)
+        time.sleep(0.002)
+        found = number(c.transport)
+        if found is not None and not found.listens:
+            c.transport.greet()
+            return None
+        return found
+
+    newest, quiet = until(answer), time.monotonic() + _QUIET_S
+    while time.monotonic() < quiet:
+        if (found := number(c.transport)) is not None:
+            newest, quiet = found, time.monotonic() + _QUIET_S
+        time.sleep(0.001)
+    return newest
