@@ -62,6 +62,7 @@ if any(GALLERY.glob("plot_*.py")):
         "run_stale_examples": False,
         "download_all_examples": False,
         "show_memory": False,
+        "write_computation_times": False,  # its page asks other hosts for scripts
         "remove_config_comments": True,
         "abort_on_example_error": True,
         "show_signature": False,

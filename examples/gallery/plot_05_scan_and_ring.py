@@ -76,14 +76,13 @@ plt.show()
 # %%
 # A ring of targets
 # -----------------
-# The catheter bends in one plane and is rolled about its axis. The ring has the radius :math:`\rho` around an axis that
-# lies :math:`\theta_0` off the catheter's own. At the place :math:`\psi` of the ring, bend and roll are
+# The catheter bends in one plane and is rolled about its axis. The ring has the radius ``rho`` around an axis that
+# lies ``theta_0`` off the catheter's own. At the place ``psi`` of the ring, bend and roll are
 #
-# .. math::
+# .. code-block:: text
 #
-#     \cos\theta = \cos\theta_0 \cos\rho - \sin\theta_0 \sin\rho \cos\psi, \quad
-#     \tan\mathrm{roll} =
-#     \frac{\sin\rho \sin\psi}{\sin\theta_0 \cos\rho + \cos\theta_0 \sin\rho \cos\psi}
+#     cos(theta) = cos(theta_0) cos(rho) - sin(theta_0) sin(rho) cos(psi)
+#     tan(roll)  = sin(rho) sin(psi) / (sin(theta_0) cos(rho) + cos(theta_0) sin(rho) cos(psi))
 #
 # The planner rolls the catheter. The controller bends it. The friction of this device is 1.2 times that of the model.
 

@@ -29,7 +29,9 @@ plt.style.use("hystmpc.trials.report")
 # A motor pulls the tendon over a pulley that is not centred. The travel y then departs from the command u by a sine of
 # the pulley's angle. The elastic belt to the motor adds a lag, so that the effect has a state v as well:
 #
-# .. math:: \tau \dot v + v = u, \qquad y = v + e \sin(2 \pi v / c)
+# .. code-block:: text
+#
+#     tau v' + v = u,   y = v + e sin(2 pi v / c)
 #
 # ``equation`` gets state x, input u, parameters p and the sample time. It returns the next state and the output. A
 # field with a ``Number`` is a parameter with its unit, bounds, usual value and meaning.

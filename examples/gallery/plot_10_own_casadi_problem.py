@@ -23,7 +23,9 @@ plt.style.use("hystmpc.trials.report")
 # -----------
 # Single shooting over H samples, with an output disturbance d, the limits of the command and those of its rate:
 #
-# .. math:: \min_u \sum_k (\theta_k + d - r_k)^2 + w \, (u_k - u_{k-1})^2
+# .. code-block:: text
+#
+#     minimise over u:  sum_k (theta_k + d - r_k)^2 + w (u_k - u_(k-1))^2
 #
 # What follows can be changed at will: other costs, other constraints, several actuators.
 
