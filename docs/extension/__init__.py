@@ -30,6 +30,7 @@ SOURCES: Mapping[str, Callable[[], str]] = MappingProxyType(
     }
 )
 EXECUTED = ("tutorials", "explanation")  # folders whose pages run
+ASKED = re.compile(r"<(?:script|link|img)\b[^>]*\b(?:src|href)=\"(?:https?:)?//")
 BLOCK = re.compile(r"^```\{generated\} (\w+)\n```$", re.MULTILINE)
 
 
@@ -61,6 +62,16 @@ def _is_made(env: Any, name: str) -> bool:
     return name.partition("/")[0] in EXECUTED or bool(BLOCK.search(Path(env.doc2path(name)).read_text("utf-8")))
 
 
+def asking(folder: Path) -> list[str]:
+    """Pages of a built site that fetch a script, a style or a picture from another host."""
+    return [page.name for page in sorted(folder.rglob("*.html")) if ASKED.search(page.read_text("utf-8"))]
+
+
+def _offline(app: Any, error: Exception | None) -> None:
+    if error is None and app.builder.name == "html" and (pages := asking(Path(app.outdir))):
+        raise RuntimeError(f"pages ask other hosts, expected a site that needs no network: {', '.join(pages)}")
+
+
 def sources() -> list[Path]:
     """Files of Python that the pages depend on: of the package and of this extension."""
     here = Path(__file__).resolve().parent
@@ -74,6 +85,7 @@ def setup(app: Any) -> dict[str, Any]:
     app.connect("source-read", _expand)
     app.connect("env-get-outdated", _outdated)
     app.connect("builder-inited", effects.draw)
+    app.connect("build-finished", _offline)
     app.connect("autodoc-process-docstring", api.code, priority=100)
     app.connect("autodoc-process-docstring", api.plain, priority=900)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
