@@ -21,6 +21,7 @@ from .trial_choice import LEAST_S, ChosenTrials, choose_trials
 
 _WRONG_SIGN = -0.3  # correlation; above it a lag of up to a third of a period may be the cause
 _SURELY_WRONG = -0.7  # of a single trial, where all together have the right sign
+_MIDDLE = (0.02, 0.98)  # quantiles of the angles that outliers leave alone
 _WRONG_SCALE = 5.0
 _SMALL_COMMAND = 1 / 50  # of the simulator's range: less is another unit, not a small motion
 _LEAST_SPAN = 0.3  # of the simulator's trained command: in less, backlash may absorb the motion
@@ -169,15 +170,19 @@ def _require_commands(trials: Sequence[Trial], facts: ModelMetadata) -> None:
 
 
 def _require_angles(trials: Sequence[Trial], facts: ModelMetadata) -> None:
-    """Compare the angle's range with that of the simulator, scaled to the command's range."""
+    """Compare the angle's range with that of the simulator, scaled to the command's range.
+
+    A range that is too large is that of the middle 96 % of the samples: outliers of a faulty sensor have any size.
+    """
     command = max(float(t.command.max()) for t in trials) - min(float(t.command.min()) for t in trials)
     trained = facts.trained_command.upper - facts.trained_command.lower
     if command < _LEAST_SPAN * trained:
         return
-    angle = max(float(t.angle.max()) for t in trials) - min(float(t.angle.min()) for t in trials)
+    angles = np.concatenate([t.angle for t in trials])
     expected = (facts.trained_angle.upper - facts.trained_angle.lower) * command / trained
+    angle, middle = float(np.ptp(angles)), float(np.ptp(np.quantile(angles, _MIDDLE)))
     factor = angle / expected
-    if not 1 / _WRONG_SCALE <= factor <= _WRONG_SCALE:
+    if factor < 1 / _WRONG_SCALE or min(angle, middle) > _WRONG_SCALE * expected:
         name, unit = Path(trials[0].source).name if len(trials) == 1 else f"{len(trials)} trials", facts.angle_unit
         remark = _unit_remark(factor, _ANGLE_UNITS if unit == "deg" else {}) or "; another unit or device?"
         raise GapError(

@@ -94,6 +94,13 @@ def test_an_offset_command_is_refused() -> None:
         check(Trial(plain.t, plain.command + 50, plain.angle))
 
 
+def test_outliers_of_a_faulty_sensor_are_no_other_unit() -> None:
+    log = changed()
+    angle = log.angle.copy()
+    angle[::97] += 1e4
+    assert check(replace(log, angle=angle)).trials
+
+
 def test_an_inverse_map_is_refused() -> None:
     facts = SIMULATOR.metadata()
     inverse = facts.model_copy(update={"command_unit": "deg", "angle_unit": "mm"})
