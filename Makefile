@@ -30,7 +30,7 @@ demo: $(DEMO_VENV)/.installed ## simulated closed-loop comparison without torch;
 test: $(VENV)/.installed ## the whole suite; ARGS="tests/ctrl -x" is handed to pytest
 	$(PYTEST) $(ARGS)
 
-test-fast: $(VENV)/.installed ## the suite without its slow part, under a minute on two cores
+test-fast: $(VENV)/.installed ## the suite without its slow part, about a minute on two cores once kernels are compiled
 	$(PYTEST) -m "not slow" $(ARGS)
 
 lint: $(VENV)/.installed ## ruff: rules and formatting

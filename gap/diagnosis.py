@@ -34,7 +34,7 @@ class FoundEffect:
         name: its public name.
         probability: calibrated probability that this effect is present.
         inclusion: share of block resamples in which it was chosen.
-        closed_share: share of the structural gap that it closes on the final trials (its Shapley value).
+        closed_share: share of the structural gap that it closes on the final trials, by the error without it.
         closed_ci90: 90 % interval of that share, block bootstrap over the final trials.
         rmse_before_deg, rmse_after_deg: on the final trials, the other effects present, without and with it [deg].
         parameters: identified values by name.
