@@ -11,10 +11,10 @@ from .console import out
 
 
 def new(
-    kind: Annotated[str, typer.Argument(help="Kind of class: transport.")],
+    kind: Annotated[str, typer.Argument(help="Kind of class: transport, effect or controller.")],
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="New or empty folder.")],
 ) -> None:
-    """Write a class to fill in, its contract tests, which pass as they are, and a bench."""
+    """Write a class to fill in, its contract tests, which pass as they are, and a file to try it with."""
     from hystmpc.testing.new import write_template
 
     for file in write_template(kind, folder):

@@ -14,18 +14,19 @@ from hystmpc.models.simulator import ChainModel, Simulator
 from hystmpc.trials.errors import ControllerError, ModelError
 
 from .fallback import FallbackChain
+from .from_outside import PythonControllerSettings
 from .guarded import GuardedController
 from .law import LawSettings
 from .limits import CommandLimits, LimitsSettings, ModelledLimitsSettings
 
 
 def build_controller(
-    settings: LawSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
+    settings: LawSettings | PythonControllerSettings, predictor: Predictor, inverse: Inverse, limits: CommandLimits
 ) -> GuardedController[Any]:
     """The controller that `settings` describe.
 
     Args:
-        settings: one of the classes of `CONTROLLERS`.
+        settings: one of the classes of `CONTROLLERS`, or a class of yours derived from `LawSettings`.
         predictor: the model; PID takes only the sample time from it.
         inverse: its inverse, for feedforward, candidate plans and fallback.
         limits: hard limits of the device; `settings.limits` may narrow them.
@@ -33,6 +34,7 @@ def build_controller(
     Raises:
         ControllerError: if the settings contradict each other or go beyond the device's limits.
     """
+    settings = settings.resolved()
     limits = _narrowed(limits, settings.limits)
     predictor, inverse = settings.model_pair(predictor, inverse)
     fallback = FallbackChain(limits, settings.ladder, inverse if settings.falls_back_on_inverse else None)

@@ -5,40 +5,48 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, get_args
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from hystmpc.trials.errors import ConfigError, did_you_mean
+from hystmpc.trials.from_outside import with_kind
 
 from .feedback.inverse_settings import InverseControllerSettings, InversePidControllerSettings
 from .feedback.pid import PidControllerSettings
+from .from_outside import GROUP, PythonControllerSettings
 from .mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 
-# A new controller is one class of settings, which builds it, and one line here; all that lists controllers reads this.
+# A new controller of the package is one class of settings, which builds it, and one line here; all that lists
+# controllers reads this. Those from outside are `python`.
 AnyControllerSettings = (
     InverseControllerSettings
     | PidControllerSettings
     | InversePidControllerSettings
     | LinearisedMpcSettings
     | SamplingMpcSettings
+    | PythonControllerSettings
 )
-ControllerSettings = Annotated[AnyControllerSettings, Field(discriminator="kind")]
-CONTROLLERS: dict[str, type[AnyControllerSettings]] = {
+_KINDS: dict[str, type[AnyControllerSettings]] = {
     kind.model_fields["kind"].default: kind for kind in get_args(AnyControllerSettings)
 }
+CONTROLLERS = {name: kind for name, kind in _KINDS.items() if kind is not PythonControllerSettings}
+"""Settings of the package's own controllers, by kind."""
+_read = with_kind(CONTROLLERS, GROUP)
+ControllerSettings = Annotated[AnyControllerSettings, Field(discriminator="kind"), BeforeValidator(_read)]
 
 
 def parse_controller(data: Any, where: str = "<memory>") -> AnyControllerSettings:
-    """Validate a mapping with the key `kind`.
+    """Validate a mapping with the key `kind`, or `python` for a class from outside the package.
 
     Raises:
         ConfigError: if it is no mapping, `kind` is missing or unknown, or a setting of that kind is wrong.
     """
-    if not isinstance(data, dict) or "kind" not in data:
+    if not isinstance(data, dict):
         raise ConfigError(f"{where}: expected a mapping with the key 'kind', {did_you_mean('', CONTROLLERS)}")
-    kind = str(data["kind"])
-    if kind not in CONTROLLERS:
-        raise ConfigError(f"{where}: kind: got {kind!r}, {did_you_mean(kind, CONTROLLERS)}")
-    return CONTROLLERS[kind].parse(data, where)
+    try:
+        data = _read(data)
+    except ValueError as error:
+        raise ConfigError(f"{where}: {error}") from None
+    return _KINDS[data["kind"]].parse(data, where)
 
 
 _SERVED = {
@@ -50,7 +58,7 @@ _SERVED = {
 
 def sensor_fault(settings: AnyControllerSettings, kind: str) -> str:
     """Why a controller cannot work with a sensor of `kind`, empty where it can."""
-    wanted, served = settings.estimator.sensor, _SERVED[kind]
+    wanted, served = settings.resolved().estimator.sensor, _SERVED[kind]
     if wanted in served:
         return ""
     return f"estimator.sensor: got {wanted}, expected {' or '.join(served)}: the sensor is {kind}"
@@ -63,12 +71,16 @@ def told_of_sensor(block: Any, told: Mapping[str, Any]) -> Any:
         block: as it was given; what is no block of a known kind comes back as it is.
         told: keys of `estimator`; those that a controller of this kind does not know are left out.
     """
-    ready = isinstance(block, AnyControllerSettings)
-    data = {**block.model_dump(exclude_unset=True), "kind": block.kind} if ready else block
-    if not told or not isinstance(data, Mapping) or str(data.get("kind")) not in CONTROLLERS:
+    if isinstance(block, AnyControllerSettings):
+        block = {**block.model_dump(exclude_unset=True), "kind": block.kind}
+    if not told or not isinstance(block, Mapping):
         return block
-    own = data.get("estimator", {})
+    try:
+        data, own = _read(block), block.get("estimator", {})
+        settings = PythonControllerSettings.named(data["python"]) if data["kind"] == "python" else _KINDS[data["kind"]]
+    except (ConfigError, ValueError):  # the field itself says what is wrong
+        return block
     if not isinstance(own, Mapping):
         return block
-    known = type(CONTROLLERS[str(data["kind"])]().estimator).model_fields
+    known = type(settings.model_fields["estimator"].get_default()).model_fields
     return {**data, "estimator": {**{key: value for key, value in told.items() if key in known}, **own}}

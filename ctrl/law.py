@@ -11,7 +11,7 @@ from hystmpc.trials.config import Settings
 from hystmpc.trials.types import Vec
 
 from .command import EMPTY, ControlInput, Source, Stopwatch
-from .estimation.observer import Observer
+from .estimation.observer import Observer, SensorKindSettings
 from .fallback import FallbackSettings
 from .limits import CommandLimits, LimitsSettings
 
@@ -54,12 +54,19 @@ class LawSettings(Settings):
     Attributes:
         limits: may only narrow those of the device; null takes them as they are.
         ladder: when prediction, fallback and stop set in.
+        estimator: how the measurements come.
     """
 
     falls_back_on_inverse: ClassVar[bool] = True
+    predicts: ClassVar[bool] = False  # with the model itself; others get an operator in the place of a network
 
     limits: LimitsSettings | None = None
     ladder: FallbackSettings = FallbackSettings()
+    estimator: SensorKindSettings = SensorKindSettings()
+
+    def resolved(self) -> LawSettings:
+        """These settings, or those of the class from outside that they name."""
+        return self
 
     def model_pair(self, predictor: Predictor, inverse: Inverse) -> tuple[Predictor, Inverse]:
         """The model and its inverse as the controller uses them, with a learned part where the settings ask for one.

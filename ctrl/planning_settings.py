@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -127,6 +127,8 @@ class PredictiveSettings(LawSettings):
         weights: of the cost that a plan is chosen by.
         hold: when a command is held.
     """
+
+    predicts: ClassVar[bool] = True
 
     estimator: EstimatorSettings = EstimatorSettings()
     adaptation: AdaptationSettings | None = AdaptationSettings()

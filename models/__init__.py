@@ -9,13 +9,17 @@ from hystmpc.trials import lazily
 if TYPE_CHECKING:
     from .chain import Chain
     from .effects.catalogue import EFFECTS
-    from .effects.effect import Scale
+    from .effects.effect import Candidate, Effect, Freedom, Scale
     from .effects.place import effect_operator, neutral_operator, with_effect
-    from .operators.operator import Number, Operator, maximum, minimum
+    from .operators.operator import Memoryless, Number, Operator, maximum, minimum
 
 __all__ = [
     "EFFECTS",
+    "Candidate",
     "Chain",
+    "Effect",
+    "Freedom",
+    "Memoryless",
     "Number",
     "Operator",
     "Scale",
@@ -31,7 +35,7 @@ if not TYPE_CHECKING:
         __name__,
         ("hystmpc.models.chain", "Chain"),
         ("hystmpc.models.effects.catalogue", "EFFECTS"),
-        ("hystmpc.models.effects.effect", "Scale"),
+        ("hystmpc.models.effects.effect", "Candidate Effect Freedom Scale"),
         ("hystmpc.models.effects.place", "effect_operator neutral_operator with_effect"),
-        ("hystmpc.models.operators.operator", "Number Operator maximum minimum"),
+        ("hystmpc.models.operators.operator", "Memoryless Number Operator maximum minimum"),
     )

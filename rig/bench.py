@@ -24,7 +24,7 @@ from .safety.intake import Intake
 from .safety.plausibility import MotionWatch
 from .safety.ramp import ramp_commands, stop_commands
 from .safety.stop import RUNNING, Latch, StopFlag, latch_text, stopping_on_signals
-from .transports.foreign import PythonSettings
+from .transports.from_outside import PythonSettings
 from .transports.transport import Conversion, PlantFactory, RunContext, Transport
 
 _PAUSE_NS = 1_000_000

@@ -15,6 +15,7 @@ from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
 from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.from_outside import with_kind
 
 from .commission.excitation import Excitation, MotionFileSettings
 from .commission.phases import PrepareStep, PretensionSettings
@@ -23,7 +24,7 @@ from .safety.intake import SensorSettings
 from .safety.plausibility import PlausibilitySettings
 from .safety.ramp import RampSettings
 from .transports.dds import DdsSettings
-from .transports.foreign import PythonSettings, with_kind
+from .transports.from_outside import GROUP, PythonSettings
 from .transports.simulated import ReplaySettings, SimulatedSettings
 from .transports.transport import TransportBase, WireUnits
 from .transports.udp import UdpSettings
@@ -42,7 +43,7 @@ TRANSPORTS: Mapping[str, type[TransportBase]] = {
 TransportSettings = Annotated[
     SimulatedSettings | ReplaySettings | UdpSettings | DdsSettings | PythonSettings,
     Field(discriminator="kind"),
-    BeforeValidator(with_kind(TRANSPORTS)),
+    BeforeValidator(with_kind(TRANSPORTS, GROUP)),
 ]
 
 

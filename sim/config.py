@@ -6,16 +6,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from hystmpc.ctrl.config import CONTROLLERS, ControllerSettings, sensor_fault, told_of_sensor
+from hystmpc.ctrl.config import ControllerSettings, sensor_fault, told_of_sensor
 from hystmpc.ctrl.frames import AnySensorSettings, ContinuousSensorSettings, SimulatedSensor
 from hystmpc.ctrl.limits import ModelledLimitsSettings
 from hystmpc.models.effects.place import EffectError, effect_from
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
 from hystmpc.trials.config import Settings, load_settings
-from hystmpc.trials.errors import ModelError, did_you_mean
+from hystmpc.trials.errors import ModelError
 from hystmpc.trials.yaml_ import MisplacedError, place_in
 
 from .devices.names import DeviceError, device_parameters
@@ -115,16 +115,6 @@ class TuningSettings(Settings):
     evaluations: Annotated[int, Field(ge=10)] = 300
 
 
-def _known_controller(data: Any) -> Any:
-    """Answer a missing or unknown kind with the kinds there are."""
-    if isinstance(data, Mapping):
-        if "kind" not in data:
-            raise ValueError(f"no key 'kind', available: {', '.join(sorted(CONTROLLERS))}")
-        if str(data["kind"]) not in CONTROLLERS:
-            raise ValueError(f"unknown kind {data['kind']!r}, {did_you_mean(str(data['kind']), CONTROLLERS)}")
-    return data
-
-
 class SimulationConfig(Settings):
     """A closed-loop study: every controller follows every motion on one simulated plant.
 
@@ -158,7 +148,7 @@ class SimulationConfig(Settings):
     actuator_lag_s: NotNegative = 0.0
     sensor: SimulatedSensor = ContinuousSensorSettings()
     motions: dict[Name, Motion] = Field(min_length=1)
-    controllers: dict[Name, Annotated[ControllerSettings, BeforeValidator(_known_controller)]] = Field(min_length=1)
+    controllers: dict[Name, ControllerSettings] = Field(min_length=1)
     limits: ModelledLimitsSettings | None = None
     approach: bool = True
     tune_pid: TuningSettings | None = None

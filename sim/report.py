@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hystmpc.ctrl.analysis import LoopAnalysis, analyse_pid
+from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.feedback.inverse_settings import InversePidControllerSettings
 from hystmpc.ctrl.feedback.pid import PidControllerSettings
 from hystmpc.models.inverse.drive import Drive
@@ -248,9 +249,8 @@ def _stability(result: StudyResult) -> Iterator[Piece]:
     """Limit cycles of every loop with a PID, predicted by the describing function of the identified model."""
     config, unit = result.config, result.unit
     loops = {name: config.controllers[name] for name in result.controllers}
-    delay = max(
-        (s.estimator.delay_samples for s in loops.values() if not isinstance(s, PidControllerSettings)), default=0
-    )
+    known = [s.resolved().estimator for s in loops.values()]
+    delay = max((e.delay_samples for e in known if isinstance(e, EstimatorSettings)), default=0)
     with_gains = {name: s for name, s in loops.items() if isinstance(s, _WITH_GAINS)}
     if not with_gains:
         return

@@ -295,7 +295,7 @@ def limits_of(config: SimulationConfig, controller: str) -> CommandLimits:
     Raises:
         ConfigError: if the settings are not those of a run and leave the limits out.
     """
-    limits: LimitsSettings | None = config.controllers[controller].limits or config.limits
+    limits: LimitsSettings | None = config.controllers[controller].resolved().limits or config.limits
     if limits is None:
         raise ConfigError("limits: got none, expected those of a run's resolved settings")
     return CommandLimits(limits.lower, limits.upper, limits.rate_per_s)

@@ -13,7 +13,6 @@ from hystmpc.ctrl.build import build_controller, known_model, limits_of_model, m
 from hystmpc.ctrl.config import AnyControllerSettings
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.limits import CommandLimits, ModelledLimitsSettings
-from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.ctrl.planner.reach import angles_at_rest, beyond_reach
 from hystmpc.models.contract.metadata import ModelMetadata, Range
 from hystmpc.models.load import load_model, model_path
@@ -57,8 +56,8 @@ class Study:
         Raises:
             ControllerError: if the settings contradict each other or go beyond the limits.
         """
-        predictive = isinstance(settings, LinearisedMpcSettings | SamplingMpcSettings)
-        predictor, inverse = (self.predictor, self.inverse) if predictive else self.feedforward
+        predicts = settings.resolved().predicts
+        predictor, inverse = (self.predictor, self.inverse) if predicts else self.feedforward
         return build_controller(settings, predictor, inverse, self.limits)
 
     def warnings(self) -> tuple[str, ...]:

@@ -7,15 +7,19 @@ from typing import TYPE_CHECKING
 from hystmpc.trials import lazily
 
 if TYPE_CHECKING:
+    from .effect import EffectContract
+    from .law import ControllerContract
     from .line_device import LineDevice
     from .loop import LoopContract
     from .wire import Connected, TransportContract
 
-__all__ = ["Connected", "LineDevice", "LoopContract", "TransportContract"]
+__all__ = ["Connected", "ControllerContract", "EffectContract", "LineDevice", "LoopContract", "TransportContract"]
 
 if not TYPE_CHECKING:
     __getattr__ = lazily(
         __name__,
+        ("hystmpc.testing.effect", "EffectContract"),
+        ("hystmpc.testing.law", "ControllerContract"),
         ("hystmpc.testing.line_device", "LineDevice"),
         ("hystmpc.testing.loop", "LoopContract"),
         ("hystmpc.testing.wire", "Connected TransportContract"),

@@ -1,4 +1,4 @@
-"""Writes a folder to begin with: a class to fill in, its contract tests, which pass as they are, and a bench."""
+"""Writes a folder to begin with: a class to fill in, its contract tests, which pass as they are, and settings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from types import MappingProxyType
 from hystmpc.trials.errors import ConfigError, did_you_mean
 from hystmpc.trials.run_folder import require_vacant
 
-KINDS: Mapping[str, str] = MappingProxyType({"transport": "serial-line"})
+KINDS: Mapping[str, str] = MappingProxyType(
+    {"transport": "new-transport", "effect": "new-effect", "controller": "new-controller"}
+)
 """Kinds of classes, and the folder of the template of each."""
 
 

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from hystmpc.trials.config import Settings, read_yaml
-from hystmpc.trials.errors import ConfigError, did_you_mean
+from hystmpc.trials.errors import ConfigError
 
-from ..config import CONTROLLERS, ControllerSettings
+from ..config import ControllerSettings
 from ..limits import ModelledLimitsSettings, NotNegative, Positive
 from ..mpc_settings import LinearisedMpcSettings
 
@@ -28,16 +28,6 @@ class TargetMotionSettings(Settings):
     velocity_deg_s: Positive = 60.0
     acceleration_deg_s2: Positive = 300.0
     jerk_deg_s3: Positive = 3000.0
-
-
-def _known_controller(data: Any) -> Any:
-    """Answer a missing or unknown kind with the kinds there are."""
-    if isinstance(data, Mapping):
-        if "kind" not in data:
-            raise ValueError(f"no key 'kind', available: {', '.join(sorted(CONTROLLERS))}")
-        if str(data["kind"]) not in CONTROLLERS:
-            raise ValueError(f"unknown kind {data['kind']!r}, {did_you_mean(str(data['kind']), CONTROLLERS)}")
-    return data
 
 
 class TipSettings(Settings):
@@ -59,9 +49,7 @@ class TipSettings(Settings):
     model: str
     inverse: str | None = None
     actuator_lag_s: NotNegative = 0.0
-    controller: Annotated[ControllerSettings, BeforeValidator(_known_controller), Field(validate_default=True)] = (
-        LinearisedMpcSettings()
-    )
+    controller: Annotated[ControllerSettings, Field(validate_default=True)] = LinearisedMpcSettings()
     limits: ModelledLimitsSettings | None = None
     motion: TargetMotionSettings = TargetMotionSettings()
     start_command: float | None = None

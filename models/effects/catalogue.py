@@ -1,13 +1,16 @@
 """The one list of effects: equation, sides, bounds, starts, confounders, and what separates each from its neighbours.
 
-To add an effect: write its operator in `models/operators/`, its forms and its entry here, and, for the blind check, a
-generator. The diagnosis, `hystmpc effects`, the pictures, the self-test and the blind check read this list.
+`hystmpc new effect` begins one outside the package. To add one to the package: write its operator in
+`models/operators/`, its forms and its entry here, and, for the blind check, a generator. The diagnosis,
+`hystmpc effects`, the pictures, the self-test and the blind check read this list.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
+
+from hystmpc.trials.from_outside import installed_objects
 
 from ..operators.dynamics import Delay, Lag, RateLimit, Servo
 from ..operators.friction import Asymmetry, DahlDrag, DirectionalGain, RateDependence, StickSlip
@@ -359,10 +362,16 @@ _LIST = (
     ),
 )
 
-EFFECTS: Mapping[str, Effect] = MappingProxyType({effect.name: effect for effect in _LIST})
-"""Effects by public name, in the order of the documentation."""
+GROUP = "hystmpc.effects"
+"""Entry points by which installed packages add an effect; the value is MODULE:NAME of an `Effect`."""
 
-_FORM_OF = {operator.name: effect.name for effect in _LIST for operator in effect.other_forms}
+EFFECTS: Mapping[str, Effect] = MappingProxyType(
+    {effect.name: effect for effect in _LIST}
+    | installed_objects(GROUP, "effect", Effect, [effect.name for effect in _LIST])
+)
+"""Effects by public name, in the order of the documentation; behind them those of installed packages."""
+
+_FORM_OF = {operator.name: effect.name for effect in EFFECTS.values() for operator in effect.other_forms}
 
 DIAGNOSABLE = tuple(name for name in EFFECTS if name not in _FORM_OF)
 """Effects that a diagnosis can name; the others are forms of these."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hystmpc.trials.errors import FitError, did_you_mean
+from hystmpc.trials.from_outside import installed_objects
 
 from .auto import AutoKind
 from .kind import ModelKind
@@ -10,7 +11,13 @@ from .networks import NETWORK_KINDS
 from .operator_kinds import OPERATOR_KINDS
 from .regressions import PlayKernelKind, SvrKind
 
-KINDS: tuple[ModelKind, ...] = (AutoKind(), *OPERATOR_KINDS, *NETWORK_KINDS, SvrKind(), PlayKernelKind())
+GROUP = "hystmpc.kinds"
+"""Entry points by which installed packages add a kind of model; the value is MODULE:NAME of a `ModelKind`."""
+
+_OWN: tuple[ModelKind, ...] = (AutoKind(), *OPERATOR_KINDS, *NETWORK_KINDS, SvrKind(), PlayKernelKind())
+_OTHERS = installed_objects(GROUP, "kind of model", ModelKind, [kind.name for kind in _OWN])  # type: ignore[type-abstract]
+KINDS: tuple[ModelKind, ...] = (*_OWN, *_OTHERS.values())
+"""Kinds of model, those of installed packages last."""
 
 
 def kind_named(name: str) -> ModelKind:

@@ -197,8 +197,7 @@ class RateDependence(Operator):
         speed = ca.fabs(u - x[0]) / dt
         v = speed + ca.exp(-dt / maximum(p[1], _AT_ONCE)) * (x[2] - speed)
         r = p[0] * maximum(1 + p[2] * u, 0) * v
-        more = 1 + ca.fabs(p[4]) * v
-        g = ca.if_else(p[4] >= 0, more, 1 / more)
+        g = ca.if_else(p[4] >= 0, 1 + p[4] * v, 1 / (1 + ca.fabs(p[4]) * v))
         z = maximum(u - (1 - p[3]) * r / g, minimum(u + (1 + p[3]) * r * g, x[1]))
         return ca.vertcat(u, z, v), z
 

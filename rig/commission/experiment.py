@@ -73,10 +73,11 @@ def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lamb
         TrajectoryError: if the reference cannot be made.
     """
     limits, tip_settings = settings.limits, settings.controller
-    ladder = tip_settings.controller.ladder
+    law = tip_settings.controller
+    ladder = law.resolved().ladder
     if ladder.safe_command is None:  # a stop of the controller's own goes where the loop's would
-        law = tip_settings.controller
-        law = law.model_copy(update={"ladder": ladder.model_copy(update={"safe_command": settings.safe_command})})
+        own = {"ladder": {**ladder.model_dump(), "safe_command": settings.safe_command}}
+        law = type(law).parse({**law.model_dump(exclude_unset=True), **own})
         tip_settings = tip_settings.model_copy(update={"controller": law})
     tip_settings = tip_settings.model_copy(
         update={"limits": tip_settings.limits or limits, "start_command": settings.safe_command}
@@ -96,7 +97,7 @@ def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lamb
 
     drill = settings.drill
     fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)
-    estimator = tip_settings.controller.estimator
+    estimator = law.resolved().estimator
     limit = estimator.disturbance_limit_deg if isinstance(estimator, EstimatorSettings) else math.inf
     watch = ModelWatch(settings.plausibility, limit, settings.dt_s)
     monitor = ChangeMonitor(assembly.predictor.noise, settings.dt_s, assembly.workspace.model)

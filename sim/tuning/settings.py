@@ -55,7 +55,13 @@ Seed = Annotated[int, Field(ge=0)]
 
 
 def default_space(settings: AnyControllerSettings) -> dict[str, DrawSettings]:
-    """Ranges by dotted path below a controller."""
+    """Ranges by dotted path below a controller.
+
+    Raises:
+        ConfigError: for a controller from outside the package, of which no ranges are known.
+    """
+    if settings.kind not in SPACES:
+        raise ConfigError(f"search: got none for {settings.kind}, expected ranges: only {', '.join(SPACES)} have some")
     return dict(SPACES[settings.kind])
 
 

@@ -348,7 +348,7 @@ def _model(tip: Path) -> Path:
 
 def _known(tip: Path) -> tuple[Knowledge, LawSettings]:
     """Model and controller of a commissioned device."""
-    return knowledge(str(_model(tip))), tip_settings(tip).controller
+    return knowledge(str(_model(tip))), tip_settings(tip).controller.resolved()
 
 
 def _of(settings: LawSettings, changes: Mapping[str, Any]) -> LawSettings:

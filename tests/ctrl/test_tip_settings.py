@@ -54,7 +54,7 @@ def test_from_config_reads_files_from_the_files_own_folder(tmp_path: Path) -> No
         ({"modell": "builtin:pi"}, ConfigError, "did you mean 'model'"),
         ({"model": "builtin:pj"}, ModelError, "available: auto, backlash, lstm, pi"),
         ({"model": "builtin:pi", "controller": {"kind": "linearized_mpc"}}, ConfigError, "mean 'linearised_mpc'"),
-        ({"model": "builtin:pi", "controller": {"horizon": 3}}, ConfigError, "no key 'kind'"),
+        ({"model": "builtin:pi", "controller": {"horizon": 3}}, ConfigError, "got neither kind nor python"),
         ({"model": "builtin:pi", "controller": {"kind": "pid", "gain": {}}}, ConfigError, "did you mean 'gains'"),
         ({"model": "builtin:pi", "motion": {"velocity_deg_s": -1}}, ConfigError, "motion.velocity_deg_s"),
         ({"model": "builtin:pi", "start_command": 60}, ControllerError, "start_command: got 60"),

@@ -26,7 +26,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
         ({"plant": {"simulator": "x.yaml", "lag": 0.1}}, r"plant.*unknown key 'lag'.*did you mean 'lag_s'"),
         ({"plant": {"simulator": "x.yaml", "lag_s": -1}}, r"plant\.lag_s.*greater than or equal to 0.*-1"),
         ({"controllers": {"a": {"kind": "mpc"}}}, r"controllers\.a.*unknown kind 'mpc'.*linearised_mpc"),
-        ({"controllers": {"a": {}}}, r"controllers\.a.*no key 'kind'.*available: inverse"),
+        ({"controllers": {"a": {}}}, r"controllers\.a.*got neither kind nor python.*inverse"),
         ({"controllers": {"a b": {"kind": "pid"}}}, r"controllers\.a b.*pattern"),
         ({"controllers": {}}, r"controllers.*at least 1"),
         ({"motions": {"m": {"kind": "walk"}}}, r"motions\.m.*unknown kind 'walk'"),

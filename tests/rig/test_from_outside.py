@@ -20,7 +20,7 @@ from hystmpc.rig.bench import first_contact, run_bench
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.safety.stop import StopFlag
 from hystmpc.rig.transports import guarded
-from hystmpc.rig.transports.foreign import PythonSettings
+from hystmpc.rig.transports.from_outside import PythonSettings
 from hystmpc.rig.transports.guarded import GuardedTransport, nonsense
 from hystmpc.rig.transports.transport import Conversion, Reading, RunContext
 from hystmpc.trials.errors import ConfigError
@@ -88,7 +88,7 @@ def test_a_class_of_the_working_folder_gets_the_further_keys(lab: Path) -> None:
 
 def test_an_entry_point_makes_a_kind_known(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     installed = EntryPoints([EntryPoint("maxon", "mylab.bus:Bus", "hystmpc.transports")])
-    monkeypatch.setattr("hystmpc.rig.transports.foreign.entry_points", lambda group: installed.select(group=group))
+    monkeypatch.setattr("hystmpc.trials.from_outside.entry_points", lambda group: installed.select(group=group))
     assert bench({"kind": "maxon", "port": "a"}) == bench({"python": "mylab.bus:Bus", "port": "a"})
     with pytest.raises(ConfigError, match=r"unknown kind 'maxn', available: .*udp; did you mean 'maxon'"):
         bench({"kind": "maxn"})
@@ -263,7 +263,7 @@ def test_a_driver_that_only_fails_is_refused_before_anything_moves() -> None:
 def test_an_instance_takes_the_place_of_the_block(tmp_path: Path) -> None:
     bus = Bus(lambda: None)
     settings = BenchSettings.parse(SETTINGS | {"latch_file": str(tmp_path / "latch.json"), "connect_timeout_s": 0.05})
-    with pytest.raises(ConfigError, match=r"got no angle from transport .*test_foreign:Bus within"):
+    with pytest.raises(ConfigError, match=r"got no angle from transport .*test_from_outside:Bus within"):
         run_bench(settings, list, ListSink, lambda block, dt_s: None, transport=bus)  # type: ignore[arg-type,return-value]
     assert bus.stops == 1
-    assert PythonSettings.of(bus).python.endswith("test_foreign:Bus")  # type: ignore[arg-type]  # by its methods
+    assert PythonSettings.of(bus).python.endswith("test_from_outside:Bus")  # type: ignore[arg-type]  # by its methods

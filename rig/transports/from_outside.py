@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import inspect
-import sys
 from collections.abc import Callable, Mapping
-from importlib import import_module
-from importlib.metadata import entry_points
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
 from hystmpc.trials.errors import ConfigError, did_you_mean
+from hystmpc.trials.from_outside import MODULE_AND_CLASS, class_named
 
 from .guarded import GuardedTransport, lacking, lacks
 from .transport import RunContext, Transport, TransportBase
@@ -32,7 +29,7 @@ class PythonSettings(TransportBase):
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow")
 
     kind: Literal["python"] = "python"
-    python: str = Field(pattern=r"^\w+(\.\w+)*:\w+$")
+    python: str = Field(pattern=MODULE_AND_CLASS)
     _instance: Transport | None = PrivateAttr(None)
 
     @model_validator(mode="before")
@@ -60,7 +57,7 @@ class PythonSettings(TransportBase):
 
     def _make(self) -> Callable[[], Any]:
         """Makes the transport; class, methods and arguments are checked already."""
-        found, arguments = class_named(self.python), dict(self.model_extra or {})
+        found, arguments = class_named(self.python, "transport", object), dict(self.model_extra or {})
         if missing := lacking(found):
             raise ConfigError(f"transport {self.python}: {lacks(missing)}")
         try:
@@ -73,62 +70,6 @@ class PythonSettings(TransportBase):
             expected = _expected(arguments, list(signature.parameters))
             raise ConfigError(f"transport {self.python}: {error}, {expected}") from None
         return lambda: found(**arguments)
-
-
-def with_kind(known: Mapping[str, type[TransportBase]]) -> Callable[[Any], Any]:
-    """Reads the block `transport`: fills in its kind where a class is named, and the class where an entry point is.
-
-    Args:
-        known: kinds of the package itself, which come before an entry point of the same name.
-    """
-
-    def read(data: Any) -> Any:
-        if not isinstance(data, Mapping):
-            return data
-        if "python" in data:
-            return {"kind": "python", **data}
-        kind = data.get("kind")
-        if kind is None:
-            raise ValueError(f"got neither kind nor python, expected kind: {', '.join(known)}, or python: MODULE:CLASS")
-        if kind in known:
-            return data
-        installed = {entry.name: entry.value for entry in entry_points(group=GROUP)}
-        if kind not in installed:
-            raise ValueError(f"unknown kind {kind!r}, {did_you_mean(str(kind), [*known, *installed])}")
-        return {**data, "kind": "python", "python": installed[kind].partition("[")[0].strip()}
-
-    return read
-
-
-def class_named(name: str) -> type:
-    """The class MODULE:CLASS, of an installed package or of the working folder.
-
-    Raises:
-        ConfigError: if there is no such module or class, or the module cannot be imported.
-    """
-    module, _, attribute = name.partition(":")
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)  # last: a file of the working folder takes the place of no installed module
-    try:
-        found = import_module(module)
-    except ModuleNotFoundError as error:
-        missing = error.name or module
-        if f"{module}.".startswith(f"{missing}."):
-            raise ConfigError(
-                f"transport {name}: no module {missing!r} is installed or in the working folder {here}"
-            ) from None
-        raise ConfigError(f"transport {name}: its module needs {missing!r}, which is not installed") from None
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - a module of the lab's may raise anything
-        text = " ".join(str(error).split())[:200]
-        raise ConfigError(f"transport {name}: cannot be imported ({type(error).__name__}: {text})") from None
-    kind = getattr(found, attribute, None)
-    if not isinstance(kind, type):
-        own = [key for key, value in vars(found).items() if isinstance(value, type) and value.__module__ == module]
-        raise ConfigError(
-            f"transport {name}: no class {attribute!r} in {found.__file__}, {did_you_mean(attribute, own)}"
-        )
-    return kind
 
 
 def _expected(arguments: Mapping[str, Any], taken: list[str]) -> str:

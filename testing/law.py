@@ -1,0 +1,161 @@
+"""What every controller owes to the loop: a contract that a lab runs against its own control law."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hystmpc.ctrl.build import build_controller, known_model, limits_of_model
+from hystmpc.ctrl.command import Source
+from hystmpc.ctrl.guarded import GuardedController
+from hystmpc.ctrl.law import LawSettings
+from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.ctrl.planner.reach import angles_at_rest
+from hystmpc.models.load import load_model, model_path
+from hystmpc.models.prediction.build import Known
+from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.types import Vec
+
+from .wire import require
+
+_STEPS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """A device that is known exactly: its model, limits, and the angles at its ends [deg]."""
+
+    known: Known
+    limits: CommandLimits
+    low_deg: float
+    high_deg: float
+
+    @property
+    def middle_deg(self) -> float:
+        """Angle half way [deg]."""
+        return 0.5 * (self.low_deg + self.high_deg)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Angles (T,) [deg], commands (T,), where each came from; the controller's state and the angle at the end."""
+
+    angles: Vec
+    commands: Vec
+    sources: list[Source]
+    state: Any
+    y: float
+
+
+class ControllerContract(ABC):
+    """Derive a class whose name begins with `Test`, give it `settings`, and run pytest.
+
+    The device is a Prandtl-Ishlinskii model, which the law may know: `model` names another.
+
+    Attributes:
+        model: a simulator (.yaml), an exported model (.onnx), or `builtin:NAME`.
+        settled_deg: greatest error at the end of a hold of eight seconds [deg].
+    """
+
+    model: str = "builtin:pi"
+    settled_deg: float = 1.0
+
+    @abstractmethod
+    def settings(self) -> LawSettings:
+        """Of the controller that is tested."""
+
+    def test_its_settings_are_read_again_as_they_are_written(self) -> None:
+        """A run folder keeps them, and unknown keys are refused."""
+        settings = self.settings()
+        again = type(settings).parse(settings.model_dump(mode="json"))
+        require(again == settings, f"written {settings}, read {again}")
+        try:
+            type(settings).parse({"no_such_key": 1})
+        except ConfigError:
+            return
+        require(False, "a key that does not exist is taken")
+
+    def test_it_comes_to_rest(self) -> None:
+        """Late in a hold the command moves by less than a hundredth of its range: there is no limit cycle."""
+        commands = self._follow(np.full(_STEPS, self._device.middle_deg)).commands[-_STEPS // 2 :]
+        moved, limits = float(np.ptp(commands)), self._device.limits
+        require(moved < 0.01 * (limits.upper - limits.lower), f"in a hold the command moves by {moved:.3g}")
+
+    def test_it_settles_on_a_target_without_its_fallbacks(self) -> None:
+        """On the device that it knows, from rest to the middle of the range."""
+        target = self._device.middle_deg
+        run = self._follow(np.full(_STEPS, target))
+        wrong = sorted({str(s) for s in run.sources} - {str(Source.CONTROLLER), str(Source.MPC)})
+        require(not wrong, f"commands came from {', '.join(wrong)}: the law failed")
+        off = float(np.max(np.abs(run.angles[-20:] - target)))
+        require(off <= self.settled_deg, f"{off:.2f} deg off at the end of the hold, at most {self.settled_deg} deg")
+
+    def test_the_same_state_gives_the_same_command(self) -> None:
+        """A state is its own snapshot: nothing is remembered elsewhere."""
+        controller, run = self._controller, self._follow(np.full(_STEPS, self._device.middle_deg))
+        wanted = np.full(controller.horizon, self._device.middle_deg + 0.3)
+        first = controller.step(run.state, run.y, wanted)[0].u
+        controller.step(run.state, run.y + 5.0, wanted + 3.0)
+        again = controller.step(run.state, run.y, wanted)[0].u
+        require(first == again, f"the same state gives {first} and then {again}")
+
+    def test_nothing_brings_it_beyond_the_limits(self) -> None:
+        """Missing and absurd measurements, absurd references; commands stay finite, within range and rate."""
+        controller, limits = self._controller, self._device.limits
+        random = np.random.default_rng(3)
+        state, last = controller.init(self._device.low_deg, limits.lower), limits.lower
+        odd = [math.nan, math.inf, -math.inf, 1e9, -1e9, 0.0]
+        for k in range(_STEPS):
+            y = (
+                odd[k % len(odd)]
+                if random.random() < 0.3
+                else float(random.uniform(self._device.low_deg, self._device.high_deg))
+            )
+            reference = np.full(controller.horizon, float(random.uniform(-200.0, 300.0)))
+            if random.random() < 0.1:
+                reference[:] = odd[k % len(odd)]
+            command, state = controller.step(state, y, reference)
+            step = abs(command.u - last)
+            require(math.isfinite(command.u), f"command {command.u}")
+            require(limits.lower <= command.u <= limits.upper, f"command {command.u} beyond {limits}")
+            require(step <= limits.rate * controller.dt * (1 + 1e-9), f"the command moves by {step} in a sample")
+            last = command.u
+
+    def test_it_goes_on_after_missing_measurements(self) -> None:
+        """Five samples without an angle are bridged, and it settles on the target as before."""
+        target = self._device.middle_deg
+        angles = self._follow(np.full(_STEPS, target), missing=range(20, 25)).angles
+        off = float(np.max(np.abs(angles[-20:] - target)))
+        require(off <= self.settled_deg, f"{off:.2f} deg off after a gap, at most {self.settled_deg} deg")
+
+    @cached_property
+    def _device(self) -> Device:
+        opened = load_model(model_path(self.model), start="conditioned")
+        known, limits = known_model(opened, None, 0.0), limits_of_model(opened.metadata)
+        low, high = angles_at_rest(known.predictive[0], limits, opened.metadata.trained_angle.lower)
+        return Device(known, limits, low, high)
+
+    @cached_property
+    def _controller(self) -> GuardedController[Any]:
+        settings, known = self.settings(), self._device.known
+        predictor, inverse = settings.model_pair(*(known.predictive if settings.predicts else known.feedforward))
+        return build_controller(settings, predictor, inverse, self._device.limits)
+
+    def _follow(self, reference: Vec, missing: range = range(0)) -> Run:
+        """The closed loop on the known device."""
+        plant, controller, y = self._device.known.predictive[0], self._controller, self._device.low_deg
+        device = plant.initial(y, self._device.limits.lower)
+        state = controller.init(y, self._device.limits.lower)
+        angles, commands, sources = np.empty(reference.size), np.empty(reference.size), []
+        for k in range(reference.size):
+            ahead = np.full(controller.horizon, reference[k])
+            command, state = controller.step(state, math.nan if k in missing else y, ahead)
+            y, device = plant.advance(device, command.u)
+            angles[k], commands[k] = y, command.u
+            sources.append(command.source)
+        return Run(angles, commands, sources, state, y)
