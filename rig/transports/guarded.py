@@ -47,11 +47,12 @@ class Worker:
                 raise
             raise TimeoutError(f"it has not come back within {patience_s:g} s") from None
 
-    def last(self, function: Callable[[], object], patience_s: float) -> None:
-        """The last call; it comes after one that hangs, and the thread ends."""
-        future = self._put(function)
+    def last(self, function: Callable[[], object], then: Callable[[], T], patience_s: float) -> Future[T]:
+        """The last two calls; they come after one that hangs, and the thread ends. Waits for the first of them."""
+        future, second = self._put(function), self._put(then)
         self._put(_end)
         future.result(patience_s)
+        return second
 
     def _put(self, function: Callable[[], T]) -> Future[T]:
         future: Future[T] = Future()
@@ -95,11 +96,13 @@ class GuardedTransport(Transport):
         self._conversion, self._now = run.conversion, run.now_ns
         self._counters: Counter[str] = Counter()
         self._worker, self._open = Worker(name), True
+        self._at_end: Future[dict[str, int]] = Future()  # what it has counted when it was closed
         try:
             self._device = self._worker.call(make, _OPENS_S)
+            counts = self._worker.call(lambda: hasattr(self._device, "counters"), PATIENCE_S)
         except Exception as error:  # noqa: BLE001 - a device's driver may raise anything
             raise ConfigError(f"transport {name}: cannot be opened ({_said(error)})") from None
-        missing = lacking(self._device) or ([] if hasattr(self._device, "counters") else ["counters"])
+        missing = lacking(self._device) or ([] if counts else ["counters"])
         if missing:
             raise ConfigError(f"transport {name}: {lacks(missing)}")
 
@@ -107,10 +110,14 @@ class GuardedTransport(Transport):
     def counters(self) -> Mapping[str, int]:
         counted = Counter(self._counters)
         try:
-            counted.update({str(cause): int(n) for cause, n in dict(self._device.counters).items()})
+            told = self._worker.call(self._told, PATIENCE_S) if self._open else self._at_end.result(PATIENCE_S)
+            counted.update(told)
         except Exception:  # noqa: BLE001 - as above; what it has counted is only told
             counted["counters cannot be read"] += 1
         return counted
+
+    def _told(self) -> dict[str, int]:
+        return {str(cause): int(n) for cause, n in dict(self._device.counters).items()}
 
     def read(self) -> Reading | None:
         found = self._call("read", lambda: self._device.read())
@@ -134,7 +141,7 @@ class GuardedTransport(Transport):
         """Close, once; a transport that hangs is closed when it comes back."""
         if self._open:
             self._open = False
-            self._worker.last(lambda: self._device.stop(goodbye), _CLOSES_S)
+            self._at_end = self._worker.last(lambda: self._device.stop(goodbye), self._told, _CLOSES_S)
 
     def _call(self, name: str, function: Callable[[], T]) -> T:
         if not self._open:

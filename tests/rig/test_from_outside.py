@@ -204,6 +204,40 @@ def test_a_driver_ends_no_program(error: BaseException) -> None:
     wire.stop()
 
 
+def test_counters_that_hang_hold_up_nothing_and_the_device_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are asked for after a run, beside a device that has to be let go."""
+    monkeypatch.setattr(guarded, "PATIENCE_S", 0.05)
+    free, hangs = threading.Event(), threading.Event()
+
+    class Slow(Bus):
+        @property
+        def counters(self) -> dict[str, int]:
+            if hangs.is_set():
+                free.wait()
+            return {"lost": 3}
+
+        @counters.setter
+        def counters(self, value: dict[str, int]) -> None:
+            """Set by `Bus`."""
+
+    bus = Slow()
+    wire = guard(bus)
+    assert wire.counters == {"lost": 3}
+    hangs.set()
+    wire.stop()
+    assert bus.stops == 1
+    assert wire.counters == {"counters cannot be read": 1}
+    free.set()
+
+
+def test_what_was_counted_up_to_the_end_is_told_after_it() -> None:
+    bus = Bus()
+    wire = guard(bus)
+    bus.counters["lost"] = 5
+    wire.stop()
+    assert wire.counters == {"lost": 5}
+
+
 def test_a_call_that_hangs_raises_and_every_other_one_at_once_until_it_is_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """One command at most can come late: none waits behind one that hangs."""
     monkeypatch.setattr(guarded, "PATIENCE_S", 0.02)
