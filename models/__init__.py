@@ -9,16 +9,21 @@ from hystmpc.trials import lazily
 if TYPE_CHECKING:
     from .chain import Chain
     from .effects.catalogue import EFFECTS
-    from .effects.effect import Scale
+    from .effects.effect import Candidate, Effect, Freedom, Scale
+    from .effects.own import add_effect
     from .effects.place import effect_operator, neutral_operator, with_effect
     from .operators.operator import Number, Operator, maximum, minimum
 
 __all__ = [
     "EFFECTS",
+    "Candidate",
     "Chain",
+    "Effect",
+    "Freedom",
     "Number",
     "Operator",
     "Scale",
+    "add_effect",
     "effect_operator",
     "maximum",
     "minimum",
@@ -31,7 +36,8 @@ if not TYPE_CHECKING:
         __name__,
         ("hystmpc.models.chain", "Chain"),
         ("hystmpc.models.effects.catalogue", "EFFECTS"),
-        ("hystmpc.models.effects.effect", "Scale"),
+        ("hystmpc.models.effects.effect", "Candidate Effect Freedom Scale"),
+        ("hystmpc.models.effects.own", "add_effect"),
         ("hystmpc.models.effects.place", "effect_operator neutral_operator with_effect"),
         ("hystmpc.models.operators.operator", "Number Operator maximum minimum"),
     )
