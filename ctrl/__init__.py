@@ -11,13 +11,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .build import build_controller as build_controller
     from .command import Command as Command
+    from .command import ControlInput as ControlInput
     from .command import Source as Source
+    from .command import Stopwatch as Stopwatch
     from .command import Timing as Timing
     from .config import CONTROLLERS as CONTROLLERS
     from .config import parse_controller as parse_controller
     from .feedback.inverse_settings import InverseControllerSettings as InverseControllerSettings
     from .feedback.inverse_settings import InversePidControllerSettings as InversePidControllerSettings
     from .feedback.pid import PidControllerSettings as PidControllerSettings
+    from .law import Law as Law
+    from .law import Proposal as Proposal
     from .limits import CommandLimits as CommandLimits
     from .loop import Controller as Controller
     from .loop import Plant as Plant
@@ -29,10 +33,11 @@ if TYPE_CHECKING:
 # Imported when first asked for: a controller loads CasADi, numba and onnxruntime, which take over a second.
 _HOMES = {
     "build": ("build_controller",),
-    "command": ("Command", "Source", "Timing"),
+    "command": ("Command", "ControlInput", "Source", "Stopwatch", "Timing"),
     "config": ("CONTROLLERS", "parse_controller"),
     "feedback.inverse_settings": ("InverseControllerSettings", "InversePidControllerSettings"),
     "feedback.pid": ("PidControllerSettings",),
+    "law": ("Law", "Proposal"),
     "limits": ("CommandLimits",),
     "loop": ("Controller", "Plant", "run_loop"),
     "mpc_settings": ("LinearisedMpcSettings", "SamplingMpcSettings"),
