@@ -128,9 +128,7 @@ class Fit:
             ExportError: if the exported model differs from its reference; nothing is written then.
         """
         if Path(path).suffix.lower() in (".yaml", ".yml"):
-            from hystmpc.models.simulator import save_simulator
-
-            return save_simulator(self.simulator, path)
+            return self.simulator.save(path)
         export(self, path)
         return Path(path)
 
@@ -157,9 +155,8 @@ def load_model(path: Path | str, start: Start = "initial") -> LoadedModel:
         ModelError: if the file is missing, foreign or corrupt, or the name unknown.
     """
     from hystmpc.models.load import load_model as open_file
-    from hystmpc.models.load import model_path
 
-    return open_file(model_path(str(path)), start)
+    return open_file(path, start)
 
 
 def load_simulator(path: Path | str) -> Simulator:
@@ -342,6 +339,7 @@ def diagnose(
     from hystmpc.gap import diagnose as gap
     from hystmpc.gap.report.folder import require_free, save_diagnosis
     from hystmpc.gap.tracking.diagnosed import with_tracking
+    from hystmpc.models.load import model_path
     from hystmpc.models.simulator import ChainModel
 
     if out is not None:
@@ -357,7 +355,7 @@ def diagnose(
     logs = [trial.source for trial in recorded]
     settings = {"logs": logs, "sim": str(simulator), "preset": str(preset), "seed": seed, "without": list(without)}
     settings["ordered"] = ordered
-    files = (simulator,) if isinstance(simulator, Path | str) else ()
+    files = (model_path(str(simulator)),) if isinstance(simulator, Path | str) else ()
     save_diagnosis(evidence, out, settings, models=files)
     return evidence.diagnosis
 

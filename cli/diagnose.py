@@ -79,6 +79,7 @@ def _diagnosed(
     trials = _recorded(files, preset)
     from hystmpc.gap.diagnose import conclude, find_causes  # compiles: kept out of the way of refusals
     from hystmpc.gap.tracking.diagnosed import with_tracking
+    from hystmpc.models.load import model_path
 
     with bar("diagnose") as show:
         told = _progress(show)
@@ -93,7 +94,7 @@ def _diagnosed(
             "without": list(without),
             "ordered": ordered,
         }
-        save_diagnosis(replace(evidence, simulator=sim.name), folder, settings, models=(sim,))
+        save_diagnosis(replace(evidence, simulator=sim.name), folder, settings, models=(model_path(str(sim)),))
     return evidence.diagnosis
 
 

@@ -35,7 +35,9 @@ from .options import (
 
 
 def evaluate(
-    model: Annotated[Path, typer.Argument(metavar="MODEL", help="A simulator (.yaml) or exported model (.onnx).")],
+    model: Annotated[
+        Path, typer.Argument(metavar="MODEL", help="A simulator (.yaml), exported model (.onnx) or builtin:NAME.")
+    ],
     logs: Logs,
     preset: Layout = "auto",
     sampled_hz: SampledHz = None,

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hystmpc.models.contract.load import load_onnx
+from hystmpc.models.load import model_path
 from hystmpc.models.simulator import export_simulator, load_simulator
 
 from .console import out
@@ -16,7 +17,7 @@ from .options import MODEL, Force, check_output
 
 def export(
     simulator: Annotated[
-        Path, typer.Argument(metavar="SIMULATOR", help="A simulator file (.yaml) as `fit` writes it.")
+        Path, typer.Argument(metavar="SIMULATOR", help="A simulator (.yaml of `fit`, or builtin:NAME).")
     ],
     path: Annotated[Path, typer.Option("--out", help="The ONNX file to write.")],
     force: Force = False,
@@ -26,7 +27,7 @@ def export(
     It is held against its reference in onnxruntime and CasADi before it is written.
     """
     check_output("--out", path, (MODEL,), [simulator], force)
-    gate = export_simulator(load_simulator(simulator), path)
+    gate = export_simulator(load_simulator(model_path(str(simulator))), path)
     out.print(
         f"{path}: {gate.steps} steps within {max(gate.runtime_deg, gate.casadi_deg):.2g} deg of the reference "
         f"(onnxruntime {gate.runtime_deg:.2g}, CasADi {gate.casadi_deg:.2g}), Jacobians within {gate.jacobian:.2g}; "

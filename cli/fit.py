@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
+from itertools import takewhile
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from hystmpc.models.contract.export import export_onnx
 from hystmpc.models.contract.metadata import DeviceLimits, Range
@@ -54,6 +56,30 @@ Test = Annotated[
 
 _PARTS = ("part", "form", "without it", "with it")
 _KINDS = ", ".join(kind.name for kind in KINDS)
+
+
+class Command(TyperCommand):
+    """Refuses logs of the fit that stand on both sides of `--test LOG`: `--test a.csv b.csv` would fit b.csv."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse as usual, then look at what stands right behind the log of each `--test`.
+
+        Raises:
+            ConfigError: if a log of the fit stands there and others stand elsewhere.
+        """
+        given = list(args)
+        rest = super().parse_args(ctx, args)
+        behind: list[str] = []
+        for k in (k for k, word in enumerate(given) if word == "--test"):
+            behind += takewhile(lambda word: not word.startswith("-"), given[k + 2 :])
+        fitted = [str(log) for log in ctx.params.get("logs") or ()]
+        astray = [name for name in fitted if name in map(str, map(Path, behind))]
+        if astray and len(astray) < len(fitted):
+            raise ConfigError(
+                f"fit: {astray[0]} stands behind --test, which takes one log, and would be fitted; "
+                f"write `--test {astray[0]}`, or put it before --test"
+            )
+        return rest
 
 
 def fit(

@@ -65,13 +65,14 @@ class Verbs(TyperGroup):
         """The verb's command, None for an unknown one."""
         if cmd_name not in VERBS:
             return None
-        verb = getattr(import_module(f".{cmd_name}", __package__), cmd_name)
+        module = import_module(f".{cmd_name}", __package__)
+        verb = getattr(module, cmd_name)
         group = typer.Typer(add_completion=False, **_PLAIN)
         group.callback()(_nothing)  # a group, however many verbs it has
         if isinstance(verb, typer.Typer):
             group.add_typer(verb, name=cmd_name)
         else:
-            group.command(cmd_name)(verb)
+            group.command(cmd_name, cls=getattr(module, "Command", None))(verb)
         return typer.main.get_command(group).get_command(ctx, cmd_name)  # type: ignore[attr-defined]  # it is a group
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

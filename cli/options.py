@@ -39,7 +39,9 @@ SampledHz = Annotated[
     float | None,
     typer.Option("--sampled-hz", help="Rate [Hz] of logs sampled evenly; stands in for a broken or missing clock."),
 ]
-Sim = Annotated[Path | None, typer.Option("--sim", help="Simulator: .yaml of `fit`, or an exported .onnx model.")]
+Sim = Annotated[
+    Path | None, typer.Option("--sim", help="Simulator: .yaml of `fit`, an exported .onnx model, or builtin:NAME.")
+]
 SkipFirstFlexure = Annotated[
     bool, typer.Option("--skip-first-flexure", help="Count each trial only from the command's first reversal on.")
 ]
@@ -88,6 +90,9 @@ def simulator_at(path: Path) -> Simulator | OnnxModel:
     Raises:
         ModelError: if it has another ending, or cannot be opened.
     """
+    from hystmpc.models.load import model_path
+
+    path = model_path(str(path))
     suffix = path.suffix.lower()
     if suffix in (".yaml", ".yml"):
         from hystmpc.models.simulator import load_simulator
@@ -97,7 +102,7 @@ def simulator_at(path: Path) -> Simulator | OnnxModel:
         from hystmpc.models.contract.load import load_onnx
 
         return load_onnx(path)
-    raise ModelError(f"--sim {path}: ending {suffix or 'missing'}, expected a .yaml simulator or an .onnx model")
+    raise ModelError(f"--sim {path}: ending {suffix or 'missing'}, expected .yaml, .onnx or builtin:NAME")
 
 
 def warn_of_units(trials: Sequence[Trial]) -> None:

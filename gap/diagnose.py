@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS, confounders
+from hystmpc.models.effects.catalogue import EFFECTS, confounders, diagnosable
 from hystmpc.models.identify.cross_validation import CrossValidation
 from hystmpc.models.identify.least_squares import one_blas_thread
 from hystmpc.models.identify.uncertainty import BASELINE_UNITS, ParameterRow, parameter_rows
@@ -37,7 +37,6 @@ from .residual.memory import explainable_share
 if TYPE_CHECKING:
     from .report.report_data import Evidence
 
-LIBRARY = DIAGNOSABLE
 DEFAULT_SETTINGS = DiagnosisSettings()
 _STEPS, _CONCLUDED = 100, 97  # of the progress
 _STABILITY_UNKNOWN = 0.5
@@ -174,11 +173,12 @@ class _Clock:
 
 
 def _left_out(without: Sequence[str], only: Sequence[str] | None) -> tuple[str, ...]:
+    library = diagnosable()
     for name in (*without, *(only or ())):
-        if name not in LIBRARY:
-            raise GapError(f"no effect {name!r} in the library, {did_you_mean(name, LIBRARY)}")
-    kept = LIBRARY if only is None else tuple(only)
-    return tuple(name for name in LIBRARY if name in without or name not in kept)
+        if name not in library:
+            raise GapError(f"no effect {name!r} in the library, {did_you_mean(name, library)}")
+    kept = library if only is None else tuple(only)
+    return tuple(name for name in library if name in without or name not in kept)
 
 
 def _localisation(prepared: PreparedTrials, seed: int) -> Localisation | None:
@@ -204,7 +204,7 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
         {name: decades.log_value(v, BASELINE_UNITS[name]) for name, v in prepared.baseline.quantities(z).items()}
         for z in (prepared.baseline.nominal, hypothesis.problem.retuned(hypothesis.q))
     )
-    library = [name for name in LIBRARY if name not in findings.left_out]
+    library = [name for name in diagnosable() if name not in findings.left_out]
     moved = moved_numbers(prepared, hypothesis, parameters) if ruling.verdict == "retuned" else ()
     sizes, checked = decades.log_sizes(conclusion.closed.gap), prepared.checked
     ranked = ranking(probabilities, attribution.inclusion, ruling.ambiguity or (unseparated(findings),), library)

@@ -310,6 +310,14 @@ class Diagnosis:
         }
         return {"format": FORMAT, **found}
 
+    def __str__(self) -> str:
+        lines = [f"{self.verdict}: {self.reason}"]
+        for effect in self.effects:
+            numbers = (f"{name} = {value:.4g} {effect.units[name]}" for name, value in effect.parameters.items())
+            closes = f"closes {100 * effect.closed_share:.0f} % of the gap"
+            lines.append(f"  {effect.name}: {', '.join(numbers)}; probability {effect.probability:.2f}; {closes}")
+        return "\n".join(lines)
+
     def plot(self) -> Figure:
         """Probability of each effect, and the share of the structural gap that the chosen ones close."""
         from hystmpc.trials.report import MODEL, REFERENCE, new_figure  # matplotlib, which a verdict does without

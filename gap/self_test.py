@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS
+from hystmpc.models.effects.catalogue import EFFECTS, diagnosable
 from hystmpc.models.effects.place import effect_from
 from hystmpc.models.identify.corrected_simulator import settled
 from hystmpc.models.identify.free_run import StagedChain
@@ -110,7 +110,7 @@ _CASES: dict[str, _Case] = {
     "sensor": _Case(("sensor",), sensor=Sensor(1.0, 0.08, 0.02, 12.0, 0.0)),
     "lag and creep": _Case(("creep", "lag"), (Lag(0.2), Creep((0.2,), (5.0,)))),
 }
-CASES: Mapping[str, _Case] = _CASES | {name: _as_shown(name) for name in DIAGNOSABLE if name not in _CASES}
+CASES: Mapping[str, _Case] = _CASES | {name: _as_shown(name) for name in diagnosable() if name not in _CASES}
 """Every truth: nothing, a merely mis-set simulator, each effect at a clear size, and two at once."""
 
 

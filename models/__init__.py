@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from .chain import Chain
     from .effects.catalogue import EFFECTS
     from .effects.effect import Candidate, Effect, Freedom, Scale
+    from .effects.own import add_effect
     from .effects.place import effect_operator, neutral_operator, with_effect
     from .operators.operator import Memoryless, Number, Operator, maximum, minimum
 
@@ -23,6 +24,7 @@ __all__ = [
     "Number",
     "Operator",
     "Scale",
+    "add_effect",
     "effect_operator",
     "maximum",
     "minimum",
@@ -36,6 +38,7 @@ if not TYPE_CHECKING:
         ("hystmpc.models.chain", "Chain"),
         ("hystmpc.models.effects.catalogue", "EFFECTS"),
         ("hystmpc.models.effects.effect", "Candidate Effect Freedom Scale"),
+        ("hystmpc.models.effects.own", "add_effect"),
         ("hystmpc.models.effects.place", "effect_operator neutral_operator with_effect"),
         ("hystmpc.models.operators.operator", "Memoryless Number Operator maximum minimum"),
     )

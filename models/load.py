@@ -19,20 +19,21 @@ def load_model(path: Path | str, start: Start = "initial") -> LoadedModel:
     """Open a model by its ending.
 
     Args:
-        path: `.yaml` or `.yml` for a simulator, `.onnx` for an exported model.
+        path: `.yaml` or `.yml` for a simulator, `.onnx` for an exported model, or `builtin:NAME`.
         start: rule for the state at the start, see `ModelMetadata`.
 
     Raises:
-        ModelError: if the ending is another, or the file is missing, foreign or corrupt.
+        ModelError: if the ending is another, the file is missing, foreign or corrupt, or a name unknown.
     """
-    suffix = Path(path).suffix.lower()
+    path = model_path(str(path))
+    suffix = path.suffix.lower()
     if suffix in (".yaml", ".yml"):
         return ChainModel(load_simulator(path), start)
     if suffix == ".onnx":
         from .contract.load import load_onnx  # onnxruntime is not loaded for a simulator
 
         return load_onnx(path, start)
-    raise ModelError(f"{path}: ending {suffix or 'missing'}, expected a model file (.yaml simulator or .onnx)")
+    raise ModelError(f"{path}: ending {suffix or 'missing'}, expected a model file (.yaml, .onnx) or builtin:NAME")
 
 
 def library_names() -> tuple[str, ...]:

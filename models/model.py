@@ -97,6 +97,13 @@ class LoadedModel(ABC):
         y = np.asarray(y, dtype=np.float64).reshape(-1, 1)
         return np.hstack([self._rule.state(y), y])
 
+    def at_rest(self, theta_deg: float, command: float) -> Vec:
+        """State (S,) of a device that rests at an angle [deg] under a command, after the warm-up: plans begin here."""
+        state = self._rule.state(np.array([[theta_deg]]))
+        for _ in range(self.metadata.warmup_samples):
+            _, state = self.advance(state, np.array([[command]]))
+        return np.asarray(state, dtype=np.float64)[0]
+
     def step(self, x: Vec, u: Vec) -> Vec:
         """State x (N, S + 1) one sample later under commands `u` (N, 1) [command unit]."""
         theta, state = self.advance(np.asarray(x)[:, :-1], u)

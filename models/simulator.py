@@ -146,6 +146,10 @@ class Simulator:
         before, after = stored(chain.before, dt_s), stored(chain.after, dt_s)
         return replace(self, chain=replace(chain, before=before, after=after), dt_s=dt_s)
 
+    def save(self, path: Path | str) -> Path:
+        """Write the simulator file (`.yaml`), whole or not at all."""
+        return save_simulator(self, path)
+
     def metadata(self) -> ModelMetadata:
         """The facts of the model contract.
 

@@ -86,6 +86,17 @@ class TransportContract(Wired):
                 first = found
                 require(c.transport.read() is None, "a measurement was read twice")
 
+    def test_the_sequence_rises_where_a_counter_of_one_byte_starts_again(self) -> None:
+        """Over 300 measurements."""
+        with self.connected() as c:
+            last = contact(c).sequence
+            for _ in range(300):
+                c.tell(40.0, 0.0)
+                found = until(c.transport.read).sequence
+                carry = "carry on a counter n that starts again: count += (n - count) % 256"
+                require(found > last, f"the sequence went from {last} to {found}, it has to rise; {carry}")
+                last = found
+
     def test_measurements_that_pile_up_come_in_order(self) -> None:
         """The oldest first, none lost; left out where `keeps` is not set."""
         if not self.keeps:

@@ -86,23 +86,10 @@ def installed_objects(group: str, what: str, kind: type[T], taken: Iterable[str]
     found: dict[str, T] = {}
     for value in installed(group).values():
         made = object_named(value, what, lambda kept: isinstance(kept, kind), f"{kind.__name__} object")
-        _add(found, taken, made.name, made, f"{what} {value}")
+        if made.name in found or made.name in taken:
+            raise ConfigError(f"{what} {value}: got the name {made.name!r}, which is taken, expected another")
+        found[made.name] = made
     return found
-
-
-def installed_classes(group: str, what: str, base: type[T], taken: Iterable[str]) -> dict[str, type[T]]:
-    """As `installed_objects`, for classes that have a `name`."""
-    found: dict[str, type[T]] = {}
-    for value in installed(group).values():
-        made: Any = class_named(value, what, base)
-        _add(found, taken, made.name, made, f"{what} {value}")
-    return found
-
-
-def _add(found: dict[str, Any], taken: Iterable[str], name: str, made: Any, where: str) -> None:
-    if name in found or name in taken:
-        raise ConfigError(f"{where}: got the name {name!r}, which is taken, expected another")
-    found[name] = made
 
 
 def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:

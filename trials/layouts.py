@@ -75,8 +75,14 @@ class Preset:
         if not any(name in header for name in (self.angle, *self.other_angles)):
             gone.append(self.angle)
         if not any(name in header for name in self.command):
-            gone.insert(1 if self.time in gone else 0, " or ".join(self.command))
+            gone.insert(1 if self.time in gone else 0, self._command_names())
         return gone
+
+    def _command_names(self) -> str:
+        """The names that a command may have, in few words."""
+        first, *others = self.command
+        several = len(others) > 1 and all(name.startswith(f"{first}_") for name in others)
+        return f"{first} or {first}_UNIT (UNIT such as mm)" if several else " or ".join(self.command)
 
     def command_column(self, header: Sequence[str]) -> str:
         """The column of `header` that holds the command.
@@ -178,7 +184,10 @@ def detect_preset(header: Sequence[str]) -> Preset:
     raise LogError(f"columns fit no preset: {needs}; available: {', '.join(header)}")
 
 
-MAPPING_HINT = "; other names: a mapping file (--preset) with `time: COLUMN`, `command: COLUMN`, `angle: COLUMN`"
+MAPPING_HINT = (
+    "; other names or units: write a mapping file such as map.yaml, `{time: COLUMN, time_unit: s, "
+    "command: {signal: COLUMN, unit: mm}, angle: {signal: COLUMN, unit: deg}}`, and add `--preset map.yaml`"
+)
 """For the end of an error line on columns that no preset knows."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -55,7 +56,19 @@ def read_trials(
     for log in several or expand_logs([]):  # which refuses to do without any
         files = expand_logs([log]) if isinstance(log, Path | str) else [log]
         trials += [read_log(file, layout, sampled_hz) for file in files]
+    trials = _told_apart(trials)
     return trials if rate_hz is None else at_rate(trials, rate_hz)
+
+
+def _told_apart(trials: list[Trial]) -> list[Trial]:
+    """The trials with a number behind each name that stands more than once: results name trials."""
+    counts, seen = Counter(trial.source for trial in trials), Counter[str]()
+    named = []
+    for trial in trials:
+        seen[trial.source] += 1
+        name = f"{trial.source} {seen[trial.source]}"
+        named.append(trial if counts[trial.source] == 1 else replace(trial, source=name))
+    return named
 
 
 def read_log(log: Log, preset: Layout = "auto", sampled_hz: float | None = None) -> Trial:

@@ -56,7 +56,7 @@ plain = hystmpc.load_model("builtin:pi", start="conditioned")
 facts = plain.metadata
 limits = hystmpc.Limits(facts.command_limits.lower, facts.command_limits.upper, facts.command_rate)
 problem = optimal_control_problem(plain.casadi_function(), limits, plain.dt)
-at_rest = plain.initial(np.array([[28.5]]))[0, :-1]  # the last entry of a model's x is the angle
+at_rest = plain.at_rest(28.5, 0.0)  # angle [deg] and command of the device before the plan
 target_deg = np.full(HORIZON, 40.0)
 plan_mm = np.asarray(problem(at_rest, 0.0, 0.0, target_deg, np.zeros(HORIZON))).ravel()
 x, plan_deg = at_rest, []
@@ -99,9 +99,7 @@ def compare(name, samples):
     device = SimulatedPlant(hystmpc.load_simulator("builtin:tendon-catheter"), seed=1)
     rest = measured = device.reset()
     last, guess = device.rest_command, np.full(HORIZON, device.rest_command)
-    state = model.initial(np.array([[rest]]))[0, :-1]
-    for _ in range(facts.warmup_samples + 1):
-        state = np.asarray(step(state, last)[1]).ravel()
+    state = np.asarray(step(model.at_rest(rest, last), last)[1]).ravel()  # the controller has held it for a sample
     tip.set_reference(lambda t: rest + 15.0 * (1.0 - np.cos(2.0 * np.pi * 0.5 * t)))
     commands, seconds = [], []
     for _ in range(samples):

@@ -22,9 +22,6 @@ from hystmpc.models.identify.uncertainty import uncertainty
 
 from .verdict import VerdictSettings
 
-# Effects that can imitate almost any other: their names are less certain.
-GENERIC = frozenset(name for name, effect in EFFECTS.items() if effect.generic)
-
 # Ridge logistic regression on 88 names that the diagnosis gave on 64 cases of development seeds 5801 and 5810; frozen.
 # On cases that it did not see the calibration error is 0.06.
 _BIAS, _GENERIC, _AMBIGUOUS, _SHARE, _STABLE = 1.3, -1.1, -0.45, 0.65, 0.55
@@ -139,7 +136,7 @@ def probability(name: str, share: float, ambiguous: bool, stability: float, untr
         stability: share of other splits of the trials in which the verdict is the same, 0 to 1.
         untried: whether the library lacks an effect with which it can be confounded.
     """
-    logit = _BIAS + _GENERIC * (name in GENERIC) + _AMBIGUOUS * ambiguous + _UNTRIED * untried
+    logit = _BIAS + _GENERIC * (name in EFFECTS and EFFECTS[name].generic) + _AMBIGUOUS * ambiguous + _UNTRIED * untried
     logit += _SHARE * min(max(share, 0.0), 1.0) + _STABLE * stability
     return 1 / (1 + math.exp(-logit))
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS, candidates
+from hystmpc.models.effects.catalogue import EFFECTS, candidates, diagnosable
 from hystmpc.models.effects.effect import Candidate, Scale, unit_on
 from hystmpc.models.identify.baseline import Baseline
 from hystmpc.models.identify.problem import Problem
@@ -91,7 +91,7 @@ def detectable_sizes(baseline: Baseline, runs: Sequence[Run], needed_mse: float)
     }
     for candidate in _first_forms(candidates(scale, ())):
         found[candidate.effect] = _least(candidate, baseline, runs, angles, known, needed_mse)
-    return tuple(found[name] for name in DIAGNOSABLE if name in found)
+    return tuple(found[name] for name in diagnosable() if name in found)
 
 
 def _scale(runs: Sequence[Run], low: float, high: float) -> Scale:

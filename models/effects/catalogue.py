@@ -1,16 +1,14 @@
 """The one list of effects: equation, sides, bounds, starts, confounders, and what separates each from its neighbours.
 
-`hystmpc new effect` begins one outside the package. To add one to the package: write its operator in
-`models/operators/`, its forms and its entry here, and, for the blind check, a generator. The diagnosis,
-`hystmpc effects`, the pictures, the self-test and the blind check read this list.
+To add an effect: write its operator in `models/operators/`, its forms and its entry here, and, for the blind check, a
+generator. The diagnosis, `hystmpc effects`, the pictures, the self-test and the blind check read this list. Effects of
+users (`own.py`) stand behind it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from types import MappingProxyType
-
-from hystmpc.trials.from_outside import installed_objects
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import final
 
 from ..operators.dynamics import Delay, Lag, RateLimit, Servo
 from ..operators.friction import Asymmetry, DahlDrag, DirectionalGain, RateDependence, StickSlip
@@ -18,6 +16,7 @@ from ..operators.measurement import PeriodicDisturbance, Sensor
 from ..operators.slow_changes import Creep, Drift, FirstFlexure, TrialShift
 from ..operators.static_curves import Contact, NonlinearGain, Slack
 from .effect import CORE, Candidate, Effect, Freedom, Scale, Side
+from .own import own_effects
 
 LONGEST_DELAY_S = 0.4
 _LEAST_REST = 0.1  # share of the time in which the command has to stand still for a drag to be told from a lag
@@ -362,19 +361,35 @@ _LIST = (
     ),
 )
 
-GROUP = "hystmpc.effects"
-"""Entry points by which installed packages add an effect; the value is MODULE:NAME of an `Effect`."""
+_SHIPPED = {effect.name: effect for effect in _LIST}
 
-EFFECTS: Mapping[str, Effect] = MappingProxyType(
-    {effect.name: effect for effect in _LIST}
-    | installed_objects(GROUP, "effect", Effect, [effect.name for effect in _LIST])
-)
-"""Effects by public name, in the order of the documentation; behind them those of installed packages."""
 
-_FORM_OF = {operator.name: effect.name for effect in EFFECTS.values() for operator in effect.other_forms}
+@final
+class _Library(Mapping[str, Effect]):
+    """The effects of the list, and behind them those of users."""
 
-DIAGNOSABLE = tuple(name for name in EFFECTS if name not in _FORM_OF)
-"""Effects that a diagnosis can name; the others are forms of these."""
+    def __getitem__(self, name: str) -> Effect:
+        return _SHIPPED[name] if name in _SHIPPED else own_effects()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        yield from dict.fromkeys((*_SHIPPED, *own_effects()))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+EFFECTS: Mapping[str, Effect] = _Library()
+"""Effects by public name, in the order of the documentation."""
+
+
+def _form_of() -> Mapping[str, str]:
+    return {operator.name: effect.name for effect in EFFECTS.values() for operator in effect.other_forms}
+
+
+def diagnosable() -> tuple[str, ...]:
+    """Effects that a diagnosis can name; the others are forms of these."""
+    forms = _form_of()
+    return tuple(name for name in EFFECTS if name not in forms)
 
 
 def candidates(scale: Scale, in_core: Iterable[str], without: Sequence[str] = ()) -> tuple[Candidate, ...]:
@@ -392,7 +407,7 @@ def candidates(scale: Scale, in_core: Iterable[str], without: Sequence[str] = ()
 
 def effect_of(operator: str) -> str:
     """The effect that an operator of that name stands for; empty where it is none."""
-    return _FORM_OF.get(operator, operator if operator in EFFECTS else "")
+    return _form_of().get(operator, operator if operator in EFFECTS else "")
 
 
 def confusable(a: str, b: str) -> bool:

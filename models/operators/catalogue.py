@@ -2,40 +2,22 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
-import pkgutil
 from collections.abc import Iterable, Mapping
-from functools import cache
-from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from hystmpc.trials.errors import ModelError, did_you_mean
-from hystmpc.trials.from_outside import installed_classes
 
+from ..effects.own import own_operators
 from .operator import Operator, values_from
-
-GROUP = "hystmpc.operators"
-"""Entry points by which installed packages make operators known; the value is MODULE:CLASS."""
+from .shipped import shipped_operators
 
 _LIMITS = (1, 1000)
 _GUESSED = range(1, 9)
 
 
-@cache
 def operators() -> Mapping[str, type[Operator]]:
-    """Every operator by name: the concrete subclasses of `Operator` in the modules of this package, and installed ones.
-
-    Raises:
-        ConfigError: if an installed operator cannot be used.
-    """
-    package, folder = __name__.rpartition(".")[0], str(Path(__file__).parent)
-    modules = [importlib.import_module(f"{package}.{found.name}") for found in pkgutil.iter_modules([folder])]
-    found = [kind for module in modules for kind in vars(module).values() if inspect.isclass(kind)]
-    kinds = [kind for kind in found if issubclass(kind, Operator) and not inspect.isabstract(kind)]
-    own = {kind.name: kind for kind in kinds}
-    return MappingProxyType(own | installed_classes(GROUP, "operator", Operator, own))  # type: ignore[type-abstract]
+    """Every operator by name: those that ship, and those of effects that users have added."""
+    return {**own_operators(), **shipped_operators()}
 
 
 def operator_from(spec: Any, where: str) -> Operator:

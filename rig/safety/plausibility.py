@@ -83,7 +83,8 @@ class MotionWatch:
             return ""
         return (
             f"implausible: the command went from {self._least:.4g} to {self._most:.4g} and the angle stayed within "
-            f"{self._low:.2f} to {self._high:.2f} deg; is the tip blocked, the sensor dislodged? (plausibility.travel)"
+            f"{self._low:.2f} to {self._high:.2f} deg; is the tip blocked, the sensor dislodged? Expected are "
+            f"{self._moves:.3g} deg or more (plausibility.travel, plausibility.moves_deg)"
         )
 
     def _smoothed(self, angle: float, now_ns: int) -> float:

@@ -154,6 +154,7 @@ NO_LOG = "missing.csv"
         (["fit", "backlash", "{log}", "--rate-hz", "5000", "--out", "sim.yaml"], "rate_hz 5000"),
         (["fit", "backlash", "{log}", "--command-limits", "6", "0", "--out", "sim.yaml"], "--command-limits"),
         (["fit", "backlash", "{log}", "--test", "{log}", "--out", "sim.yaml"], "is one of the logs of the fit"),
+        (["fit", "pi", "{log}", "--test", "a.csv", "b.csv", "--out", "sim.yaml"], "b.csv stands behind --test"),
         (["evaluate", "model.pkl", "{log}"], "expected a model file"),
         (["evaluate", "absent.onnx", "{log}"], "absent.onnx"),
         (["export", "{log}", "--out", "model.onnx"], "expected"),

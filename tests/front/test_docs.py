@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import shutil
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -95,3 +96,23 @@ def names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 @pytest.mark.parametrize(("where", "text"), [b for b in blocks() if b[0] not in LONG])
 def test_blocks_run(where: str, text: str, names: dict[str, Any]) -> None:
     exec(compile(text, where, "exec"), names)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("c++") is None, reason="needs a C++ compiler")
+def test_the_c_program_of_the_page_gives_the_angles_of_the_model(names: dict[str, Any]) -> None:
+    page = (ROOT / "docs" / "howto" / "onnx.md").read_text(encoding="utf-8")
+    (python,) = (text for text in BLOCK.findall(page) if "tip_model.c" in text)
+    (program,) = (
+        text for text in re.findall(r"^```cpp\n(.*?)^```", page, re.MULTILINE | re.DOTALL) if "tip_model.h" in text
+    )
+    exec(compile(python, "page", "exec"), names)
+    Path("tip.cpp").write_text(program, encoding="utf-8")
+    subprocess.run(["c++", "tip.cpp", "tip_model.c", "-o", "tip"], check=True)
+    printed = subprocess.run(["./tip"], check=True, capture_output=True, text=True).stdout.split()
+    model, expected = names["model"], []
+    state = model.at_rest(29.0, 0.0)[None]
+    for k in range(50):
+        theta, state = model.advance(state, np.array([[0.04 * k]]))
+        expected.append(float(theta[0, 0]))
+    assert [float(word) for word in printed] == pytest.approx(expected, abs=1e-8)

@@ -14,7 +14,7 @@ from hystmpc.gap.diagnosis import Detectable
 from hystmpc.gap.logs.detectable import detectable_sizes, sizes_shown
 from hystmpc.gap.logs.preparation import prepare
 from hystmpc.gap.report.words import DETECTABLE_COLUMNS, detectable_rows, detectable_sentence
-from hystmpc.models.effects.catalogue import DIAGNOSABLE
+from hystmpc.models.effects.catalogue import diagnosable
 from hystmpc.models.identify.baseline import Baseline, baseline_of
 from hystmpc.models.identify.runs import Run, runs_of
 from hystmpc.models.simulator import Residual
@@ -51,7 +51,7 @@ def found(needed: float = NEEDED, slow: float = 1.0, seed: int = 0) -> dict[str,
 
 
 def test_every_effect_of_angles_has_a_size_and_a_unit() -> None:
-    assert list(found()) == [name for name in DIAGNOSABLE if name != "sensor"]
+    assert list(found()) == [name for name in diagnosable() if name != "sensor"]
     assert all(one.size > 0 and one.unit for one in found().values())
 
 

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from hystmpc.gap.decide.findings import closed_again
-from hystmpc.gap.diagnose import LIBRARY, conclude, find_causes
+from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis
 from hystmpc.gap.report.folder import diagnosis_json
 from hystmpc.gap.report.report_data import Evidence
 from hystmpc.models.chain import Chain
+from hystmpc.models.effects.catalogue import diagnosable
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.operator import Operator
 from hystmpc.models.operators.slow_changes import Creep
@@ -150,7 +151,7 @@ def test_the_result_has_the_fixed_form() -> None:
     assert all(isinstance(gap[name], float) for name in GAP_NUMBERS)
     assert gap["floor_kind"] in ("repeats", "noise")
     assert gap["closed_share"] + gap["unexplained_share"] == pytest.approx(1.0)
-    assert {name for name, _ in read["ranking"]} == set(LIBRARY)
+    assert {name for name, _ in read["ranking"]} == set(diagnosable())
     assert all(0.0 <= p <= 1.0 for _, p in read["ranking"])
     assert all(len(pair) == 2 for pair in read["retuned"].values())
     for place in read["where"].values():

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from hystmpc.gap.diagnose import LIBRARY
 from hystmpc.gap.self_test import CASES, SelfTestRow, motions, record, self_test
+from hystmpc.models.effects.catalogue import diagnosable
 
 
 def test_every_effect_of_the_library_is_a_case() -> None:
     truths = [case.truth for case in CASES.values()]
-    assert {name for truth in truths for name in truth} == set(LIBRARY)
-    assert all((name,) in truths for name in LIBRARY)
+    assert {name for truth in truths for name in truth} == set(diagnosable())
+    assert all((name,) in truths for name in diagnosable())
     assert () in truths
     assert any(len(truth) > 1 for truth in truths)
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hystmpc.models.chain import Chain
-from hystmpc.models.effects.catalogue import DIAGNOSABLE, EFFECTS, candidates
+from hystmpc.models.effects.catalogue import EFFECTS, candidates, diagnosable
 from hystmpc.models.effects.effect import Scale
 from hystmpc.models.effects.pictures import effect_figure, write_pictures
 from hystmpc.models.effects.place import (
@@ -46,8 +46,8 @@ def test_the_library_is_the_table_of_the_design() -> None:
 def test_every_effect_but_those_with_a_test_of_their_own_has_forms() -> None:
     own = {"trial_shift", "periodic_disturbance", "sensor"}  # terms of each trial, signs of the sensor
     scale = Scale(0.0, 6.0, 20.0, 80.0, 60.0, 240.0, DT)
-    assert {c.effect for c in candidates(scale, ())} == set(DIAGNOSABLE) - own
-    assert set(EFFECTS) - set(DIAGNOSABLE) == {"dahl_drag", "directional_gain"}
+    assert {c.effect for c in candidates(scale, ())} == set(diagnosable()) - own
+    assert set(EFFECTS) - set(diagnosable()) == {"dahl_drag", "directional_gain"}
 
 
 def test_a_drag_that_stays_in_a_hold_is_looked_for_only_where_the_command_rests() -> None:

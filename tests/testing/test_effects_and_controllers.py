@@ -208,7 +208,7 @@ def test_a_controller_of_an_installed_package_is_a_kind(lab: Path) -> None:
 
 @pytest.mark.slow
 def test_an_installed_effect_is_listed_and_named_by_a_diagnosis(lab: Path) -> None:
-    points = "[hystmpc.operators]\na = screw_error:ScrewError\n[hystmpc.effects]\na = screw_error:EFFECT\n"
+    points = "[hystmpc.effects]\na = screw_error:EFFECT\n"
     code = (
         "from hystmpc.gap.self_test import self_test\n"
         "from hystmpc.models.effects.catalogue import EFFECTS\n"

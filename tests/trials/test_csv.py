@@ -113,7 +113,7 @@ BAD = {
     "time repeats": (GOOD.replace("0.2,", "0.1,").encode(), ["row 4", "'time_s'", "0.1 s after 0.1 s"]),
     "column twice": (b"time_s,command,command,angle_deg\n0,1,1,2\n", ["row 1", "'command' occurs twice"]),
     "two commands": (b"time_s,command_mm,command_bar,angle_deg\n0,1,1,2\n", ["command_mm, command_bar"]),
-    "other names": (b"t,u,theta\n0,0,30\n", ["available: t, u, theta", "mapping file", "`angle: COLUMN`"]),
+    "other names": (b"t,u,theta\n0,0,30\n", ["available: t, u, theta", "mapping file", "angle: {signal: COLUMN"]),
     "decimal commas": (b"time_s;command;angle_deg\n0,0;1,1;2,2,2\n", ["row 2", "'2,2,2'"]),
     "no header": (b"0,0,30\n0.1,1,31\n", ["row 1", "first row holds numbers"]),
     "open quote": (b'time_s,command,angle_deg\n0,0,30\n1,"' + b"1,2\n" * 50_000, ["row", "limit"]),
