@@ -191,6 +191,7 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
         _residual_ratio(closed, prepared.form_mse, floor),
         unproven=provisional.explained and bool(attribution.facts.effects) and not chosen.effects,
         at_floor=_at(closed, repeatable.noise_deg, settings),
+        moved=closed.moved,
     )
     ruling = decide_verdict(replace(facts, final=final), settings)
     if chosen.effects and not ruling.explained:
