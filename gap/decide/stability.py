@@ -131,7 +131,9 @@ class _Again:
         self._drift_shows = drift_test(validation, settings.verdict)
         baseline, floor_mse = selection.baseline, attribution.facts.floor_mse
         self._structure_left = functools.cache(
-            lambda chosen: structure_left(Selection(baseline, chosen, {}), validation.runs, floor_mse, settings.verdict)
+            lambda chosen: structure_left(
+                Selection(baseline, chosen, {}), validation.runs, prepared.everything, floor_mse, settings.verdict
+            )
         )
 
     def verdict(self, split: _Split) -> tuple[Verdict, Names]:
