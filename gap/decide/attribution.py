@@ -132,9 +132,7 @@ def attribute(
             retuned_fit_mse=baseline.hypothesis.mse,
             floor_mse=floor_mse,
             form_mse=prepared.form_mse or floor_mse,
-            structure_left=structure_left(
-                selection, validation.runs, prepared.everything, floor_mse, settings.verdict
-            ),
+            structure_left=structure_left(selection, validation.runs, prepared.everything, floor_mse, settings.verdict),
             ambiguity=ambiguity_of(selection, settings.verdict, drift_test(validation, settings.verdict)),
             sensor="sensor" not in without and _sensor_matters(prepared, selection, settings.verdict),
             jumps=jumping,
