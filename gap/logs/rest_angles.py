@@ -35,8 +35,7 @@ def common_rest(runs: tuple[Run, ...], form_mse: float) -> tuple[Run, ...]:
         return runs
     if spread <= max(_BEYOND * max(changes), _BEYOND_FORM * form_mse**0.5):
         return runs
-    middle = float(np.median(angles))
-    return tuple(replace(run, rest_angle=middle) for run in runs)
+    return tuple(replace(run, rest_angle=runs[0].rest_angle) for run in runs)
 
 
 def _change(run: Run, near: float) -> float | None:

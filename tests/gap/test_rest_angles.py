@@ -43,7 +43,7 @@ def test_one_angle_exactly_where_trials_differ_by_three_times_what_motions_chang
     beyond = spread > max(3 * change, 2 * form_mse**0.5)
     if min(abs(spread - 3 * change), abs(spread - 2 * form_mse**0.5)) > 1e-6:
         assert (found == runs) == (not beyond)
-        assert not beyond or np.ptp([run.rest_angle for run in found]) == 0
+        assert not beyond or {run.rest_angle for run in found} == {runs[0].rest_angle}
     assert all(np.array_equal(a.angle, b.angle) for a, b in zip(found, runs, strict=True))
 
 
