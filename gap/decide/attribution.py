@@ -132,7 +132,7 @@ def attribute(
             retuned_fit_mse=baseline.hypothesis.mse,
             floor_mse=floor_mse,
             form_mse=prepared.form_mse or floor_mse,
-            structure_left=structure_left(selection, validation.runs, floor_mse, settings.verdict),
+            structure_left=structure_left(selection, validation.runs, prepared.everything, floor_mse, settings.verdict),
             ambiguity=ambiguity_of(selection, settings.verdict, drift_test(validation, settings.verdict)),
             sensor="sensor" not in without and _sensor_matters(prepared, selection, settings.verdict),
             jumps=jumping,
@@ -191,6 +191,7 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
         _residual_ratio(closed, prepared.form_mse, floor),
         unproven=provisional.explained and bool(attribution.facts.effects) and not chosen.effects,
         at_floor=_at(closed, repeatable.noise_deg, settings),
+        moved=closed.moved,
     )
     ruling = decide_verdict(replace(facts, final=final), settings)
     if chosen.effects and not ruling.explained:

@@ -23,6 +23,7 @@ from .jumps import Jumps
 # of development seeds 5801 and 5810 that were recorded again 39 lie within.
 _TRIALS = 1.0
 _LEAST_FLOOR = 0.02  # share of the floor that stays when a sensor's noise is taken off it
+_LEAST_DEG = 1e-6
 _GAP_FACTOR = 2.0  # of the floor, from which a single trial counts for the spread of shares
 _UNKNOWN_SPREAD = 0.1
 _LEAST_JUMPS = 0.05  # of the structural gap
@@ -68,6 +69,11 @@ class GapClosed:
         least = {name: cause.ci90[0] for name, cause in self.causes.items()}
         weakest = min(least, key=lambda name: least[name], default="")
         return weakest if weakest and (least[weakest] <= 0 or self.gap.closed_ci90[0] <= 0) else ""
+
+    @property
+    def moved(self) -> float:
+        """Error of the simulator as given over that of the retuned one, mean squares."""
+        return (self.gap.nominal_rmse_deg / max(self.gap.retuned_rmse_deg, _LEAST_DEG)) ** 2
 
     def with_repeats(self, floor: Floor) -> GapClosed:
         """The same with what repeats of a motion differ by."""

@@ -18,7 +18,9 @@ _KNOTS = 10  # of a curve, in each direction
 _SLOW_S = 3.0
 
 
-def structure_left(selection: Selection, runs: Sequence[Run], floor_mse: float, settings: VerdictSettings) -> bool:
+def structure_left(
+    selection: Selection, runs: Sequence[Run], everything: Sequence[Run], floor_mse: float, settings: VerdictSettings
+) -> bool:
     """Whether the only effect selected leaves structure that it would not leave if it were the cause.
 
     A curved gain leaves no other curve of the angle (`remaining_curvature`). Shifts between trials leave no slow change
@@ -28,11 +30,12 @@ def structure_left(selection: Selection, runs: Sequence[Run], floor_mse: float, 
     Args:
         selection: of the causes.
         runs: development runs.
+        everything: all runs; groups of few trials show in all of them alone.
         floor_mse: below which an error carries no evidence [deg^2].
         settings: thresholds.
     """
     chosen, retuned = selection.chosen.hypothesis, selection.baseline.hypothesis
-    if chosen.problem.terms.shift and chosen.problem.terms.width >= 0 and configuration_of(chosen, runs) is None:
+    if chosen.problem.terms.shift and chosen.problem.terms.width >= 0 and configuration_of(chosen, everything) is None:
         return True
     if chosen.effects == {"nonlinear_gain"}:
         before = retuned.mse - floor_mse

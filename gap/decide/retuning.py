@@ -16,6 +16,7 @@ from hystmpc.models.operators.curved_plays import CurvedPlays
 from hystmpc.trials.errors import FitError
 
 from ..diagnosis import Moved
+from ..logs.noise_floor import find_floor
 from ..logs.preparation import PreparedTrials
 from ..logs.sensor import white_noise
 from ..residual.memory import friction_share
@@ -39,12 +40,14 @@ class Retuning:
             simulator's own is unknown.
         friction_share: of the retuned error above the noise, that plays of other weights and widths explain.
         anew_share: of the retuned error above the floor, that a core identified anew explains (`anew_share`).
+        unrepeatable: share of the retuned error in which repeats of one motion differ; zero without repeats.
     """
 
     moved: float = 1.0
     grown_form_mse: float = 0.0
     friction_share: float = 0.0
     anew_share: float = 0.0
+    unrepeatable: float = 0.0
 
 
 def retuned_with(
@@ -88,10 +91,14 @@ def retuning_of(prepared: PreparedTrials, retuned: Hypothesis, left_out_mse: flo
     still = min(noise**2, _MOST_NOISE * form)
     start = retuned.problem.start(baseline.nominal, [])
     nominal = np.concatenate([retuned.problem.error(start, run)[0] for run in prepared.development])
+    checked = prepared.checked
+    floor = find_floor(checked.trials, residuals, checked.dt, checked.excitation.repeats)
+    differ = floor.rmse_deg**2 if floor.kind == "repeats" else 0.0
     return Retuning(
         float(np.mean(nominal**2)) / max(left_out_mse, 1e-12),
         still + grown**2 * (form - still) if form else 0.0,
         friction_share(prepared.checked.trials, residuals, noise) if after > _LEAST_LEFT * before else 0.0,
+        unrepeatable=differ / max(float(np.mean(np.concatenate(residuals) ** 2)), 1e-12),
     )
 
 

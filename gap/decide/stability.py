@@ -125,13 +125,15 @@ class _Again:
     ) -> None:
         self._facts, self._settings, self._seed = conclusion.facts, settings, seed
         self._floor, self._form_mse = conclusion.floor, prepared.form_mse
-        self._spread = conclusion.closed.spread
+        self._spread, self._moved = conclusion.closed.spread, conclusion.closed.moved
         validation, selection = attribution.validation, attribution.selection
         self._tried = {names: _everywhere(judged, prepared.final) for names, judged in selection.tried.items()}
         self._drift_shows = drift_test(validation, settings.verdict)
         baseline, floor_mse = selection.baseline, attribution.facts.floor_mse
         self._structure_left = functools.cache(
-            lambda chosen: structure_left(Selection(baseline, chosen, {}), validation.runs, floor_mse, settings.verdict)
+            lambda chosen: structure_left(
+                Selection(baseline, chosen, {}), validation.runs, prepared.everything, floor_mse, settings.verdict
+            )
         )
 
     def verdict(self, split: _Split) -> tuple[Verdict, Names]:
@@ -193,6 +195,7 @@ class _Again:
             ratio,
             unproven=bool(chosen.effects) and not kept,
             at_floor=shares.before.mse < settings.at_floor * self._floor.noise_deg**2,
+            moved=self._moved,
         )
         if kept and kept != facts.effects:
             ambiguity = tuple(names for names in facts.ambiguity if names[0] in kept)

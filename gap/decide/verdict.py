@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -86,6 +87,7 @@ class VerdictSettings:
         width_grown: width of the loop with the effects in place, over the given one, from which the friction has
             grown so far that effects may be what it does: a tendon that only pulls goes slack under it, for example.
         anew: share of the structural error that a core identified anew has to explain for them to be that.
+        unrepeatable: share of the retuned error in which repeats of one motion differ, from which it is no form error.
     """
 
     no_gap: float = 2.2
@@ -111,6 +113,7 @@ class VerdictSettings:
     friction: float = 0.6
     width_grown: float = 1.35
     anew: float = 0.9
+    unrepeatable: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -122,12 +125,14 @@ class FinalFacts:
         residual_ratio: RMSE with all causes over noise and model-form error; 1 where that is unknown.
         unproven: whether effects were selected and none of them surely lowers the error.
         at_floor: whether the retuned simulator leaves no more than the noise.
+        moved: error of the simulator as given over that of the retuned one, mean squares.
     """
 
     closed_share: float
     residual_ratio: float
     unproven: bool = False
     at_floor: bool = False
+    moved: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -230,12 +235,13 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
     retuned = min(facts.retuned_mse, facts.retuned_fit_mse)
     closed = (facts.retuned_mse - facts.chosen_mse) / max(facts.retuned_mse - facts.floor_mse, 1e-12)
     left_open = closed < settings.least_closed and facts.chosen_mse > settings.still_open * facts.floor_mse
+    repeats = facts.retuning.unrepeatable < settings.unrepeatable
     rows: tuple[tuple[VerdictCase, bool], ...] = (
         ("too_little", facts.too_little),
         ("unrelated", facts.unrelated),
         ("no_gap", retuned < settings.no_gap * form),
         ("sensor_alone", none_selected and facts.sensor),
-        ("small_gap", (none_selected or left_open) and retuned < settings.no_cause * form),
+        ("small_gap", (none_selected or left_open) and repeats and retuned < settings.no_cause * form),
         ("no_effect", none_selected),
         ("left_open", left_open),
         ("structure_left", facts.structure_left),
@@ -259,12 +265,12 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
 
 def _retuned_case(case: VerdictCase, facts: VerdictFacts, settings: VerdictSettings) -> VerdictCase:
     """The case, or that of retuning where the error fell by it and what it leaves is form error."""
-    found, verdict = facts.retuning, VERDICTS[case]
+    verdict, moved = VERDICTS[case], min(facts.retuning.moved, facts.final.moved if facts.final else math.inf)
     if verdict == "none":
-        return "moved" if found.moved >= settings.moved else case
+        return "moved" if moved >= settings.moved else case
     beside = facts.sensor or facts.jumps  # not of the core
     replaced = verdict == "unknown" or (verdict in ("named", "one_of") and not beside)
-    lowered = found.moved >= settings.lowered
+    lowered = moved >= settings.lowered and facts.retuning.unrepeatable < settings.unrepeatable
     return "reshaped" if replaced and lowered and _reshaped(verdict, facts, settings) else case
 
 

@@ -26,6 +26,7 @@ from hystmpc.trials.types import Vec
 from ..diagnosis import Order
 from .check import Checked, check_trials
 from .recording_order import in_recording_order
+from .rest_angles import common_rest
 from .sensor import SensorSigns, repaired, sensor_signs
 from .trial_choice import split_runs
 
@@ -109,8 +110,10 @@ def prepare(
         baseline, corrections = baseline_of(decades.chain(simulator.chain), command), None
     else:
         baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
-    runs = runs_of(repaired_trials, corrections, [b.scaled(1 / decades.command) for b in checked.before])
     motions = checked.excitation.motions
+    form_mse = model_form_mse(identification, trials, motions, _sample_time(simulator))
+    runs = runs_of(repaired_trials, corrections, [b.scaled(1 / decades.command) for b in checked.before])
+    runs = common_rest(runs, form_mse)
     development, final = split_runs(runs, motions, known)
     faulty = signs.noisy or signs.coarse
     return PreparedTrials(
@@ -123,7 +126,7 @@ def prepare(
         final=final,
         everything=runs,
         raw=tuple(trial.angle for trial in in_working_units),
-        form_mse=model_form_mse(identification, trials, motions, _sample_time(simulator)),
+        form_mse=form_mse,
         too_little=shortage(checked.trials),
         excess_mse=max(signs.energy - nominal**2, 0.0) if nominal is not None and faulty else 0.0,
         order=order,

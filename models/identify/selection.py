@@ -168,7 +168,11 @@ class _Search:
             if len(current.hypothesis.effects) < 2:
                 break
             less = self._trials.without(current.hypothesis, effect)
-            if less is not None and not self._worth_adding(simpler := self._trials.judged(less), current):
+            if less is None:
+                continue
+            judged = self._trials.judged(less)
+            simpler = self._trials.known(less.effects) or judged  # another start or form may have done better
+            if not self._worth_adding(simpler, current):
                 current = simpler
         return current
 

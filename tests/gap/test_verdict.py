@@ -84,6 +84,16 @@ WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
         (replace(NOTHING, retuning=Retuning(2.0, 0.5)), "reshaped", "retuned"),
         (replace(NOTHING, retuning=Retuning(2.0, 0.4, 0.6)), "reshaped", "retuned"),
         (replace(NOTHING, retuning=Retuning(1.1, 0.5, 0.6)), "no_effect", "unknown"),
+        # what repeats do not share is no form error, and retuning has to lower the error of the final trials, too
+        (replace(NOTHING, form_mse=0.2, retuning=Retuning(2.0, unrepeatable=0.5)), "no_effect", "unknown"),
+        (replace(NOTHING, form_mse=0.2, retuning=Retuning(2.0, unrepeatable=0.4)), "moved", "retuned"),
+        (replace(NOTHING, retuning=Retuning(2.0, 0.5, unrepeatable=0.5)), "no_effect", "unknown"),
+        (replace(NOTHING, retuning=Retuning(2.0, 0.5), final=FinalFacts(0.0, 10.0, moved=1.1)), "no_effect", "unknown"),
+        (
+            replace(NOTHING, form_mse=0.5, retuning=Retuning(2.0), final=FinalFacts(0.0, 10.0, moved=1.9)),
+            "no_gap",
+            "none",
+        ),
         (replace(NOTHING, retuning=Retuning(9.0, 0.4, 0.5)), "no_effect", "unknown"),
         (replace(EXPLAINED, retuning=GROWN), "explained", "named"),
         (replace(EXPLAINED, effects=frozenset({"asymmetry"}), retuning=GROWN), "reshaped", "retuned"),
