@@ -110,6 +110,11 @@ def prepare(
     else:
         baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
     runs = runs_of(repaired_trials, corrections, [b.scaled(1 / decades.command) for b in checked.before])
+    if signs.spikes or signs.drops:
+        problem = Problem(baseline)
+        start = problem.start(baseline.nominal, [])
+        pairs = zip(runs, in_working_units, strict=True)
+        runs = tuple(replace(r, angle=repaired(t, signs, problem.angles(start, r)).angle) for r, t in pairs)
     motions = checked.excitation.motions
     development, final = split_runs(runs, motions, known)
     faulty = signs.noisy or signs.coarse
