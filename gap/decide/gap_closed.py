@@ -63,8 +63,9 @@ class GapClosed:
     def unproven(self) -> str:
         """The cause that is least certain to lower the error of the final trials; empty where all do.
 
-        The 90 % interval of what it closes has to lie above zero, that of all causes together, too. Faults of the sensor
-        are proven by the log itself. They may be rare: a resample without those few blocks is no evidence against them.
+        The 90 % interval of what it closes has to lie above zero, that of all causes together, too. Faults of the
+        sensor are proven by the log itself, and may be rare: a resample without those few blocks is no evidence
+        against them.
         """
         sensor = self.causes.get("sensor")
         if sensor and sensor.share <= 0:

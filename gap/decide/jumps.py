@@ -15,7 +15,8 @@ from hystmpc.trials.types import Vec
 from ..logs.sensor import SensorSigns
 
 _STEADY_S = 0.4  # of steady motion before and after a sample
-_UNEVEN = 0.4, 1.2  # greatest range of the speed in it, relative to its mean; where such motion is rare, as in sines
+_UNEVEN = 0.4  # greatest range of the speed in it, relative to its mean
+_ONE_WAY = 1.2  # the same where such motion is rare, as in sines: it does not turn
 _NOISES, _STEPS = 5.0, 3.0  # standard deviations and resolutions that the motion in a window has to exceed
 _STUCK, _JUMPED, _BACK = 0.3, 2.0, -0.5  # of the simulated motion in a window
 _ENOUGH = 100  # windows
@@ -94,11 +95,17 @@ def find_jumps(runs: Sequence[Run], retuned: Hypothesis, signs: SensorSigns) -> 
     """
     least = max(_NOISES * signs.noise_deg, _STEPS * signs.quantisation_deg, 1e-9)
     simulated = [retuned.problem.angles(retuned.q, run) for run in runs]
-    for uneven in _UNEVEN:
-        found = [_windows(run, theta, least, uneven) for run, theta in zip(runs, simulated, strict=True)]
-        share, moved, ahead, speed = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        if share.size >= _ENOUGH:
-            break
+    steady = _pattern(runs, simulated, least, _UNEVEN)
+    if steady.windows >= _ENOUGH:
+        return steady
+    one_way = _pattern(runs, simulated, least, _ONE_WAY)
+    return one_way if one_way.seen else steady  # a fast motion may slide where a slow one sticks: it excludes nothing
+
+
+def _pattern(runs: Sequence[Run], simulated: Sequence[Vec], least: float, uneven: float) -> Jumps:
+    """What the windows show in which the speed is that uneven at most."""
+    found = [_windows(run, theta, least, uneven) for run, theta in zip(runs, simulated, strict=True)]
+    share, moved, ahead, speed = (np.concatenate(parts) for parts in zip(*found, strict=True))
     if not share.size:
         return Jumps(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     jumped, whole = share > _JUMPED, float(np.abs(moved).sum())
