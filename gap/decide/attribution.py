@@ -135,6 +135,7 @@ def attribute(
             structure_left=structure_left(selection, validation.runs, prepared.everything, floor_mse, settings.verdict),
             ambiguity=ambiguity_of(selection, settings.verdict, drift_test(validation, settings.verdict)),
             sensor="sensor" not in without and _sensor_matters(prepared, selection, settings.verdict),
+            sensor_gap=_is_gap(prepared, prepared.excess_mse + _mended_mse(prepared), settings.verdict),
             jumps=jumping,
             too_little=bool(prepared.too_little),
             unrelated=bool(prepared.checked.unrelated),
@@ -241,11 +242,25 @@ def _without(
 
 
 def _sensor_matters(prepared: PreparedTrials, selection: Selection, settings: VerdictSettings) -> bool:
-    """Whether the sensor's faults are a good part of the error that the chosen causes leave."""
-    signs, left = prepared.signs, selection.chosen.mse
+    """Whether the sensor's faults are a good part of the error that the chosen causes leave, or surely a gap alone.
+
+    White noise may be a disturbance that is faster than the log. Steps, outliers and held values are read off it.
+    """
+    signs, left, mended = prepared.signs, selection.chosen.mse, _mended_mse(prepared)
     noise = signs.energy if signs.noisy or signs.coarse else 0.0
+    good_part = noise > settings.noise_share * left or mended > settings.mended_share * left
+    return good_part or _is_gap(prepared, mended + (prepared.excess_mse if signs.coarse else 0.0), settings)
+
+
+def _mended_mse(prepared: PreparedTrials) -> float:
+    """Mean square of what the repair of outliers and held values changed [deg^2]."""
     mended = np.concatenate([raw - run.angle for raw, run in zip(prepared.raw, prepared.everything, strict=True)])
-    return noise > settings.noise_share * left or float(np.mean(mended**2)) > settings.mended_share * left
+    return float(np.mean(mended**2))
+
+
+def _is_gap(prepared: PreparedTrials, mse: float, settings: VerdictSettings) -> bool:
+    """Whether an error that is added to the model-form error alone makes a gap."""
+    return 0 < (settings.no_gap - 1) * prepared.form_mse <= mse
 
 
 def _floor(prepared: PreparedTrials, hypothesis: Hypothesis) -> Floor:

@@ -64,9 +64,14 @@ class GapClosed:
     def unproven(self) -> str:
         """The cause that is least certain to lower the error of the final trials; empty where all do.
 
-        The 90 % interval of what it closes has to lie above zero, that of all causes together, too.
+        The 90 % interval of what it closes has to lie above zero, that of all causes together, too. Faults of the
+        sensor are proven by the log itself, and may be rare: a resample without those few blocks is no evidence
+        against them.
         """
-        least = {name: cause.ci90[0] for name, cause in self.causes.items()}
+        sensor = self.causes.get("sensor")
+        if sensor and sensor.share <= 0:
+            return "sensor"
+        least = {name: cause.ci90[0] for name, cause in self.causes.items() if name != "sensor"}
         weakest = min(least, key=lambda name: least[name], default="")
         return weakest if weakest and (least[weakest] <= 0 or self.gap.closed_ci90[0] <= 0) else ""
 
@@ -113,14 +118,10 @@ def measure(
         less = final_errors.blocks(chosen.effects - {name})
         causes[name] = ClosedByCause(share, ci90, float(np.sqrt(less.mse)), parameters[name])
     if sensor:
-        mended = final_errors.less_sensor_noise(final_errors.blocks(frozenset()))
-        ci90 = shares.interval(shares.before, mended)
-        causes["sensor"] = ClosedByCause(
-            shares.closed(mended.mse),
-            ci90,
-            float(np.sqrt(_measured_blocks(prepared, chosen).mse)),
-            _sensor_parameters(prepared),
-        )
+        faulty = _measured_blocks(prepared, chosen)
+        share = shares.closed(shares.before.mse - faulty.mse + final_errors.after.mse)
+        ci90, rmse = shares.interval(faulty, final_errors.after), float(np.sqrt(faulty.mse))
+        causes["sensor"] = ClosedByCause(share, ci90, rmse, _sensor_parameters(prepared))
     if jumps is not None and "stick_slip" not in chosen.effects:
         left = less_sawtooth(final_errors.after, jumps.mse)
         share = shares.closed(left.mse) - shares.closed(final_errors.after.mse)

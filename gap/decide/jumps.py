@@ -16,6 +16,7 @@ from ..logs.sensor import SensorSigns
 
 _STEADY_S = 0.4  # of steady motion before and after a sample
 _UNEVEN = 0.4  # greatest range of the speed in it, relative to its mean
+_ONE_WAY = 1.2  # the same where such motion is rare, as in sines: it does not turn
 _NOISES, _STEPS = 5.0, 3.0  # standard deviations and resolutions that the motion in a window has to exceed
 _STUCK, _JUMPED, _BACK = 0.3, 2.0, -0.5  # of the simulated motion in a window
 _ENOUGH = 100  # windows
@@ -32,6 +33,7 @@ class Jumps:
     Attributes:
         windows: number of windows.
         stuck, jumped, back: share of them with g below 0.3, above 2, and below -0.5.
+        carried: share of the measured motion in those above 2: rare jumps are large.
         height_deg: median change of the tip's lead over the simulator in a jump [deg].
         fastest_deg_s: 90 % quantile of the simulated speeds at which it jumps [deg/s].
     """
@@ -40,13 +42,14 @@ class Jumps:
     stuck: float
     jumped: float
     back: float
+    carried: float
     height_deg: float
     fastest_deg_s: float
 
     @property
     def seen(self) -> bool:
         """Whether the pattern is that of stick-slip."""
-        return self.windows >= _ENOUGH and self.stuck > 0.25 and self.jumped > 0.04 and self.back < 0.1
+        return self.windows >= _ENOUGH and self.stuck > 0.25 and self.carried > 0.25 and self.back < 0.1
 
     @property
     def absent(self) -> bool:
@@ -74,9 +77,10 @@ class Jumps:
 
 
 class _Windows(NamedTuple):
-    """Of N windows: measured over simulated motion, lead of the measured one [deg], simulated speed [deg/s]."""
+    """Of N windows: measured motion over simulated, measured motion, lead of it [deg], simulated speed [deg/s]."""
 
     share: Vec
+    moved: Vec
     ahead: Vec
     speed: Vec
 
@@ -90,34 +94,45 @@ def find_jumps(runs: Sequence[Run], retuned: Hypothesis, signs: SensorSigns) -> 
         signs: noise and resolution of the sensor.
     """
     least = max(_NOISES * signs.noise_deg, _STEPS * signs.quantisation_deg, 1e-9)
-    found = [_windows(run, retuned.problem.angles(retuned.q, run), least) for run in runs]
-    share, ahead, speed = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    simulated = [retuned.problem.angles(retuned.q, run) for run in runs]
+    steady = _pattern(runs, simulated, least, _UNEVEN)
+    if steady.windows >= _ENOUGH:
+        return steady
+    one_way = _pattern(runs, simulated, least, _ONE_WAY)
+    return one_way if one_way.seen else steady  # a fast motion may slide where a slow one sticks: it excludes nothing
+
+
+def _pattern(runs: Sequence[Run], simulated: Sequence[Vec], least: float, uneven: float) -> Jumps:
+    """What the windows show in which the speed is that uneven at most."""
+    found = [_windows(run, theta, least, uneven) for run, theta in zip(runs, simulated, strict=True)]
+    share, moved, ahead, speed = (np.concatenate(parts) for parts in zip(*found, strict=True))
     if not share.size:
-        return Jumps(0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    jumped = share > _JUMPED
+        return Jumps(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    jumped, whole = share > _JUMPED, float(np.abs(moved).sum())
     return Jumps(
         int(share.size),
         float(np.mean(share < _STUCK)),
         float(np.mean(jumped)),
         float(np.mean(share < _BACK)),
+        float(np.abs(moved[jumped]).sum()) / whole if whole else 0.0,
         float(np.median(ahead[jumped])) if jumped.any() else 0.0,
         float(np.quantile(speed[jumped], 0.9)) if jumped.any() else 0.0,
     )
 
 
-def _windows(run: Run, simulated: Vec, least: float) -> _Windows:
+def _windows(run: Run, simulated: Vec, least: float, uneven: float) -> _Windows:
     speed, half = np.diff(simulated), max(round(_STEADY_S / run.dt_s), 1)
     kept = []
     for k in range(half, speed.size - half):
         around = speed[k - half : k + half]
         mean = float(around.mean())
-        if mean == 0 or np.ptp(around) > _UNEVEN * abs(mean):
+        if mean == 0 or np.ptp(around) > uneven * abs(mean):
             continue
         length = max(int(np.ceil(least / abs(mean))), 2)
         if length > half:
             continue
         moved, expected = (float(x[k + length] - x[k]) for x in (run.angle, simulated))
         if expected:
-            kept.append((moved / expected, (moved - expected) * np.sign(mean), abs(mean) / run.dt_s))
-    share, ahead, speeds = np.array(kept).reshape(-1, 3).T
-    return _Windows(share, ahead, speeds)
+            kept.append((moved / expected, moved, (moved - expected) * np.sign(mean), abs(mean) / run.dt_s))
+    share, moves, ahead, speeds = np.array(kept).reshape(-1, 4).T
+    return _Windows(share, moves, ahead, speeds)

@@ -148,6 +148,7 @@ class VerdictFacts:
         structure_left: whether the selected effect alone leaves structure that contradicts it (`structure_left`).
         ambiguity: for each effect the others that explain the development trials as well.
         sensor: whether the sensor's faults are a good part of the error that the effects leave.
+        sensor_gap: whether they would be a gap without any other cause.
         jumps: whether the tip sticks and slips in steady motion.
         too_little, unrelated: whether the trials are too short, or no angle follows its command.
         retuning: what retuning did.
@@ -164,6 +165,7 @@ class VerdictFacts:
     structure_left: bool = False
     ambiguity: tuple[tuple[str, ...], ...] = ()
     sensor: bool = False
+    sensor_gap: bool = False
     jumps: bool = False
     too_little: bool = False
     unrelated: bool = False
@@ -194,7 +196,7 @@ class Ruling:
     @property
     def explained(self) -> bool:
         """Whether the selected effects are the explanation, and part of the corrected simulator."""
-        return self.case in ("sensor_alone", "ambiguous", "explained")
+        return self.case in ("ambiguous", "explained")
 
     @property
     def effects_unknown(self) -> bool:
@@ -209,8 +211,9 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
     |-----------------------|-----------------------------------------------------------------------------|------------|
     | too_little            | the trials are too short or turn too rarely                                 | too_little |
     | unrelated             | no angle follows its command                                                | unknown    |
+    | sensor_alone          | the sensor's faults are the gap: without them there is none, or no effect   | named      |
+    |                       | was selected                                                                |            |
     | no_gap                | retuned MSE < `no_gap` x model-form error                                   | none (a)   |
-    | sensor_alone          | no effect was selected, the sensor is faulty                                | named      |
     | small_gap             | no effect, or effects that leave the gap open; MSE < `no_cause` x form error | none (a)  |
     | no_effect             | no effect was selected                                                      | unknown (b)|
     | left_open             | the effects close < `least_closed`, and leave > `still_open` x floor        | unknown (b)|
@@ -236,10 +239,12 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
     closed = (facts.retuned_mse - facts.chosen_mse) / max(facts.retuned_mse - facts.floor_mse, 1e-12)
     left_open = closed < settings.least_closed and facts.chosen_mse > settings.still_open * facts.floor_mse
     repeats = facts.retuning.unrepeatable < settings.unrepeatable
+    no_gap = retuned < settings.no_gap * form
     rows: tuple[tuple[VerdictCase, bool], ...] = (
         ("too_little", facts.too_little),
         ("unrelated", facts.unrelated),
-        ("no_gap", retuned < settings.no_gap * form),
+        ("sensor_alone", no_gap and facts.sensor and facts.sensor_gap),
+        ("no_gap", no_gap),
         ("sensor_alone", none_selected and facts.sensor),
         ("small_gap", (none_selected or left_open) and repeats and retuned < settings.no_cause * form),
         ("no_effect", none_selected),

@@ -110,9 +110,14 @@ def prepare(
         baseline, corrections = baseline_of(decades.chain(simulator.chain), command), None
     else:
         baseline, corrections = _network_baseline(simulator, repaired_trials, command, decades)
+    runs = runs_of(repaired_trials, corrections, [b.scaled(1 / decades.command) for b in checked.before])
+    if signs.spikes or signs.drops:
+        problem = Problem(baseline)
+        start = problem.start(baseline.nominal, [])
+        pairs = zip(runs, in_working_units, strict=True)
+        runs = tuple(replace(r, angle=repaired(t, signs, problem.angles(start, r)).angle) for r, t in pairs)
     motions = checked.excitation.motions
     form_mse = model_form_mse(identification, trials, motions, _sample_time(simulator))
-    runs = runs_of(repaired_trials, corrections, [b.scaled(1 / decades.command) for b in checked.before])
     runs = common_rest(runs, form_mse)
     development, final = split_runs(runs, motions, known)
     faulty = signs.noisy or signs.coarse

@@ -7,13 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mask, Vec
 
 _ON_GRID, _GRID_TOLERANCE = 0.95, 0.1  # share of samples; of the step (a fifth of the samples is that near by chance)
-_LEAST_LEVELS, _MOST_VALUES = 8, 20_000
+_LEAST_LEVELS, _READINGS, _MOST_VALUES = 3, 25, 20_000  # readings on a level, where levels are few
+_MANY_LEVELS = 9  # that no chance puts on a grid
 _COARSE = 0.4  # rms of rounding over white noise, from which the resolution counts as a fault
 _NOISY = 1.5  # over the nominal noise
 _SPIKE = 6.0  # standard deviations of noise
@@ -23,7 +25,9 @@ _RESUMES = 5.0  # standard deviations of noise by which a held value jumps when 
 _HELD_STRETCHES, _HELD_RATE = 3, 0.003
 _LEAST_JUMP = 0.003  # of the angle's range: smallest spike or jump that is looked at
 _JUMP = 1.6  # times the steps around it
-_FINE, _EQUAL = 0.02, 2  # step over noise; updates
+_BY_CHANCE = 0.001  # runs of equal readings in a trial, as long or longer, that its noise gives: held ones are longer
+_MOST_REPEATS = 0.3  # probability that two readings at rest are equal: above it a run of them says little
+_REAL_NOISE = 1e-4  # of the angle's range: less may be the curvature of a motion without noise
 _STEPS = 3.0  # least spike or jump in steps of the grid
 _SLOWEST_S = 0.05  # update interval of a tip tracker; a value that stays for longer is held
 _ORDERS = (2, 3, 4)
@@ -95,10 +99,16 @@ def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None
     )
 
 
-def repaired(trial: Trial, signs: SensorSigns) -> Trial:
+def repaired(trial: Trial, signs: SensorSigns, simulated: Vec | None = None) -> Trial:
     """The trial with spikes and held values replaced by lines between the samples around them.
 
-    For a spike of one sample a line equals the local median, and it does not lag on a moving angle.
+    For a spike of one sample a line equals the local median, and it does not lag on a moving angle. Where the motion
+    turns while a value is held, a line misses it: the simulated motion, with such a line added, does not.
+
+    Args:
+        trial: with the faults.
+        signs: of all trials.
+        simulated: angle of a simulator (T,) [deg].
     """
     angle = trial.angle.copy()
     mask = np.zeros(len(trial), dtype=np.bool_)
@@ -107,7 +117,8 @@ def repaired(trial: Trial, signs: SensorSigns) -> Trial:
     if signs.drops:
         mask |= _held(trial, signs.quantisation_deg, signs.noise_deg)
     if mask.any() and not mask.all():
-        angle[mask] = np.interp(trial.t[mask], trial.t[~mask], angle[~mask])
+        shape = np.zeros(len(trial)) if simulated is None else simulated
+        angle[mask] = shape[mask] + np.interp(trial.t[mask], trial.t[~mask], (angle - shape)[~mask])
     return Trial(trial.t, trial.command, angle, trial.channels, trial.units, trial.source)
 
 
@@ -119,7 +130,7 @@ def _grid(values: Vec) -> float:
     levels = levels[:: max(1, levels.size // _MOST_VALUES)] if levels.size > _MOST_VALUES else levels
     gaps = np.diff(levels)
     gaps = gaps[gaps > 1e-9 * max(float(np.abs(levels).max()), 1.0)]
-    if gaps.size < _LEAST_LEVELS:
+    if gaps.size + 1 < (_LEAST_LEVELS if values.size >= _READINGS * (gaps.size + 1) else _MANY_LEVELS):
         return 0.0
     least = float(np.percentile(gaps, 1))
     coarse = gaps[gaps > 0.5 * float(np.median(gaps))]
@@ -131,7 +142,7 @@ def _grid(values: Vec) -> float:
 def _fitted(levels: Vec, guess: float, values: Vec) -> tuple[float, float]:
     """Step near the guess by regression of levels on their whole numbers, and the share of values on that grid."""
     numbers = np.concatenate([[0.0], np.cumsum(np.rint(np.diff(levels) / guess))])
-    if numbers[-1] < _LEAST_LEVELS:
+    if numbers[-1] + 1 < min(_MANY_LEVELS, levels.size):
         return 0.0, 0.0
     step = float(np.polyfit(numbers, levels, 1)[0])
     if step <= 0:
@@ -178,8 +189,8 @@ def _spikes(trial: Trial, step: float, noise: float) -> tuple[Mask, int]:
 def _held(trial: Trial, step: float, noise: float) -> Mask:
     """Samples that repeat the last value, longer than usual, before a jump larger than the changes around it.
 
-    A dead zone holds the angle as well, but without such a jump. Where the sensor is noisy and finer than its noise,
-    three equal values or more count as held whatever follows.
+    A dead zone holds the angle as well, but without such a jump. Noise never rests: a run that is too long for equal
+    readings in a row by chance counts as held whatever follows.
     """
     angle, usual = trial.angle, _pace(trial)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(angle) != 0) + 1])
@@ -187,7 +198,8 @@ def _held(trial: Trial, step: float, noise: float) -> Mask:
     moving = np.abs(np.diff(trial.command)) > _MOVING * float(np.ptp(trial.command))
     least = max(_RESUMES * noise, _STEPS * step, _LEAST_JUMP * float(np.ptp(angle)))
     mask = np.zeros(angle.size, dtype=np.bool_)
-    fine = noise > _LEAST_JUMP * 0.1 * float(np.ptp(angle)) and step < _FINE * noise
+    noisy = noise > _REAL_NOISE * float(np.ptp(angle))
+    by_chance = usual * _longest_by_chance(lengths // usual, step, noise) if noisy else math.inf
     for k in np.flatnonzero(lengths[:-2] >= 2 * usual):
         start, stop = int(edges[k]), int(edges[k + 1])
         jump = abs(float(angle[stop] - angle[start]))
@@ -195,9 +207,24 @@ def _held(trial: Trial, step: float, noise: float) -> Mask:
         if k:
             around = max(around, abs(float(angle[start] - angle[edges[k - 1]])))
         resumes = jump > max(least, _JUMP * around + 2 * step + 3 * noise) and np.mean(moving[start : stop - 1]) >= 0.5
-        if resumes or (fine and lengths[k] > _EQUAL * usual):
+        if resumes or lengths[k] > by_chance:
             mask[start + usual : stop] = True
     return mask
+
+
+def _longest_by_chance(runs: NDArray[np.int64], step: float, noise: float) -> float:
+    """Length of the longest run of equal readings that noise on a grid explains; infinite where it says little.
+
+    Two readings at rest are equal with p = step / (2 sqrt(pi) noise), the density of the difference of two at 0, and L
+    of them with p^(L - 1). The share of runs that repeat at all is p as well, also where the noise is not white.
+
+    Args:
+        runs: lengths of all runs of equal readings in a trial (R,).
+        step, noise: of the grid, and standard deviation [deg].
+    """
+    white = step / (2 * math.sqrt(math.pi) * noise) if noise > 0 else 1.0
+    repeats = max(white, float(np.mean(runs > 1)), 1 / runs.size)
+    return 1 + math.log(_BY_CHANCE / runs.size) / math.log(repeats) if repeats < _MOST_REPEATS else math.inf
 
 
 def stretches(mask: Mask) -> list[tuple[int, int]]:

@@ -140,6 +140,46 @@ def test_held_samples_are_counted_and_repaired(kind: str) -> None:
     assert after < 0.7 * before
 
 
+@settings(max_examples=20)
+@given(st.floats(0.03, 0.12), st.integers(8, 20), SEEDS)
+def test_held_readings_that_do_not_jump_are_told_from_chance(sigma: float, length: int, seed: int) -> None:
+    """At rest a held value resumes without a jump; a log of 0.01 deg repeats readings by chance as well."""
+    rest = np.round(30.0 + sigma * noise(1000, seed), 2)
+    own = trial(SINE[:1000])
+    healthy, faulty = rest.copy(), rest.copy()
+    for k in range(50, 950, 90):
+        faulty[k : k + length] = faulty[k]
+    assert not sensor_signs([Trial(own.t, own.command, healthy)]).drops
+    signs = sensor_signs([Trial(own.t, own.command, faulty)])
+    assert signs.drops
+    assert signs.held_rate == pytest.approx(10 * (length - 1) / 1000, rel=0.1)
+
+
+@settings(max_examples=20)
+@given(st.floats(9.0, 25.0), st.floats(0.1, 0.5), SEEDS)
+def test_steps_of_few_levels_are_recovered_through_dither(step: float, dither: float, seed: int) -> None:
+    own = trial(SINE)
+    y = np.round(np.round((own.angle + dither * step * noise(len(own), seed) / 2.5) / step) * step, 2)
+    signs = sensor_signs([Trial(own.t, own.command, y)], 0.05)
+    assert signs.quantisation_deg == pytest.approx(step, rel=1e-2)
+    assert signs.coarse
+
+
+def test_a_held_value_is_bridged_along_the_simulated_motion() -> None:
+    """Where the motion turns while a value is held, a line misses it."""
+    clean = trial(SINE, 0.05 * noise(SINE.size))
+    turn = int(np.argmax(SINE[100:])) + 100
+    angle = clean.angle.copy()
+    for k in (turn - 4, turn - 90, turn - 150):
+        angle[k : k + 12] = angle[k]
+    held = Trial(clean.t, clean.command, angle)
+    signs = sensor_signs([held])
+    along = repaired(held, signs, 0.9 * trial(SINE).angle + 2.0)
+    line = repaired(held, signs)
+    errors = [np.sqrt(np.mean((t.angle - clean.angle)[turn - 3 : turn + 8] ** 2)) for t in (along, line)]
+    assert errors[0] < max(0.5 * errors[1], 0.1)
+
+
 @pytest.mark.parametrize("kind", sorted(KINDS))
 @pytest.mark.parametrize("sigma", [0.0, 0.05, 0.3])
 def test_a_clean_sensor_shows_no_sign(kind: str, sigma: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -35,12 +36,12 @@ def ramps(seconds: float) -> Vec:
 COMMANDS = [ramps(12.0), sine(0.1), moves(1, 20.0, 1.0), ramps(8.0), moves(2, 20.0, 1.0)]
 
 
-def through(trials: list[Trial], break_away: float) -> list[Trial]:
+def through(trials: list[Trial], break_away: float, shape: Mapping[str, float] = SHAPE) -> list[Trial]:
     """The same devices with tips that rub in their lumen by LuGre friction."""
     found = []
     for trial in trials:
         fine = np.arange(round(trial.t[-1] / FINE_S) + 1) * FINE_S
-        angle = lugre_tip(np.interp(fine, trial.t, trial.angle), SCENE, break_away, SHAPE)
+        angle = lugre_tip(np.interp(fine, trial.t, trial.angle), SCENE, break_away, shape)
         found.append(replace(trial, angle=np.interp(trial.t, fine, angle)))
     return found
 
@@ -76,6 +77,25 @@ def test_a_tip_that_sticks_and_slips_is_seen(break_away: float) -> None:
     assert not jumps.absent
     assert 0.1 * break_away < jumps.height_deg < break_away
     assert jumps.mse == pytest.approx(jumps.height_deg**2 / 12)
+
+
+def sines_of(*hz: float) -> list[Trial]:
+    return trials_of(Chain(BACKLASH), [sine(f) for f in hz], noise_deg=0.0)
+
+
+def test_sines_show_it_although_their_speed_is_hardly_ever_steady() -> None:
+    shape = {"ratio": 0.2, "stribeck_deg_s": 120.0}
+    assert jumps_of(noisy(through(sines_of(0.25, 0.3), 8.0, shape))).seen
+
+
+def test_fast_sines_exclude_nothing() -> None:
+    jumps = jumps_of(noisy(sines_of(0.3, 0.35, 0.35)))
+    assert (jumps.seen, jumps.absent) == (False, False)
+
+
+@pytest.mark.parametrize(("carried", "seen"), [(0.3, True), (0.2, False)])
+def test_jumps_that_are_rare_count_by_the_motion_that_they_carry(carried: float, seen: bool) -> None:
+    assert Jumps(200, 0.8, 0.02, 0.0, carried, 12.0, 9.0).seen == seen
 
 
 @pytest.mark.parametrize("sigma", [0.02, 0.1])
