@@ -278,7 +278,7 @@ def _probabilities(findings: Findings) -> dict[str, float]:
     ambiguous |= {name for name in causes if gone & set(EFFECTS[name].also_taken_for)}
     stable = findings.stability.share if findings.stability else _STABILITY_UNKNOWN
     return {
-        name: probability(name, cause.share, name in ambiguous, stable, bool(confounders(name) & missing))
+        name: probability(cause.share, name in ambiguous, stable, bool(confounders(name) & missing))
         for name, cause in causes.items()
     }
 

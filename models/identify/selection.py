@@ -9,6 +9,7 @@ from typing import Protocol, final
 
 import numpy as np
 
+from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain, sureness
 from .motion_lines import motions_own
@@ -35,6 +36,8 @@ class SelectionSettings:
             what remains, by so many standard errors: beside a large cause a smaller one is no less sure.
         clear_errors, clear_share, clear_most: by so many standard errors a fall is clear, and these shares of what
             remains replace `least_share` and `most_share`: a third cause may leave no doubt and still be small.
+        beside_share: share of the error that remains, floor included, that a generic effect beside other causes has to
+            explain, at 0.64 a fall of the RMSE to 0.6: what the wrong forms of these causes leave looks like one.
         drift_errors: by so many standard errors a drift beside shifts of trials needs no share of the whole error.
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
         everywhere: the share of every trial's error that shifts have to explain where the median trial gains less.
@@ -60,6 +63,7 @@ class SelectionSettings:
     clear_errors: float = 8.0
     clear_share: float = 0.1
     clear_most: float = 0.3
+    beside_share: float = 0.64
     drift_errors: float = 3.0
     recurs: float = 0.25
     everywhere: float = 0.5
@@ -150,7 +154,8 @@ class _Search:
         useful = before.mse - max(after.mse, self._floor)
         remaining = before.mse - self._floor
         most = settings.clear_most if clear else settings.most_share
-        sure = fall > settings.sure_errors * error and useful > most * remaining
+        imitates = bool(before.hypothesis.effects) and any(EFFECTS[name].generic for name in new)
+        sure = not imitates and fall > settings.sure_errors * error and useful > most * remaining
         whole = (settings.sure_share if sure else settings.gap_share) * (self._baseline_mse - self._floor)
         within = new == {"drift"} and "trial_shift" in before.hypothesis.effects
         if within and fall > settings.drift_errors * error:
@@ -160,6 +165,7 @@ class _Search:
         if new & OWN_TO_TRIALS and not _recurs(before, after, new, settings):
             return False
         least = max(share * remaining, whole, settings.form_share * self._floor)
+        least = max(least, settings.beside_share * before.mse) if imitates else least
         return sureness(before, after) > settings.standard_errors and useful > least
 
     def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
