@@ -212,7 +212,7 @@ def _proven(
         closed = measure(
             prepared, attribution.validation, attribution.retuned, chosen, floor, facts.sensor, jumps, seed
         )
-        weakest = closed.unproven
+        weakest = closed.unproven({names[0] for names in facts.ambiguity})
         if not weakest:
             return replace(facts, jumps="stick_slip" in closed.causes and facts.jumps), chosen, floor, closed
         facts, chosen = _without(attribution, facts, chosen, weakest)

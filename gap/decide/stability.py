@@ -21,6 +21,7 @@ from ..logs.preparation import PreparedTrials
 from .ambiguity import ambiguity_of
 from .attribution import Attribution, Conclusion, DiagnosisSettings, drift_test
 from .closed_share import Shares
+from .gap_closed import needless
 from .lack_of_fit import structure_left
 from .retuning import width_grown
 from .verdict import FinalFacts, Ruling, VerdictFacts, decide_verdict
@@ -151,21 +152,24 @@ class _Again:
             ambiguity=ambiguity_of(selection, settings, self._drift_shows),
         )
         explained = decide_verdict(facts, settings).explained
-        kept = self._proven(names, final) if explained else frozenset()
+        kept = self._proven(facts, final) if explained else frozenset()
         ruling = self._ruling(facts, kept, selection.chosen.hypothesis, tried, final)
         return ruling.verdict, kept if ruling.explained else frozenset()
 
-    def _proven(self, names: Names, final: Mapping[Names, Blocks]) -> Names:
+    def _proven(self, facts: VerdictFacts, final: Mapping[Names, Blocks]) -> Names:
         """Causes left once those are dropped that do not surely lower the error of the final runs."""
+        names, replaceable = facts.effects, {names[0] for names in facts.ambiguity}
         while names:
             shares = self._shares(names, final)
             together = shares.interval(final[frozenset()], final[names])
-            least = dict.fromkeys(names, together[0])
+            least, small = dict.fromkeys(names, together[0]), ""
             if all(names - {name} in final for name in names):
-                for name, (_, ci90) in shares.of_causes(names, final.__getitem__).items():
-                    least[name] = min(ci90[0], together[0])
+                closed = shares.of_causes(names, final.__getitem__)
+                least = {name: min(ci90[0], together[0]) for name, (_, ci90) in closed.items()}
+                small = needless({name: share for name, (share, _) in closed.items()}, replaceable)
             weakest = min(sorted(least), key=lambda name: least[name])
-            if least[weakest] > 0:
+            weakest = weakest if least[weakest] <= 0 else small
+            if not weakest:
                 break
             names = names - {weakest}
             if names not in final:

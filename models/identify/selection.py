@@ -179,18 +179,23 @@ class _Search:
         return current
 
     def _swapped(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
-        """With each cause exchanged for each other one; the better is kept, all are recorded for the ambiguity."""
+        """With each cause exchanged for each other one; the better is kept, all are recorded for the ambiguity.
+
+        Beside others what comes has to be worth adding, too.
+        """
         for effect in sorted(current.hypothesis.effects):
             if effect not in current.hypothesis.effects:
                 continue
-            rest: Hypothesis | None = baseline.hypothesis
+            rest = baseline
             if len(current.hypothesis.effects) > 1:
-                rest = self._trials.without(current.hypothesis, effect)
-                if rest is not None:
-                    self._trials.judged(rest)
-            for hypothesis in self._trials.additions(rest) if rest is not None else ():
+                less = self._trials.without(current.hypothesis, effect)
+                if less is None:
+                    continue
+                rest = self._trials.judged(less)
+            for hypothesis in self._trials.additions(rest.hypothesis):
                 judged = self._trials.known(hypothesis.effects) or self._trials.judged(hypothesis)
-                if self._better(current, judged, baseline):
+                worthy = rest is baseline or self._worth_adding(rest, judged)
+                if worthy and self._better(current, judged, baseline):
                     current = judged
         return current
 
