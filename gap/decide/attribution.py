@@ -114,7 +114,7 @@ def attribute(
     without = left_out
     if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
         library, without = (), (*left_out, *OWN_TO_TRIALS)
-    selection = select(validation, library, settings.selection, floor_mse, without, advance)
+    selection = select(validation, library, settings.selection, floor_mse, without, advance, prepared.excess_mse)
     baseline, grown = selection.baseline, width_grown(selection.chosen.hypothesis)
     retuning = Retuning() if unusable else retuning_of(prepared, retuned, baseline.mse)
     if not unusable and grown >= settings.verdict.width_grown:

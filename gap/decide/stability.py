@@ -126,6 +126,7 @@ class _Again:
     ) -> None:
         self._facts, self._settings, self._seed = conclusion.facts, settings, seed
         self._floor, self._form_mse = conclusion.floor, prepared.form_mse
+        self._faults_mse = prepared.excess_mse
         self._spread = conclusion.closed.spread
         validation, selection = attribution.validation, attribution.selection
         self._tried = {names: _everywhere(judged, prepared.final) for names, judged in selection.tried.items()}
@@ -140,7 +141,7 @@ class _Again:
         tried = {names: _part(judged, split.development, split.seed) for names, judged in self._tried.items()}
         final: dict[Names, Blocks] = {n: _part(judged, split.final, split.seed) for n, judged in self._tried.items()}
         settings = self._settings.verdict
-        selection = select_again(tried, self._settings.selection, self._facts.floor_mse)
+        selection = select_again(tried, self._settings.selection, self._facts.floor_mse, self._faults_mse)
         names = selection.chosen.hypothesis.effects
         facts = replace(
             self._facts,
