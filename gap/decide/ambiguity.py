@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import beta
 
+from hystmpc.models.effects.catalogue import EFFECTS
 from hystmpc.models.identify.cross_validation import (
     CrossValidation,
     HeldOutErrors,
@@ -21,8 +22,11 @@ from hystmpc.models.identify.uncertainty import uncertainty
 
 from .verdict import VerdictSettings
 
-# Ridge logistic regression on 422 names of three blind checks, seeds 3171823, 4172611 and 5290417; frozen.
-_BIAS, _AMBIGUOUS, _SURE = 1.25, -1.7, 1.65
+# Effects that can imitate almost any other, and causes that the library lacks: their names are less certain.
+_IMITATES = frozenset(name for name, effect in EFFECTS.items() if effect.generic)
+
+# Ridge logistic regression on 407 names of three blind checks, seeds 3171823, 4172611 and 5290417; frozen.
+_BIAS, _AMBIGUOUS, _SURE, _GENERIC = 1.4, -1.85, 1.45, -1.1
 _UNTRIED = -2.0  # set by judgement, not fitted: keeps the probability below 0.8
 _DRAWS = 300
 
@@ -122,14 +126,16 @@ def inclusion_shares(selection: Selection, floor_mse: float, settings: VerdictSe
     return {name: float(np.mean([name in tried[k].hypothesis.effects for k in best])) for name in names}
 
 
-def probability(share: float, ambiguous: bool, stability: float, untried: bool = False) -> float:
+def probability(name: str, share: float, ambiguous: bool, stability: float, untried: bool = False) -> float:
     """Calibrated probability that a chosen effect is present.
 
-    logit P = b_0 + b_1 ambiguous + b_2 share stability^2 + b_3 untried
+    logit P = b_0 + b_1 ambiguous + b_2 sure + b_3 generic (1 - sure) + b_4 untried,    sure = share stability^2
 
-    Sure is what closes the gap and comes out on whatever trials: neither is enough alone.
+    Sure is what closes the gap and comes out on whatever trials: neither is enough alone. A generic effect that does
+    both is no imitation of another cause.
 
     Args:
+        name: of the effect.
         share: of the structural gap that it closes, 0 to 1.
         ambiguous: whether another effect could replace it.
         stability: share of other splits of the trials in which the verdict is the same, 0 to 1; its square is the
@@ -137,8 +143,8 @@ def probability(share: float, ambiguous: bool, stability: float, untried: bool =
         untried: whether the library lacks an effect with which it can be confounded.
     """
     sure = min(max(share, 0.0), 1.0) * stability**2
-    logit = _BIAS + _AMBIGUOUS * ambiguous + _SURE * sure + _UNTRIED * untried
-    return 1 / (1 + math.exp(-logit))
+    logit = _BIAS + _AMBIGUOUS * ambiguous + _SURE * sure + _GENERIC * (name in _IMITATES) * (1 - sure)
+    return 1 / (1 + math.exp(-logit - _UNTRIED * untried))
 
 
 def ranking(

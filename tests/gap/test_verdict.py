@@ -180,12 +180,14 @@ def test_the_reason_states_the_verdict_and_its_numbers() -> None:
         assert text in reason_for(decide_verdict(facts, SETTINGS), (), gap, "3 s in all", "")
 
 
-@given(st.floats(0, 1), st.floats(0, 1), st.booleans())
+@given(st.floats(0, 1), st.floats(0, 1), st.booleans(), st.sampled_from(["lag", "trial_shift"]))
 def test_what_is_stable_and_closes_much_is_likelier_and_what_has_rivals_less(
-    share: float, stable: float, ambiguous: bool
+    share: float, stable: float, ambiguous: bool, name: str
 ) -> None:
-    chance = probability(share, ambiguous, stable)
+    chance = probability(name, share, ambiguous, stable)
     assert 0 < chance < 1
-    assert probability(1.0, ambiguous, 1.0) >= chance >= probability(0.0, ambiguous, 0.0)
-    assert probability(share, True, stable) <= chance
-    assert probability(share, ambiguous, stable, untried=True) < 0.8
+    assert probability(name, 1.0, ambiguous, 1.0) >= chance >= probability(name, 0.0, ambiguous, 0.0)
+    assert probability(name, share, True, stable) <= chance
+    assert probability("trial_shift", share, ambiguous, stable) <= probability("lag", share, ambiguous, stable)
+    assert probability("trial_shift", 1.0, ambiguous, 1.0) == probability("lag", 1.0, ambiguous, 1.0)
+    assert probability(name, share, ambiguous, stable, untried=True) < 0.8
