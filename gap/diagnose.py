@@ -195,8 +195,8 @@ def _diagnosis(findings: Findings, parameters: Sequence[ParameterRow]) -> Diagno
     """The result, from the findings of all steps."""
     prepared, attribution, conclusion = findings.prepared, findings.attribution, findings.conclusion
     ruling, jumps, hypothesis = conclusion.ruling, attribution.jumps, attribution.retuned
-    probabilities = _probabilities(findings)
     grouped = configuration_of(conclusion.chosen, prepared.everything)
+    probabilities = _probabilities(findings, grouped)
     effects = _effects(findings, probabilities, parameters, grouped)
     ambiguity = tuple(tuple(_called(name, grouped) for name in names) for names in ruling.ambiguity)
     decades, units = prepared.decades, prepared.checked.trials[0].units
@@ -270,15 +270,17 @@ def _untestable(findings: Findings) -> tuple[Untestable, ...]:
     return tuple(Untestable(name, why) for name, why in NEEDS_ORDER.items() if name not in findings.left_out)
 
 
-def _probabilities(findings: Findings) -> dict[str, float]:
-    """Probability of each effect found."""
+def _probabilities(findings: Findings, grouped: Configuration | None) -> dict[str, float]:
+    """Probability of each effect found; that shifts fall into groups makes them less of an imitation."""
     causes, missing = findings.conclusion.closed.causes, set(findings.left_out)
     ambiguous = {name for names in findings.conclusion.ruling.ambiguity for name in names}
     gone = {untestable.name for untestable in _untestable(findings)}
     ambiguous |= {name for name in causes if gone & set(EFFECTS[name].also_taken_for)}
     stable = findings.stability.share if findings.stability else _STABILITY_UNKNOWN
     return {
-        name: probability(name, cause.share, name in ambiguous, stable, bool(confounders(name) & missing))
+        name: probability(
+            _called(name, grouped), cause.share, name in ambiguous, stable, bool(confounders(name) & missing)
+        )
         for name, cause in causes.items()
     }
 

@@ -114,7 +114,7 @@ def attribute(
     without = left_out
     if prepared.checked.unrelated:  # nothing to explain: only the baseline is evaluated
         library, without = (), (*left_out, *OWN_TO_TRIALS)
-    selection = select(validation, library, settings.selection, floor_mse, without, advance)
+    selection = select(validation, library, settings.selection, floor_mse, without, advance, prepared.excess_mse)
     baseline, grown = selection.baseline, width_grown(selection.chosen.hypothesis)
     retuning = Retuning() if unusable else retuning_of(prepared, retuned, baseline.mse)
     if not unusable and grown >= settings.verdict.width_grown:
@@ -214,7 +214,7 @@ def _proven(
         closed = measure(
             prepared, attribution.validation, attribution.retuned, chosen, floor, facts.sensor, jumps, seed
         )
-        weakest = closed.unproven
+        weakest = closed.unproven({names[0] for names in facts.ambiguity})
         if not weakest:
             return replace(facts, jumps="stick_slip" in closed.causes and facts.jumps), chosen, floor, closed
         facts, chosen = _without(attribution, facts, chosen, weakest)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -26,7 +26,7 @@ _LEAST_FLOOR = 0.02  # share of the floor that stays when a sensor's noise is ta
 _LEAST_DEG = 1e-6
 _GAP_FACTOR = 2.0  # of the floor, from which a single trial counts for the spread of shares
 _UNKNOWN_SPREAD = 0.1
-_LEAST_JUMPS = 0.05  # of the structural gap
+_LEAST_SHARE = 0.05  # of the structural gap, for jumps and for what another effect could replace
 
 
 @dataclass(frozen=True)
@@ -60,20 +60,25 @@ class GapClosed:
     causes: Mapping[str, ClosedByCause]
     spread: float
 
-    @property
-    def unproven(self) -> str:
-        """The cause that is least certain to lower the error of the final trials; empty where all do.
+    def unproven(self, replaceable: Container[str] = ()) -> str:
+        """The cause that is least certain to lower the error of the final trials; empty where all are certain.
 
         The 90 % interval of what it closes has to lie above zero, that of all causes together, too. Faults of the
         sensor are proven by the log itself, and may be rare: a resample without those few blocks is no evidence
-        against them.
+        against them. Beside others a cause that could be replaced has to close 5 % of the gap: so little that several
+        effects explain is the form error of the others.
+
+        Args:
+            replaceable: effects that another one could replace.
         """
         sensor = self.causes.get("sensor")
         if sensor and sensor.share <= 0:
             return "sensor"
         least = {name: cause.ci90[0] for name, cause in self.causes.items() if name != "sensor"}
         weakest = min(least, key=lambda name: least[name], default="")
-        return weakest if weakest and (least[weakest] <= 0 or self.gap.closed_ci90[0] <= 0) else ""
+        if weakest and (least[weakest] <= 0 or self.gap.closed_ci90[0] <= 0):
+            return weakest
+        return needless({name: cause.share for name, cause in self.causes.items()}, replaceable)
 
     @property
     def moved(self) -> float:
@@ -84,6 +89,12 @@ class GapClosed:
         """The same with what repeats of a motion differ by."""
         rmse = floor.rmse_deg if floor.kind == "repeats" else math.nan
         return replace(self, gap=replace(self.gap, repeats_rmse_deg=rmse))
+
+
+def needless(shares: Mapping[str, float], replaceable: Container[str]) -> str:
+    """The cause that closes the least beside others, too little to be named as another could replace it; else empty."""
+    small = [name for name in shares if name in replaceable and shares[name] < _LEAST_SHARE]
+    return min(small, key=lambda name: shares[name]) if small and len(shares) > 1 else ""
 
 
 def measure(
@@ -125,7 +136,7 @@ def measure(
     if jumps is not None and "stick_slip" not in chosen.effects:
         left = less_sawtooth(final_errors.after, jumps.mse)
         share = shares.closed(left.mse) - shares.closed(final_errors.after.mse)
-        if share >= _LEAST_JUMPS:
+        if share >= _LEAST_SHARE:
             ci90, rmse = shares.interval(final_errors.after, left), float(np.sqrt(final_errors.after.mse))
             causes["stick_slip"] = ClosedByCause(share, ci90, rmse, jumps.parameters)
             final_errors.after = left

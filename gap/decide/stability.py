@@ -21,6 +21,7 @@ from ..logs.preparation import PreparedTrials
 from .ambiguity import ambiguity_of
 from .attribution import Attribution, Conclusion, DiagnosisSettings, drift_test
 from .closed_share import Shares
+from .gap_closed import needless
 from .lack_of_fit import structure_left
 from .retuning import width_grown
 from .verdict import FinalFacts, Ruling, VerdictFacts, decide_verdict
@@ -126,6 +127,7 @@ class _Again:
         self._facts, self._settings, self._seed = conclusion.facts, settings, seed
         self._floor, self._form_mse = conclusion.floor, prepared.form_mse
         self._spread, self._moved = conclusion.closed.spread, conclusion.closed.moved
+        self._faults_mse = prepared.excess_mse
         validation, selection = attribution.validation, attribution.selection
         self._tried = {names: _everywhere(judged, prepared.final) for names, judged in selection.tried.items()}
         self._drift_shows = drift_test(validation, settings.verdict)
@@ -141,7 +143,7 @@ class _Again:
         tried = {names: _part(judged, split.development, split.seed) for names, judged in self._tried.items()}
         final: dict[Names, Blocks] = {n: _part(judged, split.final, split.seed) for n, judged in self._tried.items()}
         settings = self._settings.verdict
-        selection = select_again(tried, self._settings.selection, self._facts.floor_mse)
+        selection = select_again(tried, self._settings.selection, self._facts.floor_mse, self._faults_mse)
         names = selection.chosen.hypothesis.effects
         facts = replace(
             self._facts,
@@ -153,21 +155,24 @@ class _Again:
             ambiguity=ambiguity_of(selection, settings, self._drift_shows),
         )
         explained = decide_verdict(facts, settings).explained
-        kept = self._proven(names, final) if explained else frozenset()
+        kept = self._proven(facts, final) if explained else frozenset()
         ruling = self._ruling(facts, kept, selection.chosen.hypothesis, tried, final)
         return ruling.verdict, kept if ruling.explained else frozenset()
 
-    def _proven(self, names: Names, final: Mapping[Names, Blocks]) -> Names:
+    def _proven(self, facts: VerdictFacts, final: Mapping[Names, Blocks]) -> Names:
         """Causes left once those are dropped that do not surely lower the error of the final runs."""
+        names, replaceable = facts.effects, {names[0] for names in facts.ambiguity}
         while names:
             shares = self._shares(names, final)
             together = shares.interval(final[frozenset()], final[names])
-            least = dict.fromkeys(names, together[0])
+            least, small = dict.fromkeys(names, together[0]), ""
             if all(names - {name} in final for name in names):
-                for name, (_, ci90) in shares.of_causes(names, final.__getitem__).items():
-                    least[name] = min(ci90[0], together[0])
+                closed = shares.of_causes(names, final.__getitem__)
+                least = {name: min(ci90[0], together[0]) for name, (_, ci90) in closed.items()}
+                small = needless({name: share for name, (share, _) in closed.items()}, replaceable)
             weakest = min(sorted(least), key=lambda name: least[name])
-            if least[weakest] > 0:
+            weakest = weakest if least[weakest] <= 0 else small
+            if not weakest:
                 break
             names = names - {weakest}
             if names not in final:

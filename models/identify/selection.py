@@ -9,6 +9,7 @@ from typing import Protocol, final
 
 import numpy as np
 
+from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain, sureness
 from .motion_lines import motions_own
@@ -35,6 +36,8 @@ class SelectionSettings:
             what remains, by so many standard errors: beside a large cause a smaller one is no less sure.
         clear_errors, clear_share, clear_most: by so many standard errors a fall is clear, and these shares of what
             remains replace `least_share` and `most_share`: a third cause may leave no doubt and still be small.
+        beside_share: share of all that remains, less a faulty sensor's noise, that a generic effect beside other causes
+            has to explain: what the wrong forms of these leave looks like one. At 0.64 the RMSE falls to 0.6.
         drift_errors: by so many standard errors a drift beside shifts of trials needs no share of the whole error.
         recurs: by this share of the mean fall the median trial has to gain from what each trial has of its own.
         everywhere: the share of every trial's error that shifts have to explain where the median trial gains less.
@@ -60,6 +63,7 @@ class SelectionSettings:
     clear_errors: float = 8.0
     clear_share: float = 0.1
     clear_most: float = 0.3
+    beside_share: float = 0.64
     drift_errors: float = 3.0
     recurs: float = 0.25
     everywhere: float = 0.5
@@ -115,14 +119,25 @@ class Trials(Protocol):
 class _Search:
     """One selection by the rules of `select`, on whatever trials."""
 
-    def __init__(self, trials: Trials, settings: SelectionSettings, floor_mse: float) -> None:
-        self._trials, self._settings, self._floor = trials, settings, floor_mse
-        self._baseline_mse = 0.0
+    def __init__(self, trials: Trials, settings: SelectionSettings, floor_mse: float, faults_mse: float) -> None:
+        self._trials, self._settings, self._floor, self._faults = trials, settings, floor_mse, faults_mse
+        self._baseline_mse, self._strict = 0.0, False
 
     def run(self) -> tuple[HeldOutErrors, HeldOutErrors]:
-        """Add, drop, swap, until nothing changes: the baseline and the chosen hypothesis."""
-        current = baseline = self._trials.baseline()
+        """The baseline and the chosen hypothesis.
+
+        First generic causes are added like others: on the way one may stand beside a partner that is exchanged later.
+        Where one of them then explains no more than form errors would, it is dropped and the search goes on without.
+        """
+        baseline = self._trials.baseline()
         self._baseline_mse = baseline.mse
+        found = self._searched(baseline, baseline)
+        self._strict = True
+        kept = self._dropped(found)
+        return baseline, found if kept is found else self._searched(kept, baseline)
+
+    def _searched(self, current: HeldOutErrors, baseline: HeldOutErrors) -> HeldOutErrors:
+        """Add, drop, swap, until nothing changes."""
         been: set[frozenset[str]] = set()  # what is added may drop what has it added again
         while current.hypothesis.effects not in been:
             been.add(current.hypothesis.effects)
@@ -130,7 +145,7 @@ class _Search:
                 current = self._dropped(added)
             elif current is not baseline:
                 current = self._swapped(current, baseline)
-        return baseline, current
+        return current
 
     def _best_addition(self, current: HeldOutErrors) -> HeldOutErrors | None:
         judged = [self._trials.judged(hypothesis) for hypothesis in self._trials.additions(current.hypothesis)]
@@ -150,7 +165,8 @@ class _Search:
         useful = before.mse - max(after.mse, self._floor)
         remaining = before.mse - self._floor
         most = settings.clear_most if clear else settings.most_share
-        sure = fall > settings.sure_errors * error and useful > most * remaining
+        imitates = self._strict and bool(before.hypothesis.effects) and any(EFFECTS[name].generic for name in new)
+        sure = not imitates and fall > settings.sure_errors * error and useful > most * remaining
         whole = (settings.sure_share if sure else settings.gap_share) * (self._baseline_mse - self._floor)
         within = new == {"drift"} and "trial_shift" in before.hypothesis.effects
         if within and fall > settings.drift_errors * error:
@@ -160,6 +176,7 @@ class _Search:
         if new & OWN_TO_TRIALS and not _recurs(before, after, new, settings):
             return False
         least = max(share * remaining, whole, settings.form_share * self._floor)
+        least = max(least, settings.beside_share * (before.mse - self._faults)) if imitates else least
         return sureness(before, after) > settings.standard_errors and useful > least
 
     def _dropped(self, current: HeldOutErrors) -> HeldOutErrors:
@@ -181,14 +198,16 @@ class _Search:
         for effect in sorted(current.hypothesis.effects):
             if effect not in current.hypothesis.effects:
                 continue
-            rest: Hypothesis | None = baseline.hypothesis
+            rest = baseline
             if len(current.hypothesis.effects) > 1:
-                rest = self._trials.without(current.hypothesis, effect)
-                if rest is not None:
-                    self._trials.judged(rest)
-            for hypothesis in self._trials.additions(rest) if rest is not None else ():
+                less = self._trials.without(current.hypothesis, effect)
+                if less is None:
+                    continue
+                rest = self._trials.judged(less)
+            for hypothesis in self._trials.additions(rest.hypothesis):
                 judged = self._trials.known(hypothesis.effects) or self._trials.judged(hypothesis)
-                if self._better(current, judged, baseline):
+                worthy = not self._strict or self._worth_adding(rest, judged)
+                if worthy and self._better(current, judged, baseline):
                     current = judged
         return current
 
@@ -387,6 +406,7 @@ def select(
     floor_mse: float,
     without: Sequence[str] = (),
     progress: RoundProgress = lambda share, what: None,
+    faults_mse: float = 0.0,
 ) -> Selection:
     """Choose the causes.
 
@@ -397,19 +417,23 @@ def select(
         floor_mse: error of sensor noise and model form; a fall below it does not count [deg^2].
         without: effects that are left out of the library.
         progress: told the share of the present round and what is tried.
+        faults_mse: energy of a faulty sensor's noise, which is no form error [deg^2].
     """
     fits = _Fits(validation, candidates, settings, without, progress)
-    return Selection(*_Search(fits, settings, floor_mse).run(), fits.tried)
+    return Selection(*_Search(fits, settings, floor_mse, faults_mse).run(), fits.tried)
 
 
 def select_again(
-    tried: Mapping[frozenset[str], HeldOutErrors], settings: SelectionSettings, floor_mse: float
+    tried: Mapping[frozenset[str], HeldOutErrors],
+    settings: SelectionSettings,
+    floor_mse: float,
+    faults_mse: float = 0.0,
 ) -> Selection:
     """Choose by the same rules among hypotheses that were judged on other trials; nothing is fitted.
 
     Args:
         tried: their errors by the names of their causes, the baseline's among them.
         settings: thresholds.
-        floor_mse: see `select`.
+        floor_mse, faults_mse: see `select`.
     """
-    return Selection(*_Search(_Known(tried), settings, floor_mse).run(), dict(tried))
+    return Selection(*_Search(_Known(tried), settings, floor_mse, faults_mse).run(), dict(tried))

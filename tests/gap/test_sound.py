@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hystmpc.gap.decide.gap_closed import ClosedByCause, GapClosed
+from hystmpc.gap.decide.gap_closed import ClosedByCause, GapClosed, needless
 from hystmpc.gap.decide.verdict import VerdictSettings, decide_verdict, reason_for
 from hystmpc.gap.diagnose import conclude, find_causes
 from hystmpc.gap.diagnosis import Diagnosis, Gap, Stability
@@ -33,9 +33,17 @@ def test_what_is_proven_has_intervals_above_zero_alone_and_together(lows: dict[s
     causes = {name: ClosedByCause(0.5, (low, 1.0), 1.0, {}) for name, low in lows.items()}
     closed = GapClosed(replace(GAP, closed_ci90=(together, 1.0)), causes, 0.1)
     proven = together > 0 and all(low > 0 for low in lows.values())
-    assert bool(closed.unproven) == bool(causes and not proven)
-    if closed.unproven:
-        assert lows[closed.unproven] == min(lows.values())
+    assert bool(closed.unproven()) == bool(causes and not proven)
+    if closed.unproven():
+        assert lows[closed.unproven()] == min(lows.values())
+
+
+@given(st.dictionaries(st.sampled_from(["lag", "creep", "contact"]), st.floats(0.01, 0.5), min_size=1))
+def test_beside_others_what_could_be_replaced_has_to_close_five_percent(shares: dict[str, float]) -> None:
+    assert needless(shares, ()) == ""
+    found = needless(shares, shares)
+    assert (found == "") == (len(shares) == 1 or min(shares.values()) >= 0.05)
+    assert found == "" or shares[found] == min(shares.values())
 
 
 @given(st.floats(0, 1), st.floats(0, 1))

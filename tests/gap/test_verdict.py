@@ -202,4 +202,5 @@ def test_what_is_stable_and_closes_much_is_likelier_and_what_has_rivals_less(
     assert probability(name, 1.0, ambiguous, 1.0) >= chance >= probability(name, 0.0, ambiguous, 0.0)
     assert probability(name, share, True, stable) <= chance
     assert probability("trial_shift", share, ambiguous, stable) <= probability("lag", share, ambiguous, stable)
+    assert probability("trial_shift", 1.0, ambiguous, 1.0) == probability("lag", 1.0, ambiguous, 1.0)
     assert probability(name, share, ambiguous, stable, untried=True) < 0.8
