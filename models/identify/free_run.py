@@ -18,6 +18,8 @@ from ..kernels.chain_kernels import DIRECTIONS, stage_kernels
 from .runs import check_trial_set, end_to_end
 from .settling import Settling, Stage
 
+_LANES, _MOST_IDLE = 8, 5  # directions of one vector instruction; idle ones that cost less than a rest one by one
+
 
 @final
 class StagedChain:
@@ -147,12 +149,15 @@ class StagedChain:
                 self.differentiate(commands, dt_s, state, slope[:, :, d], values, seeds[:, d], first) for d in parts
             ]
             return runs[0][0], np.hstack([moving for _, moving in runs])
+        count, more = seeds.shape[1], -seeds.shape[1] % _LANES
+        if 0 < more <= _MOST_IDLE:
+            seeds, slope = (np.pad(part, [(0, 0)] * (part.ndim - 1) + [(0, more)]) for part in (seeds, slope))
         x, m = np.ascontiguousarray(state), np.ascontiguousarray(slope)
         signal, moving = np.array(commands, dtype=np.float64), np.zeros((commands.size, seeds.shape[1]))
         room = np.empty((self.state_size + self.parameter_count) * DIRECTIONS)
         for (kernels, states, own), kept in zip(self._stages, self._kept(dt_s, values), strict=True):
             kernels.differentiate(x[states], m[states], signal, moving, seeds[own], kept, first, room)
-        return signal, moving
+        return signal, moving[:, :count]
 
     def _seeds(self, seeds: Vec | None) -> Vec:
         """Directions (P, D): those of every parameter alone where none are given."""

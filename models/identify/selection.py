@@ -13,12 +13,13 @@ from ..effects.catalogue import EFFECTS
 from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain, sureness
 from .motion_lines import motions_own
-from .problem import TrialTerms, strongest_line
+from .problem import Problem, TrialTerms, strongest_line
 
 RoundProgress = Callable[[float, str], None]
 """Told the share of the present round, and the candidate that is tried."""
 
 _OWN = 100
+_SAME_FIT = 1e-3  # relative fall of the error that is none: the tolerance of the fits
 OWN_TO_TRIALS = frozenset({"trial_shift", "periodic_disturbance"})  # fitted to each trial anew: has to recur
 
 
@@ -250,6 +251,7 @@ class _Fits:
         self._validation, self._candidates, self._settings = validation, tuple(candidates), settings
         self._without, self._progress, self._blocks = without, progress, 0.0
         self.tried: dict[frozenset[str], HeldOutErrors] = {}
+        self._added: dict[Hypothesis, list[Hypothesis]] = {}
 
     def baseline(self) -> HeldOutErrors:
         found = self.judged(self._validation.retuned())
@@ -257,11 +259,18 @@ class _Fits:
         return found
 
     def without(self, hypothesis: Hypothesis, effect: str) -> Hypothesis | None:
-        return self._validation.without(hypothesis, {effect})
+        """Fitted anew; where that fits no better than what was tried before, that one, of which more is known."""
+        found = self._validation.without(hypothesis, {effect})
+        tried = self.tried.get(found.effects)
+        if tried is None or not _same_structure(tried.hypothesis.problem, found.problem):
+            return found
+        return tried.hypothesis if found.mse >= (1 - _SAME_FIT) * tried.hypothesis.mse else found
 
     def judged(self, hypothesis: Hypothesis) -> HeldOutErrors:
-        judged = self._validation.judge(hypothesis)
         known = self.tried.get(hypothesis.effects)
+        if known is not None and known.hypothesis is hypothesis:
+            return known
+        judged = self._validation.judge(hypothesis)
         if known is None or judged.mse < known.mse:
             self.tried[hypothesis.effects] = judged
         return judged
@@ -270,7 +279,12 @@ class _Fits:
         return self.tried.get(names)
 
     def additions(self, base: Hypothesis) -> list[Hypothesis]:
-        """The best variant of every effect that is not there yet, the most promising first."""
+        """The best variant of every effect that is not there yet, the most promising first; fitted once for a base."""
+        if base not in self._added:
+            self._added[base] = self._fitted_additions(base)
+        return self._added[base]
+
+    def _fitted_additions(self, base: Hypothesis) -> list[Hypothesis]:
         z = base.problem.retuned(base.q)
         there = [list(values.values()) for values in base.problem.effect_values(base.q)]
         best: dict[str, Hypothesis] = {}
@@ -345,6 +359,10 @@ class _Known:
 
     def known(self, names: frozenset[str]) -> HeldOutErrors | None:
         return self._tried.get(names)
+
+
+def _same_structure(one: Problem, other: Problem) -> bool:
+    return frozenset(one.effects) == frozenset(other.effects) and one.terms == other.terms
 
 
 def _favourites(reached: Mapping[Candidate, float], most: int) -> tuple[Candidate, ...]:

@@ -86,11 +86,14 @@ class Settling:
                 new, past = edge[side[edge] == 0.0], side[edge]
                 beyond.put(new, held.rows(new))
                 side[edge] = np.sign(angle - held.signal)[edge]
-                at[edge] = (held.core + side * _WITHIN)[edge]
-                held.put(edge, self._held(before.rows(edge), at[edge]))
-                lost = edge[(side[edge] == past) | ~held.leads[edge]]  # nothing within leads any further
-                held.put(lost, beyond.rows(lost))
-                out = out[~np.isin(out, lost)] if lost.size else out
+                turned = edge[side[edge] != past]
+                if turned.size:
+                    at[turned] = (held.core + side * _WITHIN)[turned]
+                    held.put(turned, self._held(before.rows(turned), at[turned]))
+                lost = np.zeros(angle.size, dtype=bool)  # nothing within leads any further
+                lost[edge] = (side[edge] == past) | ~held.leads[edge]
+                held.put(given := np.flatnonzero(lost), beyond.rows(given))
+                out = out[~lost[out]]
             if not out.size:
                 break
             at[out] += (angle - held.signal)[out] / held.moves[out]

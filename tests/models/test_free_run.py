@@ -191,6 +191,15 @@ def test_any_number_of_directions_is_taken() -> None:
     np.testing.assert_array_equal(many, np.tile(by, 70))
 
 
+@pytest.mark.parametrize("count", range(1, 18))
+def test_a_direction_does_not_depend_on_how_many_there_are(count: int) -> None:
+    staged, u = StagedChain(Chain(BACKLASH)), wandering(60)
+    by = staged.differentiate(u, DT, *staged.rest_with_slope(u[:1], np.array([ANGLE])))[1]
+    seeds = np.tile(np.eye(4), 5)[:, :count]
+    start = staged.rest_with_slope(u[:1], np.array([ANGLE]), seeds=seeds)
+    np.testing.assert_array_equal(staged.differentiate(u, DT, *start, seeds=seeds)[1], np.tile(by, 5)[:, :count])
+
+
 def test_order_matters_and_needs_no_new_kernel() -> None:
     """A static curve and a play do not commute: the engine keeps the order of the signal."""
     u = wandering()[:, None]

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hystmpc.models.identify.cross_validation import HeldOutErrors, Hypothesis, gain, sureness
+from hystmpc.models.identify.problem import TrialTerms
 from hystmpc.models.identify.runs import Blocks
-from hystmpc.models.identify.selection import OWN_TO_TRIALS, SelectionSettings, select_again
+from hystmpc.models.identify.selection import OWN_TO_TRIALS, SelectionSettings, select, select_again
 
 SETTINGS, FLOOR = SelectionSettings(), 0.01
 BLOCKS, SAMPLES = 24, 10
@@ -73,6 +77,62 @@ def test_an_exchange_brings_no_generic_cause_that_could_not_have_been_added() ->
     errors = {"nothing": 8.0, "lag": 1.0, "contact": 4.0, "asymmetry": 4.0, "lag__contact": 0.5}
     assert chosen(**errors, lag__asymmetry=0.4) == {"lag", "contact"}
     assert chosen(**errors, lag__asymmetry=0.3) == {"lag", "asymmetry"}
+
+
+@dataclass(frozen=True)
+class Named:
+    """A candidate without parameters."""
+
+    effect: str
+    free: tuple[()] = ()
+    starts: tuple[tuple[()], ...] = ((),)
+
+    @property
+    def label(self) -> str:
+        return self.effect
+
+
+class Fitted:
+    """Trials on which two causes are there; each fit and each judgement is counted."""
+
+    def __init__(self, refitted: float) -> None:
+        self.fits, self.judgements, self._refitted = Counter[str](), Counter[str](), refitted
+
+    def retuned(self) -> Hypothesis:
+        return self._made((), 10.0)
+
+    def with_causes(self, effects: Sequence[Any], terms: Any, z: object, starts: object) -> Hypothesis:
+        del terms, z, starts
+        names = tuple(candidate.effect for candidate in effects)
+        self.fits["+".join(names)] += 1
+        left = {frozenset({"lag"}): 4.0, frozenset({"slack"}): 6.0, frozenset({"lag", "slack"}): 0.1}
+        return self._made(effects, left.get(frozenset(names), 12.0))
+
+    def without(self, hypothesis: Hypothesis, dropped: set[str]) -> Hypothesis:
+        effects = [c for c in hypothesis.problem.effects if c.effect not in dropped]
+        known = self.with_causes(effects, None, None, None)
+        return self._made(effects, known.mse * self._refitted)
+
+    def judge(self, hypothesis: Hypothesis) -> HeldOutErrors:
+        self.judgements["+".join(sorted(hypothesis.effects))] += 1
+        return replace(judged(tuple(hypothesis.effects), hypothesis.mse), hypothesis=hypothesis)
+
+    def _made(self, effects: Sequence[Any], mse: float) -> Hypothesis:
+        values = {"retuned": lambda q: None, "effect_values": lambda q: []}
+        problem = SimpleNamespace(effects=tuple(effects), terms=TrialTerms(), **values)
+        return Hypothesis(cast("Any", problem), np.empty(0), mse)
+
+
+@pytest.mark.parametrize(("refitted", "judgements"), [(1.0, 1), (0.9, 2)])
+def test_what_a_cause_adds_is_fitted_again_only_where_the_rest_fits_better_than_before(
+    refitted: float, judgements: int
+) -> None:
+    """The exchange of a cause starts from the other one, to which everything was added before."""
+    trials, library = Fitted(refitted), [Named(name) for name in ("lag", "slack", "creep")]
+    found = select(cast("Any", trials), cast("Any", library), SETTINGS, FLOOR, sorted(OWN_TO_TRIALS))
+    assert found.chosen.hypothesis.effects == {"lag", "slack"}
+    assert trials.judgements["lag"] == judgements
+    assert trials.fits["lag+creep"] == judgements
 
 
 def by_trial(names: tuple[str, ...], *mse: float) -> HeldOutErrors:
