@@ -13,6 +13,7 @@ from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain, sureness
 from .motion_lines import motions_own
 from .problem import TrialTerms, strongest_line
+from .timing import TIMING, by_timing, timing_rivals
 
 RoundProgress = Callable[[float, str], None]
 """Told the share of the present round, and the candidate that is tried."""
@@ -395,7 +396,14 @@ def select(
         progress: told the share of the present round and what is tried.
     """
     fits = _Fits(validation, candidates, settings, without, progress)
-    return Selection(*_Search(fits, settings, floor_mse).run(), fits.tried)
+    baseline, chosen = _Search(fits, settings, floor_mse).run()
+    rest = fits.tried.get(chosen.hypothesis.effects - TIMING)
+    rivals = timing_rivals(validation, candidates, chosen.hypothesis, rest.hypothesis if rest else None)
+    for hypothesis, parts in rivals.values():
+        fits.judged(hypothesis)
+        fits.tried[hypothesis.effects] = replace(fits.tried[hypothesis.effects], parts=parts)
+    chosen = fits.tried[chosen.hypothesis.effects]
+    return Selection(baseline, by_timing(chosen, fits.tried, settings.standard_errors), fits.tried)
 
 
 def select_again(
@@ -408,4 +416,5 @@ def select_again(
         settings: thresholds.
         floor_mse: see `select`.
     """
-    return Selection(*_Search(_Known(tried), settings, floor_mse).run(), dict(tried))
+    baseline, chosen = _Search(_Known(tried), settings, floor_mse).run()
+    return Selection(baseline, by_timing(chosen, tried, settings.standard_errors), dict(tried))
