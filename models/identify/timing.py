@@ -80,7 +80,8 @@ def _held_out(validation: CrossValidation, hypothesis: Hypothesis) -> Vec:
     errors = [np.zeros(run.counts.size) for run in runs]
     for seen in (0, 1):
         fitted, judged = ([_parts(run, odd) for run in runs] for odd in (seen, 1 - seen))
-        q = fit_problem(problem, [run for run in fitted if run.counts.any()], hypothesis.q, validation.evaluations, 1e-3).q
+        usable = [run for run in fitted if run.counts.any()]
+        q = fit_problem(problem, usable, hypothesis.q, validation.evaluations, 1e-3).q
         for error, run in zip(errors, judged, strict=True):
             if run.counts.any():
                 error[run.counts] = problem.held_out_error(q, run)
