@@ -18,6 +18,7 @@ from hystmpc.models.identify.cross_validation import (
     mean_square_difference,
 )
 from hystmpc.models.identify.selection import Selection, line_share
+from hystmpc.models.identify.timing import timing_errors
 from hystmpc.models.identify.uncertainty import uncertainty
 
 from .verdict import VerdictSettings
@@ -70,8 +71,12 @@ def _told_apart(chosen: HeldOutErrors, other: HeldOutErrors, settings: VerdictSe
         (|y - b|^2 - |y - a|^2) / |a - b|^2  =  1 - 2 (y - a) . (b - a) / |a - b|^2
 
     is 1 where a is true, -1 where b is, and 0 where the truth lies half way, as it does when it is neither. The measure
-    does not depend on how small the difference of the errors is beside the gap.
+    does not depend on how small the difference of the errors is beside the gap. A lag, a delay and a rate dependence
+    are told apart by errors of their own (`timing_rivals`).
     """
+    if chosen.parts is not None and other.parts is not None:
+        held_out, quick = timing_errors(other, chosen)
+        return held_out > settings.timing_errors or quick > settings.quick_errors
     fall, error = gain(other, chosen)
     return fall > settings.nearer * mean_square_difference(chosen, other) and fall > settings.nearer_errors * error
 

@@ -220,6 +220,7 @@ def _everywhere(judged: HeldOutErrors, final: Sequence[Run]) -> HeldOutErrors:
         samples=np.concatenate([judged.samples, found.samples]),
         run=np.concatenate([judged.run, found.run + len(judged.errors)]),
         errors=(*judged.errors, *errors),
+        parts=judged.parts and judged.parts.with_trials(found.energy),
     )
 
 
@@ -236,4 +237,5 @@ def _part(judged: HeldOutErrors, runs: Sequence[int], seed: int | None) -> HeldO
         samples=judged.samples[at],
         run=judged.run[at],
         errors=tuple(judged.errors[k] for k in runs),
+        parts=judged.parts and judged.parts.at(at),
     )

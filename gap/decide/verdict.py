@@ -72,6 +72,8 @@ class VerdictSettings:
         nearer: how much nearer the measurement is to the chosen explanation than to another, -1 to 1, for the two to
             be told apart ...
         nearer_errors: ... and by how many standard errors.
+        timing_errors, quick_errors: standard errors by which a lag, a delay and a rate dependence are told apart, of
+            errors held out in parts, or of quick ones.
         significant_drift: standard errors by which a drift has to show within trials to be told apart from shifts
             between them.
         scatter: chance by which shifts that scatter follow the clock so well, below which they are a drift.
@@ -100,6 +102,8 @@ class VerdictSettings:
     wander: float = 0.7
     nearer: float = 0.2
     nearer_errors: float = 1.5
+    timing_errors: float = 2.0
+    quick_errors: float = 3.0
     significant_drift: float = 3.0
     scatter: float = 0.01
     confirmed_alone: float = 0.55

@@ -37,8 +37,8 @@ def _lag(s: Scale) -> list[Candidate]:
     return [
         Candidate("lag", "command", "command", 20, (one,), free, starts),
         Candidate("lag", "output", "output", 50, (one,), free, starts),
-        Candidate("lag", "two poles", "command", 20, (one, one), free, starts),
         Candidate("lag", "servo", "command", 20, (Servo(0.1, 0.7),), damped, ringing),
+        Candidate("lag", "servo, output", "output", 50, (Servo(0.1, 0.7),), damped, ringing),
         Candidate("lag", "top speed", "command", 20, (RateLimit(1.0), Servo(0.1, 0.7)), limited, slow),
         Candidate("lag", "two ways", "command", 20, (ways,), two, ((0.1, 0.2), (0.3, 0.1))),
     ]
@@ -47,7 +47,11 @@ def _lag(s: Scale) -> list[Candidate]:
 def _delay(s: Scale) -> list[Candidate]:
     free = (Freedom("delay_s", 0.0, LONGEST_DELAY_S, 0.5 * s.dt_s),)
     operator = Delay.at_rate(LONGEST_DELAY_S, s.dt_s)
-    return [Candidate("delay", "command", "command", 10, (operator,), free, ((0.6 * s.dt_s,), (3.2 * s.dt_s,)))]
+    starts = ((0.6 * s.dt_s,), (3.2 * s.dt_s,))
+    return [
+        Candidate("delay", "command", "command", 10, (operator,), free, starts),
+        Candidate("delay", "output", "output", 50, (operator,), free, starts),
+    ]
 
 
 def _rate_dependence(s: Scale) -> list[Candidate]:

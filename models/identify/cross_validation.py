@@ -48,6 +48,36 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
+class InParts:
+    """Energies in the blocks of a hypothesis, see `timing_rivals`.
+
+    Attributes:
+        held_out: of errors on parts of all trials, fitted to the other parts (B,) [deg^2].
+        quick: of whitened errors of a fit to all trials (B,) [deg^2].
+        free: numbers of the effect in that fit.
+    """
+
+    held_out: Vec
+    quick: Vec
+    free: int
+
+    @property
+    def expected(self) -> float:
+        """Energy of quick errors on other trials: (B + Q) / (B - Q), as for the forms of one effect [deg^2]."""
+        blocks = self.quick.size
+        return float(self.quick.sum()) * (blocks + self.free) / max(blocks - self.free, 1)
+
+    def at(self, blocks: NDArray[np.intp]) -> InParts:
+        """Those of some blocks."""
+        return replace(self, held_out=self.held_out[blocks], quick=self.quick[blocks])
+
+    def with_trials(self, energy: Vec) -> InParts:
+        """The same with the blocks of further trials, on which no quick errors were compared."""
+        quick = np.concatenate([self.quick, np.zeros(energy.size)])
+        return replace(self, held_out=np.concatenate([self.held_out, energy]), quick=quick)
+
+
+@dataclass(frozen=True, eq=False)
 class HeldOutErrors(Blocks):
     """A hypothesis with its errors on held-out trials, in blocks.
 
@@ -55,11 +85,13 @@ class HeldOutErrors(Blocks):
         hypothesis: what was judged.
         errors: of each run where it counts (C,) [deg].
         fold_q: unknowns (Q,) fitted without each fold.
+        parts: errors by which a lag, a delay and a rate dependence are compared; None where they were not.
     """
 
     hypothesis: Hypothesis
     errors: tuple[Vec, ...]
     fold_q: tuple[Vec, ...]
+    parts: InParts | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,7 @@ from .chain_fit import (
 from .free_run import FreeRuns
 from .problem import Problem
 from .runs import Run, RunsTogether
+from .whitening import AS_IT_IS
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -214,7 +215,12 @@ class LeastSquaresFit:
 
 
 def fit_problem(
-    problem: Problem, runs: Sequence[Run], start: Vec, evaluations: int = 25, tolerance: float = 1e-4
+    problem: Problem,
+    runs: Sequence[Run],
+    start: Vec,
+    evaluations: int = 25,
+    tolerance: float = 1e-4,
+    white: Vec = AS_IT_IS,
 ) -> LeastSquaresFit:
     """Fit a hypothesis to runs from one start.
 
@@ -224,10 +230,11 @@ def fit_problem(
         start: unknowns (Q,); brought within the bounds.
         evaluations: greatest number of free runs over all trials.
         tolerance: relative change of the error at which it is done.
+        white: filter of the errors whose squares are summed (`whitening`).
     """
     margin = _EDGE * (problem.upper - problem.lower)
     inside = np.clip(start, problem.lower + margin, problem.upper - margin)
-    search = _CondensedSearch(problem, runs, inside)
+    search = _CondensedSearch(problem, runs, inside, white)
     q = _minimise(
         search.evaluate,
         inside,
@@ -248,8 +255,8 @@ class _CondensedSearch:
     thousand samples the solver's own decompositions would cost more than the free runs.
     """
 
-    def __init__(self, problem: Problem, runs: Sequence[Run], start: Vec) -> None:
-        self._problem, self._start, self._groups = problem, start, RunsTogether.groups(runs)
+    def __init__(self, problem: Problem, runs: Sequence[Run], start: Vec, white: Vec) -> None:
+        self._problem, self._start, self._white, self._groups = problem, start, white, RunsTogether.groups(runs)
         self._samples = sum(int(run.counts.sum()) for run in runs)
         self._at: Vec | None = None
         self._energy = 0.0
@@ -261,7 +268,7 @@ class _CondensedSearch:
         return self._energy / self._samples
 
     def evaluate(self, q: Vec) -> tuple[Vec, Mat]:
-        found = [self._problem.products(q, group) for group in self._groups]
+        found = [self._problem.products(q, group, self._white) for group in self._groups]
         square, common = np.sum([own for own, _ in found], axis=0), [row for _, rows in found for row in rows]
         self._at, self._energy = q.copy(), float(square[-1, -1])
         square = square + self._pull(square, q)

@@ -17,6 +17,7 @@ from .baseline import Baseline
 from .free_run import StagedChain
 from .motion_lines import leaked_power, motions_own
 from .runs import Run, RunsTogether
+from .whitening import AS_IT_IS, whitened
 
 _BLOCK_S = 4.0
 _RIDGE = 1e-9
@@ -278,8 +279,13 @@ class Problem:
         scored = both[run.scored]
         return self.terms.cross_fitted(run, theta[run.scored], scored[:, -1], scored[:, :-1])
 
-    def products(self, q: Vec, together: RunsTogether) -> tuple[Vec, list[Vec]]:
+    def products(self, q: Vec, together: RunsTogether, white: Vec = AS_IT_IS) -> tuple[Vec, list[Vec]]:
         """What a fit needs of one pass over many runs, derivatives first and the error last.
+
+        Args:
+            q: unknowns.
+            together: runs.
+            white: filter that derivatives and error go through (`whitening`).
 
         Returns:
             Sum over the samples that count of the products of both (Q + 1, Q + 1), a trial's own terms projected out,
@@ -291,7 +297,7 @@ class Problem:
             scored = [(run, theta[at][run.scored], both[at][run.scored]) for run, at in together.each()]
             parts = [self.terms.projected(*own) for own in scored]
             common = [self.terms.common(*own) for own in scored] if self.terms.apart else []
-        parts = [part[:, self._first :] for part in parts]
+        parts = [whitened(part[:, self._first :], white) for part in parts]
         common = [row[:, self._first :] for row in common]
         return sum((part.T @ part for part in parts), np.zeros((q.size + 1, q.size + 1))), common
 

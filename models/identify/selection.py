@@ -14,6 +14,7 @@ from ..effects.effect import Candidate
 from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, gain, sureness
 from .motion_lines import motions_own
 from .problem import Problem, TrialTerms, strongest_line
+from .timing import TIMING, by_timing, timing_rivals
 
 RoundProgress = Callable[[float, str], None]
 """Told the share of the present round, and the candidate that is tried."""
@@ -438,7 +439,14 @@ def select(
         faults_mse: energy of a faulty sensor's noise, which is no form error [deg^2].
     """
     fits = _Fits(validation, candidates, settings, without, progress)
-    return Selection(*_Search(fits, settings, floor_mse, faults_mse).run(), fits.tried)
+    baseline, chosen = _Search(fits, settings, floor_mse, faults_mse).run()
+    rest = fits.tried.get(chosen.hypothesis.effects - TIMING)
+    rivals = timing_rivals(validation, candidates, chosen.hypothesis, rest.hypothesis if rest else None)
+    for hypothesis, parts in rivals.values():
+        fits.judged(hypothesis)
+        fits.tried[hypothesis.effects] = replace(fits.tried[hypothesis.effects], parts=parts)
+    chosen = fits.tried[chosen.hypothesis.effects]
+    return Selection(baseline, by_timing(chosen, fits.tried, settings.standard_errors), fits.tried)
 
 
 def select_again(
@@ -454,4 +462,5 @@ def select_again(
         settings: thresholds.
         floor_mse, faults_mse: see `select`.
     """
-    return Selection(*_Search(_Known(tried), settings, floor_mse, faults_mse).run(), dict(tried))
+    baseline, chosen = _Search(_Known(tried), settings, floor_mse, faults_mse).run()
+    return Selection(baseline, by_timing(chosen, tried, settings.standard_errors), dict(tried))

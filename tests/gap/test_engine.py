@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hystmpc.models.effects.effect import CORE, Candidate
 from hystmpc.models.identify.least_squares import fit_problem
 from hystmpc.models.identify.problem import Problem
+from hystmpc.models.operators.dynamics import Lag
 from hystmpc.trials.types import Vec
 
 from .engine_examples import BASELINES, CANDIDATES, DT, EVERY, LABELS, device_runs, neutral_values
@@ -89,7 +90,7 @@ def test_scaled_and_plain_are_inverse(data: st.DataObject) -> None:
 
 
 def test_poles_of_one_lag_share_their_time_constant() -> None:
-    problem, q = problem_of("backlash", named("backlash", "lag/two poles"))
+    problem, q = problem_of("backlash", replace(named("backlash", "lag/command"), operators=(Lag(0.1), Lag(0.1))))
     one, two = problem.fitted_chain(q).before
     assert one.values == two.values
     assert problem.size == Problem(BASELINES["backlash"]).size + 1

@@ -1,0 +1,131 @@
+"""Lag, delay or rate dependence: which one, held out in parts of all trials, and by what is quick in their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hystmpc.trials.types import Vec
+
+from ..effects.effect import Candidate
+from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, InParts, gain
+from .least_squares import fit_problem
+from .runs import Blocks, Run, blocks_of
+from .whitening import whitened, whitening
+
+TIMING = frozenset({"lag", "delay", "rate_dependence"})
+"""Effects that leave a slow motion alone and keep the angle behind a fast one."""
+_PART_S = 3.0
+_FORMS = 2  # of each effect that are compared: those that fit best
+
+
+def timing_rivals(
+    validation: CrossValidation, candidates: Sequence[Candidate], chosen: Hypothesis, rest: Hypothesis | None
+) -> dict[str, tuple[Hypothesis, InParts]]:
+    """A lag, a delay and a rate dependence, each in the place of the one that is chosen; empty unless just one is.
+
+    Two errors of each are told:
+
+    1. On every other part of 3 s of all trials, by a fit to the parts between. Trials held out whole are harder where
+       a single trial has the fast steps: what the others say of such a speed is extrapolated.
+    2. Whitened errors of a fit to them (generalised least squares). These effects differ at bends of the command, for
+       a few samples; the model-form error is slow.
+
+    Args:
+        validation: development runs.
+        candidates: forms of all effects.
+        chosen: causes that were selected.
+        rest: the same without its effect of timing, where that was fitted.
+    """
+    names = chosen.effects & TIMING
+    values = list(zip(chosen.problem.effects, chosen.problem.effect_values(chosen.q), strict=True))
+    own = [v for c, v in values if c.effect in TIMING and c.free]
+    if len(names) != 1 or len(own) != 1:
+        return {}
+    late_s = next(v for name, v in own[0].items() if name.endswith("_s"))
+    others = rest or chosen
+    values = list(zip(others.problem.effects, others.problem.effect_values(others.q), strict=True))
+    kept = [(c, list(v.values())) for c, v in values if c.effect not in TIMING]
+    z, terms = others.problem.retuned(others.q), chosen.problem.terms
+    fitted: dict[str, list[tuple[Candidate, Hypothesis]]] = {}
+    for candidate in (c for c in candidates if c.effect in TIMING and c.free):
+        effects = (*(c for c, _ in kept), candidate)
+        starts = [[*(v for _, v in kept), start] for start in (candidate.starts[0], _late(candidate, late_s))]
+        made = validation.with_causes(effects, terms, z, starts)
+        fitted.setdefault(candidate.effect, []).append((candidate, made))
+    best = min((h for forms in fitted.values() for _, h in forms), key=lambda h: h.mse)
+    white = whitening([best.problem.error(best.q, run)[0] for run in validation.runs])
+    found = {}
+    for effect, forms in fitted.items():
+        forms = sorted(forms, key=lambda form: form[1].mse)[:_FORMS]
+        made = [(h, InParts(_held_out(validation, h), _quick(validation, h, white), len(c.free))) for c, h in forms]
+        hypothesis, parts = min(made, key=lambda own: float(own[1].held_out.sum()))
+        quickest = min((own for _, own in made), key=lambda own: own.expected)
+        found[effect] = hypothesis, InParts(parts.held_out, quickest.quick, quickest.free)
+    return found
+
+
+def _late(candidate: Candidate, late_s: float) -> tuple[float, ...]:
+    """Its first start, with the time by which the device is known to stay behind."""
+    first = candidate.starts[0]
+    named = [f.name in ("tau_s", "delay_s", "tau_up_s", "tau_down_s") for f in candidate.free]
+    return tuple(late_s if late else value for late, value in zip(named, first, strict=True))
+
+
+def _held_out(validation: CrossValidation, hypothesis: Hypothesis) -> Vec:
+    """Energy of errors on each part by a fit to the others, in blocks (B,)."""
+    problem, runs = hypothesis.problem, validation.runs
+    errors = [np.zeros(run.counts.size) for run in runs]
+    for seen in (0, 1):
+        fitted, judged = ([_parts(run, odd) for run in runs] for odd in (seen, 1 - seen))
+        usable = [run for run in fitted if run.counts.any()]
+        q = fit_problem(problem, usable, hypothesis.q, validation.evaluations, 1e-3).q
+        for error, run in zip(errors, judged, strict=True):
+            if run.counts.any():
+                error[run.counts] = problem.held_out_error(q, run)
+    return blocks_of([e[run.counts] for e, run in zip(errors, runs, strict=True)], runs).energy
+
+
+def _parts(run: Run, odd: int) -> Run:
+    """A run of which every other part counts."""
+    part = np.arange(run.counts.size) * run.dt_s // _PART_S % 2 == odd
+    return replace(run, counts=run.counts & part)
+
+
+def _quick(validation: CrossValidation, hypothesis: Hypothesis, white: Vec) -> Vec:
+    """Energy of the whitened errors of a fit to them, in blocks (B,)."""
+    problem, runs = hypothesis.problem, validation.runs
+    q = fit_problem(problem, runs, hypothesis.q, validation.evaluations, 1e-4, white).q
+    return blocks_of([whitened(problem.error(q, run)[0], white) for run in runs], runs).energy
+
+
+def by_timing(
+    chosen: HeldOutErrors, tried: Mapping[frozenset[str], HeldOutErrors], sure_errors: float
+) -> HeldOutErrors:
+    """The chosen hypothesis, or the same with another effect of timing in the place of its own.
+
+    Of those whose error, held out in parts, is not larger than the least by so many standard errors, the one of which
+    the least quick errors are expected.
+    """
+    names = chosen.hypothesis.effects
+    if len(names & TIMING) != 1 or chosen.parts is None:
+        return chosen
+    rivals = [tried[made] for name in sorted(TIMING) if (made := names - TIMING | {name}) in tried]
+    compared = [(rival, rival.parts) for rival in rivals if rival.parts is not None]
+    best = min(compared, key=lambda own: float(own[1].held_out.sum()))[0]
+    tied = [own for own in compared if timing_errors(own[0], best)[0] <= sure_errors]
+    found, parts = min(tied, key=lambda own: own[1].expected)
+    if found.hypothesis.effects == names or found.energy.sum() < chosen.energy.sum():
+        return found
+    return replace(found, energy=parts.held_out)  # held out whole it was extrapolated
+
+
+def timing_errors(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:
+    """Standard errors by which the second is nearer: held out in parts, and in what is quick; 0 if not compared."""
+    if before.parts is None or after.parts is None:
+        return 0.0, 0.0
+    pairs = ((before.parts.held_out, after.parts.held_out), (before.parts.quick, after.parts.quick))
+    made = [gain(Blocks(a, before.samples, before.run), Blocks(b, after.samples, after.run)) for a, b in pairs]
+    return tuple(fall / error if error > 0 else 0.0 for fall, error in made)  # type: ignore[return-value]
