@@ -264,8 +264,12 @@ def _is_gap(prepared: PreparedTrials, mse: float, settings: VerdictSettings) -> 
 
 
 def _floor(prepared: PreparedTrials, hypothesis: Hypothesis) -> Floor:
-    checked = prepared.checked
-    return find_floor(checked.trials, prepared.residuals(hypothesis), checked.dt, checked.excitation.repeats)
+    """What stays with any simulator; what each trial has of its own by a cause is explained, and no part of it."""
+    checked, problem = prepared.checked, hypothesis.problem
+    residuals = prepared.residuals(hypothesis)
+    if problem.terms.names:
+        residuals = [-problem.held_out_error(hypothesis.q, run) for run in prepared.everything]
+    return find_floor(checked.trials, residuals, checked.dt, checked.excitation.repeats)
 
 
 def _residual_ratio(closed: GapClosed, form_mse: float, floor: Floor) -> float:

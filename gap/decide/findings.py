@@ -62,10 +62,9 @@ def closed_again(findings: Findings, trials: Sequence[Trial]) -> float:
     fresh = replace(fresh, final=fresh.everything)
     attribution, conclusion = findings.attribution, findings.conclusion
     sensor = "sensor" in conclusion.closed.causes
-    errors = FinalErrors(
-        fresh, attribution.validation, attribution.retuned, conclusion.chosen, conclusion.floor, sensor, findings.seed
-    )
-    after, jumps = errors.after, attribution.jumps
-    if jumps and "stick_slip" in conclusion.closed.causes and "stick_slip" not in conclusion.chosen.effects:
-        after = less_sawtooth(after, jumps.mse)
+    jumps = attribution.jumps if "stick_slip" in conclusion.closed.causes.keys() - conclusion.chosen.effects else None
+    jumps_mse = jumps.mse if jumps else 0.0
+    shown = attribution.validation, attribution.retuned, conclusion.chosen, conclusion.floor
+    errors = FinalErrors(fresh, *shown, sensor, findings.seed, jumps_mse)
+    after = less_sawtooth(errors.after, jumps_mse)
     return errors.shares.closed(after.mse)

@@ -122,7 +122,8 @@ def measure(
         jumps: of the tip, where they are a cause.
         seed: of the resampling.
     """
-    final_errors = FinalErrors(prepared, validation, retuned, chosen, floor, sensor, seed)
+    unpredicted = jumps.mse if jumps is not None and "stick_slip" not in chosen.effects else 0.0
+    final_errors = FinalErrors(prepared, validation, retuned, chosen, floor, sensor, seed, unpredicted)
     parameters, shares = _parameters(chosen, prepared), final_errors.shares
     causes = {}
     for name, (share, ci90) in shares.of_causes(chosen.effects, final_errors.blocks).items():
@@ -166,6 +167,7 @@ class FinalErrors:
         floor: Floor,
         sensor: bool,
         seed: int,
+        jumps_mse: float = 0.0,
     ) -> None:
         self._prepared, self._validation, self._retuned, self._chosen = prepared, validation, retuned, chosen
         self._floor = floor
@@ -173,7 +175,7 @@ class FinalErrors:
         self._parts = {frozenset(chosen.effects): corrected}
         before = _measured_blocks(prepared, retuned)
         self.after = self.less_sensor_noise(corrected) if sensor else _measured_blocks(prepared, chosen)
-        excess = prepared.excess_mse if sensor else 0.0
+        excess = jumps_mse + (prepared.excess_mse if sensor else 0.0)  # repeats differ by them
         lowest = max(floor.rmse_deg**2 - excess, _LEAST_FLOOR * floor.rmse_deg**2)
         floor_mse = min(lowest, self.after.mse, before.mse)
         self.shares = Shares(before, floor_mse, self._between_trials(floor_mse), seed)
