@@ -21,8 +21,8 @@ class InvestigateBlock(Settings):
         model: simulator to be judged: a file of `fit` (`.yaml`), or `builtin:NAME`; one is identified first from
             recordings of the device where left out.
         first_motions: recorded before the first diagnosis; the last one repeats the first.
-        longest_motion_s: duration that a motion does not exceed [s]; twice as long with each round in a row that leaves
-            the same open.
+        longest_motion_s: duration that a motion does not exceed [s]; twice as long where shorter ones left the verdict
+            as it was.
         seed: of everything drawn at random.
     """
 

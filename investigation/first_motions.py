@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,27 +66,58 @@ def first_motions(
     Raises:
         FitError: if no motion is allowed.
     """
-    everything, noise = explanations(simulator, family.limits, family.dt), prior_noise(simulator)
-    found = [_fastest(family, name, everything, noise, allowed) for name in family.starts]
-    options = {option.motion.name: (option, numbers) for option, numbers in filter(None, found)}
+    names, options = _options(simulator, family, allowed)
     if not options:
         raise FitError(
             "investigate: by the simulator every first motion leaves the angle limits, or moves the command without "
             f"the tip, expected limits of the command ({family.limits}) that keep the tip within, and a travel "
             "(plausibility.travel) wider than the play"
         )
-    chosen = _greedy(
-        [option for option, _ in options.values()], len(everything), min(count - 1, len(options)), overhead_s
-    )
+    chosen = _greedy([option for option, _ in options.values()], (), len(names), count - 1, overhead_s)
     chosen.append(chosen[0])
     squares = sum(option.distances**2 for option in chosen)
     named = {f"{k + 1}-{option.motion.name}": option for k, option in enumerate(chosen)}
-    return FirstMotions(
-        named,
-        {name: options[option.motion.name][1] for name, option in named.items()},
-        tuple(explanation.name for explanation in everything),
-        expected_probability(np.sqrt(squares)),
-    )
+    numbers = {name: options[option.motion.name][1] for name, option in named.items()}
+    return FirstMotions(named, numbers, names, expected_probability(np.sqrt(squares)))
+
+
+def further_motion(
+    simulator: Simulator,
+    family: MotionFamily,
+    recorded: Collection[str],
+    number: int,
+    allowed: Callable[[Option], bool],
+    overhead_s: float,
+) -> FirstMotions | None:
+    """The start of the family that adds most per second to those recorded; None where none is left or allowed.
+
+    The error of an explanation's form is the same in each repeat of a motion. Only another kind of motion shows it in
+    another way.
+
+    Args:
+        recorded: names of the starts that were recorded already.
+        number: of the recording that it becomes.
+        allowed: whether a motion may be played, judged by the angles that the explanations expect.
+        overhead_s: device time of a run beside its motion [s].
+    """
+    names, options = _options(simulator, family, allowed)
+    known = [option for name, (option, _) in options.items() if name in recorded]
+    left = [option for name, (option, _) in options.items() if name not in recorded]
+    if not left:
+        return None
+    (chosen,) = _greedy(left, known, len(names), 1, overhead_s)
+    name, numbers = f"{number}-{chosen.motion.name}", options[chosen.motion.name][1]
+    return FirstMotions({name: chosen}, {name: numbers}, names, chosen.probability)
+
+
+def _options(
+    simulator: Simulator, family: MotionFamily, allowed: Callable[[Option], bool]
+) -> tuple[tuple[str, ...], dict[str, tuple[Option, Vec]]]:
+    """Names of the explanations, and by its name each start of the family that is allowed, with its numbers."""
+    everything, noise = explanations(simulator, family.limits, family.dt), prior_noise(simulator)
+    found = [_fastest(family, name, everything, noise, allowed) for name in family.starts]
+    options = {option.motion.name: (option, numbers) for option, numbers in filter(None, found)}
+    return tuple(explanation.name for explanation in everything), options
 
 
 def _fastest(
@@ -105,10 +136,14 @@ def _fastest(
     return None
 
 
-def _greedy(options: Sequence[Option], names: int, count: int, overhead_s: float) -> list[Option]:
+def _greedy(
+    options: Sequence[Option], known: Sequence[Option], names: int, count: int, overhead_s: float
+) -> list[Option]:
+    """At most `count` options, each the one that adds most per second to those before it and those known."""
     chosen: list[Option] = []
-    squares, bits = np.zeros((names, names)), 0.0
-    for _ in range(count):
+    squares = sum((option.distances**2 for option in known), np.zeros((names, names)))
+    bits = information_bits(expected_probability(np.sqrt(squares)), names)
+    for _ in range(min(count, len(options))):
         left = [option for option in options if option not in chosen]
 
         def gain(option: Option, squares: np.ndarray = squares, bits: float = bits) -> float:

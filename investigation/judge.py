@@ -23,11 +23,12 @@ from .plan import Plan, least_seconds, plan_more, plan_next
 Ending = Literal["", "named", "no_gap", "nothing_gained", "budget"]
 DIAGNOSIS = "diagnosis"
 _SURE = 2  # rounds in a row that name the same single effect
-_STUCK = 4  # rounds in a row that name nothing for sure, each with a longer motion than before: slow effects take time
+_STUCK = 4  # rounds in a row with the same result, from which on no motion is designed
 _LONGER = 2
 _OPEN = ("unknown", "one_of", "too_little")
 _NO_GAP = ("none", "retuned")  # nothing is missing in the simulator, whatever its numbers
 _STABLE = 3  # rounds in a row that name several: they may mend the simulator's form
+_MOST_OF_IT = 0.5  # of the structural gap: a name that leaves more of it than it closes is not the whole answer
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class Judged:
         headline, closed: the verdict and the closed share in words.
         probability: of the first effect; NaN without one.
         closed_share: of the structural gap on the final trials.
+        flips: whether verdict and names come out on too few other splits of the trials.
         retuned_deg, left_deg: RMSE on the final trials without and with the effects [deg].
         trials: that were diagnosed.
         next: motions of the next round; None where the investigation ends.
@@ -57,6 +59,7 @@ class Judged:
     retuned_deg: Figure
     left_deg: Figure
     trials: int
+    flips: bool = False
     next: Plan | None = None
     ended: Ending = ""
     why: str = ""
@@ -101,16 +104,20 @@ def judge(
         evidence, folder / DIAGNOSIS, {"logs": list(map(str, files)), "sim": str(model), "seed": seed}, models=(model,)
     )
     judged = judged_of(diagnosis, len(files))
-    nothing_named = judged.verdict in _OPEN
-    sought = nothing_named or judged.verdict in _NO_GAP
-    longer = _LONGER ** (_alike([*before, judged]) - 1) if sought else 1
+    sought = judged.verdict in _OPEN or judged.verdict in _NO_GAP
+    alike, number = _alike([*before, judged]), len(files) + 1
+    longer = _LONGER ** (alike - 1) if sought else 1
 
     def planned() -> Plan | None:
-        asked, number = question(findings), len(files) + 1
-        designed = None if asked is None else plan_next(settings, asked, left_s, number, longer, folder)
-        if designed is None and nothing_named:
-            return plan_more(settings, simulator, left_s, number, _LONGER * longer, folder)
-        return designed
+        asked, recorded = question(findings), {file.stem.partition("-")[2] for file in files}
+        undecided = alike > 1  # the last motion was to decide, and did not
+        if undecided and (more := plan_more(settings, simulator, left_s, number, recorded, asked, folder)):
+            return more
+        if asked is not None and alike < _STUCK:
+            designed = plan_next(settings, asked, left_s, number, longer, folder)
+            if designed is not None:
+                return designed
+        return None if undecided else plan_more(settings, simulator, left_s, number, recorded, asked, folder)
 
     return with_next(judged, before, planned, left_s, least_seconds(settings))
 
@@ -130,6 +137,7 @@ def judged_of(diagnosis: Diagnosis, trials: int) -> Judged:
         retuned_deg=gap.retuned_rmse_deg,
         left_deg=gap.with_effects_rmse_deg,
         trials=trials,
+        flips=diagnosis.stability is not None and diagnosis.stability.flips,
     )
 
 
@@ -142,9 +150,9 @@ def with_next(
 ) -> Judged:
     """The verdict with what follows from it: an end and its reason, or the next round.
 
-    Ends, in this order: the same effect named in two rounds in a row, or several in three; no gap, or the same unknown
-    or ambiguous result, in four rounds in a row; too little device time for one more motion; no motion that tells
-    enough.
+    Ends, in this order: the same effect named in two rounds in a row, or several in three, where they close at least
+    half of the gap; no gap in four rounds in a row; too little device time for one more motion; no motion that tells
+    enough. A verdict that flips between splits of the trials is not stable, however often it came.
 
     Args:
         before: verdicts of earlier rounds.
@@ -154,22 +162,21 @@ def with_next(
     """
     alike = _alike([*before, judged])
     names = " and ".join(name.replace("_", " ") for name in judged.effects)
-    if judged.verdict == "named" and alike >= (_SURE if len(judged.effects) == 1 else _STABLE):
+    often = alike >= (_SURE if len(judged.effects) == 1 else _STABLE)
+    if judged.verdict == "named" and often and not judged.flips and judged.closed_share >= _MOST_OF_IT:
         why = f"{names} named in {alike} rounds in a row, the last of which was to tell it from its neighbours"
         return replace(judged, ended="named", why=why)
-    if judged.verdict in _NO_GAP and alike >= _STUCK:
+    if judged.verdict in _NO_GAP and alike >= _STUCK and not judged.flips:
         moved = " with the simulator's numbers retuned" if judged.verdict == "retuned" else ""
         return replace(judged, ended="no_gap", why=f"no structural gap{moved} in {alike} rounds in a row")
-    if judged.verdict in ("unknown", "one_of") and alike >= _STUCK:
-        open_one = "an unknown cause" if judged.verdict == "unknown" else "the same effects not told apart"
-        why = f"{open_one} in {alike} rounds in a row: motions that were to decide did not, each longer than before"
-        return replace(judged, ended="nothing_gained", why=why)
     if left_s < least_s:
         why = f"{left_s:.0f} s of device time are left, one more motion takes {least_s:.0f} s or more"
         return replace(judged, ended="budget", why=why)
     plan = planned()
     if plan is None:
         why = "no motion within limits and device time is expected to tell more"
+        if alike >= _STUCK:
+            why = f"the same result in {alike} rounds in a row, and every kind of motion was recorded that is allowed"
         return replace(judged, ended="nothing_gained", why=why)
     return replace(judged, next=plan)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,11 +21,11 @@ from hystmpc.models.simulator import Simulator
 from hystmpc.rig.config import BenchSettings
 from hystmpc.rig.safety.plausibility import TRAVEL_SHARE, MotionWatch
 from hystmpc.trials.csv_files import read_csv
-from hystmpc.trials.errors import ConfigError, FitError
+from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
 
 from .config import InvestigateSettings
-from .first_motions import first_motions
+from .first_motions import first_motions, further_motion
 
 LEAST_MOTION_S = 8.0
 """A shorter motion is not worth a run of its own [s]."""
@@ -35,6 +35,7 @@ LEAST_BITS = 0.1
 
 _CAREFUL = 0.7  # of the travel without motion that stops a run
 _RESERVE_S = 1.0  # for a contact or a way back that takes longer than expected
+_FURTHER = 2.0  # of the longest first motion: a kind of motion that was not recorded yet
 _FIRST_SHARE = 0.6  # of the device time that the first motions may take
 
 
@@ -48,7 +49,8 @@ class Plan:
         separates: explanations that they are to tell apart.
         probability: expected one of the right explanation; `bits` the same as information.
         confirms: whether the trials so far decide already, so that the motion only puts their answer to the test.
-        undirected: whether nothing is known that the motion could decide between: it is chosen as the first ones were.
+        undirected: whether a designed motion did not decide, or none is known that could: a kind of motion that was not
+            recorded yet, chosen as the first ones were.
         menu: the menu's best motion, empty where none fits the device time; `menu_gain` by how much more information
             per second is expected of this one.
         looked_at: motions that were compared.
@@ -168,28 +170,42 @@ def plan_next(
 
 
 def plan_more(
-    settings: InvestigateSettings, simulator: Simulator, left_s: float, number: int, longer: int, folder: Path
+    settings: InvestigateSettings,
+    simulator: Simulator,
+    left_s: float,
+    number: int,
+    recorded: Collection[str],
+    question: Question | None,
+    folder: Path,
 ) -> Plan | None:
-    """A motion that tells most by itself, longer each time, where nothing is known that it could decide between.
+    """A motion of a kind that was not recorded yet, twice as long as the first ones.
 
-    None where the device time is too short, or by the simulator no motion is allowed.
+    None where the device time is too short, or no kind is left that is allowed.
 
     Args:
         left_s: device time that is left [s].
         number: of the recording that it becomes.
-        longer: factor on the motion's duration.
+        recorded: kinds of motion that were recorded.
+        question: its explanations, fitted to what was recorded, judge what is allowed; those of a typical size do where
+            there is none.
     """
     room = left_s - round_seconds(settings, {}) - run_seconds(settings, 0)
-    longest = min(room, longer * settings.investigate.longest_motion_s)
+    longest = min(room, _FURTHER * settings.investigate.longest_motion_s)
     if longest < LEAST_MOTION_S:
         return None
-    try:
-        found = first_motions(simulator, _family(settings, longest), 2, allowed(settings), run_seconds(settings, 0))
-    except FitError:
+    around = run_seconds(settings, 0)
+    judged, hypotheses = allowed(settings), question.hypotheses if question else ()
+
+    def fits(option: Option) -> bool:
+        motion = option.motion
+        angles = np.array([fitted.simulate(motion.command, motion.dt) for fitted in hypotheses])
+        return judged(replace(option, angles=angles) if hypotheses else option)
+
+    found = further_motion(simulator, _family(settings, longest), recorded, number, fits, around)
+    if found is None:
         return None
-    best = next(iter(found.options))
-    name = f"{number}-more"
-    commands = _written(folder, name, found.options[best], found.numbers[best], settings, longest)
+    (name,) = found.options
+    commands = _written(folder, name, found.options[name], found.numbers[name], settings, longest)
     return Plan(
         motions=(name,),
         seconds=round_seconds(settings, {name: commands}),

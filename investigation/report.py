@@ -125,8 +125,8 @@ def why_these(plan: Plan) -> str:
         )
     if plan.undirected:
         return (
-            "No explanation of the gap is known that a designed motion could decide on. The motion was chosen from the "
-            f"commands and the simulator alone, as the first ones were, to tell apart {names}: {odds}."
+            "The last motion did not change the verdict, or none could be designed. This one is of a kind that was not "
+            f"recorded yet. It was chosen as the first ones were, to tell apart {names}: {odds}."
         )
     aim = "to put the verdict to the test against" if plan.confirms else "to tell apart"
     said = f"The motion was designed {aim} {names}: {odds}. {plan.looked_at} motions were compared."

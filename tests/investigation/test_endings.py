@@ -26,6 +26,7 @@ def ended(*verdicts: Judged, left_s: float = 100.0, plan: Plan | None = PLAN) ->
 LAG, CREEP, NONE, UNKNOWN = judged("named", "lag"), judged("named", "creep"), judged("none"), judged("unknown")
 RETUNED = judged("retuned")
 BOTH = judged("named", "lag", "creep")
+FLIPS, HALF, PART = replace(LAG, flips=True), replace(LAG, closed_share=0.5), replace(LAG, closed_share=0.49)
 EITHER = judged("one_of", "lag", ambiguity=(("lag", "delay"),))
 
 
@@ -44,8 +45,13 @@ EITHER = judged("one_of", "lag", ambiguity=(("lag", "delay"),))
         ((RETUNED, NONE, RETUNED, NONE), "no_gap"),
         ((LAG, NONE, RETUNED), ""),
         ((UNKNOWN, UNKNOWN, UNKNOWN), ""),
-        ((UNKNOWN,) * 4, "nothing_gained"),
-        ((EITHER,) * 4, "nothing_gained"),
+        ((UNKNOWN,) * 4, ""),
+        ((EITHER,) * 4, ""),
+        ((FLIPS, FLIPS), ""),
+        ((FLIPS, LAG), "named"),
+        ((HALF, HALF), "named"),
+        ((PART, PART, PART), ""),
+        ((NONE, NONE, NONE, replace(NONE, flips=True)), ""),
         ((EITHER, UNKNOWN, EITHER), ""),
         ((judged("too_little"),) * 5, ""),
     ],
@@ -59,6 +65,7 @@ def test_it_ends_where_the_result_is_stable(verdicts: tuple[Judged, ...], ending
 def test_it_ends_where_time_or_motions_run_out() -> None:
     assert ended(LAG, left_s=11.9).ended == "budget"
     assert ended(LAG, plan=None).ended == "nothing_gained"
+    assert "in 4 rounds in a row" in ended(*[UNKNOWN] * 4, plan=None).why
 
 
 @given(

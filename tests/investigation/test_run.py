@@ -6,13 +6,17 @@ import json
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from hystmpc.gap.next.motion_design import Noise, OpenHypothesis
+from hystmpc.gap.next.motion_menu import TEMPLATES
 from hystmpc.gap.next.motion_search import SearchSettings
+from hystmpc.gap.next.open_hypotheses import Question
 from hystmpc.investigation import plan
 from hystmpc.investigation import run as whole
 from hystmpc.investigation.config import InvestigateSettings
-from hystmpc.investigation.plan import plan_first
+from hystmpc.investigation.plan import plan_first, plan_more
 from hystmpc.investigation.run import identification_share, plan_rows
 from hystmpc.investigation.story import Investigated
 from hystmpc.models.load import model_path
@@ -107,6 +111,22 @@ def test_the_plan_is_within_limits_and_time_and_needs_no_angle(tmp_path: Path) -
         commands = read_csv(tmp_path / f"{name}.csv").command
         assert within(commands.tolist(), made)
         assert commands[0] == commands[-1] == 1.0
+
+
+def test_a_further_motion_is_of_a_kind_that_was_not_recorded_and_what_was_fitted_allows_it(tmp_path: Path) -> None:
+    made, left = settings(tmp_path, investigate={"minutes": 5.0}), "dwell_near_lowest"
+    kinds = {template.name for template in TEMPLATES}
+    further = plan_more(made, SIMULATOR, 200.0, 4, kinds - {left}, None, tmp_path)
+    assert further is not None
+    assert further.motions == (f"4-{left}",)
+    assert further.undirected
+    assert further.seconds <= 200.0
+    assert within(read_csv(tmp_path / f"4-{left}.csv").command.tolist(), made)
+    assert plan_more(made, SIMULATOR, 200.0, 4, kinds, None, tmp_path) is None
+    assert plan_more(made, SIMULATOR, 5.0, 4, (), None, tmp_path) is None
+    outside = OpenHypothesis("outside", lambda command, dt: np.full(command.size, 1e3))
+    asked = Question((outside, outside), Noise(0.1))
+    assert plan_more(made, SIMULATOR, 200.0, 4, kinds - {left}, asked, tmp_path) is None
 
 
 def test_without_a_simulator_time_is_kept_for_recordings_to_identify_one(tmp_path: Path) -> None:
