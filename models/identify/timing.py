@@ -60,9 +60,9 @@ def timing_rivals(
     found = {}
     for effect, forms in fitted.items():
         forms = sorted(forms, key=lambda form: form[1].mse)[:_FORMS]
-        made = [(h, InParts(_held_out(validation, h), _quick(validation, h, white), len(c.free))) for c, h in forms]
-        hypothesis, parts = min(made, key=lambda own: float(own[1].held_out.sum()))
-        quickest = min((own for _, own in made), key=lambda own: own.expected)
+        compared = [(h, InParts(_held_out(validation, h), _quick(validation, h, white), len(c.free))) for c, h in forms]
+        hypothesis, parts = min(compared, key=lambda own: float(own[1].held_out.sum()))
+        quickest = min((own for _, own in compared), key=lambda own: own.expected)
         found[effect] = hypothesis, InParts(parts.held_out, quickest.quick, quickest.free)
     return found
 
@@ -126,6 +126,11 @@ def timing_errors(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, f
     """Standard errors by which the second is nearer: held out in parts, and in what is quick; 0 if not compared."""
     if before.parts is None or after.parts is None:
         return 0.0, 0.0
-    pairs = ((before.parts.held_out, after.parts.held_out), (before.parts.quick, after.parts.quick))
-    made = [gain(Blocks(a, before.samples, before.run), Blocks(b, after.samples, after.run)) for a, b in pairs]
-    return tuple(fall / error if error > 0 else 0.0 for fall, error in made)  # type: ignore[return-value]
+    one, other = before.parts, after.parts
+    return _sure(before, one.held_out, other.held_out), _sure(before, one.quick, other.quick)
+
+
+def _sure(blocks: Blocks, before: Vec, after: Vec) -> float:
+    """Standard errors by which an energy falls in these blocks."""
+    fall, error = gain(Blocks(before, blocks.samples, blocks.run), Blocks(after, blocks.samples, blocks.run))
+    return fall / error if error > 0 else 0.0
