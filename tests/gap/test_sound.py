@@ -28,7 +28,7 @@ ENDS = st.floats(-1, 1)
 GAP = Gap(3.0, 1.0, 0.2, 0.1, "repeats", 0.9, 0.1, (0.8, 0.95), ("a.csv",))
 
 
-@given(st.dictionaries(st.sampled_from(["lag", "creep", "sensor"]), ENDS, max_size=3), ENDS)
+@given(st.dictionaries(st.sampled_from(["lag", "creep", "contact"]), ENDS, max_size=3), ENDS)
 def test_what_is_proven_has_intervals_above_zero_alone_and_together(lows: dict[str, float], together: float) -> None:
     causes = {name: ClosedByCause(0.5, (low, 1.0), 1.0, {}) for name, low in lows.items()}
     closed = GapClosed(replace(GAP, closed_ci90=(together, 1.0)), causes, 0.1)
@@ -36,6 +36,14 @@ def test_what_is_proven_has_intervals_above_zero_alone_and_together(lows: dict[s
     assert bool(closed.unproven()) == bool(causes and not proven)
     if closed.unproven():
         assert lows[closed.unproven()] == min(lows.values())
+
+
+@given(st.floats(-1, 1), ENDS)
+def test_faults_of_the_sensor_have_to_close_something_and_need_no_interval(share: float, low: float) -> None:
+    """The log itself proves them; a resample without the few blocks that hold them is no evidence against them."""
+    causes = {"lag": ClosedByCause(0.5, (0.2, 1.0), 1.0, {}), "sensor": ClosedByCause(share, (low, 1.0), 1.0, {})}
+    closed = GapClosed(replace(GAP, closed_ci90=(0.1, 1.0)), causes, 0.1)
+    assert closed.unproven() == ("sensor" if share <= 0 else "")
 
 
 @given(st.dictionaries(st.sampled_from(["lag", "creep", "contact"]), st.floats(0.01, 0.5), min_size=1))

@@ -118,7 +118,7 @@ class Fitted:
         return replace(judged(tuple(hypothesis.effects), hypothesis.mse), hypothesis=hypothesis)
 
     def _made(self, effects: Sequence[Any], mse: float) -> Hypothesis:
-        values = {"retuned": lambda q: None, "effect_values": lambda q: []}
+        values = {"retuned": lambda q: None, "effect_values": lambda q: [{} for _ in effects]}
         problem = SimpleNamespace(effects=tuple(effects), terms=TrialTerms(), **values)
         return Hypothesis(cast("Any", problem), np.empty(0), mse)
 
