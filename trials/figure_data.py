@@ -118,8 +118,8 @@ def _marks(axes: Axes) -> Iterator[tuple[str, str, Iterator[tuple[object, ...]]]
     for bars in (each for each in axes.containers if isinstance(each, BarContainer)):
         yield "bar", _label(bars), _bars(axes, bars)
     for steps in (patch for patch in axes.patches if isinstance(patch, StepPatch)):
-        data = steps.get_data()
-        yield "step from x", _label(steps), ((x, y, "") for x, y in zip(data.edges, data.values, strict=False))
+        values, edges, _ = steps.get_data()
+        yield "step from x", _label(steps), ((x, y, "") for x, y in zip(edges, values, strict=False))
     for dots in (each for each in axes.collections if isinstance(each, PathCollection)):
         yield "point", _label(dots), ((float(x), float(y), "") for x, y in np.asarray(dots.get_offsets()))
     for area in (each for each in axes.collections if isinstance(each, PolyCollection)):
