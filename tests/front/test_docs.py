@@ -28,7 +28,8 @@ def blocks() -> list[tuple[str, str]]:
     """Page and number, and text, of every block; those of a lesson go on from one another and are one."""
     found = {page: BLOCK.findall(page.read_text(encoding="utf-8")) for page in PAGES}
     pieces = {
-        page: ["\n".join(texts)] if texts and {page.parent.name, page.stem} & {*LESSONS} else texts for page, texts in found.items()
+        page: ["\n".join(texts)] if texts and {page.parent.name, page.stem} & {*LESSONS} else texts
+        for page, texts in found.items()
     }
     return [(f"{page.name}-{k}", text) for page, texts in pieces.items() for k, text in enumerate(texts)]
 
