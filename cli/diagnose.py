@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.figure_folder import figures_to
 from hystmpc.trials.files import require_writable
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 
 from .console import Bar, bar, errors, out, table
-from .options import Layout, Sim, simulator_at, warn_of_units
+from .options import Figures, Layout, Sim, check_figures, simulator_at, warn_of_units
 
 if TYPE_CHECKING:
     from hystmpc.gap.diagnosis import Diagnosis
@@ -45,6 +46,7 @@ def diagnose(
     ordered: Annotated[
         bool, typer.Option("--ordered", help="LOG... are in recording order; else time stamps or a manifest tell it.")
     ] = False,
+    figures: Figures = None,
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Recover known truths instead of reading logs.")
     ] = False,
@@ -57,7 +59,9 @@ def diagnose(
         _self_test(seed)
         return
     files, sim, folder = _complete(logs, sim, folder)
-    diagnosis = _diagnosed(files, sim, folder, preset, seed, tuple(without or ()), ordered)
+    check_figures(figures)
+    with figures_to(figures):
+        diagnosis = _diagnosed(files, sim, folder, preset, seed, tuple(without or ()), ordered)
     if as_json:
         from hystmpc.gap.report.folder import diagnosis_json
 

@@ -15,12 +15,14 @@ from hystmpc.models.evaluate import ERROR_COLUMNS, TrialEvaluation, error_rows, 
 from hystmpc.models.evaluate import evaluate as score
 from hystmpc.models.load import load_model
 from hystmpc.models.model import LoadedModel
+from hystmpc.trials.figure_folder import figures_to
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 
 from .console import bar, errors, out, table
 from .options import (
     EVALUATION,
+    Figures,
     Force,
     Layout,
     Logs,
@@ -44,6 +46,7 @@ def evaluate(
     skip_first_flexure: SkipFirstFlexure = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write hystmpc-evaluation/1 here.")] = None,
     page: Page = None,
+    figures: Figures = None,
     force: Force = False,
 ) -> None:
     """Free run from the command alone against the measured angle.
@@ -53,7 +56,7 @@ def evaluate(
     inputs = [model, *files_read(logs, preset)]
     if json_file is not None:
         check_output("--json", json_file, (EVALUATION,), inputs, force)
-    check_page(page, inputs, force)
+    check_page(page, figures, inputs, force)
     opened = load_model(model)
     trials = trials_at(logs, preset, 1 / opened.metadata.dt_s, sampled_hz)
     results = free_runs(opened, trials, skip_first_flexure)
@@ -65,7 +68,8 @@ def evaluate(
     if page is not None:
         from hystmpc.models.evaluation_report import evaluation_report  # matplotlib takes a second to import
 
-        out.print(f"report: {evaluation_report('Free run', str(model), [('', results)]).save(page)}")
+        with figures_to(figures):
+            out.print(f"report: {evaluation_report('Free run', str(model), [('', results)]).save(page)}")
 
 
 def free_runs(model: LoadedModel, trials: Sequence[Trial], skip_first_flexure: bool) -> list[TrialEvaluation]:

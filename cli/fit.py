@@ -21,6 +21,7 @@ from hystmpc.models.kinds.kind import FitRequest, Identified, ModelKind
 from hystmpc.models.load import load_model
 from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.figure_folder import figures_to
 from hystmpc.trials.read import expand_logs
 from hystmpc.trials.trial import Trial, Units
 
@@ -29,6 +30,7 @@ from .evaluate import errors_table, free_runs, warn_outside
 from .options import (
     MODEL,
     SIMULATOR,
+    Figures,
     Force,
     Layout,
     Logs,
@@ -116,6 +118,7 @@ def fit(
     ] = None,
     test: Test = None,
     page: Page = None,
+    figures: Figures = None,
     force: Force = False,
 ) -> None:
     """Identify a model; Ctrl-C keeps the best so far."""
@@ -124,7 +127,7 @@ def fit(
     seen = files_read(logs, preset)
     unseen = _unseen(test or [], seen)
     check_output("--out", path, kinds, [*seen, *unseen], force, of=chosen.name)
-    check_page(page, [*seen, *unseen], force)
+    check_page(page, figures, [*seen, *unseen], force)
     request = FitRequest(
         preset=training or chosen.usual_preset(direction is Direction.INVERSE),
         seed=seed,
@@ -141,13 +144,15 @@ def fit(
     _warn_of_limits([*trials, *held], request.limits.command)
     swapped = direction is Direction.INVERSE
     found = _identify(chosen, [t.swapped() for t in trials] if swapped else trials, request, path)
-    _score(found, path, {_SEEN: trials, _UNSEEN: held}, skip_first_flexure, page)
+    _score(found, path, {_SEEN: trials, _UNSEEN: held}, skip_first_flexure, page, figures)
 
 
 _SEEN, _UNSEEN = " that it was identified from", " that the fit did not see"
 
 
-def _score(found: Identified, path: Path, sets: Mapping[str, list[Trial]], skip: bool, page: Path | None) -> None:
+def _score(
+    found: Identified, path: Path, sets: Mapping[str, list[Trial]], skip: bool, page: Path | None, figures: Path | None
+) -> None:
     """Print, and draw where asked for, how well the model follows each set of trials; the last one counts most."""
     model = load_model(path)
     results = {which: free_runs(model, trials, skip) for which, trials in sets.items() if trials}
@@ -166,7 +171,8 @@ def _score(found: Identified, path: Path, sets: Mapping[str, list[Trial]], skip:
             more += [Table(columns, rows, title) for title, columns, rows in _part_tables(found.parts, Units(*units))]
             more += [Paragraph(line) for line in found.parts.advice]
         report = evaluation_report(f"Fit of {path.name}", model.metadata.kind, list(results.items())[::-1], more)
-        out.print(f"report: {report.save(page)}", soft_wrap=True)
+        with figures_to(figures):
+            out.print(f"report: {report.save(page)}", soft_wrap=True)
 
 
 def _unseen(test: Sequence[Path], seen: Sequence[Path]) -> list[Path]:

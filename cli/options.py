@@ -19,6 +19,7 @@ from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError
 from hystmpc.trials.files import require_writable
 from hystmpc.trials.layouts import PRESETS
 from hystmpc.trials.read import expand_logs, read_trials
+from hystmpc.trials.run_folder import require_vacant
 from hystmpc.trials.trial import Trial, at_rate, parts_at_gaps
 
 from .console import errors
@@ -174,14 +175,33 @@ REPORT = Output("a report of hystmpc", (".html",), _of_page, ("hystmpc",))
 Page = Annotated[Path | None, typer.Option("--report", help="Write one page with tables and figures here, .html.")]
 
 
-def check_page(page: Path | None, inputs: Iterable[Path], force: bool) -> None:
-    """`check_output` for `--report`, where it is given.
+Figures = Annotated[
+    Path | None,
+    typer.Option("--figures", help="New folder for every figure of the report: SVG, PDF, and its data as CSV."),
+]
+
+
+def check_figures(figures: Path | None) -> None:
+    """Refuse a folder of `--figures` before any work is done.
 
     Raises:
-        ConfigError: if the page may not be written.
+        ConfigError: if it is not new or empty, or cannot be written.
+    """
+    if figures is not None:
+        require_vacant(figures)
+
+
+def check_page(page: Path | None, figures: Path | None, inputs: Iterable[Path], force: bool) -> None:
+    """`check_output` for `--report`, where it is given; and `--figures` of it.
+
+    Raises:
+        ConfigError: if the page or its figures may not be written.
     """
     if page is not None:
         check_output("--report", page, (REPORT,), inputs, force)
+    elif figures is not None:
+        raise ConfigError(f"--figures {figures}: is of the page of --report, which is not given")
+    check_figures(figures)
 
 
 def check_output(

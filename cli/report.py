@@ -10,9 +10,11 @@ import typer
 
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.figure_folder import figures_to
 from hystmpc.trials.run_folder import RunFolder
 
 from .console import out
+from .options import Figures, check_figures
 
 if TYPE_CHECKING:
     from hystmpc.trials.report import Piece
@@ -26,12 +28,19 @@ def report(
     diagnosis: Annotated[
         Path | None, typer.Option("--diagnosis", help="Folder of `diagnose`: the fall that it lets expect.")
     ] = None,
+    figures: Figures = None,
 ) -> None:
     """Write report.html of a run folder again.
 
     Of an experiment it says what is due: nothing, `fit` or `diagnose`. With an earlier run it says how far the tracking
     error fell, and with a diagnosis how far it was expected to fall on this reference.
     """
+    check_figures(figures)
+    with figures_to(figures):
+        _report(run, before, diagnosis)
+
+
+def _report(run: Path, before: list[Path] | None, diagnosis: Path | None) -> None:
     keys = _settings_of(run)
     if "commissioning" in keys:
         _commissioning(run, before, diagnosis)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from hystmpc.trials.figure_data import draw_long
 from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, Heading, Piece, Plot, Report, Table, new_figure
 
 from .evaluate import ERROR_COLUMNS, TrialEvaluation, error_rows, error_sentence
@@ -34,7 +35,7 @@ def _pieces(which: str, results: Sequence[TrialEvaluation]) -> Iterator[Piece]:
     note = f"Model less measurement [{unit}]. No bias: without the mean error. Hold drift: while the command rests."
     yield Table(ERROR_COLUMNS, error_rows(results), note)
     drawn = "of all trials" if len(results) <= _SHOWN else f"of the {_SHOWN} trials with the greatest error"
-    yield Plot(time_figure(results), f"Measured and simulated output {drawn}, and the error of the model below.")
+    yield Plot(time_figure(results), f"Measured and simulated output {drawn}, and the error of the model below.", True)
     yield Plot(loop_figure(results), f"Output [{unit}] over command [{command}] of the same trials.")
 
 
@@ -45,12 +46,12 @@ def time_figure(results: Sequence[TrialEvaluation]) -> Figure:
         rows = figure.subplots(2 * len(worst), 1, height_ratios=(3, 1) * len(worst))
         for above, below, run in zip(rows[::2], rows[1::2], worst, strict=True):
             unit, t = run.trial.units.angle, run.trial.t
-            above.plot(t, run.trial.angle, color=MEASURED, label="measured")
-            above.plot(t, run.theta, color=MODEL, label="model", linewidth=0.9)
+            draw_long(above, t, run.trial.angle, color=MEASURED, label="measured")
+            draw_long(above, t, run.theta, color=MODEL, label="model", linewidth=0.9)
             name = Path(run.trial.source).name
             above.set(ylabel=f"[{unit}]", title=f"{name}: RMSE {run.errors.rmse_deg:.3g} {unit}")
             above.tick_params(labelbottom=False)
-            below.plot(t[run.start :], (run.theta - run.trial.angle)[run.start :], color=MODEL, linewidth=0.8)
+            draw_long(below, t[run.start :], (run.theta - run.trial.angle)[run.start :], color=MODEL, linewidth=0.8)
             below.axhline(0.0, color=REFERENCE, linewidth=0.6)
             below.set(ylabel=f"error [{unit}]")
             below.sharex(above)

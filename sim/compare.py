@@ -54,7 +54,7 @@ def compare(config: SimulationConfig, out: Path | str | None = None, progress: P
         raise
     found = StudyResult(study.config, tuple(results), {} if folder is None else folder.meta, study.warnings())
     if folder is not None:
-        folder.write_report(study_report(found).html())
+        folder.write_report(study_report(found))
     return found
 
 

@@ -149,7 +149,11 @@ def study_report(result: StudyResult, more: Sequence[Piece] = ()) -> Report:
         pieces += [
             Heading(f"Motion: {motion}"),
             _metrics_table(runs, result.unit),
-            Plot(tracking_figure(runs, colour, result.unit), "Tip angle without sensor noise; dashed: command limits."),
+            Plot(
+                tracking_figure(runs, colour, result.unit),
+                "Tip angle without sensor noise; dashed: command limits.",
+                True,
+            ),
             Plot(error_figure(runs, colour), "Error: tip angle without sensor noise less reference."),
             Plot(loop_figure(runs, colour, result.unit), "Tip angle over command."),
             Plot(histogram_figure(runs, colour), "Distribution of the error; the outermost bins hold all beyond them."),

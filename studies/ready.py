@@ -86,7 +86,7 @@ class ReadyStudy(Generic[S, J, F]):
         if data is not None:
             text = json.dumps(data, indent=1, allow_nan=False) + "\n"
             write_atomically(self.folder.path / "tables" / f"{self.study}.json", text)
-        self.folder.write_report(page.html())
+        self.folder.write_report(page)
 
 
 def do_kept(blank: Any, fields: Sequence[str], do: Callable[[], Sequence[Any]], files: ResultFiles[F]) -> F:

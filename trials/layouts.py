@@ -185,8 +185,8 @@ def detect_preset(header: Sequence[str]) -> Preset:
 
 
 MAPPING_HINT = (
-    "; other names or units: write a mapping file such as map.yaml, `{time: COLUMN, time_unit: s, "
-    "command: {signal: COLUMN, unit: mm}, angle: {signal: COLUMN, unit: deg}}`, and add `--preset map.yaml`"
+    "; other names or units: write a mapping file, map.yaml, `{time: COLUMN, time_unit: s, command: {signal: COLUMN, "
+    "unit: mm}, angle: {signal: COLUMN, unit: deg}}`, and add `--preset map.yaml`"
 )
 """For the end of an error line on columns that no preset knows."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -21,6 +22,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import LogFormatter
 
+from .figure_data import zoomed
+from .figure_files import write_figures
 from .files import write_atomically
 
 
@@ -109,10 +112,15 @@ class Table:
 
 @dataclass(frozen=True)
 class Plot:
-    """A matplotlib figure and its caption."""
+    """A matplotlib figure and its caption.
+
+    Attributes:
+        zoom: whether the page's reader can zoom into its curves; printed, and without scripts, it is the drawing.
+    """
 
     figure: Figure
     caption: str = ""
+    zoom: bool = False
 
 
 @dataclass(frozen=True)
@@ -141,24 +149,43 @@ class Report:
     subtitle: str = ""
 
     def html(self) -> str:
-        """The page: styles and figures inside, no scripts, nothing fetched; the same pieces give the same text.
+        """The page: styles and figures inside, nothing fetched; the same pieces give the same text.
 
+        A script is in it only where a figure zooms.
         Headings are listed at its top, unless folded sections, closed, are a list themselves.
         """
         blocks = [_block(piece, str(number)) for number, piece in enumerate(self.pieces, start=1)]
         folded = any(isinstance(piece, Folded) for piece in self.pieces)
         contents = [] if folded else [block for block in blocks if block["kind"] == "heading"]
         css = Markup(_resource("report.css"))
-        return _template().render(title=self.title, subtitle=self.subtitle, blocks=blocks, contents=contents, css=css)
+        script = Markup(_resource("zoom.js")) if any(plot.zoom for _, plot in _plots(self.pieces)) else ""
+        return _template().render(
+            title=self.title, subtitle=self.subtitle, blocks=blocks, contents=contents, css=css, script=script
+        )
 
     def fragment(self) -> str:
         """Title and pieces alone, for a cell of a notebook; figures are bitmaps, so that no two cells share an id."""
         title = f"{self.title}: {self.subtitle}" if self.subtitle else self.title
-        return _template().render(title=title, blocks=[_block(piece, "", _bitmap) for piece in self.pieces], css="")
+        blocks = [_block(piece, "", _bitmap) for piece in self.pieces]
+        return _template().render(title=title, blocks=blocks, css="", script="")
 
     def save(self, path: Path | str) -> Path:
-        """Write the page, whole or not at all."""
-        return write_atomically(path, self.html())
+        """Write the page, whole or not at all; and its figures, where `figures_to` asks for them."""
+        written = write_atomically(path, self.html())
+        with style():
+            write_figures((plot.caption or heading, plot.figure) for heading, plot in _plots(self.pieces))
+        return written
+
+
+def _plots(pieces: Sequence[Piece], heading: str = "figure") -> Iterator[tuple[str, Plot]]:
+    """Every figure, and the heading that it stands under."""
+    for piece in pieces:
+        if isinstance(piece, Heading):
+            heading = piece.text
+        elif isinstance(piece, Folded):
+            yield from _plots(piece.pieces, piece.heading)
+        elif isinstance(piece, Plot):
+            yield heading, piece
 
 
 def figure_svg(figure: Figure, prefix: str = "") -> str:
@@ -217,7 +244,13 @@ def _block(piece: Piece, number: str, drawn: Callable[[Figure, str], str] = figu
         ]
         return {"kind": "table", "columns": piece.columns, "rows": rows, "caption": piece.caption}
     svg = drawn(piece.figure, f"figure-{number}-")
-    return {"kind": "figure", "svg": Markup(svg), "caption": piece.caption, "id": f"figure-{number}"}
+    zoom = _in_script(zoomed(piece.figure)) if piece.zoom and drawn is figure_svg else ""
+    return {"kind": "figure", "svg": Markup(svg), "caption": piece.caption, "id": f"figure-{number}", "zoom": zoom}
+
+
+def _in_script(data: Any) -> Markup:
+    """Data as a page's own text can hold it: nothing in it ends the element."""
+    return Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"))
 
 
 def _cell(value: object) -> dict[str, object]:

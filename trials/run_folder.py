@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +30,14 @@ _META = {"start": str, "versions": dict}  # of meta.json, that readers rely on
 _PACKAGES = ("hystmpc", "numpy", "casadi", "onnxruntime", "osqp")
 
 Column = NDArray[np.float64] | tuple[str, ...]
+
+
+class Saved(Protocol):
+    """A page that can be written, such as a `Report`."""
+
+    def save(self, path: Path | str) -> Path:
+        """Write it, whole or not at all."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -131,9 +139,9 @@ class RunFolder:
             t = np.asarray(arrays[CANONICAL.time], dtype=np.float64)
             write_atomically(self.path / "log.mcap", mcap_.format_mcap(arrays, t, start_ns))
 
-    def write_report(self, html: str) -> Path:
+    def write_report(self, report: Saved) -> Path:
         """Write `report.html`."""
-        return write_atomically(self.path / "report.html", html)
+        return report.save(self.path / "report.html")
 
     def config(self) -> Any:
         """Resolved settings of the run, as plain data."""

@@ -86,6 +86,7 @@ def _first_page(evidence: Evidence) -> Iterator[Piece]:
         f"{worst.name}, the one of the {evidence.measured_on} with the largest error. Its RMSE is "
         f"{worst.rmse('nominal'):.3g} {evidence.unit} {LABEL['nominal']} and {worst.rmse(after):.3g} {evidence.unit} "
         f"{LABEL[after]}.",
+        zoom=True,
     )
 
 
@@ -116,6 +117,7 @@ def _closed_loop(evidence: Evidence) -> Iterator[Piece]:
             tracking_figure(evidence.curves),
             "Simulated on the corrected simulator with the noise of its file. Before: the controller's model is "
             "the simulator as given. After: it is the corrected one. Grey: the approach, which does not count.",
+            zoom=True,
         )
 
 
@@ -155,7 +157,7 @@ def _where(evidence: Evidence) -> Iterator[Piece]:
     what = "Tip angle" if evidence.unit == "deg" else "Output"
     yield Plot(loop_figure(shown(final, MOST_LOOPS), unit, after), f"{what} over command, real and simulated: {of}.")
     worst = worst_first(final)[:MOST_TIMES]
-    yield Plot(time_figure(worst, after), f"{what} and residual over time: the {of} with the largest gap.")
+    yield Plot(time_figure(worst, after), f"{what} and residual over time: the {of} with the largest gap.", zoom=True)
     bins = bins_figure(final, after)
     if bins is not None:
         yield Plot(bins, "RMSE by command, angle and speed of the command; grey: share of time, of the whole height.")

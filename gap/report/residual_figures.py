@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from hystmpc.trials.figure_data import draw_long, draw_part
 from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, new_figure
 from hystmpc.trials.types import Vec
 
@@ -111,11 +112,11 @@ def time_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Fig
     with new_figure(7.0, 0.7 + 2.6 * len(trials)) as figure:
         rows = figure.subplots(2 * len(trials), 1, height_ratios=(5, 3) * len(trials))
         for angle, left, trial in zip(rows[::2], rows[1::2], trials, strict=True):
-            t, real, *runs = thin(trial.trial.t - trial.trial.t[0], trial.trial.angle, *_runs(trial, stages))
-            angle.plot(t, real, **REAL)
-            for stage, run in zip(stages, runs, strict=True):
-                angle.plot(t, run, **_LOOK[stage])
-                left.plot(t, run - real, **{**_LOOK[stage], "linestyle": "-"})
+            t, real = trial.trial.t - trial.trial.t[0], trial.trial.angle
+            draw_long(angle, t, real, **REAL)
+            for stage, run in zip(stages, _runs(trial, stages), strict=True):
+                draw_long(angle, t, run, **_LOOK[stage])
+                draw_long(left, t, run - real, **{**_LOOK[stage], "linestyle": "-"})
             angle.set_title(short(trial.name, 60), fontsize=8.5)
             angle.set_ylabel(measured_label(trial.trial.units.angle))
             angle.tick_params(labelbottom=False)
@@ -129,17 +130,17 @@ def time_figure(trials: Sequence[TrialEvidence], stages: Sequence[Stage]) -> Fig
 
 def before_after_figure(trial: TrialEvidence, after: Stage) -> Figure:
     """Angle over time, measured and simulated before and after the correction, and the error of both; of a long trial
-    the part around the largest error."""
+    the part around the largest error is seen at first."""
     t = trial.trial.t - trial.trial.t[0]
-    start = _densest_start(trial)
-    part = (t >= t[start]) & (t <= t[start] + _WINDOW_S)
+    start = float(t[_densest_start(trial)])
+    part = (t >= start) & (t <= start + _WINDOW_S)
     with new_figure(7.0, 3.4) as figure:
         angle, error = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        angle.plot(t[part], trial.trial.angle[part], **{**REAL, "label": "measured"})
+        draw_part(angle, t, trial.trial.angle, part, **{**REAL, "label": "measured"})
         for stage in ("nominal", after):
             run = getattr(trial, stage)
-            angle.plot(t[part], run[part], **_LOOK[stage])
-            error.plot(t[part], (run - trial.trial.angle)[part], **{**_LOOK[stage], "linestyle": "-"})
+            draw_part(angle, t, run, part, **_LOOK[stage])
+            draw_part(error, t, run - trial.trial.angle, part, **{**_LOOK[stage], "linestyle": "-"})
         error.axhline(0.0, **QUIET)
         angle.set_ylabel(measured_label(trial.trial.units.angle))
         error.set(ylabel=f"simulated less\nmeasured [{trial.trial.units.angle}]", xlabel="time [s]")

@@ -7,9 +7,9 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from hystmpc.trials.figure_data import draw_long
 from hystmpc.trials.report import ACCENTS, MODEL, REFERENCE, new_figure
 
-from .figure_style import thin
 from .report_data import TrackingCurve
 from .words import in_words
 
@@ -23,11 +23,10 @@ def tracking_figure(curves: Sequence[TrackingCurve]) -> Figure:
     with new_figure(7.0, 4.4) as figure:
         rows = figure.subplots(2, len(curves), squeeze=False, sharex="col", sharey="row", height_ratios=(3, 2))
         for (angle, error), curve in zip(rows.T, curves, strict=True):
-            t, wanted, before, after = thin(curve.t, curve.reference_deg, curve.before_deg, curve.after_deg)
-            angle.plot(t, wanted, **_WANTED)
-            for values, style in ((before, _BEFORE), (after, _AFTER)):
-                angle.plot(t, values, **style)
-                error.plot(t, values - wanted, **style)
+            draw_long(angle, curve.t, curve.reference_deg, **_WANTED)
+            for values, style in ((curve.before_deg, _BEFORE), (curve.after_deg, _AFTER)):
+                draw_long(angle, curve.t, values, **style)
+                draw_long(error, curve.t, values - curve.reference_deg, **style)
             for axes in (angle, error):
                 axes.axvspan(0.0, curve.t[max(curve.first - 1, 0)], color=REFERENCE, alpha=0.12, linewidth=0.0)
             angle.set_title(in_words(curve.name))

@@ -43,8 +43,7 @@ def own_operators() -> Mapping[str, type[Operator]]:
 def add_effect(effect: Effect) -> Effect:
     """Add an effect of your own to the library, in this process: files, simulated devices and `diagnose` then know it.
 
-    An entry point of the group `hystmpc.effects` makes it known wherever its package is installed. An own effect of the
-    same name is replaced.
+    An entry point makes it known wherever its package is installed. An own effect of the same name is replaced.
 
     Raises:
         ModelError: if the name is one of the library's, or neutral values or forms contradict the operator.

@@ -13,12 +13,13 @@ from matplotlib.figure import Figure
 
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import LogError, TrajectoryError
+from hystmpc.trials.figure_data import draw_long
 from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.trial import Trial, Units
 
 from ..config import RunSettings
-from ..recording.report import Log, causes, numbers, thinned, timing_table, tracking_figure
+from ..recording.report import Log, causes, numbers, timing_table, tracking_figure
 from .review import TRIAL_FILE, Review, ReviewedRun, compare_with_model, review
 
 
@@ -82,13 +83,14 @@ def write_page(
             Plot(
                 tracking_figure(found.t, found.reference_deg, found.measured_deg, found.command, settings.command_unit),
                 "Reference, measured angle and command over time.",
+                zoom=True,
             ),
             Heading("Predicted and measured angle"),
-            Plot(_prediction(found), "Measured less predicted angle: one sample ahead, and in the model's free run."),
+            Plot(_prediction(found), "Measured less predicted angle: one sample ahead, and in a free run.", True),
         ]
     pieces += [*_timing_pieces(timing, settings.dt_s), Heading("Stages of a sample"), timing_table(log), *causes(log)]
     run_page = Report("Run at the bench", tuple(pieces), f"{settings.name}, {run.meta.get('start', '')}")
-    return run.write_report(run_page.html())
+    return run.write_report(run_page)
 
 
 def _timing(file: Path) -> dict[str, Any]:
@@ -129,12 +131,11 @@ def _figures(settings: RunSettings, verdict: Review, log: Log, timing: Mapping[s
 
 
 def _prediction(found: ReviewedRun) -> Figure:
-    t = thinned(found.t)
     with style():
         figure = Figure(figsize=(8, 3), layout="constrained")
         axes = figure.subplots()
-        axes.plot(t, thinned(found.measured_deg - found.free_deg), label="free run", color="C1")
-        axes.plot(t, thinned(found.measured_deg - found.predicted_deg), label="one sample ahead", color="C0")
+        draw_long(axes, found.t, found.measured_deg - found.free_deg, label="free run", color="C1")
+        draw_long(axes, found.t, found.measured_deg - found.predicted_deg, label="one sample ahead", color="C0")
         axes.axhline(0.0, color="0.6", linewidth=0.8)
         axes.set_xlabel("time [s]")
         axes.set_ylabel("measured less predicted [deg]")

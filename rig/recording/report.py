@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from hystmpc.trials.figure_data import draw_long
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.types import Vec
 
 Log = Mapping[str, Column]
-_MOST_POINTS = 4000  # of a curve; more are not seen and make the page heavy
 
 
 def write_report(run: RunFolder, dropped: int = 0, problem: str = "") -> Path:
@@ -32,24 +32,23 @@ def write_report(run: RunFolder, dropped: int = 0, problem: str = "") -> Path:
     t, reference, angle, sent = (numbers(log, name) for name in ("time_s", "reference_deg", "angle_deg", command))
     pieces: list[Piece] = [Paragraph(f"Recording ended early: {problem}")] if problem else []
     pieces += [Heading("Run"), KeyValues(_figures(log, dropped)), Heading("Angle and command")]
-    pieces.append(Plot(tracking_figure(t, reference, angle, sent, CANONICAL.command[command]), "Over time."))
+    pieces.append(Plot(tracking_figure(t, reference, angle, sent, CANONICAL.command[command]), "Over time.", True))
     pieces += [Heading("Timing"), timing_table(log, ("period_s", "lateness_s"))]
     pieces += [Plot(_histograms(log), "Time between samples, and lateness behind the deadline."), *causes(log)]
-    return run.write_report(Report("Recording at the bench", tuple(pieces), str(run.path.name)).html())
+    return run.write_report(Report("Recording at the bench", tuple(pieces), str(run.path.name)))
 
 
 def tracking_figure(t: Vec, reference: Vec, angle: Vec, command: Vec, unit: str) -> Figure:
     """Reference and measured angle [deg] above, command [unit] below, over time [s]; (N,) each."""
-    t = thinned(t)
     with style():
         figure = Figure(figsize=(8, 4.5), layout="constrained")
         top, bottom = figure.subplots(2, sharex=True, height_ratios=(2, 1))
-        top.plot(t, thinned(angle), label="measured", color="C0")
+        draw_long(top, t, angle, label="measured", color="C0")
         if np.isfinite(reference).any():
-            top.plot(t, thinned(reference), label="reference", color="0.2", linestyle="--", linewidth=1)
+            draw_long(top, t, reference, label="reference", color="0.2", linestyle="--", linewidth=1)
         top.set_ylabel("angle [deg]")
         top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
-        bottom.plot(t, thinned(command), color="C1")
+        draw_long(bottom, t, command, color="C1")
         bottom.set_ylabel(f"command [{unit}]")
         bottom.set_xlabel("time [s]")
     return figure
@@ -75,11 +74,6 @@ def causes(log: Log) -> Iterator[Piece]:
     rows += [("fault", name, n) for name, n in faults.most_common()]
     yield Heading("Sources and faults")
     yield Table(("kind", "name", "samples"), rows, "Samples by what gave the command, and by what went wrong.")
-
-
-def thinned(values: Vec) -> Vec:
-    """Points of a curve that are seen."""
-    return values[:: max(values.size // _MOST_POINTS, 1)]
 
 
 def numbers(log: Log, name: str) -> Vec:

@@ -85,7 +85,7 @@ def run_sweep(
         if table is None:
             raise ConfigError(f"{folder.path}: the sweep has no rows")
         view = SweepView.of(folder.path, plan.columns(), ids)
-        report = folder.write_report(sweep_report(view, folder.meta).html())
+        report = folder.write_report(sweep_report(view, folder.meta))
     failed = view.failed()
     message = failed[0][1] if failed else ""
     return SweepOutcome(table, report, len(ids), len(ids & done), len(failed), message, len(done - ids))

@@ -149,4 +149,4 @@ def _write(folder: RunFolder, found: Tuning) -> None:
     }
     write_atomically(folder.path / "trials.csv", format_table(columns))
     write_atomically(folder.path / "held_out.csv", format_table(check.columns()))
-    folder.write_report(tuning_report(found, folder.meta).html())
+    folder.write_report(tuning_report(found, folder.meta))

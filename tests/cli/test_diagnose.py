@@ -51,7 +51,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         (["{log}"], "lacks --sim, --out"),
         (["{log}", "--sim", "{sim}"], "lacks --out"),
         (["{log}", "--sim", "absent.yaml", "--out", "out"], "absent.yaml"),
-        (["{log}", "--sim", "sim.pkl", "--out", "out"], "expected a .yaml simulator or an .onnx model"),
+        (["{log}", "--sim", "sim.pkl", "--out", "out"], "expected .yaml, .onnx or builtin:NAME"),
         (["{log}", "--sim", "{log}", "--out", "out"], "ending .csv"),
         (["absent.csv", "--sim", "{sim}", "--out", "out"], "absent.csv"),
         (["{log}", "--sim", "{sim}", "--out", "{taken}"], "holds no diagnosis"),

@@ -20,7 +20,7 @@ from hystmpc.trials import write_csv
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
-LESSONS = ("tutorials", "explanation")
+LESSONS = ("tutorials", "explanation", "own_effect", "own_controller")  # folders and pages
 LONG = ("devices.md-0", "reconstruction.md-0")  # minutes; their imports are checked all the same
 
 
@@ -28,7 +28,8 @@ def blocks() -> list[tuple[str, str]]:
     """Page and number, and text, of every block; those of a lesson go on from one another and are one."""
     found = {page: BLOCK.findall(page.read_text(encoding="utf-8")) for page in PAGES}
     pieces = {
-        page: ["\n".join(texts)] if texts and page.parent.name in LESSONS else texts for page, texts in found.items()
+        page: ["\n".join(texts)] if texts and {page.parent.name, page.stem} & {*LESSONS} else texts
+        for page, texts in found.items()
     }
     return [(f"{page.name}-{k}", text) for page, texts in pieces.items() for k, text in enumerate(texts)]
 
@@ -87,6 +88,7 @@ def names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     shutil.copy(next((ROOT / "models" / "library").glob("lstm*.onnx")), tmp_path / "lstm.onnx")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("hystmpc.models.effects.own._added", {})  # effects that a page adds are its own
     trials = hystmpc.read_trials("logs")
     given = {"trials": trials, "simulator": simulator, "chain": simulator.chain, "commands": trials[0].command[:50]}
     return given | {"device": Device(), "__name__": "page"}
@@ -95,7 +97,7 @@ def names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize(("where", "text"), [b for b in blocks() if b[0] not in LONG])
 def test_blocks_run(where: str, text: str, names: dict[str, Any]) -> None:
-    exec(compile(text, where, "exec"), names)
+    exec(compile(text, where, "exec", dont_inherit=True), names)
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ import pytest
 from hystmpc.trials import mcap_
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.report import Report
 from hystmpc.trials.run_folder import FORMAT, RunFolder
 
 
@@ -42,7 +43,7 @@ def test_a_run_reads_back(tmp_path: Path, model: Path) -> None:
         tmp_path / "runs" / "a", Loop(), seed=7, models=[model], command_line=["hystmpc", "simulate"]
     )
     run.write_log(COLUMNS)
-    run.write_report("<p>done</p>")
+    run.write_report(Report("done", ()))
 
     back = RunFolder.open(run.path)
     assert back == run
@@ -55,7 +56,7 @@ def test_a_run_reads_back(tmp_path: Path, model: Path) -> None:
     assert trial.units.command == "bar"
     np.testing.assert_array_equal(trial.command, COLUMNS["command_bar"])
     assert list(trial.channels) == ["predicted_deg", "saturated"]
-    assert (run.path / "report.html").read_text() == "<p>done</p>"
+    assert (run.path / "report.html").read_text() == Report("done", ()).html()
 
 
 def test_meta_says_what_is_needed_to_repeat_the_run(tmp_path: Path, model: Path) -> None:

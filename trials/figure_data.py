@@ -1,0 +1,217 @@
+"""The data of a figure: what its curves, bars and images show, for tables and for figures that zoom."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection, PolyCollection
+from matplotlib.colors import to_hex
+from matplotlib.container import BarContainer
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle, StepPatch
+from numpy.typing import NDArray
+
+from .types import Vec
+
+MOST_POINTS = 3000
+"""Points of a curve that a page can show."""
+
+MOST_ZOOMED = 20_000  # points of a curve in a figure that zooms; more make a page heavy
+
+COLUMNS = ("panel", "x axis", "y axis", "kind", "series", "x", "y", "value")
+"""Of the table of a figure: a row for each point of a curve, each bar, each step and each cell of an image."""
+
+_WHOLE: WeakKeyDictionary[Line2D, tuple[Vec, Vec]] = WeakKeyDictionary()
+_MATHS = re.compile(r"\$\\mathdefault\{([^}]*)\}\$")
+
+
+def draw_long(axes: Axes, x: Vec, y: Vec, **look: Any) -> None:
+    """Draw a curve with no more points than a page can show, and keep all of them for tables and for zooming."""
+    draw_part(axes, x, y, slice(None), **look)
+
+
+def draw_part(axes: Axes, x: Vec, y: Vec, part: NDArray[np.bool_] | slice, **look: Any) -> None:
+    """Draw a part of a curve, thinned, and keep the whole for tables and for zooming."""
+    step = max(1, -(-x[part].size // MOST_POINTS))
+    (line,) = axes.plot(x[part][::step], y[part][::step], **look)
+    _WHOLE[line] = (x, y)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A line of a panel.
+
+    Attributes:
+        series: its label, empty where it has none.
+        x, y: all of its points (N,).
+        look: colour, width [pt], dashes [pt], opacity, and whether it goes in steps to each point.
+    """
+
+    series: str
+    x: Vec
+    y: Vec
+    look: dict[str, Any]
+
+
+def curves_of(axes: Axes) -> Iterator[Curve]:
+    """Curves in the data's own coordinates; lines across the whole panel are none."""
+    for line in axes.get_lines():
+        if line.get_transform() != axes.transData or not line.get_visible():
+            continue
+        x, y = _WHOLE.get(line) or (line.get_xdata(), line.get_ydata())
+        label, opacity = str(line.get_label()), line.get_alpha()
+        yield Curve(
+            "" if label.startswith("_") else label,
+            np.asarray(x, dtype=np.float64),
+            np.asarray(y, dtype=np.float64),
+            {
+                "colour": to_hex(line.get_color()),
+                "width": float(line.get_linewidth()) if str(line.get_linestyle()) != "None" else 0.0,
+                "dash": [float(n) for n in line._dash_pattern[1] or ()],  # type: ignore[attr-defined]  # has no getter
+                "opacity": 1.0 if opacity is None else float(opacity),
+                "steps": line.get_drawstyle() == "steps-pre",
+            },
+        )
+
+
+def _rules(axes: Axes) -> list[float]:
+    """Heights of the lines across the whole panel."""
+    across = (line for line in axes.get_lines() if line.get_transform() == axes.get_yaxis_transform(which="grid"))
+    return [float(np.asarray(line.get_ydata(), dtype=np.float64)[0]) for line in across]
+
+
+def _bands(axes: Axes) -> list[tuple[float, float]]:
+    """Begin and end of the stretches of x that are shaded over the whole height."""
+    shaded = (patch for patch in axes.patches if isinstance(patch, Rectangle) and patch.get_height() == 1.0)
+    found = [p for p in shaded if p.get_data_transform() == axes.get_xaxis_transform(which="grid")]
+    return [(float(patch.get_x()), float(patch.get_x() + patch.get_width())) for patch in found]
+
+
+def rows_of(figure: Figure) -> Iterator[tuple[object, ...]]:
+    """The table of a figure, see `COLUMNS`."""
+    for number, axes in enumerate(figure.axes, start=1):
+        name = _title(axes) or str(number)
+        place = (
+            f"{number}: {name}" if name != str(number) else name,
+            _plain(axes.get_xlabel()),
+            _plain(axes.get_ylabel()),
+        )
+        for kind, series, points in _marks(axes):
+            for point in points:
+                yield (*place, kind, series, *point)
+
+
+def _marks(axes: Axes) -> Iterator[tuple[str, str, Iterator[tuple[object, ...]]]]:
+    for curve in curves_of(axes):
+        yield (
+            "curve" if curve.look["width"] else "point",
+            curve.series,
+            ((x, y, "") for x, y in zip(curve.x.tolist(), curve.y.tolist(), strict=True)),
+        )
+    for bars in (each for each in axes.containers if isinstance(each, BarContainer)):
+        yield "bar", _label(bars), _bars(axes, bars)
+    for steps in (patch for patch in axes.patches if isinstance(patch, StepPatch)):
+        values, edges, _ = steps.get_data()
+        yield "step from x", _label(steps), ((x, y, "") for x, y in zip(edges, values, strict=False))
+    for dots in (each for each in axes.collections if isinstance(each, PathCollection)):
+        yield "point", _label(dots), ((float(x), float(y), "") for x, y in np.asarray(dots.get_offsets()))
+    for area in (each for each in axes.collections if isinstance(each, PolyCollection)):
+        corners = (corner for path in area.get_paths() for corner in np.asarray(path.vertices).tolist())
+        yield "outline", _label(area), ((float(x), float(y), "") for x, y in corners)
+    for image in axes.images:
+        yield "cell", "", _cells(np.asarray(image.get_array()), image.get_extent())
+
+
+def _bars(axes: Axes, bars: BarContainer) -> Iterator[tuple[object, ...]]:
+    flat = bars.orientation == "horizontal"
+    axis = axes.yaxis if flat else axes.xaxis
+    names = dict(
+        zip(
+            np.asarray(axis.get_ticklocs()).tolist(),
+            (_plain(t.get_text()) for t in axis.get_ticklabels()),
+            strict=False,
+        )
+    )
+    for bar in bars.patches:
+        if flat:
+            middle, length = bar.get_y() + bar.get_height() / 2, bar.get_x() + bar.get_width()
+            yield length, names.get(round(middle, 9)) or middle, ""
+        else:
+            middle, length = bar.get_x() + bar.get_width() / 2, bar.get_y() + bar.get_height()
+            yield names.get(round(middle, 9)) or middle, length, ""
+
+
+def _cells(values: NDArray[Any], extent: tuple[float, float, float, float]) -> Iterator[tuple[object, ...]]:
+    left, right, bottom, top = extent
+    rows, columns = values.shape[:2]
+    for i in range(rows):
+        for k in range(columns):
+            x = left + (k + 0.5) * (right - left) / columns
+            yield x, top + (i + 0.5) * (bottom - top) / rows, float(np.mean(values[i, k]))
+
+
+def _label(artist: Any) -> str:
+    label = str(artist.get_label())
+    return "" if label.startswith("_") else label
+
+
+def _title(axes: Axes) -> str:
+    """The first of the three titles that a panel may have."""
+    return next(filter(None, (_plain(axes.get_title(place)) for place in ("left", "center", "right"))), "")
+
+
+def _plain(text: str) -> str:
+    return " ".join(_MATHS.sub(r"\1", text).split())
+
+
+def zoomed(figure: Figure) -> dict[str, Any]:
+    """What a page needs to draw the curves of a figure anew: panels in its own places, with all points.
+
+    Drawn before: places are those of the last drawing.
+    """
+    width, height = figure.get_size_inches()
+    panels, legend = [], dict[str, dict[str, Any]]()
+    for axes in figure.axes:
+        box, first = axes.get_position(), axes.get_shared_x_axes().get_siblings(axes)
+        curves = [_of_zoom(curve) for curve in curves_of(axes)]
+        for curve in curves:
+            if curve["label"]:
+                legend.setdefault(curve["label"], curve["look"])
+        panels.append(
+            {
+                "box": [round(float(v), 4) for v in (box.x0, 1.0 - box.y1, box.width, box.height)],
+                "group": min(figure.axes.index(each) for each in first if each in figure.axes),
+                "x": list(map(float, axes.get_xlim())),
+                "y": list(map(float, axes.get_ylim())),
+                "title": _title(axes),
+                "xlabel": _plain(axes.get_xlabel()),
+                "ylabel": axes.get_ylabel(),
+                "ticks": bool(axes.xaxis.get_tick_params().get("labelbottom", True)),
+                "rules": _rules(axes),
+                "bands": _bands(axes),
+                "curves": curves,
+            }
+        )
+    return {"size": [float(width), float(height)], "panels": panels, "legend": list(legend.items())}
+
+
+def _of_zoom(curve: Curve) -> dict[str, Any]:
+    step = max(1, -(-curve.x.size // MOST_ZOOMED))
+    return {
+        "label": curve.series,
+        "look": curve.look,
+        "x": [_short(v) for v in curve.x[::step].tolist()],
+        "y": [_short(v) for v in curve.y[::step].tolist()],
+    }
+
+
+def _short(value: float) -> float | None:
+    """Six digits, which no screen shows; null where there is no number."""
+    return float(f"{value:.6g}") if np.isfinite(value) else None
