@@ -8,7 +8,7 @@ from typing import Any
 
 from hystmpc.studies.papers.devices import device_settings
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.files import require_writable, write_atomically
+from hystmpc.trials.files import require_writable
 from hystmpc.trials.run_folder import require_resumable
 
 from .console import errors, out, table
@@ -43,5 +43,5 @@ def kinds(changes: dict[str, Any], folder: Path, workers: int) -> None:
         one.save(folder)
         shown = [[f"{cell:.3g}" if isinstance(cell, float) else str(cell) for cell in row] for row in one.rows]
         out.print(table(one.caption, one.columns, shown))
-    write_atomically(folder / "report.html", page.html())
+    page.save(folder / "report.html")
     out.print(f"report: {folder / 'report.html'}", soft_wrap=True)

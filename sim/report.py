@@ -22,7 +22,6 @@ from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.prediction.build import predictor_for
 from hystmpc.models.prediction.connected import SeriesPredictor
 from hystmpc.trials.errors import ModelError
-from hystmpc.trials.files import write_atomically
 from hystmpc.trials.report import (
     REFERENCE,
     Heading,
@@ -174,7 +173,7 @@ def report_from_folder(path: Path | str, more: Sequence[Piece] = ()) -> Path:
         LogError: if it holds no run of a simulation.
         ConfigError: if its settings are not those of a simulation.
     """
-    return write_atomically(Path(path) / "report.html", study_report(load_results(path), more).html())
+    return study_report(load_results(path), more).save(Path(path) / "report.html")
 
 
 def _summary(result: StudyResult) -> Iterator[Piece]:

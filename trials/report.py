@@ -173,7 +173,7 @@ class Report:
         """Write the page, whole or not at all; and its figures, where `figures_to` asks for them."""
         written = write_atomically(path, self.html())
         with style():
-            write_figures((plot.caption or heading, plot.figure) for heading, plot in _plots(self.pieces))
+            write_figures((heading, plot.caption, plot.figure) for heading, plot in _plots(self.pieces))
         return written
 
 

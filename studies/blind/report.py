@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from hystmpc.models.effects.catalogue import confusable
-from hystmpc.trials.files import write_atomically
 from hystmpc.trials.report import MEASURED, MODEL, REFERENCE, Heading, Paragraph, Piece, Plot, Report, Table, new_figure
 
 from .bars import Bar, true_share
@@ -121,7 +120,7 @@ def closed_figure(points: Sequence[tuple[float, float, bool]]) -> Figure:
 
 def write_report(score: Score, folder: Path) -> Path:
     """Write `report.html` into the folder of the check."""
-    return write_atomically(folder / "report.html", blind_report(score).html())
+    return blind_report(score).save(folder / "report.html")
 
 
 def blind_report(score: Score) -> Report:

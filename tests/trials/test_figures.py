@@ -82,7 +82,9 @@ def test_a_report_writes_its_figures_where_they_are_asked_for_and_nowhere_else(t
         report().save(tmp_path / "a.html")
     report().save(tmp_path / "b.html")
     names = [
-        f"{name}{ending}" for name in ("01-all-of-it-angle", "02-which-effect") for ending in (".csv", ".pdf", ".svg")
+        f"{name}{ending}"
+        for name in ("01-over-time-all-of-it-angle", "02-which-effect")
+        for ending in (".csv", ".pdf", ".svg")
     ]
     assert sorted(file.name for file in (tmp_path / "figures").iterdir()) == names
     assert (tmp_path / "a.html").read_text() == (tmp_path / "b.html").read_text()
