@@ -20,6 +20,9 @@ from .drive import DrivenInverse
 from .one_step import CompanionInverse, CompiledInverse
 
 
+_STILL = 1e-9  # share of the greatest move that counts as none
+
+
 class Bounds(NamedTuple):
     """Least and greatest command, and greatest change per sample [mm or bar]."""
 
@@ -30,7 +33,11 @@ class Bounds(NamedTuple):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float) -> None:
-    """Nearest admissible plans (N, H) sample by sample, in place; not-a-number stays what it is."""
+    """Nearest admissible plans (N, H) sample by sample, in place; not-a-number stays what it is.
+
+    A move within rounding of none is none: at rest the slope of a rate-dependent model depends on the side of the move.
+    """
+    still = _STILL * reach
     last = min(max(last, lower), upper)
     for n in range(plans.shape[0]):
         before = last
@@ -38,6 +45,8 @@ def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float
             u = plans[n, k]
             if u == u:
                 u = min(max(min(max(u, lower), upper), before - reach), before + reach)
+                if abs(u - before) <= still:
+                    u = before
             plans[n, k] = u
             before = u
 
