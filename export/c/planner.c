@@ -65,6 +65,7 @@ static void search(const problem *p, const real *step, const real *promising, pl
     if (start.cost - cost >= R(0.9) * promised) return;
     for (int i = 0; i < 3; i++) {
         for (int k = 0; k < H; k++) commands[k] = start.commands[k] + parts[i] * step[k];
+        clip_plan(commands, p->u_last);
         try_plan(p, commands, best);
     }
 }
