@@ -65,7 +65,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         settings: PredictiveSettings,
     ) -> None:
         self.horizon = settings.preview_samples(predictor.dt)
-        self._predictor, self._planner = predictor, planner
+        self._predictor, self._planner, self._limits = predictor, planner, limits
         self._candidates = Candidates(predictor, inverse, limits, self.horizon)
         self._angle_limits = settings.weights.angle_limits_deg
         self._cost = PlanCost(settings.weights, self.horizon)
@@ -105,6 +105,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         plan, status, planner = self._planner.improve(problem, start, memory.planner, watch)
         commands = self.rule.gentle(hold, plan.commands, given.u_last, self.rule.error(hold, held), self.slope)
         if commands is not plan.commands:
+            commands = self._limits.clip_plans(commands, given.u_last, self._predictor.dt)
             plan = CommandPlan(commands, self._predictor.rollout(given.state, commands[None])[0], plan.cost)
         return self._proposal(plan, status, PredictiveMemory(planner, hold))
 

@@ -31,6 +31,8 @@ from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.errors import ExportError
 from hystmpc.trials.types import Mat, Vec
 
+from .steps import Step
+
 
 @dataclass(frozen=True, eq=False)
 class Rest:
@@ -49,14 +51,14 @@ class Problem:
     Attributes:
         sizes: of arrays, and which parts there are; whole numbers.
         numbers: scalars (), vectors and matrices of the algorithm, by the names of its macros in small letters.
-        steps: symbolic steps (x, u) -> (y, next) of `whole`, `middle`, and where they are, `front` and `back`.
+        steps: of `whole`, `middle`, and where they are, `front` and `back`.
         rest: how a state at rest is made.
         words: what it is, for the head of the file.
     """
 
     sizes: Mapping[str, int]
     numbers: Mapping[str, float | Vec | Mat]
-    steps: Mapping[str, Any]
+    steps: Mapping[str, Step]
     rest: Rest
     words: str
 
@@ -86,9 +88,9 @@ def problem_of(settings: TipSettings, folder: Path) -> Problem:
     own = controller.limits
     limits = limits if own is None else own.build()
     dt, facts = predictor.dt, model.metadata
-    steps = {name: chain.bound(dt) for name, chain in parts.items()}
+    steps = {name: Step(chain.transition, chain.values, dt) for name, chain in parts.items()}
     sizes, numbers = _law(controller, predictor, inverse, limits)
-    counts = {name: step.numel_in(0) for name, step in steps.items()}
+    counts = {name: step.size for name, step in steps.items()}
     ends = {name: counts.get(name, 0) for name in ("front", "back")}
     if counts["whole"] != counts["middle"] + sum(ends.values()):
         raise ExportError("export-c: got a delay with a longer store than its time needs, expected the store it needs")

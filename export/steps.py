@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+import operator
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -38,7 +42,34 @@ _TEMPLATES = MappingProxyType(
         "sign": "{0} > R(0.0) ? R(1.0) : {0} < R(0.0) ? R(-1.0) : R(0.0)",
     }
 )
-EXACT = ("sqrt", "floor")
+_FOLDED: Mapping[str, Callable[..., float]] = MappingProxyType(
+    {
+        "add": operator.add,
+        "sub": operator.sub,
+        "mul": operator.mul,
+        "div": operator.truediv,
+        "neg": operator.neg,
+        "sq": lambda a: a * a,
+        "twice": lambda a: a + a,
+        "inv": lambda a: 1.0 / a,
+        "not": lambda a: 1.0 - a,
+        "and": operator.mul,
+        "assign": lambda a: a,
+        "lt": operator.lt,
+        "le": operator.le,
+        "eq": operator.eq,
+        "ne": operator.ne,
+        "or": lambda a, b: a + b > 0.0,
+        "if_else_zero": lambda a, b: b if a != 0.0 else 0.0,
+        "fmin": lambda a, b: a if a <= b else b,
+        "fmax": lambda a, b: a if a >= b else b,
+        "fabs": abs,
+        "sign": lambda a: (a > 0.0) - (a < 0.0),
+        "pow": operator.pow,
+        **{name: getattr(math, name) for name in ("sqrt", "exp", "log", "tanh", "sin", "cos", "floor")},
+    }
+)
+EXACT = ("sqrt", "rint", "floor")
 """Functions of <math.h> whose results are exact or rounded correctly wherever floating point is IEC 60559."""
 INEXACT = ("exp", "log", "tanh", "sin", "cos", "pow")
 """Functions of <math.h> whose last digits differ from one C library to the next."""
@@ -52,27 +83,46 @@ def number(value: float) -> str:
     return f"R({text})" if value >= 0 else f"(-R({text[1:]}))"
 
 
-def functions_used(steps: Sequence[Any]) -> tuple[str, ...]:
-    """Functions of <math.h> that symbolic steps (x, u) -> (theta, next) and their derivatives call, by name."""
-    names = {step.name for function in steps for part in _pair(function) for step in instructions(part)}
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A chain's step (x, u, p, dt) -> (theta, next), its parameters p (P,) and its sample time dt [s]."""
+
+    function: Any
+    parameters: Vec
+    sample_s: float
+
+    @property
+    def size(self) -> int:
+        """Entries of the state."""
+        return int(self.function.numel_in(0))
+
+
+def functions_used(source: str) -> tuple[str, ...]:
+    """Functions of <math.h> that C of the package calls, by name."""
+    names = set(re.findall(r"MATH\((\w+)\)\(", source))
     return tuple(name for name in (*EXACT, *INEXACT) if name in names)
 
 
-def model_source(name: str, step: Any) -> str:
-    """C of the model `hystmpc_<name>`: a symbolic step (x, u) -> (theta, next), and its tangent."""
-    plain, tangent = _pair(step)
+def model_source(name: str, step: Step) -> str:
+    """C of the model `hystmpc_<name>`: a chain's step and its tangent.
+
+    What does not change from sample to sample is computed here, by the same operations that compiled kernels do, so
+    that both have equal numbers to the last bit.
+    """
+    plain, tangent = _pair(step.function)
+    known = {2: step.parameters, 3: np.array([step.sample_s])}
     outputs = ("*theta", "next"), ("*theta", "next", "a", "b", "c", "*d")
     arguments = ", ".join(f"real *{out.lstrip('*')}" for out in outputs[0])
     more = ", ".join(f"real *{out.lstrip('*')}" for out in outputs[1])
     return "\n".join(
         [
             f"static void step_{name}(const real *x, real u, {arguments}) {{",
-            *_body(plain, outputs[0]),
+            *_body(plain, outputs[0], known),
             "}\n",
             f"static void tangent_{name}(const real *x, real u, {more}) {{",
-            *_body(tangent, outputs[1]),
+            *_body(tangent, outputs[1], known),
             "}\n",
-            f"const model hystmpc_{name} = {{{step.numel_in(0)}, step_{name}, tangent_{name}}};\n",
+            f"HYSTMPC_SHARED const model hystmpc_{name} = {{{step.size}, step_{name}, tangent_{name}}};\n",
         ]
     )
 
@@ -86,7 +136,7 @@ def rest_source(offset: Vec, by_angle: Vec, by_command: Vec, warmup: int) -> str
     ]
     return "\n".join(
         [
-            "void hystmpc_rest(real y, real u, real *x) {",
+            "HYSTMPC_LOCAL void hystmpc_rest(real y, real u, real *x) {",
             "    real theta, next[HYSTMPC_STATES];",
             *lines,
             f"    for (int k = 0; k < {warmup}; k++) {{",
@@ -98,42 +148,66 @@ def rest_source(offset: Vec, by_angle: Vec, by_command: Vec, warmup: int) -> str
     )
 
 
-def _pair(step: Any) -> tuple[Any, Any]:
-    """The step, and the step with d next / d x, d next / d u, d theta / d x, d theta / d u."""
-    x, u = ca.SX.sym("x", step.numel_in(0)), ca.SX.sym("u")
-    theta, following = step(x, u)
+def _pair(function: Any) -> tuple[Any, Any]:
+    """The step, and the step with d next / d x, d next / d u, d theta / d x, d theta / d u, as kernels compile them."""
+    x, u = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("u")
+    arguments = [x, u, ca.SX.sym("p", function.numel_in(2)), ca.SX.sym("dt")]
+    theta, following = function(*arguments)
     by = ca.jacobian
     slopes = [by(following, x), by(following, u), by(theta, x), by(theta, u)]
-    return dense("step", [x, u], [theta, following]), dense("tangent", [x, u], [theta, following, *slopes])
+    return dense("step", arguments, [theta, following]), dense("tangent", arguments, [theta, following, *slopes])
 
 
-def _body(function: Any, outputs: Sequence[str]) -> list[str]:
+def _body(function: Any, outputs: Sequence[str], known: Mapping[int, Vec]) -> list[str]:
     """Statements with single assignments; an argument that is not read is said to be so."""
-    where: dict[int, str] = {}
-    lines = list(_statements(function, outputs, where))
+    lines = _used(list(_statements(function, outputs, known)))
     text = "\n".join(lines)
     unread = [name for name in ("x", "u") if (f" {name}[" if name == "x" else " = u;") not in text]
     return [*(f"    (void){name};" for name in unread), *lines]
 
 
-def _statements(function: Any, outputs: Sequence[str], where: dict[int, str]) -> Iterator[str]:
+def _used(lines: Sequence[str]) -> list[str]:
+    """Statements without those whose value nobody reads."""
+    kept: list[str] = []
+    read: set[str] = set()
+    for line in reversed(lines):
+        target, _, value = line.partition(" = ")
+        name = target.rpartition(" ")[2]
+        if not re.fullmatch(r"w\d+", name) or name in read:
+            kept.append(line)
+            read |= set(re.findall(r"\bw\d+\b", value))
+    return kept[::-1]
+
+
+def _statements(function: Any, outputs: Sequence[str], known: Mapping[int, Vec]) -> Iterator[str]:
+    where: dict[int, str | float] = {}
     for count, step in enumerate(instructions(function)):
         if step.name == "output":
             out = outputs[step.out[0]]
-            target = out if out.startswith("*") else f"{out}[{step.out[1]}]"
-            yield f"    {target} = {where[step.args[0]]};"
+            yield f"    {out if out.startswith('*') else f'{out}[{step.out[1]}]'} = {_text(where[step.args[0]])};"
             continue
-        name = f"w{count}"
-        yield f"    const real {name} = {_expression(step, where)};"
-        where[step.out[0]] = name
+        value = _value(step, where, known)
+        if isinstance(value, str):
+            yield f"    const real w{count} = {value};"
+            value = f"w{count}"
+        where[step.out[0]] = value
 
 
-def _expression(step: Instruction, where: Mapping[int, str]) -> str:
-    if step.name == "input":
-        return f"x[{step.args[1]}]" if step.args[0] == 0 else "u"
+def _value(step: Instruction, where: Mapping[int, str | float], known: Mapping[int, Vec]) -> str | float:
+    """What an instruction gives: a number where it reads nothing that changes, else an expression."""
     if step.name == "const":
-        return number(step.value)
+        return step.value
+    if step.name == "input":
+        argument, element = step.args
+        return float(known[argument][element]) if argument in known else ("u" if argument else f"x[{element}]")
     arguments = [where[a] for a in step.args]
-    if step.name in _TEMPLATES:
-        return _TEMPLATES[step.name].format(*arguments)
-    return f"MATH({step.name})({', '.join(arguments)})"
+    numbers = [a for a in arguments if isinstance(a, float)]
+    if len(numbers) == len(arguments):
+        return float(_FOLDED[step.name](*numbers))
+    texts = [_text(a) for a in arguments]
+    template = _TEMPLATES.get(step.name)
+    return f"MATH({step.name})({', '.join(texts)})" if template is None else template.format(*texts)
+
+
+def _text(value: str | float) -> str:
+    return value if isinstance(value, str) else number(value)

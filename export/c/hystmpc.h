@@ -3,7 +3,7 @@
  *   hystmpc_controller *c = &storage;           about hystmpc_memory_bytes() bytes, static or in a struct of yours
  *   hystmpc_init(c, angle_deg, held_command);   0, or why it cannot start
  *   hystmpc_set_target(c, 50.0);                a constant reference from the next step on
- *   for (;;) {                                  once every HYSTMPC_DT_S seconds
+ *   for (;;) {                                  once every HYSTMPC_SAMPLE_S seconds
  *       hystmpc_command next = hystmpc_step(c, measured_deg, NULL);
  *       send(next.u);
  *   }

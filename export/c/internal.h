@@ -9,7 +9,8 @@
 #include "hystmpc_numbers.h"
 
 #ifndef HYSTMPC_LOCAL
-#define HYSTMPC_LOCAL /* `static` where all files are one */
+#define HYSTMPC_LOCAL /* both `static` where all files are one */
+#define HYSTMPC_SHARED
 #endif
 
 /* A product and a sum rounded each, as in Python; gcc does so under -std=c99. */
@@ -40,6 +41,7 @@ typedef struct {
     void (*tangent)(const real *x, real u, real *theta, real *next, real *a, real *b, real *c, real *d);
 } model;
 
+#ifndef HYSTMPC_ONE_FILE
 extern const model hystmpc_whole;  /* command to angle */
 extern const model hystmpc_middle; /* what is inverted sample by sample */
 #if HYSTMPC_FRONT
@@ -48,7 +50,8 @@ extern const model hystmpc_front; /* dynamics of the command */
 #if HYSTMPC_BACK
 extern const model hystmpc_back; /* dynamics of the angle */
 #endif
-void hystmpc_rest(real y, real u, real *x); /* the model's state at rest, by the rule of its file */
+#endif
+HYSTMPC_LOCAL void hystmpc_rest(real y, real u, real *x); /* the model's state at rest, by the rule of its file */
 
 HYSTMPC_LOCAL void run_plan(const model *m, const real *x, const real *plan, int samples, real *angles);
 HYSTMPC_LOCAL void linearise_plan(hystmpc_work *w, const model *m, const real *x, const real *plan, real *angles);

@@ -16,9 +16,9 @@ static void postpone_half(real *commands, real u_last) {
     real before = u_last;
     for (int k = 0; k < H; k++) {
         const real jump = absolute(commands[k] - before);
-        if (jump > HYSTMPC_REACH * (R(1.0) + HYSTMPC_STILL)) {
+        if (jump > HYSTMPC_REACH * (R(1.0) + HYSTMPC_ROUNDING)) {
             int samples = 0;
-            while (samples < 2 * H && (real)samples < jump / HYSTMPC_REACH - HYSTMPC_STILL) samples++; /* rounded up */
+            while (samples < 2 * H && (real)samples < jump / HYSTMPC_REACH - HYSTMPC_ROUNDING) samples++; /* rounded up */
             for (int j = k; j < k + samples / 2 && j < H; j++) commands[j] = before;
             return;
         }
@@ -88,6 +88,7 @@ static int gentle(const hystmpc_controller *c, real *commands, real u_last, real
         const real reach = error / (HYSTMPC_SLOPE * (real)HYSTMPC_HOLD_SETTLE) * (real)(k + 1);
         commands[k] = clamp(commands[k], u_last - reach, u_last + reach);
     }
+    clip_plan(commands, u_last);
     return 1;
 }
 

@@ -9,11 +9,7 @@ HYSTMPC_LOCAL real absolute(real x) { return x < R(0.0) ? -x : x; }
 HYSTMPC_LOCAL int finite(real x) { return x - x == R(0.0); }
 
 HYSTMPC_LOCAL real root(real x) {
-#if HYSTMPC_SINGLE
-    return sqrtf(x);
-#else
-    return sqrt(x);
-#endif
+    return MATH(sqrt)(x);
 }
 
 HYSTMPC_LOCAL void copy(const real *from, real *to, int count) {

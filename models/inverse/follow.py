@@ -20,7 +20,7 @@ from .drive import DrivenInverse
 from .one_step import CompanionInverse, CompiledInverse
 
 
-_STILL = 1e-9  # share of the greatest move that counts as none
+_GRAIN = 1e-7  # of commands, as a share of the greatest move
 
 
 class Bounds(NamedTuple):
@@ -35,17 +35,19 @@ class Bounds(NamedTuple):
 def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float) -> None:
     """Nearest admissible plans (N, H) sample by sample, in place; not-a-number stays what it is.
 
-    A move within rounding of none is none: at rest the slope of a rate-dependent model depends on the side of the move.
+    Commands are rounded to 1e-7 of the greatest move: a play at its edge, or at rest, has another slope on either side,
+    which must not hang on the last digit.
     """
-    still = _STILL * reach
+    grain = _GRAIN * reach
     last = min(max(last, lower), upper)
     for n in range(plans.shape[0]):
         before = last
         for k in range(plans.shape[1]):
             u = plans[n, k]
             if u == u:
-                u = min(max(min(max(u, lower), upper), before - reach), before + reach)
-                if abs(u - before) <= still:
+                u = min(max(np.rint(u / grain) * grain, lower), upper)
+                u = min(max(u, before - reach), before + reach)
+                if abs(u - before) <= 0.5 * grain:
                     u = before
             plans[n, k] = u
             before = u

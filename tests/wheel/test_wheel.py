@@ -21,6 +21,7 @@ ROOMS = (
     "ctrl",
     "sim",
     "rig",
+    "export",
     "gap",
     "testing",
     "commissioning",
