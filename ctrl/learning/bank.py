@@ -333,8 +333,12 @@ def correct_filter(z: Any, p: Any, h: Any, error: float, noise: float, prior: An
         still: whether the command rests; no weight can have changed then, and a large error is a jump of the offset.
     """
     size = z.size
-    spread = p @ h
-    variance = noise + h @ spread
+    spread, variance = np.zeros(size), noise
+    for b in range(size):  # not `p @ h`: its last digits, which are learned from, differ between libraries
+        for a in range(size):
+            spread[a] += p[b, a] * h[b]
+    for a in range(size):
+        variance += h[a] * spread[a]
     if not (noise <= variance < np.inf and abs(error) < np.inf):  # rounding has eaten the covariance
         p[:] = 0.0
         for a in range(size):

@@ -67,14 +67,10 @@ HYSTMPC_LOCAL void learning_advance(hystmpc_learning *l, real u) {
 /* One measurement for one drive. `still`: the command rests; no weight can have changed then, and a large error is a
  * jump of the offset. */
 static void correct_filter(real *z, real (*p)[HYSTMPC_UNKNOWNS], const real *h, real error, int still) {
-    real spread[HYSTMPC_UNKNOWNS], variance = R(0.0);
-    for (int a = 0; a < K; a++) {
-        real sum = R(0.0);
-        for (int b = 0; b < K; b++) sum += p[a][b] * h[b];
-        spread[a] = sum;
-    }
+    real spread[HYSTMPC_UNKNOWNS] = {R(0.0)}, variance = HYSTMPC_LEARNING_NOISE;
+    for (int b = 0; b < K; b++)
+        for (int a = 0; a < K; a++) spread[a] += p[b][a] * h[b];
     for (int a = 0; a < K; a++) variance += h[a] * spread[a];
-    variance += HYSTMPC_LEARNING_NOISE;
     if (!(HYSTMPC_LEARNING_NOISE <= variance && finite(variance) && finite(error))) {
         for (int a = 0; a < K; a++) { /* rounding has eaten the covariance */
             fill(p[a], R(0.0), K);

@@ -6,13 +6,14 @@ static const real weights[HYSTMPC_HORIZON] = HYSTMPC_TRACKING;
 /* The nearest admissible plan, sample by sample, in place. Commands are rounded to a small share of the greatest move: a
  * play at its edge, or at rest, has another slope on either side, which must not hang on the last digit. */
 HYSTMPC_LOCAL void clip_plan(real *commands, real last) {
-    const real grain = HYSTMPC_GRAIN * HYSTMPC_REACH;
+    const real grain = HYSTMPC_GRAIN * HYSTMPC_REACH, half = R(0.5) * HYSTMPC_GRAIN * HYSTMPC_REACH;
     real before = clamp(last, HYSTMPC_LOWER, HYSTMPC_UPPER);
     for (int k = 0; k < H; k++) {
         if (commands[k] == commands[k]) {
-            const real boxed = clamp(MATH(rint)(commands[k] / grain) * grain, HYSTMPC_LOWER, HYSTMPC_UPPER);
-            commands[k] = clamp(boxed, before - HYSTMPC_REACH, before + HYSTMPC_REACH);
-            if (absolute(commands[k] - before) <= R(0.5) * grain) commands[k] = before;
+            real u = MATH(rint)(commands[k] / grain) * grain;
+            u = u <= HYSTMPC_LOWER + half ? HYSTMPC_LOWER : u >= HYSTMPC_UPPER - half ? HYSTMPC_UPPER : u;
+            u = clamp(u, before - HYSTMPC_REACH, before + HYSTMPC_REACH);
+            commands[k] = absolute(u - before) <= half && HYSTMPC_LOWER < u && u < HYSTMPC_UPPER ? before : u;
         }
         before = commands[k];
     }

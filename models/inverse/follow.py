@@ -38,16 +38,17 @@ def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float
     Commands are rounded to 1e-7 of the greatest move: a play at its edge, or at rest, has another slope on either side,
     which must not hang on the last digit.
     """
-    grain = _GRAIN * reach
+    grain, half = _GRAIN * reach, 0.5 * _GRAIN * reach
     last = min(max(last, lower), upper)
     for n in range(plans.shape[0]):
         before = last
         for k in range(plans.shape[1]):
             u = plans[n, k]
             if u == u:
-                u = min(max(np.rint(u / grain) * grain, lower), upper)
+                u = np.rint(u / grain) * grain
+                u = lower if u <= lower + half else (upper if u >= upper - half else u)
                 u = min(max(u, before - reach), before + reach)
-                if abs(u - before) <= 0.5 * grain:
+                if abs(u - before) <= half and lower < u < upper:
                     u = before
             plans[n, k] = u
             before = u
