@@ -31,8 +31,8 @@ def export_c(
     scalar = "float" if single else "double"
     inexact = f" (last digits vary: {', '.join(found.inexact)})" if found.inexact else ""
     out.print(
-        f"{source}, {header}: a step every {found.sample_s:g} s, {found.reference_samples} samples of reference, {scalar}; "
-        f"{found.memory_bytes} bytes, of which {found.remembered_bytes} are remembered; "
+        f"{source}, {header}: a step every {found.sample_s:g} s, {found.reference_samples} samples of reference, "
+        f"{scalar}; {found.memory_bytes} bytes, of which {found.remembered_bytes} are remembered; "
         f"calls {', '.join(found.functions)} of <math.h>{inexact}",
         soft_wrap=True,
         markup=False,

@@ -44,7 +44,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "bench": "Time the controllers and their peers on this machine.",
     }
 )
-"""Every verb and its line in `hystmpc --help`. The verb's module and function, or group, have its name, with `_` for `-`."""
+"""Every verb and its line in `hystmpc --help`. Its module and function, or group, have its name, with `_` for `-`."""
 
 _PLAIN: Any = {"rich_markup_mode": None, "pretty_exceptions_enable": False}
 _HELP = {"help_option_names": ["-h", "--help"]}  # verbs inherit it

@@ -20,7 +20,19 @@ from .layout import structs
 from .problem import Problem, problem_of
 from .steps import INEXACT, functions_used, model_source, number, rest_source
 
-PARTS = ("model", "state", "basis", "learning", "estimator", "qp", "program", "planner", "law", "feedback", "controller")
+PARTS = (
+    "model",
+    "state",
+    "basis",
+    "learning",
+    "estimator",
+    "qp",
+    "program",
+    "planner",
+    "law",
+    "feedback",
+    "controller",
+)
 """The hand-written files `export/c/*.c`, in the order in which they are laid end to end."""
 
 # What counts as solved, dependent or equal, by the digits of the scalar type.
@@ -109,7 +121,9 @@ def export_controller(
     models = _models(problem)
     public, internal = _template("hystmpc.h"), _template("internal.h")
     texts = {name: _template(f"{name}.c") for name in PARTS}
-    head = f"/* {problem.words}\n * Written by hystmpc {version('hystmpc')}; any change is lost at the next export. */\n"
+    head = (
+        f"/* {problem.words}\n * Written by hystmpc {version('hystmpc')}; any change is lost at the next export. */\n"
+    )
     header = head + public.replace('#include "hystmpc_problem.h"\n', sizes)
     source_text = "\n".join(
         [
@@ -188,4 +202,3 @@ def _models(problem: Problem) -> str:
     rest = problem.rest
     sources = [model_source(name, step) for name, step in problem.steps.items()]
     return "\n".join([*sources, rest_source(rest.offset, rest.by_angle, rest.by_command, rest.warmup)])
-

@@ -129,8 +129,8 @@ def _parts(chain: Chain, lag_s: float) -> Mapping[str, Chain]:
     if lag_s and (front or back):
         words = ", ".join(operator.name for operator in (*front, *back))
         raise ExportError(
-            f"export-c: got actuator_lag_s {lag_s:g} beside {words} in the model, supported is one of them: put the lag "
-            "into the model's file"
+            f"export-c: got actuator_lag_s {lag_s:g} beside {words} in the model, supported is one of them: put the "
+            "lag into the model's file"
         )
     ahead: Sequence[Operator] = (Lag(lag_s),) if lag_s else front
     whole = Chain(chain.core, (*ahead, *middle.before), chain.after)

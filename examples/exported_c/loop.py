@@ -1,8 +1,8 @@
 """A closed loop in Python around an exported controller, compiled as a library, and a simulated device.
 
-    hystmpc export-c examples/tip.yaml --out c
-    cc -std=c99 -O2 -shared -fPIC c/hystmpc.c -o c/hystmpc.so -lm
-    python examples/exported_c/loop.py c/hystmpc.so
+hystmpc export-c examples/tip.yaml --out c
+cc -std=c99 -O2 -shared -fPIC c/hystmpc.c -o c/hystmpc.so -lm
+python examples/exported_c/loop.py c/hystmpc.so
 """
 
 from __future__ import annotations

@@ -48,9 +48,10 @@ static void bank_init(hystmpc_estimate *e, real disturbance) {
  * then all weights mixed with their prior, since how wrong the model is may change. */
 HYSTMPC_LOCAL void bank_correct(real bank[3][HYSTMPC_FILTERS], real offset, real *mean, real *variance) {
     enum { INNER = DRIFTS * MOTIONS };
-    real total = R(0.0);
+    real noises[HYSTMPC_FILTERS], total = R(0.0);
+    for (int j = 0; j < SENSORS; j++) fill(noises + j * INNER, sensor_variance[j], INNER);
     for (int i = 0; i < M; i++) {
-        const real before = bank[1][i], noise = sensor_variance[i / INNER];
+        const real before = bank[1][i], noise = noises[i];
         const real spread = before + noise, error = offset - bank[0][i];
         real odd = R(1.0) + error * error / (R(5.0) * spread);
         odd *= odd;
@@ -77,9 +78,12 @@ HYSTMPC_LOCAL void bank_correct(real bank[3][HYSTMPC_FILTERS], real offset, real
 
 /* One sample later; the variance about `mean`. */
 HYSTMPC_LOCAL real bank_advance(real bank[3][HYSTMPC_FILTERS], real travel, real mean) {
-    for (int i = 0; i < M; i++) {
-        const real grown = bank[1][i] + drift_variance[i / MOTIONS % DRIFTS] + motion_variance[i % MOTIONS] * travel;
-        bank[1][i] = least(grown, HYSTMPC_DISTURBANCE_LIMIT * HYSTMPC_DISTURBANCE_LIMIT);
+    for (int j = 0; j < SENSORS * DRIFTS; j++) {
+        real *variance = bank[1] + j * MOTIONS;
+        for (int i = 0; i < MOTIONS; i++) {
+            const real grown = variance[i] + drift_variance[j % DRIFTS] + motion_variance[i] * travel;
+            variance[i] = least(grown, HYSTMPC_DISTURBANCE_LIMIT * HYSTMPC_DISTURBANCE_LIMIT);
+        }
     }
     return mixed_variance(bank, mean);
 }

@@ -19,7 +19,6 @@ from ..prediction.recurrent import RoutedPredictor
 from .drive import DrivenInverse
 from .one_step import CompanionInverse, CompiledInverse
 
-
 _GRAIN = 1e-7  # of commands, as a share of the greatest move
 
 

@@ -44,9 +44,9 @@ def compile_c(arguments: Sequence[str], folder: Path, language: str = "cc") -> N
 class Library:
     """A compiled controller: `init`, `step`, `set_target` and `stop` on memory of its own."""
 
-    def __init__(self, export: ControllerExport, folder: Path, single: bool = False) -> None:
+    def __init__(self, export: ControllerExport, folder: Path, single: bool = False, level: str = "-O1") -> None:
         export.write(folder)
-        compile_c([*STRICT, "-O1", "-fPIC", "-shared", "-o", "controller.so", "hystmpc.c", "-lm"], folder)
+        compile_c([*STRICT, level, "-fPIC", "-shared", "-o", "controller.so", "hystmpc.c", "-lm"], folder)
         real: Any = ctypes.c_float if single else ctypes.c_double
 
         class Command(ctypes.Structure):
@@ -69,9 +69,12 @@ class Library:
     def init(self, angle: float, command: float) -> int:
         return int(self._library.hystmpc_init(self.memory, angle, command))
 
+    def vector(self, reference: Any) -> Any:
+        """A reference as `step` takes it."""
+        return self._vector(*np.asarray(reference).tolist())
+
     def step(self, angle: float, reference: Any = None) -> Any:
-        given = None if reference is None else self._vector(*np.asarray(reference).tolist())
-        return self._library.hystmpc_step(self.memory, angle, given)
+        return self._library.hystmpc_step(self.memory, angle, reference)
 
     def set_target(self, angle: float) -> None:
         self._library.hystmpc_set_target(self.memory, angle)

@@ -6,6 +6,7 @@ import itertools
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -27,12 +28,14 @@ _NONE, _FAR, _STUCK = 1, 2, 3
 
 @dataclass(frozen=True)
 class Compared:
-    """What two controllers sent (N,) [mm], and how often the C one came from each level."""
+    """What two controllers sent (N,) [mm], how often the C one came from each level, and how long both took [s]."""
 
     python: Vec
     c: Vec
     sources: Counter[str]
     same_sources: bool
+    python_s: float
+    c_s: float
 
     @property
     def greatest(self) -> float:
@@ -47,7 +50,11 @@ def motion(samples: int, dt: float, random: np.random.Generator) -> Vec:
         time = np.arange(int(random.uniform(0.5, 4.0) / dt)) * dt
         goal, kind = random.uniform(32.0, 82.0), random.integers(3)
         swing = min(angle - 32.0, 82.0 - angle) * np.sin(2.0 * np.pi * random.uniform(0.1, 1.0) * time)
-        ways = (np.full(time.size, angle), angle + (goal - angle) * np.minimum(2.0 * time / time[-1], 1.0), angle + swing)
+        ways = (
+            np.full(time.size, angle),
+            angle + (goal - angle) * np.minimum(2.0 * time / time[-1], 1.0),
+            angle + swing,
+        )
         parts.append(ways[kind])
         angle = float(parts[-1][-1])
         if sum(part.size for part in parts) >= samples:
@@ -79,7 +86,7 @@ def compare(
     states = [device.initial(START_DEG, START)] * 2
     angles = [float(device.advance(states[0], START)[0])] * 2
     seen, sent, since = list(angles), np.full((samples, 2), START), 0
-    state, same, sources = controller.init(angles[0], START), True, Counter[str]()
+    state, same, sources, times = controller.init(angles[0], START), True, Counter[str](), np.zeros(2)
     assert c.init(angles[1], START) == 0
     for k in range(samples):
         if k % 700 == 699:
@@ -97,8 +104,12 @@ def compare(
             int(fault[k]), [angle + shift for angle in angles]
         )
         seen = given if fault[k] == 0 else seen
+        given_c = c.vector(reference)
+        before = perf_counter()
         command, state = controller.step(state, given[0], reference)
-        answer = c.step(given[1], reference)
+        between = perf_counter()
+        answer = c.step(given[1], given_c)
+        times += between - before, perf_counter() - between
         name = SOURCES[answer.source]
         sources[name] += 1
         same = same and name == {"controller": "feedback"}.get(str(command.source), str(command.source))
@@ -106,4 +117,4 @@ def compare(
         for i in range(2):
             angle, states[i] = device.advance(states[i], float(sent[k, i]))
             angles[i] = float(angle)
-    return Compared(sent[:, 0], sent[:, 1], sources, same)
+    return Compared(sent[:, 0], sent[:, 1], sources, same, *times.tolist())

@@ -86,7 +86,10 @@ REFUSED: Mapping[str, tuple[dict[str, Any], str]] = {
         tip("builtin:pi", estimator={"sensor": "intermittent"}),
         "got estimator.sensor intermittent, supported are continuous and none",
     ),
-    "two lags": (tip("builtin:auto", 0.08), "got actuator_lag_s 0.08 beside lag in the model, supported is one of them"),
+    "two lags": (
+        tip("builtin:auto", 0.08),
+        "got actuator_lag_s 0.08 beside lag in the model, supported is one of them",
+    ),
     "one sample": (tip("builtin:pi", horizon=1), "got controller.horizon 1, supported are 2 samples or more"),
     "inverse": (
         {**tip("builtin:pi"), "inverse": "builtin:backlash"},
