@@ -48,18 +48,19 @@ static void bank_init(hystmpc_estimate *e, real disturbance) {
  * then all weights mixed with their prior, since how wrong the model is may change. */
 HYSTMPC_LOCAL void bank_correct(real bank[3][HYSTMPC_FILTERS], real offset, real *mean, real *variance) {
     enum { INNER = DRIFTS * MOTIONS };
-    real noises[HYSTMPC_FILTERS], total = R(0.0);
-    for (int j = 0; j < SENSORS; j++) fill(noises + j * INNER, sensor_variance[j], INNER);
-    for (int i = 0; i < M; i++) {
-        const real before = bank[1][i], noise = noises[i];
-        const real spread = before + noise, error = offset - bank[0][i];
-        real odd = R(1.0) + error * error / (R(5.0) * spread);
-        odd *= odd;
-        const real gain = least(before / spread, HYSTMPC_MOST_GAIN);
-        bank[0][i] = clamp(bank[0][i] + gain * error, -HYSTMPC_DISTURBANCE_LIMIT, HYSTMPC_DISTURBANCE_LIMIT);
-        bank[1][i] = (R(1.0) - gain) * (R(1.0) - gain) * before + gain * gain * noise;
-        bank[2][i] = bank[2][i] / (root(spread) * odd * odd);
-        total += bank[2][i];
+    real total = R(0.0);
+    for (int j = 0; j < SENSORS; j++) {
+        const real noise = sensor_variance[j];
+        for (int i = j * INNER; i < (j + 1) * INNER; i++) {
+            const real before = bank[1][i], spread = before + noise, error = offset - bank[0][i];
+            real odd = R(1.0) + error * error / (R(5.0) * spread);
+            odd *= odd;
+            const real gain = least(before / spread, HYSTMPC_MOST_GAIN), rest = R(1.0) - gain;
+            bank[0][i] = clamp(bank[0][i] + gain * error, -HYSTMPC_DISTURBANCE_LIMIT, HYSTMPC_DISTURBANCE_LIMIT);
+            bank[1][i] = rest * rest * before + gain * gain * noise;
+            bank[2][i] = bank[2][i] / (root(spread) * odd * odd);
+            total += bank[2][i];
+        }
     }
     *mean = bank[0][0];
     for (int j = 0; j < SENSORS; j++) {
