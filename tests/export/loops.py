@@ -94,6 +94,7 @@ def compare(
             c.stop()
         since = since + 1 if state.fallback.stopped else 0
         if since == 30:
+            since = 0
             state = controller.init(angles[0], float(sent[k - 1, 0]))
             assert c.init(angles[1], float(sent[k - 1, 1])) == 0
         reference = wanted[k : k + controller.horizon].copy()
