@@ -38,7 +38,8 @@ def main() -> None:
         off = np.abs(found.python - found.c)
         per_step = 1e6 / given.steps
         print(
-            f"{name}: {given.steps} steps, difference up to {found.greatest:.2g} mm, median {np.median(off):.2g} mm, "
+            f"{name}: {given.steps} steps, difference up to {found.greatest:.2g} mm, "
+            f"99 % within {np.quantile(off, 0.99):.2g} mm, median {np.median(off):.2g} mm, "
             f"{int(np.sum(off > 1e-6))} steps over 1e-6 mm; Python {found.python_s * per_step:.0f} us, C "
             f"{found.c_s * per_step:.0f} us a step, ratio {found.python_s / found.c_s:.1f}; "
             f"{export.memory_bytes} bytes, {export.remembered_bytes} remembered; {dict(found.sources)}",

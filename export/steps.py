@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -42,33 +41,34 @@ _TEMPLATES = MappingProxyType(
         "sign": "{0} > R(0.0) ? R(1.0) : {0} < R(0.0) ? R(-1.0) : R(0.0)",
     }
 )
-_FOLDED: Mapping[str, Callable[..., float]] = MappingProxyType(
-    {
-        "add": operator.add,
-        "sub": operator.sub,
-        "mul": operator.mul,
-        "div": operator.truediv,
-        "neg": operator.neg,
-        "sq": lambda a: a * a,
-        "twice": lambda a: a + a,
-        "inv": lambda a: 1.0 / a,
-        "not": lambda a: 1.0 - a,
-        "and": operator.mul,
-        "assign": lambda a: a,
-        "lt": operator.lt,
-        "le": operator.le,
-        "eq": operator.eq,
-        "ne": operator.ne,
-        "or": lambda a, b: a + b > 0.0,
-        "if_else_zero": lambda a, b: b if a != 0.0 else 0.0,
-        "fmin": lambda a, b: a if a <= b else b,
-        "fmax": lambda a, b: a if a >= b else b,
-        "fabs": abs,
-        "sign": lambda a: (a > 0.0) - (a < 0.0),
-        "pow": operator.pow,
-        **{name: getattr(math, name) for name in ("sqrt", "exp", "log", "tanh", "sin", "cos", "floor")},
-    }
-)
+_OF_ONE: dict[str, Callable[[float], float]] = {
+    "neg": lambda a: -a,
+    "sq": lambda a: a * a,
+    "twice": lambda a: a + a,
+    "inv": lambda a: 1.0 / a,
+    "not": lambda a: 1.0 - a,
+    "assign": lambda a: a,
+    "fabs": lambda a: abs(a),
+    "sign": lambda a: float(a > 0.0) - float(a < 0.0),
+    **{name: getattr(math, name) for name in ("sqrt", "exp", "log", "tanh", "sin", "cos", "floor")},
+}
+_OF_TWO: dict[str, Callable[[float, float], float]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "and": lambda a, b: a * b,
+    "lt": lambda a, b: float(a < b),
+    "le": lambda a, b: float(a <= b),
+    "eq": lambda a, b: float(a == b),
+    "ne": lambda a, b: float(a != b),
+    "or": lambda a, b: float(a + b > 0.0),
+    "if_else_zero": lambda a, b: b if a != 0.0 else 0.0,
+    "fmin": lambda a, b: a if a <= b else b,
+    "fmax": lambda a, b: a if a >= b else b,
+    "pow": lambda a, b: a**b,
+}
+_FOLDED: Mapping[str, Callable[..., float]] = MappingProxyType({**_OF_ONE, **_OF_TWO})
 EXACT = ("sqrt", "rint", "floor")
 """Functions of <math.h> whose results are exact or rounded correctly wherever floating point is IEC 60559."""
 INEXACT = ("exp", "log", "tanh", "sin", "cos", "pow")

@@ -80,8 +80,9 @@ def test_commands_are_those_of_python_for_every_part(case: str, tmp_path: Path) 
 def test_single_precision_stays_close(case: str, tmp_path: Path) -> None:
     settings_, lag_s = CASES[case]
     found = compare(settings_, library(settings_, tmp_path, single=True), 1000, lag_s)
-    assert found.greatest <= 0.1  # of 6 mm; a plan that meets a kink of the model may take its other side
-    assert np.median(np.abs(found.python - found.c)) <= 1e-3
+    off = np.abs(found.python - found.c)  # of 6 mm
+    assert np.median(off) <= 1e-4
+    assert np.quantile(off, 0.9) <= 1e-2  # a plan that meets a kink of the model may take its other side
 
 
 ANYTHING = st.floats(allow_nan=True, allow_infinity=True, width=64)
