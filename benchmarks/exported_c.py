@@ -2,7 +2,7 @@
 
     python benchmarks/exported_c.py [--steps 100000] [--case NAME] [--float32]
 
-Both run a closed loop on a device of their own with noise, sensor faults and stops, the same as in `tests/export/`. The
+Both run a closed loop on a device of their own with noise, sensor faults and stops, the same as in `tests/codegen/`. The
 C is compiled with -O2 and called through ctypes, whose call is part of its time.
 """
 
@@ -17,10 +17,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hystmpc.export import export_controller
-from tests.export.compiled import EXAMPLES, Library
-from tests.export.loops import compare
-from tests.export.test_commands import CASES
+from hystmpc.codegen import export_controller
+from tests.codegen.compiled import EXAMPLES, Library
+from tests.codegen.loops import compare
+from tests.codegen.test_commands import CASES
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ def export_c(
 
     Its commands are those of the Python controller.
     """
-    from hystmpc.export import export_controller
+    from hystmpc.codegen import export_controller
 
     header, source = folder / "hystmpc.h", folder / "hystmpc.c"
     check_output("--out", header, (C_HEADER,), [settings], force)

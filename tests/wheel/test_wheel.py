@@ -21,7 +21,7 @@ ROOMS = (
     "ctrl",
     "sim",
     "rig",
-    "export",
+    "codegen",
     "gap",
     "testing",
     "commissioning",

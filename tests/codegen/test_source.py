@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hystmpc.cli.main import app
-from hystmpc.export import export_controller
+from hystmpc.codegen import export_controller
 from hystmpc.models.kernels.program import BINARY, UNARY
 from hystmpc.trials.errors import ExportError
 
@@ -68,7 +68,7 @@ def test_nothing_is_taken_from_the_heap() -> None:
 
 
 def test_every_operation_of_the_operators_has_its_c() -> None:
-    from hystmpc.export import steps
+    from hystmpc.codegen import steps
 
     calls = {"exp", "log", "tanh", "sin", "cos", "pow", "sqrt", "floor"}
     assert set(steps._TEMPLATES) | calls == {*BINARY, *UNARY}

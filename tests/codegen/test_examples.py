@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hystmpc.export import export_controller
+from hystmpc.codegen import export_controller
 
 from .compiled import EXAMPLES, STRICT, compile_c
 

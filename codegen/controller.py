@@ -33,7 +33,7 @@ PARTS = (
     "feedback",
     "controller",
 )
-"""The hand-written files `export/c/*.c`, in the order in which they are laid end to end."""
+"""The hand-written files `codegen/c/*.c`, in the order in which they are laid end to end."""
 
 # What counts as solved, dependent or equal, by the digits of the scalar type.
 _TOLERANCES: Mapping[bool, Mapping[str, float]] = {
@@ -158,7 +158,7 @@ def export_controller(
 
 
 def _template(name: str) -> str:
-    return resources.files("hystmpc.export").joinpath("c", name).read_text(encoding="utf-8")
+    return resources.files("hystmpc.codegen").joinpath("c", name).read_text(encoding="utf-8")
 
 
 def _without_includes(text: str) -> str:

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hystmpc.codegen import export_controller
 from hystmpc.ctrl import TipController
-from hystmpc.export import export_controller
 
 from .compiled import EXAMPLES, SOURCES, Library, library
 from .loops import START, START_DEG, compare

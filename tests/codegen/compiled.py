@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.export import ControllerExport, export_controller
+from hystmpc.codegen import ControllerExport, export_controller
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")
