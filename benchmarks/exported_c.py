@@ -2,8 +2,8 @@
 
     python benchmarks/exported_c.py [--steps 100000] [--case NAME] [--float32]
 
-Both run a closed loop on a device of their own with noise, sensor faults and stops, the same as in `tests/codegen/`. The
-C is compiled with -O2 and called through ctypes, whose call is part of its time.
+Both run a closed loop on a device of their own with noise, sensor faults and stops, as in `tests/codegen/`. The C is
+compiled with -O2 and called through ctypes, whose call is part of its time.
 """
 
 from __future__ import annotations
