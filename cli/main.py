@@ -23,6 +23,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "fit": "Identify a model from recorded trials.",
         "evaluate": "Compare a model's free run with recorded trials.",
         "export": "Export a simulator as a stateful ONNX step.",
+        "export-c": "Export a predictive controller as C99.",
         "diagnose": "Diagnose the gap between a simulator and its device.",
         "simulate": "Simulate the closed loop; write a run folder and its report.",
         "tune": "Search the settings of a controller on simulated plants.",
@@ -43,7 +44,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "bench": "Time the controllers and their peers on this machine.",
     }
 )
-"""Every verb and its line in `hystmpc --help`. The verb's module and function, or group, have its name."""
+"""Every verb and its line in `hystmpc --help`. Its module and function, or group, have its name, with `_` for `-`."""
 
 _PLAIN: Any = {"rich_markup_mode": None, "pretty_exceptions_enable": False}
 _HELP = {"help_option_names": ["-h", "--help"]}  # verbs inherit it
@@ -65,8 +66,9 @@ class Verbs(TyperGroup):
         """The verb's command, None for an unknown one."""
         if cmd_name not in VERBS:
             return None
-        module = import_module(f".{cmd_name}", __package__)
-        verb = getattr(module, cmd_name)
+        name = cmd_name.replace("-", "_")
+        module = import_module(f".{name}", __package__)
+        verb = getattr(module, name)
         group = typer.Typer(add_completion=False, **_PLAIN)
         group.callback()(_nothing)  # a group, however many verbs it has
         if isinstance(verb, typer.Typer):

@@ -160,6 +160,11 @@ def _of_page(path: Path) -> str:
         return "hystmpc" if '<meta name="generator" content="hystmpc">' in file.read(1000) else ""
 
 
+def _of_c(path: Path) -> str:
+    with path.open(encoding="utf-8") as file:
+        return "hystmpc" if "Written by hystmpc" in file.read(1000) else ""
+
+
 def _format(data: Any) -> str:
     return str(data.get("format", "")) if isinstance(data, dict) else ""
 
@@ -168,8 +173,8 @@ MODEL = Output("an ONNX model of hystmpc", (".onnx",), _of_model, ("hystmpc-mode
 SIMULATOR = Output("a simulator file", (".yaml", ".yml"), _of_yaml, ("hystmpc-simulator/",))
 EVALUATION = Output("an evaluation", (".json",), _of_json, ("hystmpc-evaluation/", "hystmpc-inverse-evaluation/"))
 BENCHMARK = Output("a benchmark's result", (".json",), _of_json, ("hystmpc-bench/",))
-
-
+C_SOURCE = Output("an exported controller", (".c",), _of_c, ("hystmpc",))
+C_HEADER = Output("an exported controller", (".h",), _of_c, ("hystmpc",))
 REPORT = Output("a report of hystmpc", (".html",), _of_page, ("hystmpc",))
 
 Page = Annotated[Path | None, typer.Option("--report", help="Write one page with tables and figures here, .html.")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar, final
 
@@ -64,14 +65,14 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         settings: PredictiveSettings,
     ) -> None:
         self.horizon = settings.preview_samples(predictor.dt)
-        self._predictor, self._planner = predictor, planner
+        self._predictor, self._planner, self._limits = predictor, planner, limits
         self._candidates = Candidates(predictor, inverse, limits, self.horizon)
         self._angle_limits = settings.weights.angle_limits_deg
         self._cost = PlanCost(settings.weights, self.horizon)
         known = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
         delay = known.delay_samples if isinstance(known, DrivenInverse) else 0
-        self._hold = HoldRule(settings.hold, predictor.dt, delay)
-        self._slope = attempt(lambda: static_gain(predictor))[0] or 0.0  # a model may fail where no plan ever is
+        self.rule = HoldRule(settings.hold, predictor.dt, delay)
+        self.slope = attempt(lambda: static_gain(predictor))[0] or 0.0  # a model may fail where no plan ever is
 
     def init(self, y: float, u: float) -> PredictiveMemory[P]:
         del y, u
@@ -94,7 +95,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         first = plans[:FOLLOWING] if resting else plans  # at rest most steps hold, and look no further
         angles = self._predictor.rollout(given.state, first)
         held = angles[HOLD] + given.disturbance
-        hold = self._hold.judge(memory.hold, given.reference, held, given.disturbance_sigma)
+        hold = self.rule.judge(memory.hold, given.reference, held, given.disturbance_sigma)
         start = self._start(problem, plans, angles, hold.holding)
         watch.lap("rollout")
         if not math.isfinite(start.cost):
@@ -102,8 +103,9 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         if hold.holding:
             return self._proposal(start, "ok", PredictiveMemory(memory.planner, hold))
         plan, status, planner = self._planner.improve(problem, start, memory.planner, watch)
-        commands = self._hold.gentle(hold, plan.commands, given.u_last, self._hold.error(hold, held), self._slope)
+        commands = self.rule.gentle(hold, plan.commands, given.u_last, self.rule.error(hold, held), self.slope)
         if commands is not plan.commands:
+            commands = self._limits.clip_plans(commands, given.u_last, self._predictor.dt)
             plan = CommandPlan(commands, self._predictor.rollout(given.state, commands[None])[0], plan.cost)
         return self._proposal(plan, status, PredictiveMemory(planner, hold))
 
@@ -150,6 +152,17 @@ class HoldRule:
         self._tolerance = settings.tolerance_deg
         self._patience, self._lead = round(settings.patience_s / dt), delay + max(round(settings.lead_s / dt), 1)
         self._settle_after, self._settle = round(settings.settle_after_s / dt), round(settings.settle_s / dt)
+
+    def numbers(self) -> Mapping[str, float]:
+        """Numbers of the rule, for the same rule in another language."""
+        return {
+            "hold_tolerance": self._tolerance,
+            "hold_patience": max(self._patience, 1),
+            "hold_lead": self._lead,
+            "hold_settle_after": self._settle_after,
+            "hold_settle": self._settle,
+            "leave_sigmas": _LEAVE_SIGMAS,
+        }
 
     def judge(self, before: Hold, reference: Vec, held: Vec, sigma: float) -> Hold:
         """Whether to hold now.

@@ -24,6 +24,8 @@ HOLD, INVERSE = 0, 1  # rows of the candidates that callers refer to
 
 FOLLOWING = 5  # rows before those that only search
 
+_ROUNDING = 1e-9  # share of the greatest step: which samples a plan is postponed by must not hang on rounding
+
 # Shares of the greatest step. Inside what a network has for a dead band its slope may have the wrong sign: the little
 # step that ends an error in a hold is found by trying it, not by a gradient.
 _STEPS = (0.125, 0.1875, 0.25, 0.375, 0.5, 0.625, 0.75, 1.0)
@@ -122,6 +124,11 @@ class Candidates:
         steps = np.repeat(reach * np.array(_STEPS)[:, None], horizon, axis=1)
         self._all = np.concatenate([self._reversals, steps, -steps])
 
+    @property
+    def searching(self) -> int:
+        """Greatest number of plans beside the first five."""
+        return len(self._all)
+
     def build(self, state: Vec, u_last: float, reference: Vec, remaining: Vec, resting: bool = True) -> Vec:
         """The plans that may follow `u_last` for the model angles `reference` (H,) [deg].
 
@@ -166,8 +173,8 @@ def postpone_half(plan: Any, u_last: float, reach: float) -> None:
     before = u_last
     for k in range(plan.size):
         jump = plan[k] - before
-        if abs(jump) > reach:
-            half = int(np.ceil(abs(jump) / reach)) // 2
+        if abs(jump) > reach * (1.0 + _ROUNDING):
+            half = int(np.ceil(abs(jump) / reach - _ROUNDING)) // 2
             for j in range(k, min(k + half, plan.size)):
                 plan[j] = before
             return

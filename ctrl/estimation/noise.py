@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, final
 
 import numpy as np
@@ -80,7 +81,7 @@ class NoiseBank:
         drift, by_drift = _axis(given[1], known.drift_sigma_deg_per_sqrt_s, _DRIFT)
         motion, by_motion = _axis(given[2], known.motion_sigma_deg_per_sqrt_unit, _MOTION / math.sqrt(high - low))
         grid = np.array([axis.ravel() for axis in np.meshgrid(sensor, drift, motion, indexing="ij")])
-        self._dt, self._limit = predictor.dt, limit_deg
+        self._dt, self._limit, self._counts = predictor.dt, limit_deg, (sensor.size, drift.size, motion.size)
         self._sensor, self._drift, self._motion = grid[0] ** 2, predictor.dt * grid[1] ** 2, grid[2] ** 2
         self._logs = np.log(np.maximum(grid**2, _TINY))
         self._by_sensor, self._by_model = by_sensor, np.outer(by_drift, by_motion).ravel()
@@ -95,6 +96,26 @@ class NoiseBank:
             close = (grid[1] == drift[0]) & (grid[2] == motion[0])
             first[close] = most[close] = (_HELD * max(model_sigma_deg, _LEAST_MODEL_DEG)) ** 2
         self._first, self._widest = first, most
+
+    def numbers(self) -> Mapping[str, float | Vec]:
+        """Numbers of the bank, axis by axis of its grid, for the same bank in another language."""
+        sensors, drifts, motions = self._counts
+        return {
+            "sensors": sensors,
+            "drifts": drifts,
+            "motions": motions,
+            "filters": self._prior.size,
+            "sensor_variances": self._sensor[:: drifts * motions],
+            "drift_variances": self._drift[: drifts * motions : motions],
+            "motion_variances": self._motion[:motions],
+            "by_sensor": self._by_sensor,
+            "by_model": self._by_model,
+            "first_variance": float(self._first[0]),
+            "switching": self._switching,
+            "sensor_share": _SENSOR_SHARE,
+            "most_gain": self._most,
+            "disturbance_limit": self._limit,
+        }
 
     def init(self, disturbance: float) -> tuple[Vec, float]:
         """Rows disturbance, variance, weight (3, M) of a bank whose disturbance [deg] is a guess; its variance."""

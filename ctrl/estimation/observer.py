@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, final
 
@@ -231,6 +232,16 @@ class OutputEstimator(Observer):
         low, high = predictor.command_range
         self._resolution = _RESOLUTION * abs(high - low)
         self.delay_samples = settings.delay_samples
+
+    def numbers(self) -> Mapping[str, float | Vec]:
+        """Numbers of the estimator and its bank, for the same estimator in another language."""
+        settings = self._settings
+        return {
+            **self.bank.numbers(),
+            "outlier": settings.outlier_deg,
+            "dead_band_gain": settings.dead_band_gain_deg_per_unit,
+            "resolution": self._resolution,
+        }
 
     def init(self, y: float, u: float) -> Estimate:
         """A device at rest: what the model cannot explain of `y` is the first disturbance.

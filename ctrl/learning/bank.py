@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -19,6 +20,7 @@ from .basis import (
     MEMORY,
     SHARES,
     advance_memory,
+    basis_numbers,
     creep_shares,
     features,
     first_memory,
@@ -139,6 +141,36 @@ class FilterBank:
         self._prior = np.concatenate([[_OFFSET_DEG, _GAIN], settings.sigma_share * scale * SHARES]) ** 2
         self._growth = np.concatenate([[_DRIFT**2 * dt], np.zeros(_SIZE - 1)])
         self._walk = np.concatenate([[0.0], settings.walk_share**2 * self._prior[1:]])
+
+    def numbers(self) -> Mapping[str, float | Vec]:
+        """Numbers of the bank and of its basis, for the same bank in another language."""
+        return {
+            **basis_numbers(),
+            "drives": DRIVES,
+            "lags": LAGS_S.size,
+            "unknowns": _SIZE,
+            "history": DELAYS + 1 + self._delay,
+            "block": self._block,
+            "lag_shares": self.lags,
+            "creep_shares": self.creeps,
+            "prior": self._prior,
+            "growth": self._growth,
+            "walk": self._walk,
+            "learning_noise": self._noise,
+            "floor": self._floor,
+            "scale": self._scale,
+            "range_low": self._low,
+            "range_span": self._span,
+            "pace": 1.0 / self.dt,
+            "moving": _MOVING,
+            "kept": _KEPT,
+            "better": _BETTER,
+            "least_gain": _LEAST_GAIN,
+            "full_gain": _FULL_GAIN,
+            "recent": _RECENT,
+            "worst": _WORST,
+            "surprise": _SURPRISE,
+        }
 
     def share_of_range(self, u: Vec | float) -> Any:
         """Commands as shares of the range."""
@@ -301,8 +333,12 @@ def correct_filter(z: Any, p: Any, h: Any, error: float, noise: float, prior: An
         still: whether the command rests; no weight can have changed then, and a large error is a jump of the offset.
     """
     size = z.size
-    spread = p @ h
-    variance = noise + h @ spread
+    spread, variance = np.zeros(size), noise
+    for b in range(size):  # not `p @ h`: its last digits, which are learned from, differ between libraries
+        for a in range(size):
+            spread[a] += p[b, a] * h[b]
+    for a in range(size):
+        variance += h[a] * spread[a]
     if not (noise <= variance < np.inf and abs(error) < np.inf):  # rounding has eaten the covariance
         p[:] = 0.0
         for a in range(size):

@@ -12,6 +12,7 @@ which stands for a drive between two of the grid. All functions work on one flat
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,23 @@ SHARES: Vec = np.concatenate(
     [[0.7], np.full(RADII.size, 0.5), np.full(ZONES.size, 1.0), np.full(_WEIGHTED, 0.5), [0.2, 0.2], [0.3]]
 )
 """Standard deviations of the weights beside each other; their level is a setting."""
+
+
+def basis_numbers() -> Mapping[str, float | Vec]:
+    """Numbers of the basis, for the same basis in another language."""
+    return {
+        "memory": MEMORY,
+        "weights": 1 + FEATURES,
+        "delays": DELAYS,
+        "plays": RADII.size,
+        "zones": ZONES.size,
+        "creeps": CREEPS_S.size,
+        "weighted": _WEIGHTED,
+        "radii": RADII,
+        "zone_starts": ZONES,
+        "rate_s": _RATE_S,
+        "edge": _EDGE,
+    }
 
 
 def first_memory(v: float, side: float) -> Vec:

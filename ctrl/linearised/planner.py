@@ -98,13 +98,15 @@ class LinearisedPlanner(Planner[None]):
 
     def _search(self, problem: PlanningProblem, start: CommandPlan, jacobian: Vec, step: Vec) -> CommandPlan:
         """The cheapest of the start plan and parts of the step, by nonlinear cost."""
-        # the solver overshoots limits within its tolerance: clip the whole step, parts of it are then admissible
+        # the solver overshoots limits within its tolerance: clip the whole step, parts are then too
         whole = self._limits.clip_plans(start.commands + step, problem.u_last, self._predictor.dt)
         step = whole - start.commands
         found = self._cheapest(whole[None], problem)
         promised = start.cost - self._cost(whole[None], (start.angles + jacobian @ step)[None], problem)[0]
         if not start.cost - found.cost >= _KEPT * promised:  # not-a-number: look further
-            part = self._cheapest(start.commands + _PARTS[:, None] * step, problem)
+            parts = start.commands + _PARTS[:, None] * step  # half of a move one way and one the other is none
+            parts = self._limits.clip_plans(parts, problem.u_last, self._predictor.dt)
+            part = self._cheapest(parts, problem)
             found = part if part.cost < found.cost else found
         return found if found.cost < start.cost else start
 

@@ -12,7 +12,7 @@ from hystmpc.trials.config import Settings
 
 from .tables import anchor
 
-ROOMS = ("trials", "models", "trajectories", "ctrl", "sim", "rig", "testing", "studies")
+ROOMS = ("trials", "models", "trajectories", "ctrl", "sim", "rig", "codegen", "testing", "studies")
 
 _CODE = 4  # columns from which on a line is code
 _MARKUP = re.compile(r"\|[^|`]*\||(?<=\w)_(?=[\s.,;:)\]]|$)")

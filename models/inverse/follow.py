@@ -19,6 +19,8 @@ from ..prediction.recurrent import RoutedPredictor
 from .drive import DrivenInverse
 from .one_step import CompanionInverse, CompiledInverse
 
+_GRAIN = 1e-7  # of commands, as a share of the greatest move
+
 
 class Bounds(NamedTuple):
     """Least and greatest command, and greatest change per sample [mm or bar]."""
@@ -30,14 +32,23 @@ class Bounds(NamedTuple):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def clip_plans(plans: Any, lower: float, upper: float, reach: float, last: float) -> None:
-    """Nearest admissible plans (N, H) sample by sample, in place; not-a-number stays what it is."""
+    """Nearest admissible plans (N, H) sample by sample, in place; not-a-number stays what it is.
+
+    Commands are rounded to 1e-7 of the greatest move: a play at its edge, or at rest, has another slope on either side,
+    which must not hang on the last digit.
+    """
+    grain, half = _GRAIN * reach, 0.5 * _GRAIN * reach
     last = min(max(last, lower), upper)
     for n in range(plans.shape[0]):
         before = last
         for k in range(plans.shape[1]):
             u = plans[n, k]
             if u == u:
-                u = min(max(min(max(u, lower), upper), before - reach), before + reach)
+                u = np.rint(u / grain) * grain
+                u = lower if u <= lower + half else (upper if u >= upper - half else u)
+                u = min(max(u, before - reach), before + reach)
+                if abs(u - before) <= half and lower < u < upper:
+                    u = before
             plans[n, k] = u
             before = u
 

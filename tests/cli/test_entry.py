@@ -98,4 +98,4 @@ def test_a_shell_completes_verbs_and_options(typed: str, word: str, offered: set
 
 
 def test_every_verb_has_a_file_of_its_name() -> None:
-    assert [verb for verb in VERBS if not (ROOT / "cli" / f"{verb}.py").is_file()] == []
+    assert [verb for verb in VERBS if not (ROOT / "cli" / f"{verb.replace('-', '_')}.py").is_file()] == []

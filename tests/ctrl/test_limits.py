@@ -12,16 +12,27 @@ from hystmpc.trials.errors import ControllerError
 
 LIMITS = CommandLimits(-1.0, 6.0, 12.0)
 DT = 0.04
+GRAIN = 1e-7 * LIMITS.rate * DT  # of the commands of plans
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=20), st.floats(-1.0, 6.0))
-def test_plans_are_clipped_as_single_commands_are(plan: list[float], last: float) -> None:
+def test_plans_are_clipped_as_single_commands_are_but_for_their_grain(plan: list[float], last: float) -> None:
     clipped = LIMITS.clip_plans(np.array([plan, plan[::-1]]), last, DT)
     for row, wanted in zip(clipped, (plan, plan[::-1]), strict=True):
         previous = last
         for got, want in zip(row, wanted, strict=True):
             previous = LIMITS.clip(want, previous, DT)
-            assert got == pytest.approx(previous, abs=1e-12)
+            assert got == pytest.approx(previous, abs=1.01 * GRAIN)
+
+
+@given(st.floats(-1.0, 6.0), st.integers(0, 8), st.sampled_from([-1.0, 1.0]), st.floats(-1e-15, 1e-15))
+def test_a_plan_that_has_arrived_does_not_move(last: float, moves: int, side: float, rounding: float) -> None:
+    """Not by rounding either: at rest the slope of a rate-dependent model hangs on the side of the move."""
+    reached = last + side * LIMITS.rate * DT * np.minimum(np.arange(1, 21), moves)
+    ramp = LIMITS.clip_plans(reached + rounding * np.arange(20), last, DT)
+    ends = np.abs(ramp) == np.where(side > 0, 6.0, 1.0)  # the last digit to a limit may take a sample more
+    still = np.diff(ramp[max(moves - 1, 0) :]) == 0.0
+    assert np.all(still | ends[max(moves, 1) :])
 
 
 @given(st.lists(st.floats(-5.0, 10.0), min_size=1, max_size=20), st.floats(-1.0, 6.0))

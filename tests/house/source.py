@@ -16,7 +16,7 @@ TIERS = (
     ("trials",),
     ("models",),
     ("trajectories", "ctrl"),
-    ("sim", "rig"),
+    ("sim", "rig", "codegen"),
     ("gap", "testing"),
     ("commissioning",),
     ("investigation",),

@@ -21,6 +21,7 @@ ROOMS = (
     "ctrl",
     "sim",
     "rig",
+    "codegen",
     "gap",
     "testing",
     "commissioning",

@@ -1,0 +1,213 @@
+/* A law inside an estimator, a chain of fallbacks and hard limits: a step never fails and never leaves the limits. */
+#include "internal.h"
+
+unsigned long hystmpc_memory_bytes(void) { return (unsigned long)sizeof(hystmpc_controller); }
+
+int hystmpc_init(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command) {
+    int answer;
+#if HYSTMPC_LEARNS
+    answer = estimate_init(&c->plain, angle_deg, command);
+    if (answer != HYSTMPC_STARTED) return answer;
+    c->estimate = c->plain;
+    learning_init(&c->learning, c->plain.angles[0], command, angle_deg);
+#else
+    answer = estimate_init(&c->estimate, angle_deg, command);
+    if (answer != HYSTMPC_STARTED) return answer;
+#endif
+    init_predictive(c);
+#if HYSTMPC_HANDS_OVER
+    init_handover(c);
+#endif
+    c->due = c->target = angle_deg;
+    c->planned = c->failures = c->stopped = 0;
+    return answer;
+}
+
+void hystmpc_set_target(hystmpc_controller *c, hystmpc_real angle_deg) { c->target = angle_deg; }
+
+void hystmpc_stop(hystmpc_controller *c) {
+    c->stopped = 1;
+    c->planned = c->failures = 0;
+}
+
+#if HYSTMPC_LEARNS
+
+/* The whole's angles from those of the model alone and what is learned. */
+static void put_together(hystmpc_controller *c) {
+    hystmpc_estimate *whole = &c->estimate;
+    for (int k = 0; k < HYSTMPC_UNDER_WAY; k++) {
+        c->learning.added[k] = learning_added(&c->learning, c->plain.angles[k], HYSTMPC_DELAY - k);
+        whole->angles[k] = c->plain.angles[k] + c->learning.added[k];
+    }
+}
+
+/* Model, learned part and disturbance corrected. Where weights change the disturbance takes up the difference, so that
+ * the angle of now has no jump. An angle far from the prediction counts where the device can have gone there. */
+static void correct(hystmpc_controller *c, real y) {
+    hystmpc_estimate *whole = &c->estimate, *plain = &c->plain;
+    const real angle = usable_angle(y), offset = angle - whole->angles[0];
+    const real reach = HYSTMPC_OUTLIER + learning_reach(&c->learning);
+    if (!(absolute(offset - whole->disturbance) <= HYSTMPC_OUTLIER || absolute(angle - whole->measured) <= reach)) {
+        whole->missing++;
+        return;
+    }
+    learning_correct(&c->learning, angle, plain->angles[0], plain->disturbance);
+    estimate_correct(plain, angle);
+    plain->measured = whole->measured = angle;
+    plain->missing = whole->missing = 0;
+    const real change = learning_added(&c->learning, plain->angles[0], HYSTMPC_DELAY) - c->learning.added[0];
+    for (int i = 0; i < HYSTMPC_FILTERS; i++) whole->bank[0][i] -= change;
+    if (plain->responsive[0]) bank_correct(whole->bank, offset - change, &whole->disturbance, &whole->variance);
+    else whole->disturbance -= change;
+    put_together(c);
+}
+
+static void advance(hystmpc_controller *c, real u) {
+    estimate_advance(&c->plain, u);
+    learning_advance(&c->learning, u);
+    c->estimate.variance = bank_advance(c->estimate.bank, c->plain.moves[0], c->estimate.disturbance);
+    c->estimate.command = u;
+    c->estimate.stalled = c->plain.stalled;
+    put_together(c);
+}
+
+#else
+
+static void correct(hystmpc_controller *c, real y) { estimate_correct(&c->estimate, y); }
+static void advance(hystmpc_controller *c, real u) { estimate_advance(&c->estimate, u); }
+
+#endif
+
+/* What the law may look at; `wanted` are the HYSTMPC_REFERENCE angles. */
+static void look(const hystmpc_controller *c, const real *wanted, given *g) {
+    const hystmpc_estimate *e = &c->estimate;
+#if HYSTMPC_LEARNS
+    copy(c->plain.model, g->state.model, S);
+    learning_state(&c->learning, &g->state);
+    g->distrust = c->learning.distrust;
+#else
+    copy(e->model, g->state.model, S);
+    g->distrust = R(0.0);
+#endif
+    copy(wanted + HYSTMPC_DELAY, g->reference, H);
+    g->disturbance = e->disturbance;
+    g->sigma = root(e->variance);
+    g->measured = e->measured;
+    g->age = (real)e->missing;
+    g->u_last = e->command;
+    g->due = c->due;
+    g->setpoint = wanted[0];
+}
+
+static void stop_command(const hystmpc_controller *c, proposal *out) {
+    out->source = HYSTMPC_STOP;
+    out->u = HYSTMPC_SAFE_KNOWN ? HYSTMPC_SAFE : c->estimate.command;
+}
+
+static void pause_command(hystmpc_controller *c, proposal *out) {
+    out->source = HYSTMPC_HOLD;
+    out->u = c->estimate.command;
+    c->planned = 0;
+}
+
+static void drop_first(real *from, int count) {
+    for (int k = 0; k < count; k++) from[k] = from[k + 1];
+}
+
+/* The best level left after a failure: shifted plan, inverse, hold, stop. */
+static void fall_back(hystmpc_controller *c, const given *g, int blind, proposal *out) {
+    out->planned = 0;
+    c->failures++;
+    if (c->failures >= HYSTMPC_STOP_AFTER) {
+        c->stopped = 1;
+        stop_command(c, out);
+        return;
+    }
+    if (blind) {
+        pause_command(c, out);
+        return;
+    }
+    if (c->planned) {
+        out->source = HYSTMPC_SHIFTED_PLAN;
+        out->u = c->plan[0];
+        out->planned = c->planned;
+        copy(c->predicted, out->angles, c->planned);
+        c->planned--;
+        drop_first(c->plan, c->planned);
+        drop_first(c->predicted, c->planned);
+        return;
+    }
+    out->source = HYSTMPC_INVERSE;
+    out->u = state_inverse(&g->state, g->reference[0] - g->disturbance, g->u_last);
+    if (finite(out->u)) return;
+    out->source = HYSTMPC_HOLD;
+    out->u = g->u_last;
+}
+
+static void propose(hystmpc_controller *c, const given *g, proposal *out) {
+    if (c->estimate.stalled) {
+        out->status = HYSTMPC_STALE_MODEL;
+        return;
+    }
+#if HYSTMPC_HANDS_OVER
+    propose_handover(c, g, out);
+#else
+    propose_predictive(c, g, out);
+#endif
+    if (out->status == HYSTMPC_OK && !finite(out->u)) out->status = HYSTMPC_NO_COMMAND;
+}
+
+/* The level to take. */
+static void decide(hystmpc_controller *c, const real *reference, proposal *out) {
+    real wanted[HYSTMPC_REFERENCE];
+    given g;
+    out->planned = 0;
+    if (c->stopped) {
+        out->status = HYSTMPC_LATCHED;
+        stop_command(c, out);
+        return;
+    }
+    for (int k = 0; k < HYSTMPC_REFERENCE; k++) {
+        wanted[k] = reference ? reference[k] : c->target;
+        if (!(absolute(wanted[k]) <= HYSTMPC_ANGLE_BOUND)) {
+            out->status = HYSTMPC_BAD_REFERENCE;
+            pause_command(c, out);
+            return;
+        }
+    }
+    look(c, wanted, &g);
+    c->due = g.setpoint;
+    if (c->estimate.missing > HYSTMPC_MOST_MISSING) {
+        out->status = HYSTMPC_NO_SENSOR;
+        fall_back(c, &g, 1, out);
+        return;
+    }
+    propose(c, &g, out);
+    if (out->status != HYSTMPC_OK) {
+        fall_back(c, &g, 0, out);
+        return;
+    }
+    c->failures = 0;
+    c->planned = out->planned > 0 ? out->planned - 1 : 0;
+    copy(out->commands + 1, c->plan, c->planned);
+    copy(out->angles + 1, c->predicted, c->planned);
+}
+
+hystmpc_command hystmpc_step(hystmpc_controller *c, hystmpc_real angle_deg, const hystmpc_real *reference) {
+    hystmpc_command answer;
+    proposal out;
+    correct(c, angle_deg);
+    decide(c, reference, &out);
+    answer.missing = c->estimate.missing;
+    answer.u = within_limits(out.u, c->estimate.command);
+    advance(c, answer.u);
+    answer.source = out.source;
+    answer.status = out.status;
+    answer.predicted_deg =
+        (HYSTMPC_DELAY == 0 && out.planned ? out.angles[0] : c->estimate.angles[0]) + c->estimate.disturbance;
+    answer.departure_deg = c->estimate.disturbance;
+#if HYSTMPC_LEARNS
+    answer.departure_deg += c->learning.added[0];
+#endif
+    return answer;
+}

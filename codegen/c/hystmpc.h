@@ -1,0 +1,184 @@
+/* Predictive controller of one device with hysteresis, exported by hystmpc. C99; no heap, no global state.
+ *
+ *   hystmpc_controller *c = &storage;           about hystmpc_memory_bytes() bytes, static or in a struct of yours
+ *   hystmpc_init(c, angle_deg, held_command);   0, or why it cannot start
+ *   hystmpc_set_target(c, 50.0);                a constant reference from the next step on
+ *   for (;;) {                                  once every HYSTMPC_SAMPLE_S seconds
+ *       hystmpc_command next = hystmpc_step(c, measured_deg, NULL);
+ *       send(next.u);
+ *   }
+ *
+ * A step never fails: it answers any measurement (not-a-number: none) and any reference with a finite command within
+ * the limits on value and rate. The struct is the whole memory: a copy of it is a snapshot.
+ */
+#ifndef HYSTMPC_H
+#define HYSTMPC_H
+
+#include "hystmpc_problem.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* The level of fallback that produced a command, best first. */
+enum {
+    HYSTMPC_MPC = 0,          /* the predictive law */
+    HYSTMPC_FEEDBACK = 1,     /* feedback has taken over from a model that foretells nothing */
+    HYSTMPC_SHIFTED_PLAN = 2, /* what is left of the last good plan */
+    HYSTMPC_INVERSE = 3,      /* the model's inverse */
+    HYSTMPC_HOLD = 4,         /* the last command */
+    HYSTMPC_STOP = 5          /* the safe command, or the last one; latched until hystmpc_init */
+};
+
+/* Why a better level was not used. */
+enum {
+    HYSTMPC_OK = 0,
+    HYSTMPC_LATCHED = 1,       /* the stop is latched */
+    HYSTMPC_BAD_REFERENCE = 2, /* not finite, or absurdly large */
+    HYSTMPC_NO_SENSOR = 3,     /* no usable measurement for too long */
+    HYSTMPC_STALE_MODEL = 4,   /* the model could not be advanced */
+    HYSTMPC_NO_PLAN = 5,       /* prediction, Jacobian or quadratic program not finite */
+    HYSTMPC_NO_SOLUTION = 6,   /* the quadratic program was not solved */
+    HYSTMPC_NO_COMMAND = 7     /* the law's answer is not finite */
+};
+
+/* Answers of hystmpc_init. */
+enum {
+    HYSTMPC_STARTED = 0,
+    HYSTMPC_BAD_ANGLE = 1,   /* not finite, or absurdly large */
+    HYSTMPC_BAD_COMMAND = 2, /* beyond the limits */
+    HYSTMPC_NOT_AT_REST = 3  /* further from the model at rest than estimator.rest_tolerance_deg */
+};
+
+typedef struct {
+    hystmpc_real u;             /* command, always finite and within the limits */
+    hystmpc_real predicted_deg; /* angle expected at the end of this sample, disturbance included */
+    hystmpc_real departure_deg; /* by how much the device is off the model as it was given, as estimated */
+    int source;                 /* HYSTMPC_MPC ... HYSTMPC_STOP */
+    int status;                 /* HYSTMPC_OK ... HYSTMPC_NO_COMMAND */
+    int missing;                /* samples since the last accepted measurement */
+} hystmpc_command;
+
+/* The model's memory, and that of what is learned on top of it. */
+typedef struct {
+    hystmpc_real model[HYSTMPC_STATES];
+#if HYSTMPC_LEARNS
+    hystmpc_real memory[HYSTMPC_MEMORY];      /* travel, plays, slow followers behind the best drive */
+    hystmpc_real queue[HYSTMPC_DELAYS];       /* commands as shares of the range, the newest first */
+    hystmpc_real weights[HYSTMPC_WEIGHTS];    /* gain, then one a feature */
+    hystmpc_real start[3];                    /* where the device started: travel, side, model angle */
+    hystmpc_real share;                       /* of the way that the lag goes in a sample */
+    int delay;                                /* of the best drive [samples] */
+    int acts;                                 /* whether any weight is not zero */
+#endif
+} hystmpc_state;
+
+/* What is known of the device: model state, angles under way, disturbance. */
+typedef struct {
+    hystmpc_real model[HYSTMPC_STATES];
+    hystmpc_real command;                     /* sent last */
+    hystmpc_real angles[HYSTMPC_UNDER_WAY];   /* predicted, without disturbance: now, then of commands under way */
+    hystmpc_real moves[HYSTMPC_UNDER_WAY];    /* command travel that led to each of them */
+    hystmpc_real disturbance;
+    hystmpc_real variance;
+    hystmpc_real measured;                    /* last accepted measurement */
+    hystmpc_real bank[3][HYSTMPC_FILTERS];    /* disturbance, variance, weight of every noise filter */
+    int responsive[HYSTMPC_UNDER_WAY];        /* whether each angle answers to the command */
+    int missing;
+    int stalled;                              /* samples since the model was last advanced */
+} hystmpc_estimate;
+
+#if HYSTMPC_LEARNS
+/* Kalman filters of the learned weights, one for each drive of a grid, and what their forecasts are worth. */
+typedef struct {
+    hystmpc_real history[HYSTMPC_HISTORY][HYSTMPC_LAGS][HYSTMPC_MEMORY];
+    hystmpc_real queue[HYSTMPC_DELAYS];
+    hystmpc_real start[3];
+    hystmpc_real z[HYSTMPC_DRIVES][HYSTMPC_UNKNOWNS];
+    hystmpc_real covariance[HYSTMPC_DRIVES][HYSTMPC_UNKNOWNS][HYSTMPC_UNKNOWNS];
+    hystmpc_real frozen[HYSTMPC_DRIVES][HYSTMPC_UNKNOWNS];
+    hystmpc_real references[2];
+    hystmpc_real sums[HYSTMPC_DRIVES + 2];
+    hystmpc_real scores[HYSTMPC_DRIVES + 2];
+    hystmpc_real distrust;
+    hystmpc_real share;
+    hystmpc_real added[HYSTMPC_UNDER_WAY];    /* to each of the model's angles */
+    int count;
+    int blocks;
+    int best;
+} hystmpc_learning;
+#endif
+
+#if HYSTMPC_HANDS_OVER
+/* Memory of the two feedback laws. */
+typedef struct {
+    hystmpc_state alone;                      /* the model under the feedforward command alone */
+    hystmpc_real u_alone;
+    hystmpc_real followed;
+    hystmpc_real error;
+    hystmpc_real integral;
+    hystmpc_real speed;
+    hystmpc_real angle;
+    hystmpc_real age;
+    int level;                                /* 0 predictive, 1 inverse and PID, 2 PID */
+} hystmpc_feedback;
+#endif
+
+/* Room for one step; nothing in it is remembered. */
+typedef struct {
+    hystmpc_real plans[HYSTMPC_CANDIDATES][HYSTMPC_HORIZON];
+    hystmpc_real angles[HYSTMPC_CANDIDATES][HYSTMPC_HORIZON];
+    hystmpc_real jacobian[HYSTMPC_HORIZON][HYSTMPC_HORIZON];
+    hystmpc_real rows[HYSTMPC_QP_ROWS][HYSTMPC_QP_SIZE];   /* of the program, then in its metric */
+    hystmpc_real hessian[HYSTMPC_QP_SIZE][HYSTMPC_QP_SIZE];
+    hystmpc_real factor[HYSTMPC_QP_SIZE][HYSTMPC_QP_SIZE]; /* of the active rows */
+    hystmpc_real gradient[HYSTMPC_QP_SIZE];
+    hystmpc_real lower[HYSTMPC_QP_ROWS];
+    hystmpc_real upper[HYSTMPC_QP_ROWS];
+    hystmpc_real by_move[HYSTMPC_HORIZON][HYSTMPC_HORIZON];
+    hystmpc_real normal[HYSTMPC_HORIZON][HYSTMPC_HORIZON];
+    hystmpc_real moving[2][HYSTMPC_STATES + 9][HYSTMPC_HORIZON];
+} hystmpc_work;
+
+typedef struct {
+    hystmpc_estimate estimate;
+#if HYSTMPC_LEARNS
+    hystmpc_estimate plain;                   /* of the model alone */
+    hystmpc_learning learning;
+#endif
+#if HYSTMPC_HANDS_OVER
+    hystmpc_feedback feedback;
+#endif
+    hystmpc_real plan[HYSTMPC_HORIZON];       /* what is left of the last good plan, and its angles */
+    hystmpc_real predicted[HYSTMPC_HORIZON];
+    hystmpc_real due;                         /* the angle that was wanted at the present instant */
+    hystmpc_real target;                      /* of a step without a reference */
+    hystmpc_real hold_target;
+    int holding;
+    int constant;                             /* samples of constant reference */
+    int planned;                              /* entries of plan */
+    int failures;
+    int stopped;
+    hystmpc_work work;
+} hystmpc_controller;
+
+/* At rest at a measured angle [deg] under the command that the device holds. The target is that angle. */
+int hystmpc_init(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command);
+
+/* One sample. `reference` holds the wanted angles [deg] at the ends of this and the next samples,
+ * HYSTMPC_REFERENCE of them; NULL for the target in all of them. */
+hystmpc_command hystmpc_step(hystmpc_controller *c, hystmpc_real angle_deg, const hystmpc_real *reference);
+
+/* The angle [deg] wanted from the next step on, where no reference is given. */
+void hystmpc_set_target(hystmpc_controller *c, hystmpc_real angle_deg);
+
+/* Latch the stop: every further step goes towards the safe command, or stays. Only hystmpc_init releases it. */
+void hystmpc_stop(hystmpc_controller *c);
+
+/* sizeof(hystmpc_controller), for callers that cannot see the struct. */
+unsigned long hystmpc_memory_bytes(void);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

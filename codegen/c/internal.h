@@ -1,0 +1,147 @@
+/* What the files of the controller share: short names, the problem's numbers, functions by file. */
+#ifndef HYSTMPC_INTERNAL_H
+#define HYSTMPC_INTERNAL_H
+
+#include "hystmpc.h"
+
+#include <math.h>
+
+#include "hystmpc_numbers.h"
+
+#ifndef HYSTMPC_LOCAL
+#define HYSTMPC_LOCAL /* both `static` where all files are one */
+#define HYSTMPC_SHARED
+#endif
+
+/* A product and a sum rounded each, as in Python; gcc does so under -std=c99. */
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+typedef hystmpc_real real;
+#define R(x) HYSTMPC_REAL(x)
+#define INFINITE ((real)INFINITY)
+
+enum { H = HYSTMPC_HORIZON, S = HYSTMPC_STATES };
+
+HYSTMPC_LOCAL real least(real a, real b);
+HYSTMPC_LOCAL real most(real a, real b);
+HYSTMPC_LOCAL real clamp(real x, real low, real high);
+HYSTMPC_LOCAL real absolute(real x);
+HYSTMPC_LOCAL real root(real x);
+HYSTMPC_LOCAL int finite(real x);
+HYSTMPC_LOCAL void copy(const real *from, real *to, int count);
+HYSTMPC_LOCAL void fill(real *to, real value, int count);
+
+/* model.c: one step of a model, its tangent, and loops around them. */
+typedef struct {
+    int size;
+    void (*step)(const real *x, real u, real *theta, real *next);
+    /* Also d next / d x (column by column), d next / d u, d theta / d x, d theta / d u. */
+    void (*tangent)(const real *x, real u, real *theta, real *next, real *a, real *b, real *c, real *d);
+} model;
+
+#ifndef HYSTMPC_ONE_FILE
+extern const model hystmpc_whole;  /* command to angle */
+extern const model hystmpc_middle; /* what is inverted sample by sample */
+#if HYSTMPC_FRONT
+extern const model hystmpc_front; /* dynamics of the command */
+#endif
+#if HYSTMPC_BACK
+extern const model hystmpc_back; /* dynamics of the angle */
+#endif
+#endif
+HYSTMPC_LOCAL void hystmpc_rest(real y, real u, real *x); /* the model's state at rest, by the rule of its file */
+
+HYSTMPC_LOCAL void run_plan(const model *m, const real *x, const real *plan, int samples, real *angles);
+HYSTMPC_LOCAL void linearise_plan(hystmpc_work *w, const model *m, const real *x, const real *plan, real *angles);
+HYSTMPC_LOCAL real command_for(const real *x, real wanted, real last);
+#if HYSTMPC_FRONT || HYSTMPC_BACK
+HYSTMPC_LOCAL void fit_drive(hystmpc_work *w, const model *m, const real *x, const real *wanted, real u_last,
+                             real reach, real *inputs);
+HYSTMPC_LOCAL int first_acting(const hystmpc_work *w);
+#endif
+
+/* state.c: the model with what is learned on top of it. */
+HYSTMPC_LOCAL void state_run(const hystmpc_state *s, const real *plan, int samples, real *angles);
+HYSTMPC_LOCAL void state_linearise(hystmpc_work *w, const hystmpc_state *s, const real *plan);
+HYSTMPC_LOCAL real state_inverse(const hystmpc_state *s, real theta, real u_last);
+HYSTMPC_LOCAL void state_follow(hystmpc_work *w, const hystmpc_state *s, const real *wanted, real u_last, real *boxed,
+                                real *limited);
+#if HYSTMPC_HANDS_OVER
+HYSTMPC_LOCAL void state_advance(hystmpc_state *s, real u);
+#endif
+
+/* qp.c */
+HYSTMPC_LOCAL int solve_program(hystmpc_work *w, real *primal);
+
+/* planner.c */
+typedef struct {
+    const hystmpc_state *state;
+    const real *reference;   /* wanted angles of the model, H */
+    const real *feedforward; /* from which effort is measured, H */
+    real u_last;
+    real low, high; /* soft limits of the angle */
+} problem;
+
+typedef struct {
+    real commands[HYSTMPC_HORIZON];
+    real angles[HYSTMPC_HORIZON];
+    real cost;
+} plan;
+
+HYSTMPC_LOCAL void clip_plan(real *commands, real last);
+HYSTMPC_LOCAL real plan_cost(const problem *p, const real *commands, const real *angles);
+HYSTMPC_LOCAL int improve(hystmpc_work *w, const problem *p, plan *best);
+HYSTMPC_LOCAL void build_program(hystmpc_work *w, const problem *p, const plan *around);
+HYSTMPC_LOCAL void deviation(const real *primal, real *commands);
+
+/* law.c: what a law is given, and what it proposes. */
+typedef struct {
+    hystmpc_state state;
+    real reference[HYSTMPC_HORIZON];
+    real disturbance, sigma, measured, age, u_last, due, setpoint, distrust;
+} given;
+
+typedef struct {
+    real u;
+    int source, status, planned;
+    real commands[HYSTMPC_HORIZON];
+    real angles[HYSTMPC_HORIZON];
+} proposal;
+
+HYSTMPC_LOCAL void init_predictive(hystmpc_controller *c);
+HYSTMPC_LOCAL void propose_predictive(hystmpc_controller *c, const given *g, proposal *out);
+HYSTMPC_LOCAL real within_limits(real u, real last);
+#if HYSTMPC_HANDS_OVER
+HYSTMPC_LOCAL void init_handover(hystmpc_controller *c);
+HYSTMPC_LOCAL void propose_handover(hystmpc_controller *c, const given *g, proposal *out);
+#endif
+
+/* estimator.c */
+HYSTMPC_LOCAL real usable_angle(real y);
+HYSTMPC_LOCAL int estimate_init(hystmpc_estimate *e, real y, real u);
+HYSTMPC_LOCAL int estimate_correct(hystmpc_estimate *e, real y);
+HYSTMPC_LOCAL int estimate_advance(hystmpc_estimate *e, real u);
+#if HYSTMPC_SENSES
+HYSTMPC_LOCAL void bank_correct(real bank[3][HYSTMPC_FILTERS], real offset, real *mean, real *variance);
+HYSTMPC_LOCAL real bank_advance(real bank[3][HYSTMPC_FILTERS], real travel, real mean);
+#endif
+
+/* learning.c */
+#if HYSTMPC_LEARNS
+HYSTMPC_LOCAL void learning_init(hystmpc_learning *l, real angle, real u, real y);
+HYSTMPC_LOCAL void learning_advance(hystmpc_learning *l, real u);
+HYSTMPC_LOCAL void learning_correct(hystmpc_learning *l, real y, real angle, real disturbance);
+HYSTMPC_LOCAL real learning_reach(const hystmpc_learning *l);
+HYSTMPC_LOCAL real learning_added(const hystmpc_learning *l, real angle, int back);
+HYSTMPC_LOCAL void learning_state(const hystmpc_learning *l, hystmpc_state *s);
+
+/* basis.c */
+HYSTMPC_LOCAL void advance_memory(real *memory, real x, real share);
+HYSTMPC_LOCAL void features(const real *memory, real before, real v0, real side, real *out);
+HYSTMPC_LOCAL void add_learned(const hystmpc_state *s, const real *commands, int samples, real *angles);
+HYSTMPC_LOCAL void add_slopes(hystmpc_work *w, const hystmpc_state *s, const real *commands);
+#endif
+
+#endif

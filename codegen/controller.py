@@ -1,0 +1,204 @@
+"""`export_controller`: a predictive controller becomes one C99 file and its header."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hystmpc.ctrl.planner.settings import TipSettings, read_settings
+from hystmpc.trials.files import write_atomically
+
+from .layout import structs
+from .problem import Problem, problem_of
+from .steps import INEXACT, functions_used, model_source, number, rest_source
+
+PARTS = (
+    "model",
+    "state",
+    "basis",
+    "learning",
+    "estimator",
+    "qp",
+    "program",
+    "planner",
+    "law",
+    "feedback",
+    "controller",
+)
+"""The hand-written files `codegen/c/*.c`, in the order in which they are laid end to end."""
+
+# What counts as solved, dependent or equal, by the digits of the scalar type.
+_TOLERANCES: Mapping[bool, Mapping[str, float]] = {
+    False: {
+        "miss": 1e-11,
+        "narrow": 1e-13,
+        "sign": 1e-10,
+        "linear": 1e-6,
+        "dependent": 1e-12,
+        "violation": 1e-6,
+        "rounding": 1e-9,
+        "grain": 1e-7,
+    },
+    True: {
+        "miss": 1e-6,
+        "narrow": 1e-6,
+        "sign": 1e-5,
+        "linear": 1e-4,
+        "dependent": 1e-6,
+        "violation": 1e-5,
+        "rounding": 1e-5,
+        "grain": 1e-5,
+        "edge": 1e-6,
+    },
+}
+_CHANGES = 1000  # of the active set in one program
+_MOST_SAMPLES = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class ControllerExport:
+    """A controller as C.
+
+    Attributes:
+        header, source: text of `hystmpc.h` and `hystmpc.c`.
+        parts: the same as files of their own, each of which compiles alone, by name.
+        memory_bytes: of the struct that holds the controller, its room for a step included.
+        remembered_bytes: of it, what is remembered from step to step.
+        functions: of <math.h> that are called; those without an exact result are `inexact`.
+        sample_s: time between two steps [s].
+        reference_samples: wanted angles that a step looks at.
+    """
+
+    header: str
+    source: str
+    parts: Mapping[str, str]
+    memory_bytes: int
+    remembered_bytes: int
+    functions: tuple[str, ...]
+    sample_s: float
+    reference_samples: int
+
+    @property
+    def inexact(self) -> tuple[str, ...]:
+        """Functions of <math.h> whose last digits differ from one C library to the next."""
+        return tuple(name for name in self.functions if name in INEXACT)
+
+    def write(self, folder: Path) -> tuple[Path, Path]:
+        """Write `hystmpc.h` and `hystmpc.c` into a folder, which is made where it is missing."""
+        folder.mkdir(parents=True, exist_ok=True)
+        header = write_atomically(folder / "hystmpc.h", self.header)
+        return header, write_atomically(folder / "hystmpc.c", self.source)
+
+
+def export_controller(
+    source: Path | str | Mapping[str, Any] | TipSettings, *, single: bool = False, folder: Path | None = None
+) -> ControllerExport:
+    """The controller that `TipController.from_config(source)` is, as C.
+
+    Its commands are those of the Python controller, `GuardedController.step`, to rounding. A model of operators, the
+    linearised controller, a continuous sensor or none.
+
+    Args:
+        source: a `tip.yaml`, a mapping or settings.
+        single: float in the place of double.
+        folder: in which relative file names of a mapping start.
+
+    Raises:
+        ExportError: where a part of the controller has no C; says what was got and what is supported.
+        ConfigError, ModelError, ControllerError: as `TipController.from_config`.
+    """
+    settings, home = read_settings(source)
+    problem = problem_of(settings, home if folder is None else folder)
+    sizes, numbers = _sizes(problem, single), _numbers(problem, single)
+    models = _models(problem)
+    public, internal = _template("hystmpc.h"), _template("internal.h")
+    texts = {name: _template(f"{name}.c") for name in PARTS}
+    head = (
+        f"/* {problem.words}\n * Written by hystmpc {version('hystmpc')}; any change is lost at the next export. */\n"
+    )
+    header = head + public.replace('#include "hystmpc_problem.h"\n', sizes)
+    source_text = "\n".join(
+        [
+            head + "#define HYSTMPC_ONE_FILE\n#define HYSTMPC_LOCAL static\n#define HYSTMPC_SHARED static",
+            internal.replace('#include "hystmpc_numbers.h"\n', numbers),
+            models,
+            *(_without_includes(text) for text in texts.values()),
+        ]
+    )
+    real = ctypes.c_float if single else ctypes.c_double
+    macros = {f"HYSTMPC_{name.upper()}": value for name, value in problem.sizes.items()}
+    kinds = structs(public, macros, real)
+    whole, work = (ctypes.sizeof(kinds[f"hystmpc_{name}"]) for name in ("controller", "work"))
+    parts = {
+        "hystmpc.h": public,
+        "internal.h": internal,
+        "hystmpc_problem.h": _guarded("PROBLEM", sizes),
+        "hystmpc_numbers.h": _guarded("NUMBERS", numbers),
+        "steps.c": '#include "internal.h"\n\n' + models,
+        **{f"{name}.c": text for name, text in texts.items()},
+    }
+    return ControllerExport(
+        header,
+        source_text,
+        parts,
+        whole,
+        whole - work,
+        functions_used(source_text),
+        float(np.asarray(problem.numbers["dt_s"])),
+        problem.sizes["reference"],
+    )
+
+
+def _template(name: str) -> str:
+    return resources.files("hystmpc.codegen").joinpath("c", name).read_text(encoding="utf-8")
+
+
+def _without_includes(text: str) -> str:
+    return re.sub(r'^#include "internal.h"\n', "", text, flags=re.MULTILINE)
+
+
+def _guarded(name: str, text: str) -> str:
+    return f"#ifndef HYSTMPC_{name}_H\n#define HYSTMPC_{name}_H\n{text}#endif\n"
+
+
+def _sizes(problem: Problem, single: bool) -> str:
+    """The scalar type, and whole numbers."""
+    lines = [f"typedef {'float' if single else 'double'} hystmpc_real;", f"#define HYSTMPC_SINGLE {int(single)}"]
+    public = {"sample_s": "dt_s", "lowest": "lower", "highest": "upper"}
+    lines += [f"#define HYSTMPC_{name.upper()} {problem.numbers[key]!r}" for name, key in public.items()]
+    lines += [f"#define HYSTMPC_{name.upper()} {value}" for name, value in sorted(problem.sizes.items())]
+    return "\n".join([*lines, ""])
+
+
+def _numbers(problem: Problem, single: bool) -> str:
+    """Numbers of the scalar type: scalars, and initialisers of arrays."""
+    suffix = "##f" if single else ""
+    math = "name##f" if single else "name"
+    lines = [f"#define HYSTMPC_REAL(x) x{suffix}", f"#define MATH(name) {math}"]
+    lines += [f"#define HYSTMPC_CHANGES {_CHANGES}", f"#define HYSTMPC_MOST_SAMPLES {_MOST_SAMPLES}"]
+    values = {**problem.numbers, **_TOLERANCES[single]}
+    lines += [f"#define HYSTMPC_{name.upper()} {_initialiser(value)}" for name, value in sorted(values.items())]
+    return "\n".join([*lines, ""])
+
+
+def _initialiser(value: Any) -> str:
+    if isinstance(value, float):
+        return number(value)
+    array = np.asarray(value)
+    if array.ndim:
+        return "{" + ", ".join(_initialiser(part) for part in array) + "}"
+    return str(int(array)) if array.dtype.kind == "i" else number(float(array))
+
+
+def _models(problem: Problem) -> str:
+    rest = problem.rest
+    sources = [model_source(name, step) for name, step in problem.steps.items()]
+    return "\n".join([*sources, rest_source(rest.offset, rest.by_angle, rest.by_command, rest.warmup)])

@@ -1,0 +1,57 @@
+"""The structs of a C header as ctypes: their size without a compiler, their fields from Python."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+_STRUCT = re.compile(r"typedef struct \{(.*?)\} (\w+);", re.DOTALL)
+_FIELD = re.compile(r"^\s*(?:const )?(\w+) (.+);")
+_NAME = re.compile(r"(\w+)((?:\[[^\]]+\])*)")
+
+
+def structs(header: str, sizes: Mapping[str, int], real: Any) -> Mapping[str, type[ctypes.Structure]]:
+    """Every struct of a header by name.
+
+    Args:
+        header: text; its conditions are `#if NAME` and `#endif`, its fields of `hystmpc_real`, int and other structs.
+        sizes: of the macros in conditions and dimensions.
+        real: ctypes' type of `hystmpc_real`.
+    """
+    known: dict[str, Any] = {"hystmpc_real": real, "int": ctypes.c_int}
+    plain = "\n".join(_chosen(re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL), sizes))
+    for body, name in _STRUCT.findall(plain):
+        fields = [field for line in body.splitlines() for field in _fields(line, sizes, known)]
+        known[name] = type(name, (ctypes.Structure,), {"_fields_": fields})
+    return {name: kind for name, kind in known.items() if name.startswith("hystmpc_") and name != "hystmpc_real"}
+
+
+def _chosen(text: str, sizes: Mapping[str, int]) -> Iterator[str]:
+    """Lines whose conditions hold."""
+    conditions: list[bool] = []
+    for line in text.splitlines():
+        words = line.split()
+        if line.startswith("#if"):
+            conditions.append(bool(sizes.get(words[1], 1)) if words[0] == "#if" else True)
+        elif line.startswith("#endif"):
+            conditions.pop()
+        elif all(conditions):
+            yield line
+
+
+def _fields(line: str, sizes: Mapping[str, int], known: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    found = _FIELD.match(line)
+    if found is None:
+        return
+    for name, dimensions in _NAME.findall(found[2]):
+        kind = known[found[1]]
+        for dimension in reversed(re.findall(r"\[([^\]]+)\]", dimensions)):
+            kind = kind * _size(dimension, sizes)
+        yield name, kind
+
+
+def _size(expression: str, sizes: Mapping[str, int]) -> int:
+    """A number, a macro, or a sum of them."""
+    return sum(int(part) if part.isdigit() else sizes[part] for part in expression.replace(" ", "").split("+"))

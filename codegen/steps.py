@@ -1,0 +1,213 @@
+"""Operators as C: one step of a chain and its tangent, from the same symbolic equations as every other backend."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from hystmpc.models.kernels.program import Instruction, dense, instructions
+from hystmpc.trials.types import Vec
+
+# Conditions are numbers, 1.0 or 0.0, as in CasADi, so that they can be added and multiplied.
+_TEMPLATES = MappingProxyType(
+    {
+        "add": "{0} + {1}",
+        "sub": "{0} - {1}",
+        "mul": "{0} * {1}",
+        "div": "{0} / {1}",
+        "neg": "-{0}",
+        "sq": "{0} * {0}",
+        "twice": "{0} + {0}",
+        "inv": "R(1.0) / {0}",
+        "not": "R(1.0) - {0}",
+        "and": "{0} * {1}",
+        "assign": "{0}",
+        "lt": "{0} < {1} ? R(1.0) : R(0.0)",
+        "le": "{0} <= {1} ? R(1.0) : R(0.0)",
+        "eq": "{0} == {1} ? R(1.0) : R(0.0)",
+        "ne": "{0} != {1} ? R(1.0) : R(0.0)",
+        "or": "{0} + {1} > R(0.0) ? R(1.0) : R(0.0)",
+        "if_else_zero": "{0} != R(0.0) ? {1} : R(0.0)",
+        "fmin": "{0} <= {1} ? {0} : {1}",
+        "fmax": "{0} >= {1} ? {0} : {1}",
+        "fabs": "{0} < R(0.0) ? -{0} : {0}",
+        "sign": "{0} > R(0.0) ? R(1.0) : {0} < R(0.0) ? R(-1.0) : R(0.0)",
+    }
+)
+_OF_ONE: dict[str, Callable[[float], float]] = {
+    "neg": lambda a: -a,
+    "sq": lambda a: a * a,
+    "twice": lambda a: a + a,
+    "inv": lambda a: 1.0 / a,
+    "not": lambda a: 1.0 - a,
+    "assign": lambda a: a,
+    "fabs": lambda a: abs(a),
+    "sign": lambda a: float(a > 0.0) - float(a < 0.0),
+    **{name: getattr(math, name) for name in ("sqrt", "exp", "log", "tanh", "sin", "cos", "floor")},
+}
+_OF_TWO: dict[str, Callable[[float, float], float]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "and": lambda a, b: a * b,
+    "lt": lambda a, b: float(a < b),
+    "le": lambda a, b: float(a <= b),
+    "eq": lambda a, b: float(a == b),
+    "ne": lambda a, b: float(a != b),
+    "or": lambda a, b: float(a + b > 0.0),
+    "if_else_zero": lambda a, b: b if a != 0.0 else 0.0,
+    "fmin": lambda a, b: a if a <= b else b,
+    "fmax": lambda a, b: a if a >= b else b,
+    "pow": lambda a, b: a**b,
+}
+_FOLDED: Mapping[str, Callable[..., float]] = MappingProxyType({**_OF_ONE, **_OF_TWO})
+EXACT = ("sqrt", "rint", "floor")
+"""Functions of <math.h> whose results are exact or rounded correctly wherever floating point is IEC 60559."""
+INEXACT = ("exp", "log", "tanh", "sin", "cos", "pow")
+"""Functions of <math.h> whose last digits differ from one C library to the next."""
+
+
+def number(value: float) -> str:
+    """A number of the scalar type in C, exact in double."""
+    if np.isinf(value):
+        return "INFINITE" if value > 0 else "(-INFINITE)"
+    text = repr(float(value))
+    return f"R({text})" if value >= 0 else f"(-R({text[1:]}))"
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A chain's step (x, u, p, dt) -> (theta, next), its parameters p (P,) and its sample time dt [s]."""
+
+    function: Any
+    parameters: Vec
+    sample_s: float
+
+    @property
+    def size(self) -> int:
+        """Entries of the state."""
+        return int(self.function.numel_in(0))
+
+
+def functions_used(source: str) -> tuple[str, ...]:
+    """Functions of <math.h> that C of the package calls, by name."""
+    names = set(re.findall(r"MATH\((\w+)\)\(", source))
+    return tuple(name for name in (*EXACT, *INEXACT) if name in names)
+
+
+def model_source(name: str, step: Step) -> str:
+    """C of the model `hystmpc_<name>`: a chain's step and its tangent.
+
+    What does not change from sample to sample is computed here, by the same operations that compiled kernels do, so
+    that both have equal numbers to the last bit.
+    """
+    plain, tangent = _pair(step.function)
+    known = {2: step.parameters, 3: np.array([step.sample_s])}
+    outputs = ("*theta", "next"), ("*theta", "next", "a", "b", "c", "*d")
+    arguments = ", ".join(f"real *{out.lstrip('*')}" for out in outputs[0])
+    more = ", ".join(f"real *{out.lstrip('*')}" for out in outputs[1])
+    return "\n".join(
+        [
+            f"static void step_{name}(const real *x, real u, {arguments}) {{",
+            *_body(plain, outputs[0], known),
+            "}\n",
+            f"static void tangent_{name}(const real *x, real u, {more}) {{",
+            *_body(tangent, outputs[1], known),
+            "}\n",
+            f"HYSTMPC_SHARED const model hystmpc_{name} = {{{step.size}, step_{name}, tangent_{name}}};\n",
+        ]
+    )
+
+
+def rest_source(offset: Vec, by_angle: Vec, by_command: Vec, warmup: int) -> str:
+    """C of the state at rest: offset + by_angle y + by_command u, then so many samples of the command held."""
+    lines = [
+        f"    x[{i}] = {number(float(offset[i]))} + {number(float(by_angle[i]))} * y"
+        f" + {number(float(by_command[i]))} * u;"
+        for i in range(offset.size)
+    ]
+    return "\n".join(
+        [
+            "HYSTMPC_LOCAL void hystmpc_rest(real y, real u, real *x) {",
+            "    real theta, next[HYSTMPC_STATES];",
+            *lines,
+            f"    for (int k = 0; k < {warmup}; k++) {{",
+            "        step_whole(x, u, &theta, next);",
+            "        copy(next, x, S);",
+            "    }",
+            "}\n",
+        ]
+    )
+
+
+def _pair(function: Any) -> tuple[Any, Any]:
+    """The step, and the step with d next / d x, d next / d u, d theta / d x, d theta / d u, as kernels compile them."""
+    x, u = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("u")
+    arguments = [x, u, ca.SX.sym("p", function.numel_in(2)), ca.SX.sym("dt")]
+    theta, following = function(*arguments)
+    by = ca.jacobian
+    slopes = [by(following, x), by(following, u), by(theta, x), by(theta, u)]
+    return dense("step", arguments, [theta, following]), dense("tangent", arguments, [theta, following, *slopes])
+
+
+def _body(function: Any, outputs: Sequence[str], known: Mapping[int, Vec]) -> list[str]:
+    """Statements with single assignments; an argument that is not read is said to be so."""
+    lines = _used(list(_statements(function, outputs, known)))
+    text = "\n".join(lines)
+    unread = [name for name in ("x", "u") if (f" {name}[" if name == "x" else " = u;") not in text]
+    return [*(f"    (void){name};" for name in unread), *lines]
+
+
+def _used(lines: Sequence[str]) -> list[str]:
+    """Statements without those whose value nobody reads."""
+    kept: list[str] = []
+    read: set[str] = set()
+    for line in reversed(lines):
+        target, _, value = line.partition(" = ")
+        name = target.rpartition(" ")[2]
+        if not re.fullmatch(r"w\d+", name) or name in read:
+            kept.append(line)
+            read |= set(re.findall(r"\bw\d+\b", value))
+    return kept[::-1]
+
+
+def _statements(function: Any, outputs: Sequence[str], known: Mapping[int, Vec]) -> Iterator[str]:
+    where: dict[int, str | float] = {}
+    for count, step in enumerate(instructions(function)):
+        if step.name == "output":
+            out = outputs[step.out[0]]
+            yield f"    {out if out.startswith('*') else f'{out}[{step.out[1]}]'} = {_text(where[step.args[0]])};"
+            continue
+        value = _value(step, where, known)
+        if isinstance(value, str):
+            yield f"    const real w{count} = {value};"
+            value = f"w{count}"
+        where[step.out[0]] = value
+
+
+def _value(step: Instruction, where: Mapping[int, str | float], known: Mapping[int, Vec]) -> str | float:
+    """What an instruction gives: a number where it reads nothing that changes, else an expression."""
+    if step.name == "const":
+        return step.value
+    if step.name == "input":
+        argument, element = step.args
+        return float(known[argument][element]) if argument in known else ("u" if argument else f"x[{element}]")
+    arguments = [where[a] for a in step.args]
+    numbers = [a for a in arguments if isinstance(a, float)]
+    if len(numbers) == len(arguments):
+        return float(_FOLDED[step.name](*numbers))
+    texts = [_text(a) for a in arguments]
+    template = _TEMPLATES.get(step.name)
+    return f"MATH({step.name})({', '.join(texts)})" if template is None else template.format(*texts)
+
+
+def _text(value: str | float) -> str:
+    return value if isinstance(value, str) else number(value)
