@@ -13,7 +13,8 @@ INSTALL := -m pip install --quiet --disable-pip-version-check --only-binary :all
 
 # Each pytest worker keeps to one core; more threads than cores slow the suite down and make it noisy.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
-PYTEST = $(ONE_THREAD) $(VENV)/bin/python -m pytest -n auto --dist worksteal
+# Compiled bytecode is kept whatever the shell says: without it each worker compiles the package and the tests anew.
+PYTEST = $(ONE_THREAD) PYTHONDONTWRITEBYTECODE= $(VENV)/bin/python -m pytest -n auto --dist worksteal
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-fast test-matrix lint format types docs wheel-test dist bench clean distclean

