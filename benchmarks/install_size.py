@@ -4,8 +4,8 @@
 
 Sizes are those of the files that a distribution lists, compiled bytecode included, in MB of 1e6 bytes. The package and
 all that it requires are counted, extras left out. Times are processor time of a new interpreter with one import, less
-that of an interpreter alone: the least of some runs. Beside them stand the packages whose first import takes longest,
-with all that they bring (`python -X importtime`).
+that of an interpreter alone: the least of some runs. Beside them stand the packages that take most of it, in percent of
+one run (`python -X importtime`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import re
 import resource
 import subprocess
 import sys
+from collections import Counter
 from importlib.metadata import distribution
 from pathlib import Path
 
@@ -29,7 +30,7 @@ IMPORTS = (
     "hystmpc.api",
     "hystmpc.gap.diagnose",
 )
-_PART = re.compile(r"^import time:\s+\d+ \|\s+(\d+) \|\s+(\w+)$", re.MULTILINE)
+_MODULE = re.compile(r"^import time:\s+(\d+) \|\s+\d+ \|\s+([\w.]+)$", re.MULTILINE)
 
 
 def required(name: str, extras: frozenset[str] = frozenset()) -> set[str]:
@@ -66,19 +67,20 @@ def seconds(code: str, runs: int) -> float:
     return min(once() for _ in range(runs))
 
 
-def parts(code: str) -> dict[str, float]:
-    """Top-level packages that `code` imports, and the ms that their first import takes with all that it brings."""
+def modules(code: str) -> dict[str, int]:
+    """Modules that `code` imports, and the time of each without what it imports itself."""
     command = [sys.executable, "-X", "importtime", "-c", code]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stderr
-    return {name: int(us) / 1000 for us, name in _PART.findall(said)}
+    return {name: int(us) for us, name in _MODULE.findall(said)}
 
 
-def slowest(module: str, count: int = 3) -> str:
-    """The slowest parts of an import, without what every interpreter loads."""
-    always = parts("pass")
-    own = {name: ms for name, ms in parts(f"import {module}").items() if name not in always}
-    own.pop("hystmpc", None)
-    return ", ".join(f"{name} {own[name]:.0f}" for name in sorted(own, key=lambda n: -own[n])[:count])
+def slowest(module: str, count: int = 4) -> str:
+    """The packages that take most of an import, without what every interpreter loads."""
+    always, times = modules("pass"), Counter[str]()
+    for name, us in modules(f"import {module}").items():
+        if name not in always:
+            times[name.partition(".")[0]] += us
+    return ", ".join(f"{name} {100 * us / times.total():.0f}" for name, us in times.most_common(count))
 
 
 def main() -> None:
@@ -91,7 +93,7 @@ def main() -> None:
     print(f"| of {len(sizes)} distributions | MB |\n|---|---|")
     for name in sorted(sizes, key=lambda n: -sizes[n])[: wanted.largest]:
         print(f"| {name} | {sizes[name]:.0f} |")
-    print(f"| all | {sum(sizes.values()):.0f} |\n\n| import | ms | slowest parts, ms |\n|---|---|---|")
+    print(f"| all | {sum(sizes.values()):.0f} |\n\n| import | ms | most of it, % |\n|---|---|---|")
     empty = seconds("pass", wanted.runs)
     for module in IMPORTS:
         took = seconds(f"import {module}", wanted.runs) - empty
