@@ -125,7 +125,6 @@ def run_cell(python: str, name: str, resolution: str, keep: bool) -> None:
             stdout=log,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
-            start_new_session=True,  # tests signal their process group
             check=False,
         )
     if not keep:
