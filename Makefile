@@ -13,10 +13,11 @@ INSTALL := -m pip install --quiet --disable-pip-version-check --only-binary :all
 
 # Each pytest worker keeps to one core; more threads than cores slow the suite down and make it noisy.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
-PYTEST = $(ONE_THREAD) $(VENV)/bin/python -m pytest -n auto --dist worksteal
+# Compiled bytecode is kept whatever the shell says: without it each worker compiles the package and the tests anew.
+PYTEST = $(ONE_THREAD) PYTHONDONTWRITEBYTECODE= $(VENV)/bin/python -m pytest -n auto --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast lint format types docs wheel-test bench clean distclean
+.PHONY: help demo test test-fast test-matrix lint format types docs wheel-test dist bench clean distclean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -32,6 +33,9 @@ test: $(VENV)/.installed ## the whole suite; ARGS="tests/ctrl -x" is handed to p
 
 test-fast: $(VENV)/.installed ## the suite without its slow part, about a minute on two cores once kernels are compiled
 	$(PYTEST) -m "not slow" $(ARGS)
+
+test-matrix: $(VENV)/.installed ## the fast tests with every Python found, with pinned and lowest versions; ARGS="--python 3.12 --set lowest"
+	$(VENV)/bin/python benchmarks/matrix.py $(ARGS)
 
 lint: $(VENV)/.installed ## ruff: rules and formatting
 	$(VENV)/bin/ruff check .
@@ -62,11 +66,14 @@ wheel-test: $(VENV)/.installed ## build sdist and wheel, install the wheel alone
 	cd "$$folder/wheel"; \
 	HYSTMPC_CHECKOUT="$(CURDIR)" HYSTMPC_WHEEL="$$(ls "$$folder"/dist/*.whl)" ../venv/bin/python -m pytest -q $(ARGS) .
 
+dist: $(VENV)/.installed ## wheel and sdist of the last commit, built twice: the same bytes each time
+	$(VENV)/bin/python benchmarks/dist.py $(ARGS)
+
 bench: $(VENV)/.installed ## time the roll-outs and controllers on this machine
 	$(VENV)/bin/hystmpc bench $(ARGS)
 
 clean: ## remove caches and build products; run folders and venvs stay
-	rm -rf .typecheck .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist site docs/*/drawn docs/gallery docs/sg_execution_times.rst ./*.egg-info
+	rm -rf .matrix .typecheck .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks build dist site docs/*/drawn docs/gallery docs/sg_execution_times.rst ./*.egg-info
 	find . -path './.venv*' -prune -o -name __pycache__ -prune -exec rm -rf {} +
 
 distclean: clean ## also remove the venvs

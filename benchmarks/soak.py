@@ -140,7 +140,7 @@ def stolen_s() -> float:
 
 def spun(plan: Plan, busy_s: float) -> Floor:
     """The bare loop alone, busy for so long in every period."""
-    seconds = min(max(15.0 * plan.minutes, 5.0), 60.0)
+    seconds = min(max(15.0 * plan.minutes, 2.0), 60.0)
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "spun.npy"
         words = _bare(plan, file, seconds, "--busy", busy_s)

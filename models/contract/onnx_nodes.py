@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,7 @@ from ..kernels.program import Instruction, instructions
 
 _BINARY = {"add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "and": "Mul", "pow": "Pow"}
 _COMPARE = {"lt": "Less", "le": "LessOrEqual", "eq": "Equal"}
+_FROM_ONE = {"not": "Sub", "inv": "Div"}
 _UNARY = {
     "neg": "Neg",
     "fabs": "Abs",
@@ -24,7 +26,6 @@ _UNARY = {
     "log": "Log",
     "tanh": "Tanh",
     "sin": "Sin",
-    "cos": "Cos",
     "floor": "Floor",
     "assign": "Identity",
 }
@@ -73,10 +74,10 @@ class _Writer:
             return self.number(self.node("Not", [self.node("Equal", a)]))
         if step.name == "or":
             return self.number(self.node("Greater", [self.node("Add", a), zero]))
-        if step.name == "not":
-            return self.node("Sub", [one, a[0]])
-        if step.name == "inv":
-            return self.node("Div", [one, a[0]])
+        if step.name in _FROM_ONE:
+            return self.node(_FROM_ONE[step.name], [one, a[0]])
+        if step.name == "cos":  # onnxruntime before 1.29 has Cos in single precision only
+            return self.node("Sin", [self.node("Add", [a[0], self.constant(0.5 * math.pi)])])
         return self.node({"sq": "Mul", "twice": "Add"}[step.name], [a[0], a[0]])
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import get_window
 
 from hystmpc.trials.types import Mask, Vec
 
@@ -20,6 +19,8 @@ _MOST = 0.5  # of the recorded time, in which a frequency has to be the motion's
 
 def fundamental_hz(command: Vec, dt_s: float) -> float:
     """Frequency of a motion that has most of its energy in one line [Hz]; 0 where it has not."""
+    from scipy.signal import get_window  # half a second to import
+
     hz = np.fft.rfftfreq(command.size, dt_s)
     power = np.abs(np.fft.rfft(get_window("hann", command.size) * (command - command.mean()))) ** 2
     power[0] = 0.0

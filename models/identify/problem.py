@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy.signal import zoom_fft
 
 from hystmpc.trials.types import Vec
 
@@ -132,6 +131,8 @@ def strongest_line(runs: list[Run], errors: list[Vec], lowest_hz: float, highest
     The grid is as fine as the longest trial resolves, then refined by a parabola. Its powers come from a chirp
     z-transform: a table of all waves at all samples grows with the square of the duration, to gigabytes at ten minutes.
     """
+    from scipy.signal import zoom_fft  # half a second to import
+
     longest = max(error.size * run.dt_s for run, error in zip(runs, errors, strict=True))
     step_hz = 0.25 / longest
     grid = np.arange(step_hz, highest_hz, step_hz)  # from below `lowest_hz`, where a motion may leak from

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import csd, welch
 
 from hystmpc.trials.trial import Trial
 
@@ -52,6 +51,8 @@ class Ringing:
         H(f) = S_uy(f) / S_uu(f) where the command has power; a linear oscillator has its peak 1 / (2 d k) near w, and
         half the power of it at w (1 -+ d).
         """
+        from scipy.signal import csd, welch  # half a second to import
+
         dt = trials[0].dt
         length = max(max(len(trial) for trial in trials) // _SEGMENTS, 16)
         pairs = [(trial.command - trial.command.mean(), trial.angle - trial.angle.mean()) for trial in trials]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from hystmpc.trials.types import Vec
 
@@ -60,7 +60,7 @@ def uncertainty(problem: Problem, q: Vec, runs: Sequence[Run]) -> Uncertainty:
     free = np.flatnonzero(~at_bound)
     hessian = sum((j[:, free].T @ j[:, free] for _, j in pairs), np.zeros((free.size, free.size)))
     inverse, lost = _inverse(hessian)
-    best, quantile = np.zeros_like(hessian), float(student.ppf(0.95, 1))
+    best, quantile = np.zeros_like(hessian), float(stdtrit(1, 0.95))
     for seconds in _BLOCKS_S:
         scores = np.array(
             [g for (e, j), run in zip(pairs, runs, strict=True) for g in _scores(e, j[:, free], run, seconds)]
@@ -70,7 +70,7 @@ def uncertainty(problem: Problem, q: Vec, runs: Sequence[Run]) -> Uncertainty:
             break
         found = inverse @ (scores.T @ scores) @ inverse * len(scores) / spare
         if np.trace(found) > np.trace(best):
-            best, quantile = found, float(student.ppf(0.95, spare))
+            best, quantile = found, float(stdtrit(spare, 0.95))
     covariance = np.zeros((q.size, q.size))
     covariance[free[:, None], free[None, :]] = best
     flat = _flat(problem, quantile * np.sqrt(np.diag(covariance)))

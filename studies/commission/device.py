@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, final
@@ -126,8 +127,8 @@ def worn(device: DrawnDevice, friction: float, stiffness: float) -> DrawnDevice:
     return replace(device, core=replace(core, **changes))
 
 
-def bench_settings(plant: DrawnPlant, minutes: float, diagnose: bool, folder: Path) -> CommissionSettings:
-    """The bench of a drawn device: what a user would write into the file of `hystmpc commission`."""
+def bench_settings(plant: DrawnPlant, commission: Mapping[str, Any], folder: Path) -> CommissionSettings:
+    """The bench of a drawn device and the block `commission`: what a user would write into the file."""
     device, limits = plant.device, plant.device.limits
     low, high = plant.reachable_deg
     beside = _BESIDE * (high - low)
@@ -153,7 +154,7 @@ def bench_settings(plant: DrawnPlant, minutes: float, diagnose: bool, folder: Pa
             "transport": {"kind": "simulated", "plant": {"device": device.key}, "seed": device.seed % 1000},
             "prepare": [{"step": "flexure", "lower": limits.lower, "upper": limits.upper}],
             "latch_file": str(folder / "latch.json"),
-            "commission": {"minutes": minutes, "diagnose": diagnose, "seed": device.seed % 1000},
+            "commission": {**commission, "seed": device.seed % 1000},
         },
         device.key,
     )

@@ -61,7 +61,7 @@ BAND_SIGMAS = 1.645
 """Half of a band that holds 90 % of a normal distribution, in standard deviations."""
 
 _ANY_REST_DEG = 360.0  # the model of another device rests at another angle
-_QUICK_MINUTES = 4.0
+_QUICK = {"minutes": 4.0, "tune_evaluations": 24}  # of the block `commission`
 _COMPARED, _DIAGNOSED = 1, 5  # seeds of the noise, beside the device's
 _IMAGING_SHARE = 5  # the search under frames costs more: a share of the evaluations
 
@@ -195,8 +195,8 @@ def _commission(bench: StudyBench) -> tuple[str, dict[str, float]]:
     """Commission the device; then its controller beside rivals tuned on the very device and motions."""
     start, device, settings = time.process_time(), bench.device, bench.settings
     folder = bench.tip().parent
-    minutes = _QUICK_MINUTES if settings.quick else settings.minutes
-    config = bench_settings(bench.drawn, minutes, settings.diagnose, folder)
+    block = {"minutes": settings.minutes, "diagnose": settings.diagnose} | (_QUICK if settings.quick else {})
+    config = bench_settings(bench.drawn, block, folder)
     plants = drawn_plants(device)
     found = commission_device(config, lambda root, tick: BenchDevice(config, plants, root, None, tick=tick), folder)
     figures = _verified(found) | {"seconds.commission": time.process_time() - start}

@@ -50,7 +50,7 @@ def fresh_motions(plant: DrawnPlant, quick: bool = False) -> tuple[CountedMotion
     """Point to point with holds, a scan and a fast scan, over ranges drawn within what the device reaches."""
     random = np.random.default_rng([plant.device.seed, 2])
     speed = _SLOPE_SHARE * _speed(plant)
-    moves, scan_s = (2, 0.0) if quick else (5, 10.0)
+    moves, scan_s = (1, 0.0) if quick else (5, 10.0)
     return drawn_motions(random, plant.true_angle, plant.reachable_deg, speed, SCANS_HZ, moves=moves, scan_s=scan_s)
 
 

@@ -8,6 +8,7 @@ import inspect
 import json
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,7 @@ def test_every_name_is_there_and_known_to_a_type_checker(package: str) -> None:
 
 def test_every_name_says_what_it_does() -> None:
     assert set(dir(hystmpc)) == set(hystmpc.__all__)
-    assert hystmpc.__version__.count(".") == 2
+    assert hystmpc.__version__ == version("hystmpc")
     for name in set(hystmpc.__all__) - {"__version__"}:
         assert inspect.getdoc(getattr(hystmpc, name)), name
         assert name in hystmpc.__all__

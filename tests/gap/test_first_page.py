@@ -61,7 +61,12 @@ def numbers(value: Any) -> Iterator[float]:
         yield float(value)
 
 
-@pytest.mark.parametrize("evidence", [*(report_data(v, 6) for v in VERDICTS), crowded()], ids=[*VERDICTS, "crowded"])
+@pytest.fixture(scope="module", params=[*VERDICTS, "crowded"])
+def evidence(request: pytest.FixtureRequest) -> Evidence:
+    """Made for the tests that ask, not when tests are collected."""
+    return crowded() if request.param == "crowded" else report_data(request.param, 6)
+
+
 def test_every_number_is_one_of_the_result(evidence: Evidence) -> None:
     result = json.loads(diagnosis_json(evidence.diagnosis))
     places = [place["share"] / place["density"] for place in result["where"].values()]
@@ -76,7 +81,6 @@ def test_every_number_is_one_of_the_result(evidence: Evidence) -> None:
         assert set(re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?(?!\w)", text)) <= shown, text
 
 
-@pytest.mark.parametrize("evidence", [*(report_data(v, 6) for v in VERDICTS), crowded()], ids=[*VERDICTS, "crowded"])
 def test_a_dozen_sentences_at_most(evidence: Evidence) -> None:
     texts = said(evidence)
     assert 0 < sum(len(re.findall(r"\.(?=\s|$)", text)) for text in texts) <= MOST_SENTENCES, texts

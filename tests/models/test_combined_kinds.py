@@ -80,14 +80,16 @@ def small(patch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("amplitude_deg", "steps", "kept"), [(0.0, 30, False), (5.0, 800, True)], ids=["nothing left", "a wave left"]
+    ("amplitude_deg", "seeds", "steps", "kept"),
+    [(0.0, (1,), 30, False), (5.0, (1, 2), 800, True)],
+    ids=["nothing left", "a wave left"],
 )
 def test_a_network_of_what_is_left_is_kept_where_it_helps_alone(
-    amplitude_deg: float, steps: int, kept: bool, monkeypatch: pytest.MonkeyPatch
+    amplitude_deg: float, seeds: tuple[int, ...], steps: int, kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("torch", reason="torch is an extra")
     small(monkeypatch)
-    trials = wavy(recorded(Lag(0.15), commands=[*motions(1), *motions(2)]), amplitude_deg)
+    trials = wavy(recorded(Lag(0.15), commands=[command for seed in seeds for command in motions(seed)]), amplitude_deg)
     found = ResidualKind("gru").fit(trials, FitRequest(steps=steps))
     assert [connection.way for connection in found.bundle.metadata.connections] == (["series", "parallel"] * kept)
     assert ("not kept" in found.report) != kept

@@ -9,7 +9,6 @@ from hystmpc.models.chain import Chain
 from hystmpc.models.kinds.catalogue import KINDS
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.kinds.networks import NETWORK_PRESETS, network_settings
-from hystmpc.models.networks.hybrid_ import operator_step
 from hystmpc.models.networks.nodes import Scaling
 from hystmpc.models.networks.settings import DeviceFacts, FeedForwardSettings, HybridSettings, RecurrentSettings
 from hystmpc.models.operators.hysteresis import Backlash, InverseBacklash
@@ -25,6 +24,8 @@ from .lstm_examples import DT, four_trials
 from .zoo import BACKLASH, simulator
 
 torch = pytest.importorskip("torch", reason="torch is an extra")
+
+from hystmpc.models.networks.hybrid_ import operator_step  # noqa: E402  (needs torch)
 
 FORWARD, INVERSE = Scaling(3.0, 3.0, 60.0, 30.0), Scaling(60.0, 30.0, 3.0, 3.0)
 OPERATORS: dict[str, tuple[Operator, Scaling]] = {

@@ -36,7 +36,7 @@ def pair() -> Iterator[tuple[UdpTransport, UdpLink]]:
     link = UdpLink("127.0.0.1", 0, silence_s=0.3)
     transport = UdpTransport(UdpSettings(kind="udp", port=link.port), SAME)
     assert transport.read() is None  # greets
-    assert wait_for(link.receive) == Incoming(says="greeting")
+    assert wait_for(link.receive).says == "greeting"  # from Python 3.13 on no two with a command of NaN are equal
     yield transport, link
     transport.stop()
     link.close()

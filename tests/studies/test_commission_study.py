@@ -54,7 +54,7 @@ def test_a_prepared_device_rests_behind_flexures_within_its_limits(device: Drawn
 
 def test_a_bench_file_of_a_drawn_device_is_one_that_a_user_could_write(tmp_path: Path) -> None:
     for device in FOUR:
-        settings = bench_settings(DrawnPlant(device, 1), 5.0, False, tmp_path)
+        settings = bench_settings(DrawnPlant(device, 1), {"minutes": 5.0, "diagnose": False}, tmp_path)
         assert settings.limits.upper == device.limits.upper
         assert settings.commission.minutes == 5.0
 
