@@ -120,7 +120,7 @@ difference_mm = {}
 figure, (plan, cost) = plt.subplots(1, 2, figsize=(7.0, 2.8), width_ratios=(3, 2))
 for colour, (name, samples) in zip(("C0", "C1"), (("builtin:lstm", 8), ("builtin:pi", 12)), strict=True):
     commands_mm, seconds = compare(name, samples)
-    difference_mm[name] = float(np.max(np.abs(commands_mm[:5, 0] - commands_mm[:5, 1])))
+    difference_mm[name] = float(np.max(np.abs(commands_mm[:4, 0] - commands_mm[:4, 1])))
     plan.plot(commands_mm[:, 0], color=colour, label=f"{name}, linearised")
     plan.plot(commands_mm[:, 1], "o", color=colour, markersize=3, label=f"{name}, IPOPT")
     cost.semilogy(1e3 * seconds[:, 0], color=colour)
