@@ -10,7 +10,7 @@ import numpy as np
 from hystmpc.trials.types import Vec
 
 from ..effects.effect import Candidate
-from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, InParts, gain
+from .cross_validation import CrossValidation, HeldOutErrors, Hypothesis, InParts, sureness
 from .least_squares import fit_problem
 from .runs import Blocks, Run, blocks_of
 from .whitening import whitened, whitening
@@ -132,5 +132,4 @@ def timing_errors(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, f
 
 def _sure(blocks: Blocks, before: Vec, after: Vec) -> float:
     """Standard errors by which an energy falls in these blocks."""
-    fall, error = gain(Blocks(before, blocks.samples, blocks.run), Blocks(after, blocks.samples, blocks.run))
-    return fall / error if error > 0 else 0.0
+    return sureness(Blocks(before, blocks.samples, blocks.run), Blocks(after, blocks.samples, blocks.run))

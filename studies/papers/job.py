@@ -14,7 +14,7 @@ from hystmpc.models.identify.runs import fingerprint
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.read import read_trials
+from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.trial import Trial, resample
 
 from .settings import NETWORKS, PAPER_PRESETS, QUICK_SCALE, DirectionName, StudySettings
@@ -147,14 +147,15 @@ def study_splits(settings: StudySettings) -> Splits:
 
 
 def _logs(settings: StudySettings) -> tuple[Trial, ...]:
+    logs = expand_logs(settings.logs)
+    twice = [log for log in logs if logs.count(log) > 1]
+    if twice:
+        raise ConfigError(f"study real: {twice[0]} is given twice, expected each log once")
     whole = (resample(t, settings.rate_hz) for t in read_trials(settings.logs, settings.layout))
     trials = tuple(part for trial in whole for part in _parts(trial, settings.parts))
     sources = [trial.source for trial in trials]
     if len(sources) < _FEWEST_LOGS:
         raise ConfigError(f"study real: got {len(sources)} log, expected at least two: each is tested on the others")
-    twice = [source for source in sources if sources.count(source) > 1]
-    if twice:
-        raise ConfigError(f"study real: {twice[0]} is given twice, expected each log once")
     return trials
 
 
