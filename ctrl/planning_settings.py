@@ -130,7 +130,7 @@ class PredictiveSettings(LawSettings):
 
     predicts: ClassVar[bool] = True
 
-    estimator: EstimatorSettings = EstimatorSettings()
+    estimator: EstimatorSettings = EstimatorSettings()  # pyright: ignore[reportIncompatibleVariableOverride]  # frozen
     adaptation: AdaptationSettings | None = AdaptationSettings()
     handover: HandoverSettings | None = HandoverSettings()
     horizon: Count | None = None

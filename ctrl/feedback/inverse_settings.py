@@ -24,7 +24,7 @@ class FeedforwardSettings(LawSettings):
         estimator: how state and disturbance are estimated from the measurements.
     """
 
-    estimator: EstimatorSettings = EstimatorSettings()
+    estimator: EstimatorSettings = EstimatorSettings()  # pyright: ignore[reportIncompatibleVariableOverride]  # frozen
     reference_dead_zone_deg: NotNegative = REFERENCE_DEAD_ZONE_DEG
     preview: Count = 20
 
