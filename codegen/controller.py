@@ -68,7 +68,7 @@ class ControllerExport:
     """A controller as C.
 
     Attributes:
-        header, source: text of `hystmpc.h` and `hystmpc.c`.
+        header, source: text of hystmpc.h and hystmpc.c.
         parts: the same as files of their own, each of which compiles alone, by name.
         memory_bytes: of the struct that holds the controller, its room for a step included.
         remembered_bytes: of it, what is remembered from step to step.
@@ -92,7 +92,7 @@ class ControllerExport:
         return tuple(name for name in self.functions if name in INEXACT)
 
     def write(self, folder: Path) -> tuple[Path, Path]:
-        """Write `hystmpc.h` and `hystmpc.c` into a folder, which is made where it is missing."""
+        """Write hystmpc.h and hystmpc.c into a folder, which is made where it is missing."""
         folder.mkdir(parents=True, exist_ok=True)
         header = write_atomically(folder / "hystmpc.h", self.header)
         return header, write_atomically(folder / "hystmpc.c", self.source)
