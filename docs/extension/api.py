@@ -41,7 +41,7 @@ def _directive(name: str, value: Any) -> str:
     if inspect.isclass(value) and issubclass(value, Settings):
         return f".. autoclass:: {name}"  # its keys stand with the configuration files
     if inspect.isclass(value):
-        return f".. autoclass:: {name}\n   :members:\n   :inherited-members: BaseModel, Exception, object"
+        return f".. autoclass:: {name}\n   :members:\n   :inherited-members: BaseModel, BaseException, str, object"
     if callable(value):
         return f".. autofunction:: {name}"
     return f".. py:data:: {name}\n\n   A mapping with the keys {', '.join(f'``{key}``' for key in value)}."
