@@ -320,10 +320,14 @@ class _Fits:
         blocks = self._blocks
         return (blocks + free) / max(blocks - free, 1.0)
 
+    def _several_trials(self) -> bool:
+        """Folds of one trial share its samples: what changes between them is no shift from trial to trial."""
+        return len({id(run.command) for run in self._validation.runs}) > 1
+
     def _terms(self, base: Hypothesis) -> list[TrialTerms]:
         """Terms of the base with one more."""
         terms, made = base.problem.terms, []
-        if not terms.shift and "trial_shift" not in self._without and len(self._validation.runs) > 1:
+        if not terms.shift and "trial_shift" not in self._without and self._several_trials():
             width = self._validation.baseline.width
             made.append(replace(terms, shift=True))
             made += [replace(terms, shift=True, width=width)] if width >= 0 else []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -63,3 +65,11 @@ def test_the_diagnosis_names_it_with_its_groups() -> None:
     assert {len(names) for names in found.groups} == {4}
     assert dict(found.ranking)[NAME] == found.effects[0].probability
     assert found.effects[0].units["offset_deg"] == "deg"
+
+
+def test_one_trial_has_no_shift_from_trial_to_trial() -> None:
+    (trial,) = trials_of(Chain(BACKLASH), [moves(1, 40.0)])
+    later = trial.t > trial.t[0] + 0.35 * trial.duration_s
+    jumped = replace(trial, angle=trial.angle + 4.0 * later)
+    found = conclude(find_causes([jumped], simulator_of(BACKLASH), only=("trial_shift", "drift")))[0]
+    assert dict(found.ranking)["trial_shift"] == 0.0
