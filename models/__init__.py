@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from .effects.effect import Candidate, Effect, Freedom, Scale
     from .effects.own import add_effect
     from .effects.place import effect_operator, neutral_operator, with_effect
+    from .kinds.catalogue import kind_named
+    from .kinds.kind import FitRequest, Identified, ModelKind
+    from .model import Model
     from .operators.operator import Memoryless, Number, Operator, maximum, minimum
 
 __all__ = [
@@ -19,13 +22,18 @@ __all__ = [
     "Candidate",
     "Chain",
     "Effect",
+    "FitRequest",
     "Freedom",
+    "Identified",
     "Memoryless",
+    "Model",
+    "ModelKind",
     "Number",
     "Operator",
     "Scale",
     "add_effect",
     "effect_operator",
+    "kind_named",
     "maximum",
     "minimum",
     "neutral_operator",
@@ -40,5 +48,8 @@ if not TYPE_CHECKING:
         ("hystmpc.models.effects.effect", "Candidate Effect Freedom Scale"),
         ("hystmpc.models.effects.own", "add_effect"),
         ("hystmpc.models.effects.place", "effect_operator neutral_operator with_effect"),
+        ("hystmpc.models.kinds.catalogue", "kind_named"),
+        ("hystmpc.models.kinds.kind", "FitRequest Identified ModelKind"),
+        ("hystmpc.models.model", "Model"),
         ("hystmpc.models.operators.operator", "Memoryless Number Operator maximum minimum"),
     )

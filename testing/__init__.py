@@ -11,9 +11,21 @@ if TYPE_CHECKING:
     from .law import ControllerContract
     from .line_device import LineDevice
     from .loop import LoopContract
+    from .model import KindContract, ModelContract
+    from .plant import PlantContract
     from .wire import Connected, TransportContract
 
-__all__ = ["Connected", "ControllerContract", "EffectContract", "LineDevice", "LoopContract", "TransportContract"]
+__all__ = [
+    "Connected",
+    "ControllerContract",
+    "EffectContract",
+    "KindContract",
+    "LineDevice",
+    "LoopContract",
+    "ModelContract",
+    "PlantContract",
+    "TransportContract",
+]
 
 if not TYPE_CHECKING:
     __getattr__ = lazily(
@@ -22,5 +34,7 @@ if not TYPE_CHECKING:
         ("hystmpc.testing.law", "ControllerContract"),
         ("hystmpc.testing.line_device", "LineDevice"),
         ("hystmpc.testing.loop", "LoopContract"),
+        ("hystmpc.testing.model", "KindContract ModelContract"),
+        ("hystmpc.testing.plant", "PlantContract"),
         ("hystmpc.testing.wire", "Connected TransportContract"),
     )
