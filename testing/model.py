@@ -43,7 +43,7 @@ class ModelContract(ABC):
 
     def test_it_starts_at_the_measured_angle(self) -> None:
         """`output(initial(y))` is y, for every row."""
-        y = np.linspace(*np.quantile(self._angles, [0.1, 0.9]), 5)[:, None]
+        y = np.quantile(self._angles, [0.1, 0.3, 0.5, 0.7, 0.9])[:, None]
         x = self._model.initial(y)
         require(x.shape == (5, self._model.nx), f"initial has the shape {x.shape}, expected (5, nx = {self._model.nx})")
         self._same(self._model.output(x), y, "the output of the state at the start is not the measured angle")
@@ -176,7 +176,7 @@ class KindContract(ModelContract):
     @cached_property
     def _trials(self) -> list[Trial]:
         """Four motions of a catheter with backlash, 25 Hz."""
-        device, t = load_model("builtin:backlash"), 0.04 * np.arange(500)
+        device, t = load_model("builtin:backlash"), np.linspace(0.0, 19.96, 500)
         first = float(device.metadata.trained_angle.lower)
         shapes = [3.0 - 3.0 * np.cos(2 * np.pi * f * t) * np.exp(-0.03 * t) for f in (0.15, 0.25, 0.4, 0.3)]
         commands = [np.clip(u - u[0], self.low, self.high) for u in shapes]
