@@ -78,6 +78,15 @@
     };
     const write = (text, x, y, align, colour = SOFT) => { pen.fillStyle = colour; pen.textAlign = align; pen.fillText(text, x, y); };
 
+    const name = (legend, from, y) => { // in a row that begins where `from` puts one of its width
+      let across = from(12 + legend.reduce((sum, [label]) => sum + pen.measureText(label).width + 42, 0));
+      for (const [label, look] of legend) {
+        pen.beginPath(); pen.moveTo(across, y); pen.lineTo(across + 22, y); stroke(look);
+        write(label, across + 27, y, "left", INK);
+        across += pen.measureText(label).width + 42;
+      }
+    };
+
     const draw = () => {
       if (!width) return;
       const scale = window.devicePixelRatio || 1, own = getComputedStyle(card);
@@ -85,13 +94,7 @@
       canvas.width = width * scale; canvas.height = height * scale;
       pen.setTransform(scale, 0, 0, scale, 0, 0);
       pen.font = FONT; pen.textBaseline = "middle";
-      let across = 12 + data.legend.reduce((sum, [label]) => sum + pen.measureText(label).width + 42, 0);
-      across = Math.max(4, (width - across) / 2);
-      for (const [label, look] of data.legend) {
-        pen.beginPath(); pen.moveTo(across, 10); pen.lineTo(across + 22, 10); stroke(look);
-        write(label, across + 27, 10, "left", INK);
-        across += pen.measureText(label).width + 42;
-      }
+      name(data.legend, (wide) => Math.max(4, (width - wide) / 2), 10);
       for (const panel of data.panels) {
         const { left, top, wide, high } = frame(panel), [low, end] = view[panel.group], [bottom, upper] = heights(panel, view[panel.group]);
         const px = (v) => left + ((v - low) / (end - low)) * wide, py = (v) => top + high - ((v - bottom) / (upper - bottom)) * high;
@@ -113,6 +116,7 @@
         if (mouse && mouse.group === panel.group && mouse.x >= left && mouse.x <= left + wide) { pen.beginPath(); pen.moveTo(mouse.x, top); pen.lineTo(mouse.x, top + high); pen.strokeStyle = SOFT; pen.lineWidth = 0.7; pen.stroke(); }
         pen.restore();
         pen.strokeStyle = SOFT; pen.lineWidth = 1; pen.beginPath(); pen.moveTo(left, top); pen.lineTo(left, top + high); pen.lineTo(left + wide, top + high); pen.stroke();
+        name(panel.legend, (across) => left + wide - across, top - 9);
         if (panel.title) write(panel.title, left, top - 9, "left", INK);
         if (panel.xlabel) write(panel.xlabel, left + wide / 2, top + high + 26, "center", INK);
         pen.save(); pen.translate(9, top + high / 2); pen.rotate(-Math.PI / 2);

@@ -14,7 +14,7 @@
     if (m.t_s !== time) { time = m.t_s; heard = Date.now(); } // a run that stands still repeats its last sample
     stateOf(m.source.toUpperCase(), m.source === "mpc" ? "good" : m.source === "stop" ? "bad" : "dim");
     get("start").disabled = !token || m.source !== "await start";
-    try { window.draw(m); } catch (error) { get("link").hidden = false; get("link").textContent = `The plots fail: ${error.message}`; }
+    try { window.draw(m); } catch (error) { get("link").hidden = false; get("link").textContent = `The plots and figures fail, the buttons work: ${error.message}`; }
   };
   const finish = () => {
     const stopped = get("source").textContent === "STOP";
