@@ -37,7 +37,7 @@
     try {
       const answer = await fetch(path, { method: "POST", body, signal: end.signal, headers: { Authorization: `Bearer ${token}` } });
       const text = await answer.text(), name = path === "/estop" ? "E-STOP" : path.slice(1);
-      say(`${name}${answer.ok ? " taken" : " refused"}${text && ": "}${text}`, !answer.ok);
+      say(`${name}${answer.ok ? " taken" : " not done"}${text && ": "}${text}`, !answer.ok);
       return answer.ok;
     } catch {
       say(`${path.slice(1)}: the run could not be reached.${last}`, true);

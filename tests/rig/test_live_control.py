@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import http.client
+import json
 import threading
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -28,7 +30,9 @@ from hystmpc.rig.recording.recording import RecordingMeta
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.safety.ramp import way_commands
 from hystmpc.rig.transports.simulated import SimulatedSettings
+from hystmpc.studies.faults.play import end, start
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.yaml_ import parse_yaml
 
 from .bench_parts import RAMPS
@@ -410,6 +414,33 @@ def test_requests_reach_the_run_through_the_recording_process(tmp_path: Path) ->
     written = [path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()]
     assert len(written) >= 3
     assert [found for found in written if token.encode() in found] == []
+
+
+@pytest.mark.slow
+def test_a_run_of_the_command_line_is_led_from_the_page(tmp_path: Path) -> None:
+    """Start, a target and an e-stop, over the address that the terminal shows."""
+    config, folder = tmp_path / "run.yaml", tmp_path / "run"
+    config.write_text(SIMULATED + RUN + "live: {control: true, wait_for_start: true, port: 0}\n")
+    process = start(["run", config, "--out", folder])
+    try:
+        assert process.stdout is not None
+        address = next(line.split()[-1] for line in process.stdout if "live page: " in line)
+        assert post(address, "/start", token="wrong")[0] == 403
+        assert post(address, "/start") == (200, "")
+        until = time.monotonic() + 60
+        while post(address, "/target", '{"deg": 60}')[0] != 200 and time.monotonic() < until:
+            time.sleep(0.02)
+        assert post(address, "/estop") == (200, "")
+        said, _ = process.communicate(timeout=60)
+    finally:
+        end(process)
+    assert process.returncode == 3
+    assert f"stopped: {E_STOP}; safe command 0 mm held" in said
+    assert json.loads((folder / "latched.json").read_text())["cause"] == E_STOP
+    log = RunFolder.open(folder).log()
+    assert {"await start", "stop"} <= set(log["source"])
+    assert float(log["command_mm"][-1]) == 0.0
+    assert f"safe stop: {E_STOP}" in log["status"]
 
 
 def _silent(action: str, value: float = 0.0) -> Answer:
