@@ -199,6 +199,14 @@ def test_a_run_that_ends_takes_nothing_but_an_e_stop(action: str, tmp_path: Path
     assert operator.answers[43] == (200, "")
 
 
+def test_a_run_on_its_way_back_says_so(tmp_path: Path) -> None:
+    _, before, _ = play(tmp_path, {})
+    back = before.sources.index("return")
+    _, operator, _ = play(tmp_path, {back - 1: ("/start", ""), back: ("/start", ""), back + 1: ("/stop", "")})
+    told = [operator.answers[k] for k in (back - 1, back, back + 1)]
+    assert told == [(409, "the run has started"), (409, "the run is ending"), (409, "the run is ending")]
+
+
 TRACKED = parse_yaml(SIMULATED + RUN)
 
 
