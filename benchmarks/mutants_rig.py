@@ -395,7 +395,9 @@ MUTANTS: tuple[Mutant, ...] = (
     _desk("a page that only shows takes requests", "if not self.settings.control:", "if self.settings is None:"),
     _desk("a run that ends takes targets", "if self.flag.cause or self.flag.ending:", "if self._token is None:"),
     _desk("nothing waits for the start", "self.started = not settings.wait_for_start", "self.started = True"),
-    _desk("the token is the same in every run", "secrets.token_urlsafe(24)", '"hystmpc" * 4'),
+    _desk(
+        "the token is the same in every run", "self._token = secrets.token_urlsafe(24)", 'self._token = "hystmpc" * 4'
+    ),
     _asked_loop("the regular end is not heard", "if self._flag.ending and not", "if self._flag.cause and not"),
     _asked_loop(
         "the phases that are left are gone through",

@@ -86,7 +86,8 @@ class Desk:
         self.flag = StopFlag()
         self.started = not settings.wait_for_start
         self._set_target: SetTarget | None = None
-        self._token, self._target_deg = secrets.token_urlsafe(24), None
+        self._token = secrets.token_urlsafe(24)
+        self._target_deg: tuple[float, float] | None = None
 
     @property
     def access(self) -> Access | None:
