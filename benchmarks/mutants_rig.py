@@ -29,6 +29,14 @@ _latch = mutated_file("rig", "safety/stop.py", "test_parts.py", "test_bench.py")
 _bench = mutated_file("rig", "bench.py", "test_bench.py")
 _connect = mutated_file("rig", "bench.py", "test_bench.py")
 _host = mutated_file("rig", "recording/recorder_process.py", "test_recording_faults.py")
+_controls = mutated_file("rig", "live/controls.py", "test_live_control.py")
+_desk = mutated_file("rig", "live/desk.py", "test_live_control.py")
+_asked_loop = mutated_file("rig", "loop.py", "test_live_control.py")
+_asked_flag = mutated_file("rig", "safety/stop.py", "test_live_control.py")
+_asked_bench = mutated_file("rig", "bench.py", "test_live_control.py")
+_asked_phase = mutated_file("rig", "commission/phases.py", "test_live_control.py")
+_targets = mutated_file("rig", "commission/experiment.py", "test_live_control.py")
+_page = mutated_file("rig", "live/page.py", "test_live_control.py", "test_live.py")
 _at_bench = Mutated("cli", "cli/at_bench.py", ("tests/rig/test_bench.py",))
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -349,5 +357,74 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _host("Ctrl-C ends the recording", "for name in STOPPING:", 'for name in ("SIGHUP",):'),
     _host("a closed terminal ends the recording", "for name in STOPPING:", 'for name in ("SIGINT", "SIGTERM"):'),
+    _controls(
+        "any token will do",
+        'return hmac.compare_digest(authorization.encode(errors="replace"), wanted)',
+        "return len(wanted) > 0",
+    ),
+    _controls("a token may be empty", "wanted = (_SCHEME + self.access.token).encode()", "wanted = _SCHEME.encode()"),
+    _controls(
+        "the e-stop needs no token",
+        'if not self._carries_token(said.get("authorization", "")):',
+        'if action != "estop" and not self._carries_token(said.get("authorization", "")):',
+    ),
+    _controls(
+        "another site's page may ask",
+        "return site == \"same-origin\" and origin in (None, f\"http://{said.get('host', '')}\")",
+        'return site == "same-origin"',
+    ),
+    _controls(
+        "a browser that says cross-site may ask",
+        'return site == "same-origin" and origin',
+        "return bool(site) and origin",
+    ),
+    _controls("a foreign name is ours", "return name.lower() in self._names", "return True"),
+    _controls(
+        "an e-stop waits for other requests",
+        '        if action == "estop":\n            return _answer(self._ask(action, 0.0))\n',
+        "",
+    ),
+    _desk("an e-stop ends the run regularly", "            self.flag.set(E_STOP)\n", "            self.flag.end()\n"),
+    _desk("an e-stop does nothing", "            self.flag.set(E_STOP)\n            return", "            return"),
+    _desk(
+        "a run that ends refuses an e-stop",
+        'if action == "estop":',
+        'if action == "estop" and not self.flag.ending:',
+    ),
+    _desk("a stop is latched", "            self.flag.end()\n", "            self.flag.set(action)\n"),
+    _desk("a page that only shows takes requests", "if not self.settings.control:", "if self.settings is None:"),
+    _desk("a run that ends takes targets", "if self.flag.cause or self.flag.ending:", "if self._token is None:"),
+    _desk("nothing waits for the start", "self.started = not settings.wait_for_start", "self.started = True"),
+    _desk(
+        "the token is the same in every run", "self._token = secrets.token_urlsafe(24)", 'self._token = "hystmpc" * 4'
+    ),
+    _asked_loop("the regular end is not heard", "if self._flag.ending and not", "if self._flag.cause and not"),
+    _asked_loop(
+        "the phases that are left are gone through",
+        "            self._rest.clear()\n            self._phase = None\n",
+        "            self._phase = None\n",
+    ),
+    _asked_loop(
+        "the wait before the start is replayed",
+        "            self._past_u.clear()\n            self._past_y.clear()\n",
+        "            self._past_y.clear()\n",
+    ),
+    _asked_flag("the end that is asked for is forgotten", "self.ending = True", "self.ending = False"),
+    _asked_bench("the start is not waited for", "if desk.started else", "if desk.settings else"),
+    _asked_bench("the page is not told that the run ends", "        flag.end()  # whoever", "        # whoever"),
+    _asked_phase("the run begins before the start", "finished=started)", "finished=True)"),
+    _targets(
+        "a target out of reach is taken",
+        "        if not reach:\n            return Answer(False, reach.reason)\n",
+        "",
+    ),
+    _targets("a target before the hand-over is taken", "            if not self._tracks:", "            if False:"),
+    _targets("the run ends at a target", "t >= reference.duration_s and not self._stays", "t >= reference.duration_s"),
+    _page(
+        "viewers keep requests out",
+        "        if not self._page.streams.acquire(blocking=False):",
+        "        if self._page.streams is None:",
+    ),
+    _page("requests are taken by a page that only shows", "        if controls is None:\n", "        if False:\n"),
     _at_bench("held is always claimed", "    if outcome.confirmed:", "    if outcome:"),
 )

@@ -21,6 +21,7 @@ from hystmpc.trials.run_folder import require_vacant
 from .console import errors, out, table
 
 if TYPE_CHECKING:
+    from hystmpc.rig.live.desk import Desk, LiveSettings
     from hystmpc.rig.recording.recorder_process import RecorderProcess, Views
     from hystmpc.rig.recording.recording import RecordingMeta
 
@@ -45,13 +46,28 @@ def begin(settings: BenchSettings, folder: Path, reset: bool) -> None:
         reset_latch(settings)
 
 
+def views_of(live: LiveSettings, terminal: bool, page: bool) -> Views:
+    """What the options and the block `live` ask for: a page from which something may be asked is always served."""
+    from hystmpc.rig.recording.recorder_process import Views
+
+    return Views(terminal=terminal, page=page or live.control, host=live.host, port=live.port)
+
+
 def recording_in(
-    folder: Path, settings: BenchSettings, meta: RecordingMeta, views: Views, report: bool = True
+    folder: Path, settings: BenchSettings, meta: RecordingMeta, views: Views, desk: Desk, report: bool = True
 ) -> Callable[[], RecorderProcess]:
-    """Opens the recording when the device has answered, not before."""
+    """Opens the recording when the device has answered, not before; the page's address, if there is one, is told."""
     from hystmpc.rig.recording.recorder_process import open_recorder_process
 
-    return lambda: open_recorder_process(folder, settings, meta, settings.rate_hz, views, tell, report)
+    def opened() -> RecorderProcess:
+        recorder = open_recorder_process(folder, settings, meta, settings.rate_hz, views, tell, report, desk)
+        if recorder.page:
+            tell(f"live page: {recorder.page}")
+        if not desk.started:
+            tell("nothing moves before Start is pressed on the page")
+        return recorder
+
+    return opened
 
 
 def tell(text: str) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from hystmpc.rig.config import load_record
 
-from .at_bench import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell
+from .at_bench import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell, views_of
 from .console import out
 
 
@@ -24,18 +24,20 @@ def record(
     """Play every excitation and write trials that `check`, `fit` and `diagnose` read. Exit code 3 after a stop."""
     from hystmpc.commissioning.plants import plants_in
     from hystmpc.rig.commission.record import record as play
-    from hystmpc.rig.recording.recorder_process import Views
+    from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.recording.recording import RecordingMeta
 
     settings = load_record(config, overrides or ())
     begin(settings, folder, reset)
     meta = RecordingMeta(settings.command_unit, stages=("execution",))
+    desk = Desk(settings.live)
     result = play(
         settings,
-        recording_in(folder, settings, meta, Views(terminal=live, page=page)),
+        recording_in(folder, settings, meta, views_of(settings.live, live, page), desk),
         plants_in(config.resolve().parent, settings.command_unit),
         folder,
         note=tell,
+        desk=desk,
     )
     finish(settings, result.bench)
     for trial in result.trials:

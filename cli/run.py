@@ -9,7 +9,7 @@ import typer
 
 from hystmpc.rig.config import load_run
 
-from .at_bench import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell
+from .at_bench import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell, views_of
 from .console import out
 
 
@@ -24,7 +24,7 @@ def run(
     """Prepare the device, track the reference, return to the safe command; exit code 3 after a safe stop."""
     from hystmpc.commissioning.plants import plants_in
     from hystmpc.rig.commission.experiment import run_experiment
-    from hystmpc.rig.recording.recorder_process import Views
+    from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.recording.recording import RecordingMeta
 
     settings = load_run(config, overrides or ())
@@ -35,13 +35,14 @@ def run(
         models=() if model.startswith("builtin:") else (Path(model),),
         stages=("estimate", "law", "advance", "total", "execution"),
     )
-    views = Views(terminal=live, page=page)
+    views, desk = views_of(settings.live, live, page), Desk(settings.live)
     result = run_experiment(
         settings,
-        recording_in(folder, settings, meta, views, report=False),  # the review writes the one report there is
+        recording_in(folder, settings, meta, views, desk, report=False),  # the review writes the one report there is
         plants_in(config.resolve().parent, settings.command_unit),
         folder=folder,
         note=tell,
+        desk=desk,
     )
     finish(settings, result)
     from hystmpc.rig.commission.review_page import review_run  # matplotlib takes a second to import: after the run

@@ -124,6 +124,7 @@ def _pieces(story: Story) -> Iterator[Piece]:
             before_and_after(story.tracks, subject.command_unit),
             "Fresh references with the PID and the inverse alone, and with the controller that was made; the error is "
             "measured less wanted angle, the sensor's noise included.",
+            zoom=True,
         )
         yield _scores(verified)
     yield from _device(story)
@@ -185,7 +186,7 @@ def _device(story: Story) -> Iterator[Piece]:
         yield Table(("number", "value", "from", "to"), numbers, "Identified numbers, intervals of 90 %.")
     for line in (*fitted.advice, *story.checked.warnings):
         yield Paragraph(line)
-    yield Plot(_free_run(subject, story.model), "Free run of the model beside the recording, worst trial.")
+    yield Plot(_free_run(subject, story.model), "Free run of the model beside the recording, worst trial.", zoom=True)
     if story.diagnosed is not None:
         yield Heading("What is left")
         for line in filter(None, story.diagnosed.verdict):

@@ -111,6 +111,7 @@ def _round(made: Investigated, found: Round, unit: str) -> Iterator[Piece]:
         _figure(made, found, unit),
         "Above: command. Middle: measured angle, the simulator as given, and the corrected one after this round. "
         "Below: what was expected to stay apart between the explanations when each is retuned.",
+        zoom=True,
     )
 
 

@@ -13,9 +13,10 @@ from pathlib import Path
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.files import write_atomically
 
-from .commission.phases import Phase, SafeStop
+from .commission.phases import AwaitStart, Phase, SafeStop
 from .config import BenchSettings
 from .histogram import Timings
+from .live.desk import Desk
 from .loop import ControlLoop, RunOutcome
 from .realtime import Clock, MonotonicClock, control_process
 from .recording.sample import Sink
@@ -69,6 +70,7 @@ def run_bench(
     note: Note = lambda text: None,
     clock: Clock | None = None,
     transport: Transport | None = None,
+    desk: Desk | None = None,
 ) -> BenchResult:
     """Prepare the device, go through the phases, and leave it at rest at the safe command.
 
@@ -82,6 +84,7 @@ def run_bench(
         clock: of a device that is computed faster than time passes; the process is left as it is then. None for the
             machine's own.
         transport: to the device, in place of the block `transport`; it is called from a thread of its own.
+        desk: where somebody asks for the start, the end or an e-stop; None where nobody does.
 
     Raises:
         ConfigError: if the stop is latched, the device does not answer, or settings do not fit it; nothing has moved.
@@ -89,14 +92,16 @@ def run_bench(
     if transport is not None:
         settings = settings.model_copy(update={"transport": PythonSettings.of(transport)})
     control = control_process(settings.realtime) if clock is None else nullcontext(list[str]())
-    clock, flag = clock or MonotonicClock(settings.realtime.spin_s), StopFlag()
+    desk = desk or Desk()
+    clock, flag = clock or MonotonicClock(settings.realtime.spin_s), desk.flag
     with Latch.of(settings.name, settings.latch_file).held() as latch, stopping_on_signals(flag):
         latch.require_released()
         conversion = Conversion.of(settings.wire, settings.command_unit)
         wire = settings.transport.open(RunContext(conversion, settings.dt_s, clock.now_ns, plants))
         try:
             contact = first_contact(settings, wire, clock, flag)
-            work = [*(step.phase(settings.ramps, settings.dt_s) for step in settings.prepare), *phases()]
+            begins: list[Phase] = [] if desk.started else [AwaitStart(lambda: desk.started)]
+            work = [*begins, *(step.phase(settings.ramps, settings.dt_s) for step in settings.prepare), *phases()]
             samples = _opened(latch, sink)
         except BaseException:
             _part(wire)
@@ -131,6 +136,7 @@ def _loop(
     way = partial(stop_commands, safe=safe, ramps=ramps, overshoot=overshoot, dt_s=dt_s)
 
     def to_safe(cause: str) -> SafeStop:
+        flag.end()  # whoever asks for something else from now on is told so
         return SafeStop(way, safe, tolerance, cause, patience=max(_REPEATS, round(_PATIENCE_S / dt_s)))
 
     ramp_commands(contact.held, 0.0, safe, ramps, dt_s)  # ruckig is loaded before it is needed in a hurry

@@ -19,6 +19,7 @@ from hystmpc.trials.from_outside import with_kind
 
 from .commission.excitation import Excitation, MotionFileSettings
 from .commission.phases import PrepareStep, PretensionSettings
+from .live.desk import LiveSettings
 from .realtime import RealtimeSettings
 from .safety.intake import SensorSettings
 from .safety.plausibility import PlausibilitySettings
@@ -152,6 +153,7 @@ class RunSettings(BenchSettings):
         reference: what is tracked.
         review: of the run.
         drill: an exercise, None for none.
+        live: the local page.
     """
 
     limits: ModelledLimitsSettings  # pyright: ignore[reportIncompatibleVariableOverride]  # settings are frozen
@@ -159,6 +161,7 @@ class RunSettings(BenchSettings):
     reference: Motion
     review: ReviewSettings = ReviewSettings()
     drill: DrillSettings | None = None
+    live: LiveSettings = LiveSettings()
 
     @model_validator(mode="before")
     @classmethod
@@ -186,10 +189,12 @@ class RecordSettings(BenchSettings):
     Attributes:
         excitations: motions by name, each with its `kind`; each becomes one trial.
         settle_s: rest before each of them [s].
+        live: the local page; a recording takes no target.
     """
 
     excitations: Mapping[Name, Excitation] = Field(min_length=1)
     settle_s: NotNegative = 1.0
+    live: LiveSettings = LiveSettings()
 
     @model_validator(mode="after")
     def _measures(self) -> RecordSettings:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
-from .commission.phases import REMEMBERED, Decision, Past, Phase, PhaseInput, SafeStop, place_frames
+from .commission.phases import REMEMBERED, AwaitStart, Decision, Past, Phase, PhaseInput, SafeStop, place_frames
 from .histogram import Timings
 from .realtime import Clock
 from .recording.sample import Sample, Sink
@@ -58,7 +58,7 @@ class ControlLoop:
     """Waits for a deadline, reads, decides, limits, writes, hands the sample on; never raises, never logs.
 
     A sample is missed when its command leaves after its end; the next one starts at once and answers without a plan.
-    Samples that have passed wholly are skipped and told to the phase. The loop stops safely on a signal, a
+    Samples that have passed wholly are skipped and told to the phase. The loop stops safely on a signal or e-stop, a
     dead sensor, a fault of a phase, anything raised, and after standing still for longer than `stall_s`, or where no
     command has left for that long. A run ends without a cause only where the safe command has been sent.
 
@@ -145,6 +145,7 @@ class ControlLoop:
         self._waited = 0
         if stop := stop or self._anchor.moved:
             self._halt(stop, now)
+        self._cut_short()
         decision = self._decide(now)
         u = self._gate.admissible(decision.u, self._clock.now_ns())
         sent = self._send(u)
@@ -189,6 +190,9 @@ class ControlLoop:
 
     def _remember(self, held: float, seen: Seen) -> None:
         """Keep the sample for a controller that takes over."""
+        if isinstance(self._phase, AwaitStart):  # the device rests: however long that lasts, it is one sample
+            self._past_u.clear()
+            self._past_y.clear()
         self._past_u.append(held)
         self._past_y.append(math.nan if seen.frames else seen.angle_deg)
         place_frames(self._past_y, seen.frames, _S * self._dt_ns)
@@ -263,6 +267,12 @@ class ControlLoop:
         phase = self._to_safe(cause)
         phase.begin(now, Past([], []))
         self._phase = phase
+
+    def _cut_short(self) -> None:
+        """Leave out all phases but the way back where the regular end is asked for."""
+        if self._flag.ending and not isinstance(self._phase, SafeStop):
+            self._rest.clear()
+            self._phase = None
 
     def _send(self, u: float) -> bool:
         """Whether the command has left; one that has not counts as never sent."""

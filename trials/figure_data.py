@@ -174,16 +174,18 @@ def _plain(text: str) -> str:
 def zoomed(figure: Figure) -> dict[str, Any]:
     """What a page needs to draw the curves of a figure anew: panels in its own places, with all points.
 
-    Drawn before: places are those of the last drawing.
+    Drawn before: places are those of the last drawing. A panel's own legend stays with it where the figure has one too.
     """
     width, height = figure.get_size_inches()
     panels, legend = [], dict[str, dict[str, Any]]()
     for axes in figure.axes:
         box, first = axes.get_position(), axes.get_shared_x_axes().get_siblings(axes)
         curves = [_of_zoom(curve) for curve in curves_of(axes)]
+        own = dict[str, dict[str, Any]]()
+        entries = own if figure.legends and axes.get_legend() is not None else legend
         for curve in curves:
             if curve["label"]:
-                legend.setdefault(curve["label"], curve["look"])
+                entries.setdefault(curve["label"], curve["look"])
         panels.append(
             {
                 "box": [round(float(v), 4) for v in (box.x0, 1.0 - box.y1, box.width, box.height)],
@@ -197,6 +199,7 @@ def zoomed(figure: Figure) -> dict[str, Any]:
                 "rules": _rules(axes),
                 "bands": _bands(axes),
                 "curves": curves,
+                "legend": list(own.items()),
             }
         )
     return {"size": [float(width), float(height)], "panels": panels, "legend": list(legend.items())}

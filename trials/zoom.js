@@ -1,7 +1,7 @@
 // Curves of a report that zoom. Without scripts, and on paper, the drawing stands in their place.
 "use strict";
 (() => {
-  const INK = "#1c1c1e", SOFT = "#5f6368", GRID = "#e4e4e8", FONT = "11px system-ui, sans-serif", STEP = 1.25;
+  const FONT = "11px system-ui, sans-serif", STEP = 1.25;
 
   const ticks = (low, high, most) => {
     const raw = (high - low) / most, power = 10 ** Math.floor(Math.log10(raw));
@@ -16,24 +16,31 @@
     return low;
   };
 
-  const zoom = (figure) => {
-    const data = JSON.parse(figure.querySelector("script").textContent);
+  // Draws `data` into the card of a figure; `renew` takes newer data, and keeps the part that is looked at.
+  window.zoomable = (figure, data) => {
     const card = figure.querySelector(".card"), canvas = document.createElement("canvas"), told = document.createElement("p");
-    const pen = canvas.getContext("2d"), whole = {}, start = {}, view = {};
-    for (const panel of data.panels) {
-      const range = (whole[panel.group] ??= [Infinity, -Infinity]);
-      for (const { x } of panel.curves) for (const v of x) if (v !== null) { range[0] = Math.min(range[0], v); range[1] = Math.max(range[1], v); }
-      start[panel.group] ??= panel.x;
-    }
-    for (const group in whole) { // margins of the drawing belong to the whole
-      whole[group] = [Math.min(whole[group][0], start[group][0]), Math.max(whole[group][1], start[group][1])];
-      view[group] = [...start[group]];
-    }
+    const pen = canvas.getContext("2d");
+    let whole = {}, start = {}, view = {}, INK, SOFT, GRID;
+    const isMoved = (group) => view[group][0] !== start[group][0] || view[group][1] !== start[group][1];
+    const measure = () => { // a part that was chosen stays
+      const moved = Object.entries(view).filter(([group]) => isMoved(group));
+      whole = {}; start = {}; view = {};
+      for (const panel of data.panels) {
+        const range = (whole[panel.group] ??= [Infinity, -Infinity]);
+        for (const { x } of panel.curves) for (const v of x) if (v !== null) { range[0] = Math.min(range[0], v); range[1] = Math.max(range[1], v); }
+        start[panel.group] ??= panel.x;
+      }
+      for (const group in whole) { // margins of the drawing belong to the whole
+        whole[group] = [Math.min(whole[group][0], start[group][0]), Math.max(whole[group][1], start[group][1])];
+        view[group] = [...start[group]];
+      }
+      for (const [group, [low, high]] of moved) set(group, low, high);
+    };
     let width = 0, height = 0, mouse = null, held = null;
 
     const frame = (panel) => ({ left: panel.box[0] * width, top: panel.box[1] * height, wide: panel.box[2] * width, high: panel.box[3] * height });
     const heights = (panel, [low, high]) => { // as drawn at first; else those of what is seen
-      if (low === start[panel.group][0] && high === start[panel.group][1]) return panel.y;
+      if (!isMoved(panel.group)) return panel.y;
       let least = Infinity, most = -Infinity;
       for (const { x, y } of panel.curves) {
         for (let k = Math.max(0, first(x, low) - 1); k < x.length && x[k] <= high; k++) if (y[k] !== null) { least = Math.min(least, y[k]); most = Math.max(most, y[k]); }
@@ -71,19 +78,23 @@
     };
     const write = (text, x, y, align, colour = SOFT) => { pen.fillStyle = colour; pen.textAlign = align; pen.fillText(text, x, y); };
 
+    const name = (legend, from, y) => { // in a row that begins where `from` puts one of its width
+      let across = from(12 + legend.reduce((sum, [label]) => sum + pen.measureText(label).width + 42, 0));
+      for (const [label, look] of legend) {
+        pen.beginPath(); pen.moveTo(across, y); pen.lineTo(across + 22, y); stroke(look);
+        write(label, across + 27, y, "left", INK);
+        across += pen.measureText(label).width + 42;
+      }
+    };
+
     const draw = () => {
       if (!width) return;
-      const scale = window.devicePixelRatio || 1;
+      const scale = window.devicePixelRatio || 1, own = getComputedStyle(card);
+      [INK, SOFT, GRID] = [["--fg", "#1c1c1e"], ["--soft", "#5f6368"], ["--line", "#e4e4e8"]].map(([name, paper]) => data.themed ? own.getPropertyValue(name) : paper);
       canvas.width = width * scale; canvas.height = height * scale;
       pen.setTransform(scale, 0, 0, scale, 0, 0);
       pen.font = FONT; pen.textBaseline = "middle";
-      let across = 12 + data.legend.reduce((sum, [label]) => sum + pen.measureText(label).width + 42, 0);
-      across = Math.max(4, (width - across) / 2);
-      for (const [label, look] of data.legend) {
-        pen.beginPath(); pen.moveTo(across, 10); pen.lineTo(across + 22, 10); stroke(look);
-        write(label, across + 27, 10, "left", INK);
-        across += pen.measureText(label).width + 42;
-      }
+      name(data.legend, (wide) => Math.max(4, (width - wide) / 2), 10);
       for (const panel of data.panels) {
         const { left, top, wide, high } = frame(panel), [low, end] = view[panel.group], [bottom, upper] = heights(panel, view[panel.group]);
         const px = (v) => left + ((v - low) / (end - low)) * wide, py = (v) => top + high - ((v - bottom) / (upper - bottom)) * high;
@@ -105,6 +116,7 @@
         if (mouse && mouse.group === panel.group && mouse.x >= left && mouse.x <= left + wide) { pen.beginPath(); pen.moveTo(mouse.x, top); pen.lineTo(mouse.x, top + high); pen.strokeStyle = SOFT; pen.lineWidth = 0.7; pen.stroke(); }
         pen.restore();
         pen.strokeStyle = SOFT; pen.lineWidth = 1; pen.beginPath(); pen.moveTo(left, top); pen.lineTo(left, top + high); pen.lineTo(left + wide, top + high); pen.stroke();
+        name(panel.legend, (across) => left + wide - across, top - 9);
         if (panel.title) write(panel.title, left, top - 9, "left", INK);
         if (panel.xlabel) write(panel.xlabel, left + wide / 2, top + high + 26, "center", INK);
         pen.save(); pen.translate(9, top + high / 2); pen.rotate(-Math.PI / 2);
@@ -171,6 +183,7 @@
       keys[event.key]();
     });
 
+    measure();
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", `${figure.querySelector("figcaption")?.textContent.trim() || "Curves"} ${HINT}`);
@@ -185,8 +198,9 @@
       canvas.style.width = `${width}px`; canvas.style.height = `${height}px`;
       draw();
     }).observe(card);
+    return { renew: (newer) => { data = newer; measure(); draw(); } };
   };
 
   const HINT = "Click it, then: wheel, + or - zoom; drag or arrow keys move; double click, 0 or Home shows it as at first.";
-  document.querySelectorAll("figure.zoom").forEach(zoom);
+  document.querySelectorAll("figure.zoom").forEach((figure) => window.zoomable(figure, JSON.parse(figure.querySelector("script").textContent)));
 })();

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -129,6 +130,11 @@ class TipController:
                     return self._answer(measured_theta_deg, wanted, "" if now.stopped else fault)
         with self._lock:
             return self._answer(measured_theta_deg, None, "another was set each time this one was evaluated")
+
+    def skip(self) -> Command:
+        """One sample in which nothing was sent and the device held; the answer says so."""
+        with self._lock:
+            return self._answer(math.nan, None, "sample skipped, command held")
 
     def measure(self, theta_deg: float, taken_at_s: float) -> None:
         """Use a frame of an intermittent sensor, taken in the past; between frames `step` gets NaN.

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from threading import Thread
+from threading import Lock, Thread
 from typing import Any, final
 
 import numpy as np
@@ -30,6 +30,7 @@ from hystmpc.trials.types import Vec
 
 from ..bench import BenchResult, Note, run_bench
 from ..config import RunSettings
+from ..live.desk import Answer, Desk
 from ..recording.sample import Sink
 from ..safety.intake import SensorSettings
 from ..safety.plausibility import ModelWatch
@@ -48,14 +49,21 @@ def run_experiment(
     folder: Path | None = None,
     note: Note = lambda text: None,
     transport: Transport | None = None,
+    desk: Desk | None = None,
 ) -> BenchResult:
     """Do the experiment; everything that can be wrong is found before anything moves. Arguments as of `run_bench`.
+
+    With a desk the run takes targets too; after the first one it goes on until somebody ends it.
 
     Raises:
         HystmpcError: of any kind, see `tracking_phase` and `run_bench`.
     """
-    phase: list[Phase] = [tracking_phase(settings, note=note)]
-    return run_bench(settings, lambda: phase, sink, plants, folder=folder, note=note, transport=transport)
+    tracking = tracking_phase(settings, note=note)
+    if desk is not None:
+        desk.take_targets(tracking.target, *tracking.reach_deg)
+    return run_bench(
+        settings, lambda: [tracking], sink, plants, folder=folder, note=note, transport=transport, desk=desk
+    )
 
 
 def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lambda text: None) -> Tracking:
@@ -181,9 +189,31 @@ class Tracking(Phase):
         self._worker: Thread | None = None
         self._past: Past | None = None
         self._failure: Exception | None = None
-        self._skip = False
-        self._due_deg = math.nan
+        self._turn = Lock()  # of the end of the reference, and a target that comes at that moment
+        self._tracks = self._stays = False
         self._k = 0
+
+    @property
+    def reach_deg(self) -> tuple[float, float]:
+        """Least and greatest angle that the controller can be sent to [deg]."""
+        reach = self._tip.reachable(math.nan)
+        return reach.low_deg, reach.high_deg
+
+    def target(self, angle_deg: float) -> Answer:
+        """Move to an angle [deg] and stay there, in place of the reference, until the run is ended; by any thread.
+
+        Raises:
+            ControllerError: if the stop is latched.
+        """
+        reach = self._tip.reachable(angle_deg)
+        if not reach:
+            return Answer(False, reach.reason)
+        with self._turn:
+            if not self._tracks:
+                return Answer(False, "no target can be set now: the controller does not track")
+            self._tip.set_target(angle_deg)
+            self._stays = True
+        return Answer(True, reach.reason)
 
     def begin(self, now: PhaseInput, past: Past) -> None:
         del now
@@ -196,9 +226,7 @@ class Tracking(Phase):
         if self._failure is not None:
             raise self._failure
         for _ in range(now.skipped + self._held_samples):
-            self._skip = True
-            self._tip.step(math.nan)
-        self._skip = False
+            self._tip.skip()
         if self._held_samples:
             self._tip.set_reference(self._wanted)  # it begins now
             self._held_samples = 0
@@ -264,13 +292,9 @@ class Tracking(Phase):
         past.angles_deg[:] = [rest_deg, *([math.nan] * (len(past.commands) - 1))]
 
     def _wanted(self, t: Vec) -> Vec:
-        """The preview; refused for samples in which nothing was sent, so that the controller holds."""
-        if self._skip:
-            raise ValueError("sample skipped, command held")
+        """The preview."""
         assert self._reference is not None
-        angles = self._reference(t)
-        self._due_deg = float(angles[0])
-        return angles
+        return self._reference(t)
 
     def _refusal(self, now: PhaseInput) -> str:
         if now.late or now.skipped:
@@ -281,9 +305,12 @@ class Tracking(Phase):
         return ""
 
     def _decision(self, command: Command) -> Decision:
-        reference = self._reference
+        reference, control = self._reference, self._tip.snapshot().control
         assert reference is not None
         t = self._k * self._tip.dt
+        with self._turn:
+            over = t >= reference.duration_s and not self._stays
+            self._tracks = not over
         predicted = float(command.predicted[0]) if command.predicted.size else math.nan
         stages = (*command.timing.stages.items(), ("total", command.timing.total_s))
         stopped = command.source is Source.STOP
@@ -291,10 +318,10 @@ class Tracking(Phase):
             u=command.u,
             source=str(command.source),
             status=command.status + self._changed,
-            reference_deg=self._due_deg,
+            reference_deg=math.nan if control is None else control.due,
             predicted_deg=predicted,
             stages_s=stages,
-            finished=t >= reference.duration_s,
+            finished=over,
             fault=f"controller {command.status}" if stopped else self._watch.judge(command.disturbance),
         )
 

@@ -117,6 +117,29 @@ class CommandMotion(Phase):
 
 
 @final
+class AwaitStart(Phase):
+    """Holds the command until somebody lets the run begin; what is sent keeps the device's watchdog quiet.
+
+    Args:
+        started: asked once a sample.
+    """
+
+    name = "await start"
+
+    def __init__(self, started: Callable[[], bool]) -> None:
+        self._started = started
+
+    def begin(self, now: PhaseInput, past: Past) -> None:
+        """Nothing to prepare."""
+        del now, past
+
+    def step(self, now: PhaseInput) -> Decision:
+        """The command held."""
+        started = self._started()
+        return Decision(now.held, self.name, "ok" if started else "waits for Start", finished=started)
+
+
+@final
 class PretensionCheck(Phase):
     """Ramps the command up and back and checks that the angle is there and moves with it.
 

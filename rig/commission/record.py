@@ -22,6 +22,7 @@ from hystmpc.trials.types import Vec
 
 from ..bench import BenchResult, Note, run_bench
 from ..config import RecordSettings
+from ..live.desk import Desk
 from ..recording.sample import Sink
 from ..safety.ramp import way_commands
 from ..transports.transport import PlantFactory, Transport
@@ -126,6 +127,7 @@ def record(
     *,
     note: Note = lambda text: None,
     transport: Transport | None = None,
+    desk: Desk | None = None,
 ) -> RecordResult:
     """Play every excitation and write `trials/NAME.csv` in canonical columns and a manifest.
 
@@ -153,7 +155,7 @@ def record(
         phases += [CommandMotion("approach", way), recorded[-1]]
     if late is not None:
         note(_BETWEEN_FRAMES)
-    bench = run_bench(settings, lambda: phases, sink, plants, folder=folder, note=note, transport=transport)
+    bench = run_bench(settings, lambda: phases, sink, plants, folder=folder, note=note, transport=transport, desk=desk)
     written, cut = [], None
     for phase in recorded:
         file = phase.write(folder / ("trials" if phase.whole else "partial"), settings.command_unit)

@@ -7,15 +7,18 @@ import json
 import math
 import threading
 from collections.abc import Iterable
+from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from typing import Any, final
 
 from hystmpc.trials.errors import ConfigError
 
+from .controls import MOST_BYTES, Controls
 from .state import LiveSnapshot, LiveView
 
 _MOST_CLIENTS = 16  # more are turned away: a page is for the people at the bench
+_MOST_STREAMS = 12  # of them, so that those who only look never keep a request out
 _PATIENCE_S = 5.0  # for a client that sends or takes nothing
 _SILENCE_S = 2.0  # after which an idle stream gets a comment, so that a client that left is noticed
 _POLL_S = 0.1  # how soon `close` is noticed
@@ -30,22 +33,30 @@ _HEADERS = {
 
 @final
 class LivePage(LiveView):
-    """Serves what the run does to browsers; nothing that a browser sends is taken in.
+    """Serves what the run does to browsers; nothing that a browser sends is taken in, but requests to `controls`.
 
     Args:
         host: address to listen on; the loopback, unless others are to see the page.
         port: 0 takes a free one.
+        controls: takes requests; None, and the page only shows.
 
     Raises:
         ConfigError: if the address cannot be used, or the rate is not positive.
     """
 
-    def __init__(self, unit: str, rate_hz: float, host: str = "127.0.0.1", port: int = 8765) -> None:
-        self._unit, self._rate_hz = unit, rate_hz
+    def __init__(
+        self,
+        unit: str,
+        rate_hz: float,
+        host: str = "127.0.0.1",
+        port: int = 8765,
+        controls: Controls | None = None,
+    ) -> None:
+        self._unit, self._rate_hz, self._controls = unit, rate_hz, controls
         self._latest = _Latest()
         super().__init__(rate_hz)
         try:
-            self._server = _Server((host, port), self._latest)
+            self._server = _Server((host, port), self._latest, controls)
         except (OSError, OverflowError) as error:
             super().close()
             reason = getattr(error, "strerror", None) or error
@@ -59,9 +70,10 @@ class LivePage(LiveView):
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
+        """What to open in a browser; with the token, which browsers keep to themselves, where it takes requests."""
         host, port = self._server.server_address[:2]
-        return f"http://{host!s}:{port}/"
+        token = "" if self._controls is None else f"#{self._controls.access.token}"
+        return f"http://{host!s}:{port}/{token}"
 
     def close(self) -> None:
         """Send the last state and stop listening."""
@@ -140,9 +152,10 @@ class _Server(ThreadingHTTPServer):
     request_queue_size = 64
     block_on_close = False
 
-    def __init__(self, address: tuple[str, int], latest: _Latest) -> None:
-        self.latest = latest
-        self.page = files("hystmpc.rig.live").joinpath("page.html").read_bytes()
+    def __init__(self, address: tuple[str, int], latest: _Latest, controls: Controls | None) -> None:
+        self.latest, self.controls = latest, controls
+        self.page = _page(controls).encode()
+        self.streams = threading.BoundedSemaphore(_MOST_STREAMS)
         self._clients = threading.BoundedSemaphore(_MOST_CLIENTS)
         super().__init__(address, _Handler)
         self.allowed = _hosts(address[0], self.server_address[1])
@@ -179,9 +192,31 @@ class _Handler(BaseHTTPRequestHandler):
             self._begin("text/html; charset=utf-8", len(self._page.page))
             self.wfile.write(self._page.page)
         elif self.path == "/events":
-            self._stream()
+            self._watched()
         else:
             self.send_error(404)
+
+    def do_POST(self) -> None:
+        controls = self._page.controls
+        if controls is None:
+            self.send_error(501, "this page only shows")
+            return
+        length = self.headers.get("Content-Length", "0")
+        body = self.rfile.read(int(length)) if length.isdecimal() and int(length) <= MOST_BYTES else b""
+        status, text = controls.take(self.path, dict(self.headers.items()), body)
+        answer = text.encode()
+        self._begin("text/plain; charset=utf-8", len(answer), status)
+        self.wfile.write(answer)
+
+    def _watched(self) -> None:
+        """The stream, where there are not too many."""
+        if not self._page.streams.acquire(blocking=False):
+            self.send_error(503, "too many pages are open")
+            return
+        try:
+            self._stream()
+        finally:
+            self._page.streams.release()
 
     def _stream(self) -> None:
         self._begin("text/event-stream", None)
@@ -197,8 +232,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(b"data: " + text + b"\n\n" if newest > number else b": waiting\n\n")
         return newest
 
-    def _begin(self, kind: str, length: int | None) -> None:
-        self.send_response(200)
+    def _begin(self, kind: str, length: int | None, status: HTTPStatus = HTTPStatus.OK) -> None:
+        self.send_response(status)
         self.send_header("Content-Type", kind)
         if length is not None:
             self.send_header("Content-Length", str(length))
@@ -208,6 +243,22 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: object) -> None:
         """Nothing: the terminal belongs to the run."""
+
+
+def _page(controls: Controls | None) -> str:
+    """The page with its scripts; buttons are shown where they do something."""
+    here = files("hystmpc.rig.live")
+    parts = {"link.js": here.joinpath("link.js"), "zoom.js": files("hystmpc.trials").joinpath("zoom.js")}
+    text = here.joinpath("page.html").read_text(encoding="utf-8")
+    for name, part in parts.items():
+        text = text.replace(f"/* {name} */", part.read_text(encoding="utf-8"))
+    return text if controls is None else text.replace("<body>", _body(controls.access.target_deg))
+
+
+def _body(target_deg: tuple[float, float] | None) -> str:
+    ends = {} if target_deg is None else dict(zip(("low", "high"), map(_number, target_deg), strict=True))
+    data = "".join(f' data-{name}="{value}"' for name, value in ends.items() if value is not None)
+    return f'<body class="control{"" if target_deg is None else " target"}"{data}>'
 
 
 def _hosts(host: str, port: int) -> frozenset[str]:

@@ -14,17 +14,20 @@ import struct
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from itertools import count
 from pathlib import Path
-from threading import Lock
+from threading import Event, Lock
 from typing import Any, BinaryIO, final
 
 from hystmpc.trials.config import Settings
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.run_folder import RunFolder
 
+from ..live.desk import Access, Answer, Desk
 from ..safety.stop import STOPPING
 from .recording import Recording, RecordingMeta, Tell, create_folder
 from .sample import Sample, SampleQueue, Sink, Tee
@@ -37,12 +40,20 @@ _QUEUE_S = 30.0
 
 _CLOSE_S = 20.0
 
+_ANSWER_S = 2.0  # how long the page waits for the run's answer
+
+_NO_ANSWER = "the run has not answered: use the device's own emergency stop"
+
 _logger = logging.getLogger(__name__)
 _lock = Lock()  # of the process's standard output
 
 
-def pack(samples: Iterable[Sample]) -> bytes:
-    """One block of samples.
+# What the run said to requests of the page: number, whether it does as asked, and a line.
+Answers = Iterable[tuple[int, bool, str]]
+
+
+def pack(samples: Iterable[Sample], answers: Answers = ()) -> bytes:
+    """One block of samples, and of answers.
 
     `marshal` is the fastest way to bytes that the interpreter has; the reader is the same interpreter, started by the
     writer, so its limits (one version, trusted data) are none here.
@@ -50,18 +61,24 @@ def pack(samples: Iterable[Sample]) -> bytes:
     Raises:
         ValueError, TypeError, AttributeError: on a sample whose fields are of other types than `Sample` says.
     """
-    body = marshal.dumps([_plain(sample) for sample in samples])
+    body = marshal.dumps(([_plain(sample) for sample in samples], list(answers)))
     return _LENGTH.pack(len(body)) + body
 
 
-def unpack(pipe: BinaryIO) -> Iterator[list[Sample]]:
-    """Blocks of samples until the other side has closed the pipe or died; a block cut off by that is left out."""
+def unpack(pipe: BinaryIO, answered: Callable[[Answers], object] = lambda answers: None) -> Iterator[list[Sample]]:
+    """Blocks of samples until the other side has closed the pipe or died; a block cut off by that is left out.
+
+    Args:
+        answered: takes the answers of each block.
+    """
     while len(head := pipe.read(_LENGTH.size)) == _LENGTH.size:
         length = _LENGTH.unpack(head)[0]
         body = pipe.read(length)
         if len(body) < length:
             return
-        yield [Sample(*fields) for fields in marshal.loads(body)]
+        samples, answers = marshal.loads(body)
+        answered(answers)
+        yield [Sample(*fields) for fields in samples]
 
 
 def _plain(s: Sample) -> tuple[object, ...]:
@@ -99,12 +116,14 @@ def open_recorder_process(
     views: Views = Views(),
     tell: Tell | None = None,
     report: bool = True,
+    desk: Desk | None = None,
 ) -> RecorderProcess:
     """Start a recording, and the views asked for, in a process of their own. Arguments as of `open_recording`.
 
     Why a process: writing and drawing are Python code that holds the interpreter's lock for milliseconds at a time,
     up to a whole period of a loop at 250 Hz. Here the control process only packs tuples and writes them to a pipe. It
-    also means that the log is ended properly when the controller is killed.
+    also means that the log is ended properly when the controller is killed. What somebody asks at the page comes back
+    the same way, to `desk`.
 
     Raises:
         ConfigError: on a folder that is not new or empty, a missing model file, or a process that does not start (a
@@ -113,8 +132,10 @@ def open_recorder_process(
     path, made = Path(folder), not Path(folder).exists()
     create_folder(path, config, meta)
     order = {"folder": str(path), "rate_hz": rate_hz, "unit": meta.unit, "stages": meta.stages}
+    access = None if desk is None or desk.access is None else asdict(desk.access)
+    more = {"views": asdict(views), "report": report, "access": access}
     try:
-        return RecorderProcess(order | {"views": asdict(views), "report": report}, rate_hz, tell)
+        return RecorderProcess(order | more, rate_hz, tell, desk)
     except ConfigError:
         _take_back(path, made)
         raise
@@ -137,8 +158,12 @@ class RecorderProcess(Sink):
         ConfigError: if the process does not start.
     """
 
-    def __init__(self, order: Mapping[str, Any], rate_hz: float, tell: Tell | None = None) -> None:
+    def __init__(
+        self, order: Mapping[str, Any], rate_hz: float, tell: Tell | None = None, desk: Desk | None = None
+    ) -> None:
         self._tell = tell or _logger.warning
+        self._desk = desk or Desk()
+        self._answers: deque[tuple[int, bool, str]] = deque()
         self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
         self._folder = str(order["folder"])
         command = [sys.executable, "-m", "hystmpc.rig.recording.recorder_process"]
@@ -205,6 +230,8 @@ class RecorderProcess(Sink):
             ending = self._end.wait(_FEED_S)
             samples = self._waiting.take()
             block = self._packed(samples) if samples else b""
+            if self._answers:
+                block += pack((), [self._answers.popleft() for _ in range(len(self._answers))])
             try:
                 self._to.write(block)
                 self._to.flush()
@@ -235,6 +262,9 @@ class RecorderProcess(Sink):
         for raw in self._from:
             answer = _line(raw)
             self.on_disk = int(answer.get("on_disk", self.on_disk))
+            if "ask" in answer:
+                said = self._desk.ask(str(answer["ask"]), float(answer["value"]))
+                self._answers.append((int(answer["number"]), said.done, said.text))
             if "tell" in answer:
                 self.problem = str(answer["tell"])
                 self._tell(self.problem)
@@ -253,27 +283,58 @@ def serve() -> int:
     for name in STOPPING:  # meant for the controller; this process ends after it
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    order = json.loads(sys.stdin.buffer.readline() or b"{}")
+    order, requests = json.loads(sys.stdin.buffer.readline() or b"{}"), _Requests()
     try:
-        sink, page = _sinks(order)
+        sink, page = _sinks(order, requests)
     except HystmpcError as error:
         _say(error=str(error))
         return 1
     _say(ready=page)
-    for samples in unpack(sys.stdin.buffer):
+    for samples in unpack(sys.stdin.buffer, requests.answered):
         for sample in samples:
             sink.put(sample)
     sink.close()
     return 0
 
 
-def _sinks(order: dict[str, Any]) -> tuple[Sink, str]:
+@final
+class _Requests:
+    """Hands what the page is asked to the controller, and waits for its answer."""
+
+    def __init__(self) -> None:
+        self._numbers = count()
+        self._open: dict[int, tuple[Event, list[Answer]]] = {}
+
+    def ask(self, action: str, value: float) -> Answer:
+        """What the run says; by any thread."""
+        number, come, said = next(self._numbers), Event(), list[Answer]()
+        self._open[number] = come, said
+        _say(ask=action, value=value, number=number)
+        come.wait(_ANSWER_S)
+        del self._open[number]
+        return said[0] if said else Answer(False, _NO_ANSWER)
+
+    def answered(self, answers: Answers) -> None:
+        """Take the controller's answers; one that comes too late is dropped."""
+        for number, done, text in answers:
+            if number in self._open:
+                come, said = self._open[number]
+                said.append(Answer(done, text))
+                come.set()
+
+
+def _sinks(order: dict[str, Any], requests: _Requests) -> tuple[Sink, str]:
     """Recording and views, and the address of the page."""
+    from ..live.controls import Controls
     from ..live.page import LivePage
     from ..live.terminal import TerminalView
 
     wanted = order["views"]
-    page = LivePage(order["unit"], order["rate_hz"], wanted["host"], wanted["port"]) if wanted["page"] else None
+    page = None
+    if wanted["page"]:
+        access, place = order["access"], (wanted["host"], wanted["port"])
+        controls = None if access is None else Controls(Access(**access), requests.ask, wanted["host"])
+        page = LivePage(order["unit"], order["rate_hz"], *place, controls)
     terminal = (
         TerminalView(order["unit"], order["rate_hz"], page.address if page else "") if wanted["terminal"] else None
     )

@@ -19,7 +19,7 @@ class Sample:
         measured_deg: measured angle, NaN without a usable one [deg].
         command: command really sent, in the unit that the run's configuration names; of the source `wait`, the one that
             the device says it holds, since nothing was sent.
-        source: what chose it: mpc, shifted plan, inverse, hold, stop, wait, return, or the name of a preparation step.
+        source: what chose it: mpc, shifted plan, inverse, hold, stop, wait, return, await start, or a preparation step.
         status: one line on what happened.
         predicted_deg: angle predicted for the end of the sample, NaN without one [deg].
         stages_s: name and duration of every stage, such as estimate, plan, total [s].

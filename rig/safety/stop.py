@@ -26,14 +26,24 @@ RUNNING = "the program was killed while it controlled the device"
 
 @final
 class StopFlag:
-    """Set by a signal or another thread, looked at once a sample; the first cause stays."""
+    """Set by a signal or another thread, looked at once a sample; the first cause stays.
+
+    Attributes:
+        cause: why a safe stop is asked for, empty while none is.
+        ending: whether the run is to end, or ends already.
+    """
 
     def __init__(self) -> None:
         self.cause = ""
+        self.ending = False
 
     def set(self, cause: str) -> None:
         """Ask for a safe stop."""
         self.cause = self.cause or cause
+
+    def end(self) -> None:
+        """Ask for the regular end: back to the safe command, without a latch."""
+        self.ending = True
 
 
 @contextmanager

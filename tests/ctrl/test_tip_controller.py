@@ -91,6 +91,20 @@ def test_targets_set_before_the_start_wait_for_the_first_measurement() -> None:
         refused.reset(500.0)
 
 
+def test_a_skipped_sample_is_a_hold_in_the_middle_of_a_motion_too() -> None:
+    """The device has got nothing: whatever is planned, the command before it is the one that it holds."""
+    tip, plant = controller_for(), plant_for()
+    y = plant.reset()
+    tip.reset(y)
+    tip.set_target(60.0)
+    y = run(tip, plant, y, 5)
+    held = tip.state().command
+    skipped = tip.skip()
+    assert (skipped.u, skipped.source, skipped.status) == (held, Source.HOLD, "reference: sample skipped, command held")
+    assert tip.state().time_s == pytest.approx(6 * DT)
+    assert tip.step(plant.apply(held)).u > held
+
+
 def test_waypoints_and_previews_are_followed_to_their_end() -> None:
     tip, plant = controller_for(), plant_for()
     y = plant.reset()

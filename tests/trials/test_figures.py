@@ -114,6 +114,19 @@ def test_a_figure_that_zooms_has_its_drawing_and_all_its_points_and_nothing_ends
     assert html.count("<svg") == 2
 
 
+def test_a_panel_keeps_its_own_legend_beside_that_of_the_figure() -> None:
+    figure = Figure()
+    upper, lower = figure.subplots(2)
+    upper.plot([0, 1], [0, 1], label="measured")
+    lower.plot([0, 1], [1, 0], label="0.3 deg RMS")
+    lower.legend()
+    assert [name for name, _ in zoomed(figure)["legend"]] == ["measured", "0.3 deg RMS"]
+    figure.legend(*upper.get_legend_handles_labels())
+    data = zoomed(figure)
+    assert [name for name, _ in data["legend"]] == ["measured"]
+    assert [[name for name, _ in panel["legend"]] for panel in data["panels"]] == [[], ["0.3 deg RMS"]]
+
+
 def test_a_page_without_one_has_no_script() -> None:
     assert "<script" not in Report("page", (Plot(long_figure()),)).html()
     assert "<script" not in report().fragment()
