@@ -10,8 +10,10 @@ import numpy as np
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 
-from hystmpc.codegen.fmu import FmuVersion, export_fmu
+from hystmpc.codegen import export_fmu
+from hystmpc.codegen.fmu import FmuVersion
 from hystmpc.sim import SimulatedPlant
+from hystmpc.trajectories.excitation import s2_point_to_point, s2_sinusoid
 from hystmpc.trials.types import Vec
 
 TIME, COMMAND, OUTPUT = 0, 1, 2
@@ -43,6 +45,15 @@ def by_fmpy(fmu: Path, commands: Vec, dt_s: float) -> Vec:
     table = np.array(list(zip(times, commands, strict=True)), dtype=[("time", float), ("command", float)])
     told: dict[str, Any] = {"stop_time": commands.size * dt_s, "output_interval": dt_s, "step_size": dt_s}
     return np.asarray(fmpy.simulate_fmu(str(fmu), input=table, output=["angle"], **told)["angle"])
+
+
+def greatest_difference(fmu: Path, plant: SimulatedPlant) -> float:
+    """Of both over a sinusoid and a point-to-point motion of S2 [deg]."""
+    off = []
+    for motion in (s2_sinusoid(0.5, "0BL"), s2_point_to_point(1)):
+        commands = motion(np.arange(0.0, motion.duration_s, plant.dt))
+        off.append(np.abs(by_fmpy(fmu, commands, plant.dt) - by_python(plant, commands)).max())
+    return float(np.max(off))
 
 
 class Instance:

@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from hystmpc.cli.main import app
-from hystmpc.codegen.fmu import FmuVersion, export_fmu
+from hystmpc.codegen import export_fmu
+from hystmpc.codegen.fmu import FmuVersion
 from hystmpc.codegen.fmu.binary import PLATFORMS
 from hystmpc.models.chain import Chain
 from hystmpc.models.load import library_file
@@ -25,7 +26,6 @@ from hystmpc.models.operators.catalogue import operators
 from hystmpc.models.operators.measurement import Sensor
 from hystmpc.models.simulator import Simulator, load_simulator
 from hystmpc.sim import Effects, SimulatedPlant
-from hystmpc.trajectories.excitation import s2_point_to_point, s2_sinusoid
 from hystmpc.trials.errors import ExportError
 
 from ..models.zoo import CHAINS, EXAMPLES, WITH_EFFECTS, simulator
@@ -36,7 +36,7 @@ fmpy = pytest.importorskip("fmpy", reason="fmpy is a tool of development")
 
 from fmpy.validation import validate_fmu  # noqa: E402
 
-from .importer import COMMAND, OUTPUT, TIME, VERSIONS, Instance, by_fmpy, by_python, written  # noqa: E402
+from .importer import COMMAND, OUTPUT, TIME, VERSIONS, Instance, greatest_difference, written  # noqa: E402
 
 _SHIPPED = {name: load_simulator(library_file(name)) for name in ("tendon-catheter", "pi", "backlash", "auto")}
 _EFFECTS = Effects(
@@ -100,9 +100,7 @@ def test_it_repeats_the_python_simulator(name: str, version: FmuVersion, tmp_pat
     plant = plant_of(name)
     fmu = written(plant, tmp_path / "device.fmu", version)
     assert validate_fmu(str(fmu)) == []
-    for motion in (s2_sinusoid(0.5, "0BL"), s2_point_to_point(1)):
-        commands = motion(np.arange(0.0, motion.duration_s, plant.dt))
-        np.testing.assert_allclose(by_fmpy(fmu, commands, plant.dt), by_python(plant, commands), rtol=0, atol=1e-9)
+    assert greatest_difference(fmu, plant) <= 1e-9  # not-a-number is not
 
 
 @versions
@@ -138,7 +136,7 @@ def test_a_state_of_another_device_is_refused(folder: Path) -> None:
     raw = made.packed()
     foreign = bytes([raw[0] ^ 1, *raw[1:]])
     for wrong in (foreign, raw[:-1]):
-        with pytest.raises(Exception, match="(?i)deserialize"):
+        with pytest.raises(Exception, match=r"(?i)deserialize"):
             made.unpack(wrong)
     assert made.lines == ["deserialise: these are not the bytes of a state of this FMU"] * 2
 
