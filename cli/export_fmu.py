@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,7 +13,6 @@ from .console import out
 from .options import FMU, Force, check_output
 
 if TYPE_CHECKING:
-    from hystmpc.codegen.fmu import FmuVersion
     from hystmpc.sim.config import PlantSettings
     from hystmpc.sim.plants.simulated import SimulatedPlant
 
@@ -43,7 +42,7 @@ def export_fmu(
     Its input is the command, its output the true angle without the noise of a sensor. The FMU holds its C sources, and
     a binary where a compiler is found: CC, cc, or the package ziglang.
     """
-    from hystmpc.codegen.fmu import export_fmu as exported
+    from hystmpc.codegen import export_fmu as exported
 
     check_output("--out", path, (FMU,), [simulator], force)
     plant = _plant(simulator)
@@ -51,14 +50,16 @@ def export_fmu(
         plant.simulator,
         plant.rest,
         name=path.stem,
-        version=cast("FmuVersion", fmi.value),
+        version=fmi.value,
         platforms=platforms,
         rest_command=plant.rest_command,
     )
     export.write(path)
     found = export.described
     binaries = (
-        f"binaries {', '.join(export.platforms)}" if export.platforms else "sources only: no C compiler was found"
+        f"binaries {', '.join(export.platforms)}"
+        if export.platforms
+        else "sources only: no C compiler was found for this machine"
     )
     calls = f"; calls {', '.join(export.functions)} of <math.h>" if export.functions else ""
     left = ", ".join(_left_out(plant))

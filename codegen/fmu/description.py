@@ -105,7 +105,7 @@ def _body_2(root: Element, described: Described, source: str) -> None:
     _experiment(root, described)
     variables = SubElement(root, "ModelVariables")
     for shared, unit, real in _variables(described):
-        SubElement(SubElement(variables, "ScalarVariable", shared), "Real", unit=unit, **real)
+        SubElement(SubElement(variables, "ScalarVariable", shared), "Real", {"unit": unit, **real})
     structure = SubElement(root, "ModelStructure")
     for group in ("Outputs", "InitialUnknowns"):  # the index counts variables from one
         SubElement(SubElement(structure, group), "Unknown", index=str(OUTPUT + 1), dependencies="")
@@ -123,7 +123,7 @@ def _body_3(root: Element, described: Described, source: str) -> None:
     _experiment(root, described)
     variables = SubElement(root, "ModelVariables")
     for shared, unit, real in _variables(described):
-        SubElement(variables, "Float64", shared, unit=unit, **real)
+        SubElement(variables, "Float64", {**shared, "unit": unit, **real})
     structure = SubElement(root, "ModelStructure")
     for group in ("Output", "InitialUnknown"):
         SubElement(structure, group, valueReference=str(OUTPUT), dependencies="")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import subprocess
 import zipfile
 from collections.abc import Mapping
@@ -244,7 +246,7 @@ def test_without_a_compiler_there_are_sources(monkeypatch: pytest.MonkeyPatch, t
     monkeypatch.setattr("hystmpc.codegen.fmu.binary.compiler_for", lambda name: None)
     done = CliRunner().invoke(app, ["export-fmu", "builtin:pi", "--out", str(tmp_path / "pi.fmu")])
     assert done.exit_code == 0, done.output
-    assert "sources only: no C compiler was found" in " ".join(done.output.split())
+    assert "sources only: no C compiler was found for this machine" in " ".join(done.output.split())
     assert validate_fmu(str(tmp_path / "pi.fmu")) == []
     with pytest.raises(ExportError, match="no compiler for win64: install ziglang"):
         export_fmu(plant_of("pi").simulator, plant_of("pi").rest, platforms=["win64"])
@@ -256,7 +258,7 @@ def test_a_compiler_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None
         export_fmu(plant_of("pi").simulator, plant_of("pi").rest)
 
 
-def test_what_has_no_fmu_is_refused_in_a_line() -> None:
+def test_what_has_no_fmu_is_refused_in_a_line(tmp_path: Path) -> None:
     plant = plant_of("pi")
     sensed = simulator(Chain(EXAMPLES[0], after=(Sensor(0.0, 0.1, 0.0, 0.0, 0.0),)))
     with pytest.raises(ExportError, match="got a sensor in the chain"):
@@ -264,6 +266,12 @@ def test_what_has_no_fmu_is_refused_in_a_line() -> None:
     inverse = replace(plant.simulator, inverse=True)
     with pytest.raises(ExportError, match="got an inverse map"):
         export_fmu(inverse, plant.rest)
+    study = tmp_path / "study.yaml"
+    text = (FILES / "simulate_builtin.yaml").read_text(encoding="utf-8")
+    study.write_text(re.sub(r"plant:\n(  .*\n)+", "plant: {device: tendon}\n", text), encoding="utf-8")
+    for given_one, words in ((study, "got plant.device tendon"), (tmp_path / "lstm.onnx", "got .*, supported are sim")):
+        done = CliRunner().invoke(app, ["export-fmu", str(given_one), "--out", str(tmp_path / "no.fmu")])
+        assert re.search(f"export-fmu: {words}", str(done.exception))
     with pytest.raises(ExportError, match=r"got platform win46, available: .* did you mean 'win64'"):
         export_fmu(plant.simulator, plant.rest, platforms=["win46"])
 
@@ -298,3 +306,20 @@ def test_sources_of_two_link_into_one_program(tmp_path: Path) -> None:
     (tmp_path / "main.c").write_text(main, encoding="utf-8")
     compile_c(["-std=c99", "main.c", "pi.o", "backlash.o", "-o", "both", "-lm"], tmp_path)
     assert subprocess.run([tmp_path / "both"], timeout=60, check=False).returncode == 0
+
+
+@pytest.mark.slow
+def test_it_runs_clean_under_sanitizers(tmp_path: Path) -> None:
+    """Addresses, leaks and undefined behaviour; where their library is missing, undefined behaviour alone."""
+    plant = plant_of(FAST[1])
+    export = export_fmu(plant.simulator, plant.rest, version="3.0", platforms=())
+    for path, content in export.files.items():
+        (tmp_path / Path(path).name).write_bytes(content)
+    shutil.copy(Path(__file__).with_name("host.c"), tmp_path)
+    defines = [f'-DTOKEN="{export.described.token}"', f"-DSAMPLE_S={plant.dt!r}"]
+    build = [*STRICT, "-Wno-strict-prototypes", *defines, "-O1", "-g", "-o", "run", "host.c", "fmu.c", "-lm"]
+    both = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    if not compilers() or tried([*compilers()[0], *both, *build], tmp_path):
+        compile_c(["-fsanitize=undefined", "-fsanitize-undefined-trap-on-error", *build], tmp_path)
+    done = subprocess.run([tmp_path / "run"], capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout) == (0, "4 refusals\n"), done.stderr
