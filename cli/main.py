@@ -24,6 +24,7 @@ VERBS: Mapping[str, str] = MappingProxyType(
         "evaluate": "Compare a model's free run with recorded trials.",
         "export": "Export a simulator as a stateful ONNX step.",
         "export-c": "Export a predictive controller as C99.",
+        "export-fmu": "Export a simulator with its effects as an FMU.",
         "diagnose": "Diagnose the gap between a simulator and its device.",
         "simulate": "Simulate the closed loop; write a run folder and its report.",
         "tune": "Search the settings of a controller on simulated plants.",

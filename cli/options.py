@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import zipfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -138,7 +139,7 @@ class Output:
         """Whether a file is of this kind, of whatever version."""
         try:
             return self.format_of(path).startswith(self.formats)
-        except (OSError, ValueError, RecursionError, HystmpcError):
+        except (OSError, ValueError, LookupError, RecursionError, HystmpcError, zipfile.BadZipFile):
             return False
 
 
@@ -165,6 +166,12 @@ def _of_c(path: Path) -> str:
         return "hystmpc" if "Written by hystmpc" in file.read(1000) else ""
 
 
+def _of_fmu(path: Path) -> str:
+    with zipfile.ZipFile(path) as archive:
+        description = archive.read("modelDescription.xml").decode("utf-8")
+    return "hystmpc" if 'generationTool="hystmpc' in description else ""
+
+
 def _format(data: Any) -> str:
     return str(data.get("format", "")) if isinstance(data, dict) else ""
 
@@ -175,6 +182,7 @@ EVALUATION = Output("an evaluation", (".json",), _of_json, ("hystmpc-evaluation/
 BENCHMARK = Output("a benchmark's result", (".json",), _of_json, ("hystmpc-bench/",))
 C_SOURCE = Output("an exported controller", (".c",), _of_c, ("hystmpc",))
 C_HEADER = Output("an exported controller", (".h",), _of_c, ("hystmpc",))
+FMU = Output("an FMU of hystmpc", (".fmu",), _of_fmu, ("hystmpc",))
 REPORT = Output("a report of hystmpc", (".html",), _of_page, ("hystmpc",))
 
 Page = Annotated[Path | None, typer.Option("--report", help="Write one page with tables and figures here, .html.")]

@@ -109,20 +109,27 @@ def model_source(name: str, step: Step) -> str:
     What does not change from sample to sample is computed here, by the same operations that compiled kernels do, so
     that both have equal numbers to the last bit.
     """
-    plain, tangent = _pair(step.function)
-    known = {2: step.parameters, 3: np.array([step.sample_s])}
-    outputs = ("*theta", "next"), ("*theta", "next", "a", "b", "c", "*d")
-    arguments = ", ".join(f"real *{out.lstrip('*')}" for out in outputs[0])
-    more = ", ".join(f"real *{out.lstrip('*')}" for out in outputs[1])
+    known = _known(step)
+    outputs = "*theta", "next", "a", "b", "c", "*d"
+    arguments = ", ".join(f"real *{out.lstrip('*')}" for out in outputs)
     return "\n".join(
         [
-            f"static void step_{name}(const real *x, real u, {arguments}) {{",
-            *_body(plain, outputs[0], known),
-            "}\n",
-            f"static void tangent_{name}(const real *x, real u, {more}) {{",
-            *_body(tangent, outputs[1], known),
+            step_source(name, step),
+            f"static void tangent_{name}(const real *x, real u, {arguments}) {{",
+            *_body(_tangent(step.function), outputs, known),
             "}\n",
             f"HYSTMPC_SHARED const model hystmpc_{name} = {{{step.size}, step_{name}, tangent_{name}}};\n",
+        ]
+    )
+
+
+def step_source(name: str, step: Step) -> str:
+    """C of a chain's step alone, `step_<name>(x, u, theta, next)`; numbers as `model_source` has them."""
+    return "\n".join(
+        [
+            f"static void step_{name}(const real *x, real u, real *theta, real *next) {{",
+            *_body(step.function, ("*theta", "next"), _known(step)),
+            "}\n",
         ]
     )
 
@@ -148,14 +155,19 @@ def rest_source(offset: Vec, by_angle: Vec, by_command: Vec, warmup: int) -> str
     )
 
 
-def _pair(function: Any) -> tuple[Any, Any]:
-    """The step, and the step with d next / d x, d next / d u, d theta / d x, d theta / d u, as kernels compile them."""
+def _known(step: Step) -> Mapping[int, Vec]:
+    """Arguments of the step's function whose values do not change, by number."""
+    return {2: step.parameters, 3: np.array([step.sample_s])}
+
+
+def _tangent(function: Any) -> Any:
+    """The step with d next / d x, d next / d u, d theta / d x, d theta / d u, as kernels compile it."""
     x, u = ca.SX.sym("x", function.numel_in(0)), ca.SX.sym("u")
     arguments = [x, u, ca.SX.sym("p", function.numel_in(2)), ca.SX.sym("dt")]
     theta, following = function(*arguments)
     by = ca.jacobian
     slopes = [by(following, x), by(following, u), by(theta, x), by(theta, u)]
-    return dense("step", arguments, [theta, following]), dense("tangent", arguments, [theta, following, *slopes])
+    return dense("tangent", arguments, [theta, following, *slopes])
 
 
 def _body(function: Any, outputs: Sequence[str], known: Mapping[int, Vec]) -> list[str]:

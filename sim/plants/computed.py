@@ -71,6 +71,11 @@ class ComputedPlant(ABC):
         return self._seed
 
     @property
+    def sensing(self) -> Sensing:
+        """Its angle sensor."""
+        return self._sensing
+
+    @property
     def true_angle(self) -> float:
         """Tip angle without noise and quantisation [deg]: what metrics are made of, and no controller sees."""
         return self._angle

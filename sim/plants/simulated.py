@@ -158,6 +158,11 @@ class SimulatedPlant(ComputedPlant):
         own = tuple(o for o in simulator.chain.after if isinstance(o, Sensor))
         super().__init__(dt_s, commands.lower, simulator.command_unit, effects.sensing(own), seed)
 
+    @property
+    def rest(self) -> tuple[float, Vec]:
+        """True angle [deg] and state (S,) that every reset brings."""
+        return self._rest
+
     def _at_rest(self, random: np.random.Generator) -> tuple[float, Vec]:
         del random  # nothing in a chain is
         return self._rest

@@ -1,0 +1,171 @@
+"""modelDescription.xml and buildDescription.xml of an FMU, in both versions of the standard."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+TIME, COMMAND, OUTPUT = 0, 1, 2
+"""Value references, as in c/device.c."""
+
+# Factor and exponents of the SI base units; a unit that is not here is written without them.
+_BASE_UNITS: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    {
+        "s": {"s": "1"},
+        "m": {"m": "1"},
+        "mm": {"m": "1", "factor": "0.001"},
+        "um": {"m": "1", "factor": "1e-06"},
+        "deg": {"rad": "1", "factor": "0.017453292519943295"},
+        "rad": {"rad": "1"},
+        "Pa": {"kg": "1", "m": "-1", "s": "-2"},
+        "kPa": {"kg": "1", "m": "-1", "s": "-2", "factor": "1000"},
+        "bar": {"kg": "1", "m": "-1", "s": "-2", "factor": "100000"},
+        "N": {"kg": "1", "m": "1", "s": "-2"},
+        "V": {"kg": "1", "m": "2", "s": "-3", "A": "-1"},
+        "A": {"A": "1"},
+    }
+)
+_STEPS = "canHandleVariableCommunicationStepSize"
+_EXPERIMENT_S = 10.0
+
+
+@dataclass(frozen=True)
+class Described:
+    """What the descriptions say of a device.
+
+    Attributes:
+        name, identifier: for people, and for C and file names.
+        chain: its operators in the order of the signal.
+        sample_s: sample time [s].
+        command_unit, output_unit: of the signals.
+        limits: least and greatest command.
+        rest_command: before the first one is set.
+        tool: that wrote it.
+        token: by which binary and description know each other.
+    """
+
+    name: str
+    identifier: str
+    chain: str
+    sample_s: float
+    command_unit: str
+    output_unit: str
+    limits: tuple[float, float]
+    rest_command: float
+    tool: str
+    token: str = ""
+
+    @property
+    def output(self) -> str:
+        """Name of the output: `angle` where its unit is deg."""
+        return "angle" if self.output_unit == "deg" else "output"
+
+    @property
+    def words(self) -> str:
+        """One line for people."""
+        return (
+            f"{self.chain}; command [{self.command_unit}] to {self.output} [{self.output_unit}], "
+            f"a step every {self.sample_s:g} s; without the noise of a sensor"
+        )
+
+
+def model_description(described: Described, version: str, source: str) -> str:
+    """Text of modelDescription.xml."""
+    root = Element("fmiModelDescription", fmiVersion=version, modelName=described.name)
+    root.set("guid" if version == "2.0" else "instantiationToken", described.token)
+    root.set("description", described.words)
+    root.set("generationTool", described.tool)
+    root.set("variableNamingConvention", "flat")
+    (_body_2 if version == "2.0" else _body_3)(root, described, source)
+    return _text(root)
+
+
+def build_description(described: Described, source: str) -> str:
+    """Text of sources/buildDescription.xml, for a shared library by C99."""
+    root = Element("fmiBuildDescription", fmiVersion="3.0")
+    build = SubElement(root, "BuildConfiguration", modelIdentifier=described.identifier)
+    files = SubElement(build, "SourceFileSet", language="C99")
+    SubElement(files, "SourceFile", name=source)
+    SubElement(files, "PreprocessorDefinition", name="FMI3_OVERRIDE_FUNCTION_PREFIX", value="")
+    return _text(root)
+
+
+def _body_2(root: Element, described: Described, source: str) -> None:
+    root.set("numberOfEventIndicators", "0")
+    kind = SubElement(root, "CoSimulation", modelIdentifier=described.identifier)
+    kind.set(_STEPS, "false")
+    kind.set("canGetAndSetFMUstate", "true")
+    kind.set("canSerializeFMUstate", "true")
+    SubElement(SubElement(kind, "SourceFiles"), "File", name=source)
+    _units(root, described)
+    _categories(root)
+    _experiment(root, described)
+    variables = SubElement(root, "ModelVariables")
+    for shared, unit, real in _variables(described):
+        SubElement(SubElement(variables, "ScalarVariable", shared), "Real", {"unit": unit, **real})
+    structure = SubElement(root, "ModelStructure")
+    for group in ("Outputs", "InitialUnknowns"):  # the index counts variables from one
+        SubElement(SubElement(structure, group), "Unknown", index=str(OUTPUT + 1), dependencies="")
+
+
+def _body_3(root: Element, described: Described, source: str) -> None:
+    del source  # stands in buildDescription.xml
+    kind = SubElement(root, "CoSimulation", modelIdentifier=described.identifier)
+    kind.set(_STEPS, "false")
+    kind.set("canGetAndSetFMUState", "true")
+    kind.set("canSerializeFMUState", "true")
+    kind.set("fixedInternalStepSize", repr(described.sample_s))
+    _units(root, described)
+    _categories(root)
+    _experiment(root, described)
+    variables = SubElement(root, "ModelVariables")
+    for shared, unit, real in _variables(described):
+        SubElement(variables, "Float64", {**shared, "unit": unit, **real})
+    structure = SubElement(root, "ModelStructure")
+    for group in ("Output", "InitialUnknown"):
+        SubElement(structure, group, valueReference=str(OUTPUT), dependencies="")
+
+
+def _variables(described: Described) -> list[tuple[dict[str, str], str, dict[str, str]]]:
+    """Attributes of the variable, its unit, attributes of its type."""
+    low, high = described.limits
+    held = {"min": repr(low), "max": repr(high), "start": repr(described.rest_command)}
+    found = [
+        (TIME, "time", "independent", "", "s", {}),
+        (COMMAND, "command", "input", "held over each step", described.command_unit, held),
+        (OUTPUT, described.output, "output", "true value at the end of each step", described.output_unit, {}),
+    ]
+    made = []
+    for reference, name, causality, text, unit, more in found:
+        shared = {"name": name, "valueReference": str(reference), "causality": causality, "variability": "continuous"}
+        shared |= {"description": text} if text else {}
+        shared |= {"initial": "calculated"} if reference == OUTPUT else {}
+        made.append((shared, unit, more))
+    return made
+
+
+def _units(root: Element, described: Described) -> None:
+    units = SubElement(root, "UnitDefinitions")
+    for name in dict.fromkeys(("s", described.command_unit, described.output_unit)):
+        unit = SubElement(units, "Unit", name=name)
+        if name in _BASE_UNITS:
+            SubElement(unit, "BaseUnit", dict(_BASE_UNITS[name]))
+
+
+def _categories(root: Element) -> None:
+    categories = SubElement(root, "LogCategories")
+    for name in ("logStatusDiscard", "logStatusError"):
+        SubElement(categories, "Category", name=name)
+
+
+def _experiment(root: Element, described: Described) -> None:
+    stop = max(1, round(_EXPERIMENT_S / described.sample_s)) * described.sample_s
+    SubElement(root, "DefaultExperiment", startTime="0", stopTime=repr(stop), stepSize=repr(described.sample_s))
+
+
+def _text(root: Element) -> str:
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"

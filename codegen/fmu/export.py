@@ -1,0 +1,190 @@
+"""`export_fmu`: a simulator becomes an FMU with sources and binaries."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import re
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from importlib.metadata import version as version_of
+from pathlib import Path
+from typing import Literal, get_args
+
+from hystmpc.models.operators.measurement import Sensor
+from hystmpc.models.simulator import Simulator
+from hystmpc.trials.errors import ExportError, did_you_mean
+from hystmpc.trials.files import write_atomically
+from hystmpc.trials.types import Vec
+
+from ..steps import Step, functions_used, number, step_source
+from .binary import PLATFORMS, compiled, host_platform
+from .description import Described, build_description, model_description
+
+FmuVersion = Literal["2.0", "3.0"]
+
+_HEADERS: Mapping[str, tuple[str, ...]] = {
+    "2.0": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    "3.0": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
+_SOURCE = "fmu.c"
+_OLDEST = (1980, 1, 1, 0, 0, 0)  # of a zip file: equal devices give equal bytes
+
+
+@dataclass(frozen=True)
+class FmuExport:
+    """A simulator as an FMU.
+
+    Attributes:
+        described: what modelDescription.xml says of it.
+        files: content by path inside the FMU.
+        platforms: for which there is a binary; none where no compiler was found.
+        functions: of <math.h> that the step calls.
+    """
+
+    described: Described
+    files: Mapping[str, bytes]
+    platforms: tuple[str, ...]
+    functions: tuple[str, ...]
+
+    def write(self, path: Path | str) -> Path:
+        """Write the FMU, whole or not at all."""
+        packed = io.BytesIO()
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in self.files.items():
+                entry = zipfile.ZipInfo(name, _OLDEST)
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+                archive.writestr(entry, content)
+        return write_atomically(path, packed.getvalue())
+
+
+def export_fmu(
+    simulator: Simulator,
+    rest: tuple[float, Vec],
+    *,
+    name: str = "device",
+    version: FmuVersion = "2.0",
+    platforms: Sequence[str] | None = None,
+    rest_command: float | None = None,
+) -> FmuExport:
+    """A simulator as a co-simulation FMU: command in, output out, one step a sample.
+
+    It starts where `rest` says and repeats the Python simulator to rounding. The command is held over a step.
+
+    Args:
+        simulator: with its effects, at the sample time of the FMU; a `SimulatedPlant` has it as `simulator`.
+        rest: output and state (S,) at the start, `SimulatedPlant.rest`.
+        name: of the model, for the importing tool.
+        version: of the standard.
+        platforms: for which binaries are made, of `PLATFORMS`; this machine's where left out, and then none where no
+            compiler is found.
+        rest_command: command before the first one is set; the simulator's own where left out.
+
+    Raises:
+        ExportError: where the simulator is an inverse map or has a sensor, a platform is unknown, or a compiler fails.
+    """
+    _check(simulator, version)
+    lowest = simulator.command_limits.lower if simulator.rest_command is None else simulator.rest_command
+    described = Described(
+        name=name,
+        identifier=_identifier(name),
+        chain=" + ".join(operator.name for operator in simulator.chain.operators),
+        sample_s=simulator.dt_s,
+        command_unit=simulator.command_unit,
+        output_unit=simulator.angle_unit,
+        limits=(simulator.command_limits.lower, simulator.command_limits.upper),
+        rest_command=lowest if rest_command is None else rest_command,
+        tool=f"hystmpc {version_of('hystmpc')}",
+    )
+    step = step_source("device", Step(simulator.chain.transition, simulator.chain.values, simulator.dt_s))
+    described = replace(described, token=_token(described, step, rest, version))
+    sources = _sources(described, step, rest, version)
+    made = _binaries(described.identifier, sources, version, platforms)
+    files = {
+        "modelDescription.xml": model_description(described, version, _SOURCE),
+        **({"sources/buildDescription.xml": build_description(described, _SOURCE)} if version == "3.0" else {}),
+        **{f"sources/{file}": text for file, text in sources.items()},
+    }
+    return FmuExport(
+        described,
+        {**{path: text.encode() for path, text in files.items()}, **{path: made[path] for path in made}},
+        tuple(key for key, platform in PLATFORMS.items() if platform.path(described.identifier, version) in made),
+        functions_used(step),
+    )
+
+
+def _check(simulator: Simulator, version: str) -> None:
+    if version not in get_args(FmuVersion):
+        raise ExportError(f"export-fmu: got FMI {version}, expected 2.0 or 3.0")
+    if simulator.metadata().inverse:
+        raise ExportError("export-fmu: got an inverse map, supported are simulators of a device: command to angle")
+    if any(isinstance(operator, Sensor) for operator in simulator.chain.operators):
+        raise ExportError("export-fmu: got a sensor in the chain, supported is the true angle: take the sensor out")
+
+
+def _identifier(name: str) -> str:
+    """A name that C takes."""
+    plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")[:60]
+    return plain if re.match("[A-Za-z]", plain) else f"device_{plain}".rstrip("_")
+
+
+def _token(described: Described, step: str, rest: tuple[float, Vec], version: str) -> str:
+    """A name for exactly this device: its states are accepted by no other FMU."""
+    text = repr((described, step, rest[0], rest[1].tolist(), version))
+    digits = hashlib.sha256(text.encode()).hexdigest()
+    return "{" + "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:32])) + "}"
+
+
+def _sources(described: Described, step: str, rest: tuple[float, Vec], version: str) -> Mapping[str, str]:
+    major = version[0]
+    head = [
+        f"/* {described.chain}, {described.sample_s:g} s.",
+        f" * Written by {described.tool}; any change is lost at the next export. */",
+        *([f"#define FMI3_FUNCTION_PREFIX {described.identifier}_"] if version == "3.0" else []),
+        "/* A product and a sum rounded each, as in Python; gcc does so under -std=c99. */",
+        "#if defined(__clang__)",
+        "#pragma STDC FP_CONTRACT OFF",
+        "#endif",
+        "",
+        "#include <math.h>",
+        "",
+        "typedef double real;",
+        "#define R(x) x",
+        "#define MATH(name) name",
+        "#define INFINITE INFINITY",
+        f'#define HYSTMPC_TOKEN "{described.token}"',
+        f"#define HYSTMPC_SAMPLE_S {number(described.sample_s)}",
+        f"#define HYSTMPC_STATES {rest[1].size}",
+        f"#define HYSTMPC_REST {{{', '.join(number(float(value)) for value in rest[1])}}}",
+        f"#define HYSTMPC_REST_OUTPUT {number(rest[0])}",
+        f"#define HYSTMPC_REST_COMMAND {number(described.rest_command)}",
+        "",
+        step,
+    ]
+    parts = ["\n".join(head), _packaged("device.c"), _packaged(f"fmi{major}.c")]
+    return {_SOURCE: "\n".join(parts), **{header: _packaged(header) for header in _HEADERS[version]}}
+
+
+def _packaged(name: str) -> str:
+    return resources.files("hystmpc.codegen.fmu").joinpath("c", name).read_text(encoding="utf-8")
+
+
+def _binaries(
+    identifier: str, sources: Mapping[str, str], version: FmuVersion, platforms: Sequence[str] | None
+) -> Mapping[str, bytes]:
+    """Binaries by path inside the FMU."""
+    for name in platforms or ():
+        if name not in PLATFORMS:
+            raise ExportError(f"export-fmu: got platform {name}, {did_you_mean(name, PLATFORMS)}")
+    own = host_platform()
+    wanted = ((own,) if own else ()) if platforms is None else tuple(platforms)
+    found = {PLATFORMS[name].path(identifier, version): compiled(name, sources, _SOURCE) for name in wanted}
+    missing = [name for name in platforms or () if found[PLATFORMS[name].path(identifier, version)] is None]
+    if missing:
+        raise ExportError(
+            f"export-fmu: no compiler for {', '.join(missing)}: install ziglang (pip install ziglang), or a C compiler"
+        )
+    return {path: content for path, content in found.items() if content is not None}

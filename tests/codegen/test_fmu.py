@@ -1,0 +1,325 @@
+"""FMUs are valid, repeat the Python simulator, and keep the laws of co-simulation."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import zipfile
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from hystmpc.cli.main import app
+from hystmpc.codegen import export_fmu
+from hystmpc.codegen.fmu import FmuVersion
+from hystmpc.codegen.fmu.binary import PLATFORMS
+from hystmpc.models.chain import Chain
+from hystmpc.models.load import library_file
+from hystmpc.models.operators.catalogue import operators
+from hystmpc.models.operators.measurement import Sensor
+from hystmpc.models.simulator import Simulator, load_simulator
+from hystmpc.sim import Effects, SimulatedPlant
+from hystmpc.trials.errors import ExportError
+
+from ..models.zoo import CHAINS, EXAMPLES, WITH_EFFECTS, simulator
+from .compiled import EXAMPLES as FILES
+from .compiled import STRICT, compile_c, compilers, tried
+
+fmpy = pytest.importorskip("fmpy", reason="fmpy is a tool of development")
+
+from fmpy.validation import validate_fmu  # noqa: E402
+
+from .importer import COMMAND, OUTPUT, TIME, VERSIONS, Instance, greatest_difference, written  # noqa: E402
+
+_SHIPPED = {name: load_simulator(library_file(name)) for name in ("tendon-catheter", "pi", "backlash", "auto")}
+_EFFECTS = Effects(
+    lag_s=0.08,
+    delay_s=0.07,
+    noise_deg=0.2,
+    effects=(
+        {"effect": "creep", "side": "command", "parameters": {"share": 0.1, "tau_s": 4.0}},
+        {"effect": "stick_slip", "parameters": {"break_away": 0.2, "stribeck_speed": 4.0}},
+        {"effect": "periodic_disturbance", "parameters": {"frequency_hz": 1.1, "amplitude": 0.4}},
+        {"effect": "drift", "parameters": {"offset_per_min": 1.0}},
+    ),
+)
+PLANTS: Mapping[str, tuple[Simulator, Mapping[str, Any]]] = {
+    **{name: (found, {}) for name, found in _SHIPPED.items()},
+    "lag, delay, creep, stick-slip, hum, drift": (_SHIPPED["tendon-catheter"], {"effects": _EFFECTS}),
+    "never bent": (simulator(WITH_EFFECTS), {"effects": Effects(virgin=True)}),
+    "at 100 Hz": (_SHIPPED["auto"], {"effects": Effects(delay_s=0.033), "dt_s": 0.01}),
+    **{name: (simulator(chain), {}) for name, chain in CHAINS.items()},
+    **{
+        f"{example.name}-{k}": (simulator(Chain(example)), {})
+        for k, example in enumerate(EXAMPLES)
+        if not isinstance(example, Sensor)
+    },
+}
+FAST = ("auto", "lag, delay, creep, stick-slip, hum, drift")
+cases = [pytest.param(name, marks=[] if name in FAST else [pytest.mark.slow]) for name in PLANTS]
+versions = pytest.mark.parametrize("version", VERSIONS)
+DT = 0.04
+
+
+@cache
+def plant_of(name: str) -> SimulatedPlant:
+    """One of `PLANTS`; its kernels are compiled when it is asked for."""
+    found, told = PLANTS[name]
+    return SimulatedPlant(found, **told)
+
+
+@pytest.fixture(scope="module", params=VERSIONS)
+def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An unpacked FMU of each version, of the catheter with a lag."""
+    place = tmp_path_factory.mktemp("fmu")
+    fmu = written(SimulatedPlant(_SHIPPED["auto"]), place / "device.fmu", request.param)
+    return Path(fmpy.extract(str(fmu), str(place / "unpacked")))
+
+
+def started(folder: Path, start_s: float = 0.0, stop_s: float | None = None) -> Instance:
+    made = Instance(folder)
+    made.start(start_s, stop_s)
+    return made
+
+
+def test_every_operator_is_tried() -> None:
+    tried_ones = {type(operator) for found, _ in PLANTS.values() for operator in found.chain.operators}
+    assert tried_ones == {*operators().values()} - {Sensor}
+
+
+@versions
+@pytest.mark.parametrize("name", cases)
+def test_it_repeats_the_python_simulator(name: str, version: FmuVersion, tmp_path: Path) -> None:
+    plant = plant_of(name)
+    fmu = written(plant, tmp_path / "device.fmu", version)
+    assert validate_fmu(str(fmu)) == []
+    assert greatest_difference(fmu, plant) <= 1e-9  # not-a-number is not
+
+
+@versions
+def test_equal_simulators_give_equal_files(version: FmuVersion, tmp_path: Path) -> None:
+    one, two = (written(plant_of("pi"), tmp_path / name, version).read_bytes() for name in ("one.fmu", "two.fmu"))
+    other = written(plant_of("backlash"), tmp_path / "other.fmu", version).read_bytes()
+    assert one == two != other
+
+
+@given(
+    before=st.lists(st.floats(0.0, 6.0), max_size=20),
+    after=st.lists(st.floats(0.0, 6.0), min_size=1, max_size=20),
+    between=st.lists(st.floats(0.0, 6.0), max_size=20),
+)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_a_restored_state_gives_the_same_outputs(
+    folder: Path, before: list[float], after: list[float], between: list[float]
+) -> None:
+    one, other = started(folder), started(folder)
+    one.run(np.array(before), DT)
+    state, raw = one.save(), one.packed()
+    first = one.run(np.array(after), DT)
+    one.run(np.array(between), DT)
+    one.restore(state)
+    assert one.get(TIME) == pytest.approx(DT * len(before))
+    np.testing.assert_array_equal(one.run(np.array(after), DT), first)
+    other.unpack(raw)
+    np.testing.assert_array_equal(other.run(np.array(after), DT), first)
+
+
+def test_a_state_of_another_device_is_refused(folder: Path) -> None:
+    made = started(folder)
+    raw = made.packed()
+    foreign = bytes([raw[0] ^ 1, *raw[1:]])
+    for wrong in (foreign, raw[:-1]):
+        with pytest.raises(Exception, match=r"(?i)deserialize"):
+            made.unpack(wrong)
+    assert made.lines == ["deserialise: these are not the bytes of a state of this FMU"] * 2
+
+
+def test_instances_are_independent(folder: Path) -> None:
+    rise, rest = np.linspace(0.0, 6.0, 50), np.zeros(50)
+    alone = started(folder).run(rise, DT)
+    one, other = started(folder), started(folder)
+    beside = []
+    for u, v in zip(rise, rest, strict=True):
+        beside.append(one.run(np.array([u]), DT)[0])
+        other.run(np.array([v]), DT)
+    np.testing.assert_array_equal(beside, alone)
+    assert other.get(OUTPUT) == pytest.approx(Instance(folder).get(OUTPUT), abs=1e-9)
+
+
+def test_a_reset_brings_the_start_back(folder: Path) -> None:
+    made = started(folder)
+    commands = np.linspace(0.0, 6.0, 50)
+    first = made.run(commands, DT)
+    made.reset()
+    made.start()
+    np.testing.assert_array_equal(made.run(commands, DT), first)
+
+
+@pytest.mark.parametrize("wrong", [0.0, -DT, 0.5 * DT, 1.01 * DT, 0.03, np.nan, np.inf])
+def test_a_wrong_step_is_refused_and_changes_nothing(folder: Path, wrong: float) -> None:
+    made, other = started(folder), started(folder)
+    made.set(COMMAND, 3.0)
+    with pytest.raises(Exception, match="DoStep"):
+        made.step(0.0, wrong)
+    (line,) = made.lines
+    assert line == f"step: got {wrong:.9g} s, expected a whole multiple of the sample time 0.04 s"
+    commands = np.full(5, 3.0)
+    np.testing.assert_array_equal(made.run(commands, DT), other.run(commands, DT))
+
+
+@given(parts=st.lists(st.integers(1, 5), min_size=1, max_size=10), start=st.floats(-100.0, 1e4))
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_a_step_of_many_samples_is_as_many_steps(folder: Path, parts: list[int], start: float) -> None:
+    long, short = started(folder, start), started(folder, start)
+    for k, count in enumerate(parts):
+        u = np.array([6.0 * (k % 3) / 2])
+        once = long.run(u, count * DT)[-1]
+        assert short.run(np.repeat(u, count), DT)[-1] == once
+    assert long.get(TIME) == short.get(TIME) == pytest.approx(start + DT * sum(parts))
+
+
+def test_what_is_out_of_order_is_refused_in_a_line(folder: Path) -> None:
+    made = Instance(folder)
+    with pytest.raises(Exception, match="DoStep"):
+        made.step(0.0, DT)
+    made.start(0.0, 1.0)
+    for at, length in ((0.5, DT), (0.0, 26 * DT)):
+        with pytest.raises(Exception, match="DoStep"):
+            made.step(at, length)
+    for which, value in ((OUTPUT, 1.0), (COMMAND, np.nan), (9, 1.0)):
+        with pytest.raises(Exception, match="Set"):
+            made.set(which, value)
+    assert made.lines == [
+        "step: the instance is not initialised, or is terminated",
+        "step: got time 0.5 s, expected 0 s, where the last step ended",
+        "step: got an end at 1.04 s, beyond the stop time 1 s",
+        "set: only value reference 1, the command, can be set",
+        "set: the command is not a finite number",
+        "set: only value reference 1, the command, can be set",
+    ]
+
+
+@versions
+def test_units_are_those_of_the_simulator(version: FmuVersion, tmp_path: Path) -> None:
+    described = fmpy.read_model_description(str(written(plant_of("tendon-catheter"), tmp_path / "d.fmu", version)))
+    units = {variable.name: variable.unit for variable in described.modelVariables}
+    base = {unit.name: (unit.baseUnit.factor, unit.baseUnit.m, unit.baseUnit.rad) for unit in described.unitDefinitions}
+    assert units == {"time": "s", "command": "mm", "angle": "deg"}
+    assert base == {"s": (1.0, 0, 0), "mm": (1e-3, 1, 0), "deg": (pytest.approx(np.pi / 180), 0, 1)}
+    assert float(described.defaultExperiment.stepSize) == DT
+
+
+@pytest.mark.slow
+@versions
+def test_the_sources_compile_without_a_warning(version: FmuVersion, tmp_path: Path) -> None:
+    """By every compiler; clang finds fault with a declaration in a header of the standard."""
+    with zipfile.ZipFile(written(plant_of(FAST[1]), tmp_path / "d.fmu", version)) as archive:
+        archive.extractall(tmp_path)
+    flags = [*STRICT, "-Wno-strict-prototypes", "-O2", "-c", "fmu.c"]
+    said = {command[-1]: tried([*command, *flags], tmp_path / "sources") for command in compilers()}
+    assert {name: text for name, text in said.items() if text} == {}
+
+
+@pytest.mark.slow
+def test_binaries_for_other_machines(tmp_path: Path) -> None:
+    pytest.importorskip("ziglang", reason="ziglang is a tool of development")
+    plant = plant_of("pi")
+    export = export_fmu(plant.simulator, plant.rest, version="3.0", platforms=tuple(PLATFORMS))
+    assert export.platforms == ("linux64", "win64", "darwin64")
+    heads = {path.split("/")[1]: content[:4] for path, content in export.files.items() if path.startswith("binaries")}
+    assert heads["x86_64-linux"] == b"\x7fELF"
+    assert heads["x86_64-windows"][:2] == b"MZ"
+    assert heads["x86_64-darwin"] == bytes.fromhex("cffaedfe")
+    assert validate_fmu(str(export.write(tmp_path / "three.fmu"))) == []
+
+
+def test_without_a_compiler_there_are_sources(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("hystmpc.codegen.fmu.binary.compiler_for", lambda name: None)
+    done = CliRunner().invoke(app, ["export-fmu", "builtin:pi", "--out", str(tmp_path / "pi.fmu")])
+    assert done.exit_code == 0, done.output
+    assert "sources only: no C compiler was found for this machine" in " ".join(done.output.split())
+    assert validate_fmu(str(tmp_path / "pi.fmu")) == []
+    with pytest.raises(ExportError, match="no compiler for win64: install ziglang"):
+        export_fmu(plant_of("pi").simulator, plant_of("pi").rest, platforms=["win64"])
+
+
+def test_a_compiler_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "false")
+    with pytest.raises(ExportError, match="the compiler false failed"):
+        export_fmu(plant_of("pi").simulator, plant_of("pi").rest)
+
+
+def test_what_has_no_fmu_is_refused_in_a_line(tmp_path: Path) -> None:
+    plant = plant_of("pi")
+    sensed = simulator(Chain(EXAMPLES[0], after=(Sensor(0.0, 0.1, 0.0, 0.0, 0.0),)))
+    with pytest.raises(ExportError, match="got a sensor in the chain"):
+        export_fmu(sensed, (0.0, np.zeros(sensed.chain.state_size)))
+    inverse = replace(plant.simulator, inverse=True)
+    with pytest.raises(ExportError, match="got an inverse map"):
+        export_fmu(inverse, plant.rest)
+    study = tmp_path / "study.yaml"
+    text = (FILES / "simulate_builtin.yaml").read_text(encoding="utf-8")
+    study.write_text(re.sub(r"plant:\n(  .*\n)+", "plant: {device: tendon}\n", text), encoding="utf-8")
+    for given_one, words in ((study, "got plant.device tendon"), (tmp_path / "lstm.onnx", "got .*, supported are sim")):
+        done = CliRunner().invoke(app, ["export-fmu", str(given_one), "--out", str(tmp_path / "no.fmu")])
+        assert re.search(f"export-fmu: {words}", str(done.exception))
+    with pytest.raises(ExportError, match=r"got platform win46, available: .* did you mean 'win64'"):
+        export_fmu(plant.simulator, plant.rest, platforms=["win46"])
+
+
+def test_the_command_says_what_it_wrote_and_left_out(tmp_path: Path) -> None:
+    run, out = CliRunner(), tmp_path / "device.fmu"
+    arguments = ["export-fmu", str(FILES / "simulate_builtin.yaml"), "--out", str(out), "--fmi", "3.0"]
+    done = run.invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    words = " ".join(done.output.split())
+    assert "FMI 3.0, co-simulation, a step every 0.04 s, command [mm] to angle [deg]" in words
+    assert words.endswith("left out: noise of 0.15 deg")
+    assert run.invoke(app, arguments).exit_code != 0
+    assert run.invoke(app, [*arguments, "--force"]).exit_code == 0
+    out.write_bytes(b"not an FMU")
+    assert run.invoke(app, [*arguments, "--force"]).exit_code != 0
+
+
+@pytest.mark.slow
+def test_sources_of_two_link_into_one_program(tmp_path: Path) -> None:
+    """With a prefix the names of one FMU do not meet those of another."""
+    for name in ("pi", "backlash"):
+        plant = plant_of(name)
+        files = export_fmu(plant.simulator, plant.rest, name=name, version="3.0").files
+        (tmp_path / name).mkdir()
+        for path, content in files.items():
+            if path.startswith("sources/"):
+                (tmp_path / name / Path(path).name).write_bytes(content)
+        compile_c([*STRICT, "-Wno-strict-prototypes", "-c", f"{name}/fmu.c", "-o", f"{name}.o"], tmp_path)
+    main = "const char *pi_fmi3GetVersion(void), *backlash_fmi3GetVersion(void);\n"
+    main += "int main(void) { return pi_fmi3GetVersion()[0] != backlash_fmi3GetVersion()[0]; }\n"
+    (tmp_path / "main.c").write_text(main, encoding="utf-8")
+    compile_c(["-std=c99", "main.c", "pi.o", "backlash.o", "-o", "both", "-lm"], tmp_path)
+    assert subprocess.run([tmp_path / "both"], timeout=60, check=False).returncode == 0
+
+
+@pytest.mark.slow
+def test_it_runs_clean_under_sanitizers(tmp_path: Path) -> None:
+    """Addresses, leaks and undefined behaviour; where their library is missing, undefined behaviour alone."""
+    plant = plant_of(FAST[1])
+    export = export_fmu(plant.simulator, plant.rest, version="3.0", platforms=())
+    for path, content in export.files.items():
+        (tmp_path / Path(path).name).write_bytes(content)
+    shutil.copy(Path(__file__).with_name("host.c"), tmp_path)
+    defines = [f'-DTOKEN="{export.described.token}"', f"-DSAMPLE_S={plant.dt!r}"]
+    build = [*STRICT, "-Wno-strict-prototypes", *defines, "-O1", "-g", "-o", "run", "host.c", "fmu.c", "-lm"]
+    both = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    if not compilers() or tried([*compilers()[0], *both, *build], tmp_path):
+        compile_c(["-fsanitize=undefined", "-fsanitize-undefined-trap-on-error", *build], tmp_path)
+    done = subprocess.run([tmp_path / "run"], capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout) == (0, "4 refusals\n"), done.stderr
