@@ -121,7 +121,7 @@ def test_a_domain_sees_topics_types_and_bytes_as_ros_names_them(monkeypatch: pyt
     from hystmpc.rig.transports.transport import Conversion, Outgoing
 
     settings = DdsSettings.parse({"kind": "dds", "domain": 76})
-    link, other = dds_.DdsLink(settings, 0.3), dds_.DdsTransport(settings, Conversion(1.0, 0.0, 1.0))
+    link, other = dds_.DdsLink(settings, 0.3), dds_.dds_transport(settings, Conversion(1.0, 0.0, 1.0))
     seen: list[bytes] = []
     read = dds_.Float64Stamped.deserialize
     monkeypatch.setattr(dds_.Float64Stamped, "deserialize", lambda data, **more: (seen.append(data), read(data))[1])
