@@ -66,6 +66,13 @@ class Float64Stamped(IdlStruct, typename="hystmpc_msgs::msg::dds_::Float64Stampe
     held: float64
 
 
+# Hashes of the types as ROS 2 computes them (RIHS01). A node that finds none warns about it, at each topic.
+HASHES: dict[type[Float64 | Float64Stamped], str] = {
+    Float64: "RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a",
+    Float64Stamped: "RIHS01_490b10b0b6a6d4e6a295c81dd8f83fa393d69f76a87629b1f6bec6f5fd326251",
+}
+
+
 class _Wire:
     """One topic to write and one to read."""
 
@@ -79,14 +86,15 @@ class _Wire:
         self.stamped = settings.message == "float64_stamped"
         kind: Any = Float64Stamped if self.stamped else Float64
         qos = _qos(settings)
+        hashed = qos + Qos(Policy.Userdata(f"typehash={HASHES[kind]};".encode()))
         try:
             self._domain = Domain(settings.domain, xml)
         except Exception:  # noqa: BLE001 - this process has opened the domain already; its settings stand
             self._domain = None
         try:
             participant = DomainParticipant(settings.domain)
-            self._writer: Any = DataWriter(participant, Topic(participant, f"rt/{out}", kind, qos=qos), qos=qos)
-            self._reader: Any = DataReader(participant, Topic(participant, f"rt/{into}", kind, qos=qos), qos=qos)
+            self._writer: Any = DataWriter(participant, Topic(participant, f"rt/{out}", kind, qos=qos), qos=hashed)
+            self._reader: Any = DataReader(participant, Topic(participant, f"rt/{into}", kind, qos=qos), qos=hashed)
         except Exception as error:
             text = " ".join(str(error).split())
             raise ConfigError(f"dds: domain {settings.domain} cannot be joined ({text})") from error

@@ -98,6 +98,17 @@ def test_rosbags_reads_every_message_as_these_tests_do() -> None:
         ]
 
 
+@needs_dds
+@needs_rosbags
+def test_hashes_of_the_types_are_those_of_ros() -> None:
+    from hystmpc.rig.transports.dds_ import HASHES
+
+    store, _ = store_of_rosbags()
+    assert {ros_name(kind): known for kind, known in HASHES.items()} == {
+        name: store.hash_rihs01(name) for name in (STAMPED, "std_msgs/msg/Float64")
+    }
+
+
 def test_every_type_that_is_used_is_known() -> None:
     known = interfaces()
     used = {of for parts in known.values() for _, of in parts}
@@ -115,6 +126,7 @@ def test_cmake_lists_every_file() -> None:
 def test_a_domain_sees_topics_types_and_bytes_as_ros_names_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """The angle's topic as another participant discovers and receives it."""
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+    from cyclonedds.core import Policy
     from cyclonedds.domain import DomainParticipant
 
     from hystmpc.rig.transports import dds_
@@ -135,11 +147,13 @@ def test_a_domain_sees_topics_types_and_bytes_as_ros_names_them(monkeypatch: pyt
         participant = DomainParticipant(76)
         found = BuiltinDataReader(participant, BuiltinTopicDcpsPublication).take(10)
         names = {(one.topic_name, one.type_name) for one in found}
+        said = {one.qos[Policy.Userdata].data for one in found}
     finally:
         other.stop()
         link.close()
     stamped = dds_name(STAMPED)
     assert names == {("rt/tip/angle_deg", stamped), ("rt/tip/command", stamped)}
+    assert said == {f"typehash={dds_.HASHES[dds_.Float64Stamped]};".encode()}
     sec, nanosec, length = struct.unpack_from("<iII", seen[0], 4)
     frame = seen[0][16 : 16 + length - 1].decode()
     session = struct.unpack_from("<I", seen[0], 16 + length + -length % 4)[0]
