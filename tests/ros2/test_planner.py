@@ -44,6 +44,7 @@ class Device:
     sent: list[float] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     silent: bool = False
+    tells: bool = True
     session: int = 77
     sequence: int = 0
 
@@ -84,7 +85,9 @@ class Device:
         if not self.stamped:
             self.graph.publish("tip/angle_deg", FLOAT(data=angle))
             return
-        message = STAMPED(session=self.session, sequence=self.sequence, data=angle, held=self.held)
+        message = STAMPED(
+            session=self.session, sequence=self.sequence, data=angle, held=self.held if self.tells else math.nan
+        )
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
         message.header.frame_id = listening(self.admission.session)
         self.graph.publish("tip/angle_deg", message)
@@ -183,6 +186,28 @@ def test_nothing_is_sent_before_the_device_answers(world: World) -> None:
     assert world.device.sent
 
 
+def test_nothing_is_sent_while_the_drive_still_moves(world: World) -> None:
+    world.start()
+    for k in range(10):
+        world.device.held = START_MM + 0.1 * k
+        world.turn()
+    assert world.device.sent == []
+    world.turns(3)
+    assert world.device.sent
+
+
+def test_a_silence_before_the_first_contact_stops_nothing(world: World) -> None:
+    world.device.silent = True
+    world.start().turns(2)
+    planner = world.node.planner
+    clock, planner._clock = planner._clock, lambda: time.monotonic_ns() + 60 * 10**9
+    world.turns(1)
+    planner._clock = clock
+    world.device.silent = False
+    assert not world.turns(10).stopped
+    assert world.device.sent
+
+
 def test_a_device_that_listens_to_another_gets_no_command(world: World) -> None:
     world.device.admission.greeting("another", 1, 1, time.monotonic_ns() + 10**12)
     state = world.start().turns(20)
@@ -261,6 +286,15 @@ def test_a_device_that_was_never_commanded_hears_no_goodbye(world: World) -> Non
     world.device.silent = True
     world.start().turns(5)
     world.node.retire()
+    assert GOODBYE not in world.device.notes
+
+
+def test_a_device_that_does_not_tell_what_it_holds_hears_no_goodbye(world: World) -> None:
+    world.graph.parameters = {**GIVEN, "start_command": START_MM}
+    world.device.tells = False
+    world.start().turns(10)
+    world.node.retire()
+    assert world.device.held == 0.0
     assert GOODBYE not in world.device.notes
 
 

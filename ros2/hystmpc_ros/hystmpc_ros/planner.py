@@ -46,7 +46,7 @@ class Planner:
     def _wait(self) -> None:
         self._intake = Intake(self._sensor, self._clock())
         self._running, self._contacts, self._resting = False, 0, 0
-        self._held = self._sent = math.nan
+        self._held = self._told = self._sent = math.nan
         self.status = "waits for the device"
 
     def reset(self) -> None:
@@ -79,7 +79,8 @@ class Planner:
 
     def close(self) -> None:
         """Leave; goodbye is said to a device that has told that it holds the safe command."""
-        self._transport.stop(goodbye=self._running and abs(self._held - self._safe_command) <= _SAME)
+        rests = self._running and self.at_rest
+        self._transport.stop(goodbye=rests and abs(self._told - self._safe_command) <= _SAME)
 
     def _not_heard(self) -> None:
         """The device takes no commands of this session: ask for it, and stop what was under way."""
@@ -117,7 +118,7 @@ class Planner:
         if seen.dead and not self.tip.state().stopped:
             self.tip.stop()
         if math.isfinite(seen.held):
-            self._held = seen.held
+            self._told = seen.held
         command = self.tip.step(seen.angle_deg)
         stopped = self.tip.state().stopped
         self._resting = self._resting + 1 if stopped and abs(command.u - self._sent) <= _SAME else 0
