@@ -24,6 +24,7 @@ _tracking = mutated_file("rig", "commission/experiment.py", "test_bench.py")
 _admission = mutated_file("rig", "transports/sessions.py", "test_sessions.py")
 _udp = mutated_file("rig", "transports/udp.py", "test_udp.py", "test_sessions.py")
 _dds = mutated_file("rig", "transports/dds_.py", "test_sessions.py", "test_dds.py")
+_topics = mutated_file("rig", "transports/topics.py", "test_sessions.py", "test_dds.py")
 _server = mutated_file("rig", "device/server.py", "test_sessions.py")
 _latch = mutated_file("rig", "safety/stop.py", "test_parts.py", "test_bench.py")
 _bench = mutated_file("rig", "bench.py", "test_bench.py")
@@ -311,7 +312,7 @@ MUTANTS: tuple[Mutant, ...] = (
         'return Incoming(message.value) if math.isfinite(message.value) else "not-a-number"',
         "return Incoming(message.value)",
     ),
-    _dds(
+    _topics(
         "goodbye is said anyway over DDS", "if goodbye and self._device_has_sessions:", "if self._device_has_sessions:"
     ),
     _dds(

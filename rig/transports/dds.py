@@ -23,9 +23,9 @@ class DdsSettings(DdsTopics):
 
     def open(self, run: RunContext) -> Transport:
         require_dds()
-        from .dds_ import DdsTransport
+        from .dds_ import dds_transport
 
-        return DdsTransport(self, run.conversion)
+        return dds_transport(self, run.conversion)
 
     def listen(self, silence_s: float, through: Through | None) -> DeviceLink:
         """The device's end; datagrams, which faults could be put before, are out of reach.

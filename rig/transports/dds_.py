@@ -21,11 +21,8 @@ from hystmpc.trials.errors import ConfigError
 
 from .dds_topics import DdsTopics
 from .sessions import Admission
-from .transport import Conversion, DeviceLink, Incoming, Outgoing, Reading, Transport
-
-_NS = 1_000_000_000
-# What a controller says by frame_id beside commands; a device says there which session it listens to.
-_GREETING, _GOODBYE, _LISTENS = "greeting", "goodbye", "listens:"
+from .topics import GOODBYE, GREETING, TopicMessage, TopicTransport, listening, stamp
+from .transport import Conversion, DeviceLink, Incoming, Outgoing
 
 # Discovery and data on one interface; unicast, so that nothing is announced beyond it.
 _XML = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="{name}"/></Interfaces>
@@ -69,6 +66,13 @@ class Float64Stamped(IdlStruct, typename="hystmpc_msgs::msg::dds_::Float64Stampe
     held: float64
 
 
+# Hashes of the types as ROS 2 computes them (RIHS01). A node that finds none warns about it, at each topic.
+HASHES: dict[type[Float64 | Float64Stamped], str] = {
+    Float64: "RIHS01_705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a",
+    Float64Stamped: "RIHS01_490b10b0b6a6d4e6a295c81dd8f83fa393d69f76a87629b1f6bec6f5fd326251",
+}
+
+
 class _Wire:
     """One topic to write and one to read."""
 
@@ -82,19 +86,20 @@ class _Wire:
         self.stamped = settings.message == "float64_stamped"
         kind: Any = Float64Stamped if self.stamped else Float64
         qos = _qos(settings)
+        hashed = qos + Qos(Policy.Userdata(f"typehash={HASHES[kind]};".encode()))
         try:
             self._domain = Domain(settings.domain, xml)
         except Exception:  # noqa: BLE001 - this process has opened the domain already; its settings stand
             self._domain = None
         try:
             participant = DomainParticipant(settings.domain)
-            self._writer: Any = DataWriter(participant, Topic(participant, f"rt/{out}", kind, qos=qos), qos=qos)
-            self._reader: Any = DataReader(participant, Topic(participant, f"rt/{into}", kind, qos=qos), qos=qos)
+            self._writer: Any = DataWriter(participant, Topic(participant, f"rt/{out}", kind, qos=qos), qos=hashed)
+            self._reader: Any = DataReader(participant, Topic(participant, f"rt/{into}", kind, qos=qos), qos=hashed)
         except Exception as error:
             text = " ".join(str(error).split())
             raise ConfigError(f"dds: domain {settings.domain} cannot be joined ({text})") from error
         self._participant: Any = participant
-        self.session, self._sequence = secrets.randbits(32), 0
+        self.session, self._sequence, self._taken = secrets.randbits(32), 0, 0
 
     def write(
         self, value: float, held: float, sequence: int | None = None, stamp_ns: int | None = None, note: str = ""
@@ -104,7 +109,7 @@ class _Wire:
             self._writer.write(Float64(data=value))
             return
         now = time.time_ns() if stamp_ns is None else stamp_ns
-        header = Header(stamp=Time(sec=now // _NS, nanosec=now % _NS), frame_id=note)
+        header = Header(stamp=Time(*stamp(now)), frame_id=note)
         number = (self._sequence if sequence is None else sequence) & 0xFFFFFFFF
         self._writer.write(Float64Stamped(header=header, session=self.session, sequence=number, data=value, held=held))
 
@@ -112,6 +117,16 @@ class _Wire:
         samples = self._reader.take(1)
         sample = samples[0] if samples else None
         return sample if sample is not None and hasattr(sample, "data") else None
+
+    def read(self) -> TopicMessage | None:
+        message = self.take()
+        if message is None:
+            return None
+        if self.stamped:
+            return TopicMessage.of(message)
+        self._taken += 1
+        sent = int(message.sample_info.source_timestamp) - time.time_ns() + time.monotonic_ns()
+        return TopicMessage(message.data, self._taken, sent)
 
     def close(self) -> None:
         self._writer = self._reader = self._participant = self._domain = None
@@ -127,60 +142,13 @@ def _qos(settings: DdsTopics) -> Qos:
     )
 
 
-@final
-class DdsTransport(Transport):
-    """The controller's end: reads the angle's topic, writes the command's.
-
-    Plain Float64 carries neither sequence nor session: DDS keeps the order, age counts from the sender's DDS stamp, and
-    a restarted device is not noticed.
+def dds_transport(settings: DdsTopics, conversion: Conversion) -> TopicTransport:
+    """The controller's end in a domain. A Float64's age counts from the sender's DDS stamp.
 
     Raises:
         ConfigError: if the domain cannot be joined.
     """
-
-    def __init__(self, settings: DdsTopics, conversion: Conversion) -> None:
-        self._wire: _Wire | None = _Wire(settings, settings.command_topic, settings.angle_topic)
-        self._conversion, self._count, self._session = conversion, 0, self._wire.session
-        self._device_has_sessions = False
-        self._counters: Counter[str] = Counter()
-
-    @property
-    def counters(self) -> Mapping[str, int]:
-        return self._counters
-
-    def read(self) -> Reading | None:
-        message = None if self._wire is None else self._wire.take()
-        if message is None:
-            return None
-        self._count += 1
-        now, angle = time.monotonic_ns(), self._conversion.angle_deg(message.data)
-        if isinstance(message, Float64Stamped):
-            stamp = message.header.stamp
-            sent, held = stamp.sec * _NS + stamp.nanosec, self._conversion.command(message.held)
-            note = message.header.frame_id
-            self._device_has_sessions = note.startswith(_LISTENS)
-            listens = not self._device_has_sessions or note == f"{_LISTENS}{self._session:08x}"
-            return Reading(angle, message.sequence, message.session, sent, now, held, listens)
-        sent = int(message.sample_info.source_timestamp)
-        return Reading(angle, self._count, 0, sent - time.time_ns() + now, now, math.nan)
-
-    def write(self, command: float) -> None:
-        if self._wire is not None:
-            self._wire.write(self._conversion.raw_command(command), 0.0)
-
-    def greet(self) -> None:
-        """Ask the device to listen; one that has no sessions would take this for a command."""
-        if self._wire is not None and self._device_has_sessions:
-            self._wire.write(math.nan, 0.0, note=_GREETING)
-
-    def stop(self, goodbye: bool = False) -> None:
-        """Leave the domain; say goodbye before where that is wanted and the device has sessions."""
-        wire, self._wire = self._wire, None
-        if wire is not None:
-            if goodbye and self._device_has_sessions:
-                wire.write(math.nan, 0.0, note=_GOODBYE)
-                time.sleep(0.02)  # the last message leaves before the writer does
-            wire.close()
+    return TopicTransport(_Wire(settings, settings.command_topic, settings.angle_topic), conversion)
 
 
 @final
@@ -218,8 +186,7 @@ class DdsLink(DeviceLink):
         """Send a measurement, and which session is listened to."""
         stamp_ns = message.stamp_ns + time.time_ns() - time.monotonic_ns()  # ROS stamps are those of the wall clock
         session = self._admission.session if message.listens else None
-        note = f"{_LISTENS}none" if session is None else f"{_LISTENS}{session:08x}"
-        self._wire.write(message.angle, message.held, message.sequence, stamp_ns, note)
+        self._wire.write(message.angle, message.held, message.sequence, stamp_ns, listening(session))
 
     def close(self) -> None:
         self._wire.close()
@@ -228,9 +195,9 @@ class DdsLink(DeviceLink):
         """What an admitted message says, or why it is refused; it has to come from the writer that has greeted."""
         writer = message.sample_info.publication_handle
         come = writer, message.session, message.sequence, time.monotonic_ns()
-        if message.header.frame_id == _GREETING:
+        if message.header.frame_id == GREETING:
             return self._admission.greeting(*come) or Incoming(says="greeting")
-        if message.header.frame_id == _GOODBYE:
+        if message.header.frame_id == GOODBYE:
             return self._admission.goodbye(*come) or Incoming(says="goodbye")
         return self._admission.command(*come) or _command(message.data)
 

@@ -46,10 +46,10 @@ def test_messages_have_the_bytes_of_ros() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("message", ["float64", "float64_stamped"])
 def test_a_measurement_and_a_command_cross(message: str) -> None:
-    from hystmpc.rig.transports.dds_ import DdsLink, DdsTransport
+    from hystmpc.rig.transports.dds_ import DdsLink, dds_transport
 
     settings = DdsSettings.parse({"kind": "dds", "domain": 73, "message": message})
-    link, transport = DdsLink(settings, 0.3), DdsTransport(settings, SAME)
+    link, transport = DdsLink(settings, 0.3), dds_transport(settings, SAME)
     try:
 
         def measured() -> Any:

@@ -244,10 +244,10 @@ def wire(request: pytest.FixtureRequest) -> Iterator[Wire]:
         settings = UdpSettings(kind="udp", port=link.port)
         made = Wire(link, UdpTransport(settings, SAME), UdpTransport(settings, SAME))
     else:
-        from hystmpc.rig.transports.dds_ import DdsLink, DdsTransport
+        from hystmpc.rig.transports.dds_ import DdsLink, dds_transport
 
         topics = DdsSettings.parse({"kind": "dds", "domain": 74})
-        made = Wire(DdsLink(topics, 0.3), DdsTransport(topics, SAME), DdsTransport(topics, SAME))
+        made = Wire(DdsLink(topics, 0.3), dds_transport(topics, SAME), dds_transport(topics, SAME))
     yield made
     made.first.stop()
     made.second.stop()

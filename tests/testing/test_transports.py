@@ -72,10 +72,10 @@ class TestDds(TransportContract):
     """Stamped messages."""
 
     def connected(self) -> AbstractContextManager[Connected]:
-        from hystmpc.rig.transports.dds_ import DdsLink, DdsTransport
+        from hystmpc.rig.transports.dds_ import DdsLink, dds_transport
 
         topics = DdsSettings.parse({"kind": "dds", "domain": 75})
-        return over(DdsLink(topics, 0.3), DdsTransport(topics, SAME))
+        return over(DdsLink(topics, 0.3), dds_transport(topics, SAME))
 
 
 def module_of(file: Path) -> Any:

@@ -1,0 +1,1 @@
+"""The planner of hystmpc as a ROS 2 node."""
