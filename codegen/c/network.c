@@ -1,0 +1,323 @@
+/* A recurrent network in the place of operators, and beside it the operators whose inverse stands in for its own.
+ * All products are fused and summed in the order of the inputs, as the vector kernels of Python do, in float as there:
+ * both then have equal numbers to the last bit. */
+#include "internal.h"
+
+#if HYSTMPC_UNITS
+
+enum {
+    U = HYSTMPC_UNITS, /* of a layer, filled up to whole panels with units that stay zero */
+    LAYERS = HYSTMPC_LAYERS,
+    HIDDEN = HYSTMPC_HIDDEN,
+    NET = HYSTMPC_NETWORK, /* entries of the state */
+    LANES = 16,          /* units of a panel */
+    PANEL = 4 * LANES,   /* sums of a panel: four gates */
+    WIDTH = HYSTMPC_NETWORK_WIDTH,
+    CELLS = HYSTMPC_NETWORK_CELLS
+};
+
+/* Sums that stay in registers: rows by columns. With AVX-512 there is room for more. */
+#ifdef __AVX512F__
+enum { TOGETHER = 6, COLUMNS = PANEL };
+#else
+enum { TOGETHER = 3, COLUMNS = PANEL / 2 };
+#endif
+
+/* a b + c rounded once. Where the processor cannot: by way of double, right but for one rounding in some 10^8. */
+#if defined(FP_FAST_FMAF) || defined(__FMA__) || defined(__ARM_FEATURE_FMA)
+#define FUSED(a, b, c) fmaf(a, b, c)
+#elif HYSTMPC_SINGLE
+#define FUSED(a, b, c) ((a) * (b) + (c))
+#else
+#define FUSED(a, b, c) (float)((double)(a) * (double)(b) + (double)(c))
+#endif
+
+/* sums[r][i] += sum over k of x[r][k] weights[k][i], for so many rows. */
+#define PRODUCT(COUNT)                                                                                            \
+    static void product_##COUNT(const float *restrict weights, int inputs, const float *restrict x,               \
+                                float *restrict sums) {                                                           \
+        float s[COUNT][COLUMNS];                                                                                  \
+        for (int r = 0; r < COUNT; r++)                                                                           \
+            for (int i = 0; i < COLUMNS; i++) s[r][i] = sums[r * PANEL + i];                                      \
+        for (int k = 0; k < inputs; k++) {                                                                        \
+            for (int r = 0; r < COUNT; r++) {                                                                     \
+                const float value = x[r * WIDTH + k];                                                             \
+                for (int i = 0; i < COLUMNS; i++) s[r][i] = FUSED(value, weights[k * PANEL + i], s[r][i]);        \
+            }                                                                                                     \
+        }                                                                                                         \
+        for (int r = 0; r < COUNT; r++)                                                                           \
+            for (int i = 0; i < COLUMNS; i++) sums[r * PANEL + i] = s[r][i];                                      \
+    }
+
+PRODUCT(1)
+PRODUCT(2)
+PRODUCT(3)
+#ifdef __AVX512F__
+PRODUCT(4)
+PRODUCT(5)
+PRODUCT(6)
+#endif
+
+static void product(const float *weights, int inputs, int rows, const float *x, float *sums) {
+    for (int at = 0; at < PANEL; at += COLUMNS) {
+        switch (rows) {
+        case 1: product_1(weights + at, inputs, x, sums + at); break;
+        case 2: product_2(weights + at, inputs, x, sums + at); break;
+        case 3: product_3(weights + at, inputs, x, sums + at); break;
+#ifdef __AVX512F__
+        case 4: product_4(weights + at, inputs, x, sums + at); break;
+        case 5: product_5(weights + at, inputs, x, sums + at); break;
+        default: product_6(weights + at, inputs, x, sums + at); break;
+#else
+        default: break;
+#endif
+        }
+    }
+}
+
+/* tanh(x) = x P(x^2) / Q(x^2), off by at most 2.2e-7 in float; the coefficients are Python's. Not-a-number stays. */
+static inline float bounded(float x) {
+    const float limit = HYSTMPC_TANH_LIMIT;
+    x = x > limit ? limit : x;
+    return x < -limit ? -limit : x;
+}
+
+static inline float odd(float x) {
+    static const float a[6] = HYSTMPC_TANH_ODD;
+    const float s = x * x;
+    return x * FUSED(FUSED(FUSED(FUSED(FUSED(a[5], s, a[4]), s, a[3]), s, a[2]), s, a[1]), s, a[0]);
+}
+
+static inline float even(float x) {
+    static const float b[5] = HYSTMPC_TANH_EVEN;
+    const float s = x * x;
+    return FUSED(FUSED(FUSED(FUSED(b[4], s, b[3]), s, b[2]), s, b[1]), s, b[0]);
+}
+
+static inline float tangent_of(float x) {
+    x = bounded(x);
+    return odd(x) / even(x);
+}
+
+static inline float one_less_square(float a) { return FUSED(-a, a, 1.0F); }
+
+/* Cell c and output h of a panel's units from the sums z of the gates i, f, g, o, sigmoid gates halved:
+ * c' = f c + i g, h' = o tanh(c'), with two divisions. */
+static void cell(const float *restrict z, float *restrict c, float *restrict h) {
+    for (int i = 0; i < LANES; i++) {
+        const float zi = bounded(z[i]), zf = bounded(z[LANES + i]);
+        const float zg = bounded(z[2 * LANES + i]), zo = bounded(z[3 * LANES + i]);
+        const float qi = even(zi), qf = even(zf), qo = even(zo), beside = qi * even(zg);
+        const float kept = (qf + odd(zf)) * c[i] * beside;
+        const float total = FUSED((qi + odd(zi)) * odd(zg), qf, kept);
+        const float now = 0.5F * total / (beside * qf), shown = bounded(now);
+        c[i] = now;
+        h[i] = 0.5F * (qo + odd(zo)) * odd(shown) / (qo * even(shown));
+    }
+}
+
+/* The same, and derivatives: dc' = f_0 dc + f_1 dz_i + f_2 dz_f + f_3 dz_g, dh' = f_4 dz_o + f_5 dc'. */
+static void differentiated_cell(const float *restrict z, float *restrict c, float *restrict h,
+                                float (*restrict by)[LANES]) {
+    for (int j = 0; j < LANES; j++) {
+        const float i = tangent_of(z[j]), f = tangent_of(z[LANES + j]);
+        const float g = tangent_of(z[2 * LANES + j]), o = tangent_of(z[3 * LANES + j]);
+        const float gain = FUSED(0.5F, i, 0.5F), forget = FUSED(0.5F, f, 0.5F), out = FUSED(0.5F, o, 0.5F);
+        const float now = FUSED(forget, c[j], gain * g), shown = tangent_of(now);
+        by[0][j] = forget;
+        by[1][j] = 0.5F * one_less_square(i) * g;
+        by[2][j] = 0.5F * one_less_square(f) * c[j];
+        by[3][j] = gain * one_less_square(g);
+        by[4][j] = 0.5F * one_less_square(o) * shown;
+        by[5][j] = out * one_less_square(shown);
+        c[j] = now;
+        h[j] = out * shown;
+    }
+}
+
+/* Derivatives of cell and output by one command, from those of the sums. */
+static void tangent_cell(const float *restrict z, float *restrict c, float *restrict h,
+                         float (*restrict by)[LANES]) {
+    for (int j = 0; j < LANES; j++) {
+        const float kept = FUSED(by[1][j], z[j], by[0][j] * c[j]);
+        c[j] = FUSED(by[3][j], z[2 * LANES + j], FUSED(by[2][j], z[LANES + j], kept));
+        h[j] = FUSED(by[5][j], c[j], by[4][j] * z[3 * LANES + j]);
+    }
+}
+
+/* A panel's bias, then its weights input by input; the first layer has one input below. */
+static const float *panel_of(int layer, int panel) {
+    const int first = (2 + U) * PANEL, further = (1 + 2 * U) * PANEL;
+    if (layer == 0) return hystmpc_weights + panel * first;
+    return hystmpc_weights + U / LANES * first + ((layer - 1) * (U / LANES) + panel) * further;
+}
+
+/* One sample of rows through all layers. A row of x is the scaled command, then the outputs of all layers, so that
+ * what a layer reads, the new output of the layer below and its own old one, stands side by side. `derived`: row 0 is a
+ * motion and the rows behind it are derivatives along it; else all are motions. */
+static void move(float (*x)[WIDTH], float (*c)[CELLS], float (*h)[HYSTMPC_UNITS], int rows, int derived) {
+    float sums[TOGETHER * PANEL], by[6][LANES];
+    for (int layer = 0; layer < LAYERS; layer++) {
+        const int column = layer ? 1 + (layer - 1) * U : 0, inputs = layer ? 2 * U : 1 + U;
+        for (int panel = 0; panel < U / LANES; panel++) {
+            const float *weights = panel_of(layer, panel);
+            const int unit = panel * LANES;
+            for (int row = 0; row < rows; row += TOGETHER) {
+                const int count = rows - row < TOGETHER ? rows - row : TOGETHER;
+                for (int r = 0; r < count; r++) {
+                    const int moves = !derived || row + r == 0;
+                    for (int i = 0; i < PANEL; i++) sums[r * PANEL + i] = moves ? weights[i] : 0.0F;
+                }
+                product(weights + PANEL, inputs, count, x[row] + column, sums);
+                for (int r = 0; r < count; r++) {
+                    float *z = sums + r * PANEL, *at = c[row + r] + layer * U + unit, *out = h[row + r] + unit;
+                    if (!derived) cell(z, at, out);
+                    else if (row + r == 0) differentiated_cell(z, at, out, by);
+                    else tangent_cell(z, at, out, by);
+                }
+            }
+        }
+        for (int row = 0; row < rows; row++)
+            for (int unit = 0; unit < U; unit++) x[row][1 + layer * U + unit] = h[row][unit];
+    }
+}
+
+/* The scaled angle of a row, the bias left out. */
+static real head_of(const float *x) {
+    real parts[8] = {R(0.0)};
+    const float *last = x + WIDTH - U;
+    for (int unit = 0; unit < U; unit += 8)
+        for (int i = 0; i < 8; i++) parts[i] += (real)hystmpc_head[unit + i] * (real)last[unit + i];
+    return ((parts[0] + parts[4]) + (parts[2] + parts[6])) + ((parts[1] + parts[5]) + (parts[3] + parts[7]));
+}
+
+static float scaled(real u) { return (float)((u - HYSTMPC_U_OFFSET) / HYSTMPC_U_SCALE); }
+
+static real in_degrees(const float *x) {
+    return HYSTMPC_THETA_OFFSET + HYSTMPC_THETA_SCALE * (head_of(x) + HYSTMPC_HEAD_BIAS);
+}
+
+static void load(const real *state, float *x, float *c) {
+    for (int i = 0; i < WIDTH; i++) x[i] = 0.0F;
+    for (int i = 0; i < CELLS; i++) c[i] = 0.0F;
+    for (int layer = 0; layer < LAYERS; layer++) {
+        for (int unit = 0; unit < HIDDEN; unit++) {
+            x[1 + layer * U + unit] = (float)state[2 * layer * HIDDEN + unit];
+            c[layer * U + unit] = (float)state[(2 * layer + 1) * HIDDEN + unit];
+        }
+    }
+}
+
+static void unload(real *state, const float *x, const float *c) {
+    for (int layer = 0; layer < LAYERS; layer++) {
+        for (int unit = 0; unit < HIDDEN; unit++) {
+            state[2 * layer * HIDDEN + unit] = (real)x[1 + layer * U + unit];
+            state[(2 * layer + 1) * HIDDEN + unit] = (real)c[layer * U + unit];
+        }
+    }
+}
+
+/* One sample of the network, in place; its angle. */
+HYSTMPC_LOCAL real network_step(real *state, real u) {
+    float x[1][WIDTH], c[1][CELLS], h[1][HYSTMPC_UNITS];
+    load(state, x[0], c[0]);
+    x[0][0] = scaled(u);
+    move(x, c, h, 1, 0);
+    unload(state, x[0], c[0]);
+    return in_degrees(x[0]);
+}
+
+/* The state is that of the network, its angle, that of the operators beside it, their angle. */
+HYSTMPC_LOCAL void middle_step(real *x, real u) {
+    real next[HYSTMPC_CHAIN], *beside = x + NET + 1;
+    x[NET] = network_step(x, u);
+    hystmpc_middle.step(beside, u, x + NET + 1 + HYSTMPC_BESIDE, next);
+    copy(next, beside, HYSTMPC_BESIDE);
+}
+
+/* The operators are asked for the wanted angle and what they are off the network by now. */
+HYSTMPC_LOCAL real middle_command(const real *x, real wanted, real last) {
+    return command_for(x + NET + 1, wanted + x[NET + 1 + HYSTMPC_BESIDE] - x[NET], last);
+}
+
+HYSTMPC_LOCAL void model_step(const real *x, real u, real *theta, real *next) {
+    real travel = u;
+    copy(x, next, S);
+#if HYSTMPC_FRONT
+    hystmpc_front.step(x, u, &travel, next);
+#endif
+    middle_step(next + HYSTMPC_FRONT, travel);
+    *theta = next[HYSTMPC_FRONT + NET];
+}
+
+/* What the command is behind the drive. */
+static void travel_along(const real *x, const real *commands, int samples, real *travel) {
+#if HYSTMPC_FRONT
+    run_plan(&hystmpc_front, x, commands, samples, travel);
+#else
+    (void)x;
+    copy(commands, travel, samples);
+#endif
+}
+
+/* Angles of a few plans, as many as there is room for. */
+static void roll(const real *x, real (*travel)[HYSTMPC_HORIZON], int count, int samples, float (*rows)[WIDTH],
+                 float (*cells)[CELLS], float (*out)[HYSTMPC_UNITS], real (*angles)[HYSTMPC_HORIZON]) {
+    for (int n = 0; n < count; n++) load(x + HYSTMPC_FRONT, rows[n], cells[n]);
+    for (int k = 0; k < samples; k++) {
+        for (int n = 0; n < count; n++) rows[n][0] = scaled(travel[n][k]);
+        move(rows, cells, out, count, 0);
+        for (int n = 0; n < count; n++) angles[n][k] = in_degrees(rows[n]);
+    }
+}
+
+HYSTMPC_LOCAL void run_model(const real *x, const real *commands, int samples, real *angles) {
+    real travel[1][HYSTMPC_HORIZON], found[1][HYSTMPC_HORIZON];
+    float rows[1][WIDTH], cells[1][CELLS], out[1][HYSTMPC_UNITS];
+    travel_along(x, commands, samples, travel[0]);
+    roll(x, travel, 1, samples, rows, cells, out, found);
+    copy(found[0], angles, samples);
+}
+
+HYSTMPC_LOCAL void run_plans(hystmpc_work *w, const real *x, real (*plans)[HYSTMPC_HORIZON], int count,
+                             real (*angles)[HYSTMPC_HORIZON]) {
+    for (int n = 0; n < count; n++) travel_along(x, plans[n], H, angles[n]);
+    roll(x, angles, count, H, w->network_rows, w->network_cells, w->network_outputs, angles);
+}
+
+/* Row 0 is the motion, row j the derivative by command j - 1, which joins at its own sample. */
+HYSTMPC_LOCAL void linearise_model(hystmpc_work *w, const real *x, const real *commands) {
+    float(*rows)[WIDTH] = w->network_rows, (*cells)[CELLS] = w->network_cells;
+    const real gain = HYSTMPC_THETA_SCALE / HYSTMPC_U_SCALE;
+    real travel[HYSTMPC_HORIZON];
+#if HYSTMPC_FRONT
+    linearise_plan(w, &hystmpc_front, x, commands, travel);
+    for (int k = 0; k < H; k++) copy(w->jacobian[k], w->by_move[k], H);
+#else
+    copy(commands, travel, H);
+#endif
+    load(x + HYSTMPC_FRONT, rows[0], cells[0]);
+    for (int k = 1; k <= H; k++) {
+        for (int i = 0; i < WIDTH; i++) rows[k][i] = 0.0F;
+        for (int i = 0; i < CELLS; i++) cells[k][i] = 0.0F;
+    }
+    for (int k = 0; k < H; k++) {
+        rows[k][0] = 0.0F; /* the last command's share has come in */
+        rows[k + 1][0] = 1.0F;
+        rows[0][0] = scaled(travel[k]);
+        move(rows, cells, w->network_outputs, 2 + k, 1);
+        for (int j = 0; j < H; j++) w->jacobian[k][j] = j <= k ? gain * head_of(rows[1 + j]) : R(0.0);
+    }
+#if HYSTMPC_FRONT
+    for (int k = 0; k < H; k++) {
+        copy(w->jacobian[k], travel, H);
+        for (int j = 0; j < H; j++) {
+            real sum = R(0.0);
+            for (int i = j; i <= k; i++) sum += travel[i] * w->by_move[i][j];
+            w->jacobian[k][j] = sum;
+        }
+    }
+#endif
+}
+
+#endif
