@@ -32,21 +32,32 @@ enum { TOGETHER = 3, COLUMNS = PANEL / 2 };
 #define FUSED(a, b, c) (float)((double)(a) * (double)(b) + (double)(c))
 #endif
 
-/* sums[r][i] += sum over k of x[r][k] weights[k][i], for so many rows. */
-#define PRODUCT(COUNT)                                                                                            \
-    static void product_##COUNT(const float *restrict weights, int inputs, const float *restrict x,               \
-                                float *restrict sums) {                                                           \
-        float s[COUNT][COLUMNS];                                                                                  \
-        for (int r = 0; r < COUNT; r++)                                                                           \
-            for (int i = 0; i < COLUMNS; i++) s[r][i] = sums[r * PANEL + i];                                      \
-        for (int k = 0; k < inputs; k++) {                                                                        \
-            for (int r = 0; r < COUNT; r++) {                                                                     \
-                const float value = x[r * WIDTH + k];                                                             \
-                for (int i = 0; i < COLUMNS; i++) s[r][i] = FUSED(value, weights[k * PANEL + i], s[r][i]);        \
-            }                                                                                                     \
-        }                                                                                                         \
-        for (int r = 0; r < COUNT; r++)                                                                           \
-            for (int i = 0; i < COLUMNS; i++) sums[r * PANEL + i] = s[r][i];                                      \
+/* sums[r][i] += sum over k of x[r][k] weights[k][i], for so many rows. Rows are written out, since a compiler keeps in
+ * registers what it need not index. */
+#define EACH_1(DO) DO(0)
+#define EACH_2(DO) EACH_1(DO) DO(1)
+#define EACH_3(DO) EACH_2(DO) DO(2)
+#define EACH_4(DO) EACH_3(DO) DO(3)
+#define EACH_5(DO) EACH_4(DO) DO(4)
+#define EACH_6(DO) EACH_5(DO) DO(5)
+#define START(r)                                                             \
+    float s##r[COLUMNS];                                                     \
+    for (int i = 0; i < COLUMNS; i++) s##r[i] = sums[(r) * PANEL + i];
+#define ADD(r)                                                               \
+    {                                                                        \
+        const float value = x[(r) * WIDTH + k];                              \
+        for (int i = 0; i < COLUMNS; i++) s##r[i] = FUSED(value, weights[k * PANEL + i], s##r[i]); \
+    }
+#define STORE(r) \
+    for (int i = 0; i < COLUMNS; i++) sums[(r) * PANEL + i] = s##r[i];
+#define PRODUCT(COUNT)                                                                              \
+    static void product_##COUNT(const float *restrict weights, int inputs, const float *restrict x, \
+                                float *restrict sums) {                                             \
+        EACH_##COUNT(START)                                                                         \
+        for (int k = 0; k < inputs; k++) {                                                          \
+            EACH_##COUNT(ADD)                                                                       \
+        }                                                                                           \
+        EACH_##COUNT(STORE)                                                                         \
     }
 
 PRODUCT(1)

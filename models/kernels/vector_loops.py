@@ -17,11 +17,14 @@ PLANS = 36  # at a time: with a panel of the weights their rows are in the first
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def head_of(head, x, row):
-    """Scaled angle of a row, the bias left out: the last layer's outputs stand at the end."""
-    total = np.float32(0.0)
+    """Scaled angle of a row, the bias left out: the last layer's outputs stand at the end.
+
+    In double: then the order of the sum, which is the compiler's, is not seen, and exported C has the same angle.
+    """
+    total = 0.0
     start = x.shape[1] - head.size
     for unit in range(head.size):
-        total += head[unit] * x[row, start + unit]
+        total += np.float64(head[unit]) * np.float64(x[row, start + unit])
     return total
 
 
