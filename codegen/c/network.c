@@ -69,6 +69,21 @@ PRODUCT(5)
 PRODUCT(6)
 #endif
 
+/* One row of two panels at once: the sums of one alone would wait for each other. */
+static void product_pair(const float *restrict first, const float *restrict second, int inputs, const float *restrict x,
+                         float *restrict sums) {
+    float a[PANEL], b[PANEL];
+    for (int i = 0; i < PANEL; i++) a[i] = sums[i];
+    for (int i = 0; i < PANEL; i++) b[i] = sums[PANEL + i];
+    for (int k = 0; k < inputs; k++) {
+        const float value = x[k];
+        for (int i = 0; i < PANEL; i++) a[i] = FUSED(value, first[k * PANEL + i], a[i]);
+        for (int i = 0; i < PANEL; i++) b[i] = FUSED(value, second[k * PANEL + i], b[i]);
+    }
+    for (int i = 0; i < PANEL; i++) sums[i] = a[i];
+    for (int i = 0; i < PANEL; i++) sums[PANEL + i] = b[i];
+}
+
 static void product(const float *weights, int inputs, int rows, const float *x, float *sums) {
     for (int at = 0; at < PANEL; at += COLUMNS) {
         switch (rows) {
@@ -163,18 +178,43 @@ static const float *panel_of(int layer, int panel) {
     return hystmpc_weights + U / LANES * first + ((layer - 1) * (U / LANES) + panel) * further;
 }
 
+/* One sample of one motion through all layers. */
+static void move_one(float *x, float *c) {
+    float sums[4 * HYSTMPC_UNITS], h[HYSTMPC_UNITS];
+    for (int layer = 0; layer < LAYERS; layer++) {
+        const float *below = x + (layer ? 1 + (layer - 1) * U : 0);
+        const int inputs = layer ? 2 * U : 1 + U;
+        for (int panel = 0; panel < U / LANES; panel++)
+            for (int i = 0; i < PANEL; i++) sums[panel * PANEL + i] = panel_of(layer, panel)[i];
+        for (int panel = 0; panel < U / LANES; panel += 2) {
+            const float *weights = panel_of(layer, panel) + PANEL;
+            float *at = sums + panel * PANEL;
+            if (panel + 1 == U / LANES) product(weights, inputs, 1, below, at);
+            else product_pair(weights, panel_of(layer, panel + 1) + PANEL, inputs, below, at);
+        }
+        for (int panel = 0; panel < U / LANES; panel++)
+            cell(sums + panel * PANEL, c + layer * U + panel * LANES, h + panel * LANES);
+        for (int unit = 0; unit < U; unit++) x[1 + layer * U + unit] = h[unit];
+    }
+}
+
 /* One sample of rows through all layers. A row of x is the scaled command, then the outputs of all layers, so that
  * what a layer reads, the new output of the layer below and its own old one, stands side by side. `derived`: row 0 is a
  * motion and the rows behind it are derivatives along it; else all are motions. */
 static void move(float (*x)[WIDTH], float (*c)[CELLS], float (*h)[HYSTMPC_UNITS], int rows, int derived) {
+    if (rows == 1) {
+        move_one(x[0], c[0]);
+        return;
+    }
+    const int blocks = (rows + TOGETHER - 1) / TOGETHER;
     float sums[TOGETHER * PANEL], by[6][LANES];
     for (int layer = 0; layer < LAYERS; layer++) {
         const int column = layer ? 1 + (layer - 1) * U : 0, inputs = layer ? 2 * U : 1 + U;
         for (int panel = 0; panel < U / LANES; panel++) {
             const float *weights = panel_of(layer, panel);
             const int unit = panel * LANES;
-            for (int row = 0; row < rows; row += TOGETHER) {
-                const int count = rows - row < TOGETHER ? rows - row : TOGETHER;
+            for (int block = blocks, row = 0; block > 0; block--) { /* of rows, as even as can be */
+                const int count = (rows - row + block - 1) / block;
                 for (int r = 0; r < count; r++) {
                     const int moves = !derived || row + r == 0;
                     for (int i = 0; i < PANEL; i++) sums[r * PANEL + i] = moves ? weights[i] : 0.0F;
@@ -186,6 +226,7 @@ static void move(float (*x)[WIDTH], float (*c)[CELLS], float (*h)[HYSTMPC_UNITS]
                     else if (row + r == 0) differentiated_cell(z, at, out, by);
                     else tangent_cell(z, at, out, by);
                 }
+                row += count;
             }
         }
         for (int row = 0; row < rows; row++)
@@ -271,14 +312,42 @@ static void travel_along(const real *x, const real *commands, int samples, real 
 #endif
 }
 
-/* Angles of a few plans, as many as there is room for. */
+/* Plans that were one row up to this sample and differ in it: each but the first gets a row of its own. How many there
+ * are; the scaled commands are set. */
+static int part_ways(real (*travel)[HYSTMPC_HORIZON], int count, int k, int *row_of, int used, float (*rows)[WIDTH],
+                     float (*cells)[CELLS]) {
+    int before[HYSTMPC_CANDIDATES];
+    for (int n = 0; n < count; n++) {
+        int first = 1, same = 0;
+        before[n] = row_of[n];
+        for (int m = 0; m < n && !same; m++) {
+            if (before[m] != before[n]) continue;
+            first = 0;
+            same = travel[m][k] == travel[n][k];
+            if (same) row_of[n] = row_of[m];
+        }
+        if (same) continue;
+        if (!first) {
+            row_of[n] = used++;
+            for (int i = 0; i < WIDTH; i++) rows[row_of[n]][i] = rows[before[n]][i];
+            for (int i = 0; i < CELLS; i++) cells[row_of[n]][i] = cells[before[n]][i];
+        }
+        rows[row_of[n]][0] = scaled(travel[n][k]);
+    }
+    return used;
+}
+
+/* Angles of plans, of which those whose commands are the same so far are one row. */
 static void roll(const real *x, real (*travel)[HYSTMPC_HORIZON], int count, int samples, float (*rows)[WIDTH],
                  float (*cells)[CELLS], float (*out)[HYSTMPC_UNITS], real (*angles)[HYSTMPC_HORIZON]) {
-    for (int n = 0; n < count; n++) load(x + HYSTMPC_FRONT, rows[n], cells[n]);
+    int row_of[HYSTMPC_CANDIDATES] = {0}, used = 1;
+    real found[HYSTMPC_CANDIDATES];
+    load(x + HYSTMPC_FRONT, rows[0], cells[0]);
     for (int k = 0; k < samples; k++) {
-        for (int n = 0; n < count; n++) rows[n][0] = scaled(travel[n][k]);
-        move(rows, cells, out, count, 0);
-        for (int n = 0; n < count; n++) angles[n][k] = in_degrees(rows[n]);
+        used = part_ways(travel, count, k, row_of, used, rows, cells);
+        move(rows, cells, out, used, 0);
+        for (int n = 0; n < used; n++) found[n] = in_degrees(rows[n]);
+        for (int n = 0; n < count; n++) angles[n][k] = found[row_of[n]];
     }
 }
 
@@ -293,7 +362,7 @@ HYSTMPC_LOCAL void run_model(const real *x, const real *commands, int samples, r
 HYSTMPC_LOCAL void run_plans(hystmpc_work *w, const real *x, real (*plans)[HYSTMPC_HORIZON], int count,
                              real (*angles)[HYSTMPC_HORIZON]) {
     for (int n = 0; n < count; n++) travel_along(x, plans[n], H, angles[n]);
-    roll(x, angles, count, H, w->network_rows, w->network_cells, w->network_outputs, angles);
+    if (count) roll(x, angles, count, H, w->network_rows, w->network_cells, w->network_outputs, angles);
 }
 
 /* Row 0 is the motion, row j the derivative by command j - 1, which joins at its own sample. */
