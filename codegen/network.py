@@ -98,7 +98,7 @@ def network_of(model: OnnxModel) -> NetworkC:
 
 
 def _array(name: str, values: Vec) -> Iterator[str]:
-    yield "HYSTMPC_SHARED HYSTMPC_AT_A_LINE const float hystmpc_%s[%d] = {" % (name, values.size)
+    yield f"HYSTMPC_SHARED HYSTMPC_AT_A_LINE const float hystmpc_{name}[{values.size}] = {{"
     texts = [single_number(value) for value in values]
     for first in range(0, len(texts), _A_LINE):
         yield "    " + ", ".join(texts[first : first + _A_LINE]) + ","
