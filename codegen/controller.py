@@ -113,8 +113,8 @@ def export_controller(
 ) -> ControllerExport:
     """The controller that `TipController.from_config(source)` is, as C.
 
-    Its commands are those of the Python controller, `GuardedController.step`, to rounding. A model of operators or an
-    LSTM, the linearised controller, a continuous sensor or none.
+    Its commands are those of the Python controller, `GuardedController.step`, to rounding. A model of operators, an
+    LSTM or a GRU, the linearised controller, a continuous sensor or none.
 
     Args:
         source: a `tip.yaml`, a mapping or settings.

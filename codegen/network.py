@@ -25,6 +25,7 @@ class NetworkC:
     """A network in numbers.
 
     Attributes:
+        kind: `lstm` or `gru`.
         hidden, layers: units of a layer, and layers.
         units: of a layer, filled up to whole panels.
         state_size: entries of its state.
@@ -33,6 +34,7 @@ class NetworkC:
         numbers: scalars of its scaling and of its gates.
     """
 
+    kind: str
     hidden: int
     layers: int
     units: int
@@ -45,6 +47,7 @@ class NetworkC:
         """Sizes of arrays, `rows` plans or derivatives at a time."""
         return {
             "units": self.units,
+            "gru": int(self.kind == "gru"),
             "hidden": self.hidden,
             "layers": self.layers,
             "network": self.state_size,
@@ -65,26 +68,28 @@ def network_of(model: OnnxModel) -> NetworkC:
         ExportError: if there is no C of its kind.
     """
     kind, arrays = model.metadata.kind, model.initializers
-    if kind != "lstm" or model.metadata.connections or GATED_MARK in arrays:
+    if kind not in ("lstm", "gru") or model.metadata.connections or GATED_MARK in arrays:
         more = " with a gated cell" if GATED_MARK in arrays else ""
         more = f" with operators {model.metadata.connections[0].way}" if model.metadata.connections else more
         raise ExportError(
-            f"export-c: got a model of kind {kind}{more} in an .onnx file, supported are simulators (.yaml) and lstm"
+            f"export-c: got a model of kind {kind}{more} in an .onnx file, supported are simulators (.yaml), lstm and gru"
         )
     # The kernels' compiler is loaded for a network alone.
+    from hystmpc.models.kernels.gru import gru_weights
     from hystmpc.models.kernels.lstm_vector import pack_panels
     from hystmpc.models.kernels.vector_emitter import EVEN, LIMIT, ODD
 
-    weights = LstmWeights.from_arrays(arrays)
-    packed, count = pack_panels(weights, LANES), len(weights.layers)
+    weights = gru_weights(arrays) if kind == "gru" else LstmWeights.from_arrays(arrays)
+    packed, count = pack_panels(weights, LANES, kind), len(weights.layers)
     used = [(2 if layer == 0 else 1 + packed.head.size) + packed.head.size for layer in range(count)]
     rows = [panels[:, : 4 * LANES * height].ravel() for panels, height in zip(packed.weights, used, strict=True)]
     offset = dict(zip(("u_offset", "u_scale", "theta_offset", "theta_scale"), packed.scaling.tolist(), strict=True))
     return NetworkC(
+        kind,
         weights.hidden,
         count,
         packed.head.size,
-        weights.state_size,
+        model.state_size,
         np.concatenate(rows),
         packed.head,
         {

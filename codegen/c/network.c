@@ -13,7 +13,8 @@ enum {
     LANES = 16,          /* units of a panel */
     PANEL = 4 * LANES,   /* sums of a panel: four gates */
     WIDTH = HYSTMPC_NETWORK_WIDTH,
-    CELLS = HYSTMPC_NETWORK_CELLS
+    CELLS = HYSTMPC_NETWORK_CELLS,
+    PARTS = HYSTMPC_GRU ? 1 : 2 /* numbers a unit that are remembered; a GRU's output is its own cell */
 };
 
 /* Sums that stay in registers: rows by columns. With AVX-512 there is room for more. */
@@ -127,6 +128,50 @@ static inline float tangent_of(float x) {
 
 static inline float one_less_square(float a) { return FUSED(-a, a, 1.0F); }
 
+#if HYSTMPC_GRU
+
+/* Output of a panel's units from the sums z of r, z and both parts of n, sigmoid gates halved: n = tanh(z_n + r z_own),
+ * h' = (1 - z) n + z h, with two divisions. */
+static void cell(const float *restrict z, float *restrict c, float *restrict h) {
+    for (int i = 0; i < LANES; i++) {
+        const float opened = FUSED(0.5F, tangent_of(z[i]), 0.5F), zk = bounded(z[LANES + i]);
+        const float zn = bounded(FUSED(opened, z[3 * LANES + i], z[2 * LANES + i]));
+        const float pk = odd(zk), qk = even(zk), qn = even(zn);
+        const float total = FUSED(qk - pk, odd(zn), (qk + pk) * c[i] * qn);
+        const float now = 0.5F * total / (qk * qn);
+        c[i] = now;
+        h[i] = now;
+    }
+}
+
+/* The same, and derivatives: dh' = f_0 dh + f_1 dz_r + f_2 dz_z + f_3 dz_n + f_4 dz_own. */
+static void differentiated_cell(const float *restrict z, float *restrict c, float *restrict h,
+                                float (*restrict by)[LANES]) {
+    for (int j = 0; j < LANES; j++) {
+        const float r = tangent_of(z[j]), k = tangent_of(z[LANES + j]), own = z[3 * LANES + j];
+        const float opened = FUSED(0.5F, r, 0.5F), keep = FUSED(0.5F, k, 0.5F), take = FUSED(-0.5F, k, 0.5F);
+        const float new = tangent_of(FUSED(opened, own, z[2 * LANES + j]));
+        const float fresh = take * one_less_square(new), gap = c[j] - new;
+        by[0][j] = keep;
+        by[1][j] = fresh * own * (0.5F * one_less_square(r));
+        by[2][j] = gap * (0.5F * one_less_square(k));
+        by[3][j] = fresh;
+        by[4][j] = fresh * opened;
+        c[j] = h[j] = FUSED(keep, gap, new);
+    }
+}
+
+/* Derivatives of the output by one command, from those of the sums. */
+static void tangent_cell(const float *restrict z, float *restrict c, float *restrict h,
+                         float (*restrict by)[LANES]) {
+    for (int j = 0; j < LANES; j++) {
+        const float gates = FUSED(by[2][j], z[LANES + j], FUSED(by[1][j], z[j], by[0][j] * c[j]));
+        c[j] = h[j] = FUSED(by[4][j], z[3 * LANES + j], FUSED(by[3][j], z[2 * LANES + j], gates));
+    }
+}
+
+#else
+
 /* Cell c and output h of a panel's units from the sums z of the gates i, f, g, o, sigmoid gates halved:
  * c' = f c + i g, h' = o tanh(c'), with two divisions. */
 static void cell(const float *restrict z, float *restrict c, float *restrict h) {
@@ -170,6 +215,8 @@ static void tangent_cell(const float *restrict z, float *restrict c, float *rest
         h[j] = FUSED(by[5][j], c[j], by[4][j] * z[3 * LANES + j]);
     }
 }
+
+#endif
 
 /* A panel's bias, then its weights input by input; the first layer has one input below. */
 static const float *panel_of(int layer, int panel) {
@@ -254,8 +301,8 @@ static void load(const real *state, float *x, float *c) {
     for (int i = 0; i < CELLS; i++) c[i] = 0.0F;
     for (int layer = 0; layer < LAYERS; layer++) {
         for (int unit = 0; unit < HIDDEN; unit++) {
-            x[1 + layer * U + unit] = (float)state[2 * layer * HIDDEN + unit];
-            c[layer * U + unit] = (float)state[(2 * layer + 1) * HIDDEN + unit];
+            x[1 + layer * U + unit] = (float)state[PARTS * layer * HIDDEN + unit];
+            c[layer * U + unit] = (float)state[(PARTS * layer + PARTS - 1) * HIDDEN + unit];
         }
     }
 }
@@ -263,8 +310,8 @@ static void load(const real *state, float *x, float *c) {
 static void unload(real *state, const float *x, const float *c) {
     for (int layer = 0; layer < LAYERS; layer++) {
         for (int unit = 0; unit < HIDDEN; unit++) {
-            state[2 * layer * HIDDEN + unit] = (real)x[1 + layer * U + unit];
-            state[(2 * layer + 1) * HIDDEN + unit] = (real)c[layer * U + unit];
+            state[PARTS * layer * HIDDEN + unit] = (real)x[1 + layer * U + unit];
+            state[(PARTS * layer + PARTS - 1) * HIDDEN + unit] = (real)c[layer * U + unit];
         }
     }
 }

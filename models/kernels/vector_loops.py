@@ -1,6 +1,6 @@
 """Loops around the vector kernel. This file's text is compiled behind a header that chooses sizes, never imported.
 
-The header gives LANES and ROWS, and `motions`, `first` and `tangents`: functions as in `vector_emitter`. The rows of a
+The header gives LANES, ROWS and PARTS, the numbers a unit that are remembered, and `motions`, `first` and `tangents`: functions as in `vector_emitter`. The rows of a
 table x (R, LANES + L U) are [.., v, h_1, ..., h_L], the scaled command last in a vector of its own, the outputs of all
 layers behind it: what a layer reads, the new output of the layer below and its own old one, stands side by side.
 """
@@ -30,12 +30,12 @@ def head_of(head, x, row):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def load(state, hidden, layers, x, c, row):
-    """State (2 L H,) into one row of the tables."""
+    """State (PARTS L H,) into one row of the tables."""
     units = c.shape[2]
     for layer in range(layers):
         for unit in range(hidden):
-            x[row, LANES + layer * units + unit] = state[2 * layer * hidden + unit]
-            c[layer, row, unit] = state[(2 * layer + 1) * hidden + unit]
+            x[row, LANES + layer * units + unit] = state[PARTS * layer * hidden + unit]
+            c[layer, row, unit] = state[(PARTS * layer + PARTS - 1) * hidden + unit]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -82,12 +82,12 @@ def differentiate(weights, rows, x, c, h, factors):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def unload(following, hidden, layers, x, c, row):
-    """State (2 L H,) from one row of the tables."""
+    """State (PARTS L H,) from one row of the tables."""
     units = c.shape[2]
     for layer in range(layers):
         for unit in range(hidden):
-            following[2 * layer * hidden + unit] = x[row, LANES + layer * units + unit]
-            following[(2 * layer + 1) * hidden + unit] = c[layer, row, unit]
+            following[PARTS * layer * hidden + unit] = x[row, LANES + layer * units + unit]
+            following[(PARTS * layer + PARTS - 1) * hidden + unit] = c[layer, row, unit]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
