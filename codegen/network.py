@@ -72,7 +72,8 @@ def network_of(model: OnnxModel) -> NetworkC:
         more = " with a gated cell" if GATED_MARK in arrays else ""
         more = f" with operators {model.metadata.connections[0].way}" if model.metadata.connections else more
         raise ExportError(
-            f"export-c: got a model of kind {kind}{more} in an .onnx file, supported are simulators (.yaml), lstm and gru"
+            f"export-c: got a model of kind {kind}{more} in an .onnx file, "
+            "supported are simulators (.yaml), lstm and gru"
         )
     # The kernels' compiler is loaded for a network alone.
     from hystmpc.models.kernels.gru import gru_weights

@@ -1,8 +1,9 @@
 """Loops around the vector kernel. This file's text is compiled behind a header that chooses sizes, never imported.
 
-The header gives LANES, ROWS and PARTS, the numbers a unit that are remembered, and `motions`, `first` and `tangents`: functions as in `vector_emitter`. The rows of a
-table x (R, LANES + L U) are [.., v, h_1, ..., h_L], the scaled command last in a vector of its own, the outputs of all
-layers behind it: what a layer reads, the new output of the layer below and its own old one, stands side by side.
+The header gives LANES, ROWS and PARTS, the numbers a unit that are remembered, and `motions`, `first` and `tangents`:
+functions as in `vector_emitter`. The rows of a table x (R, LANES + L U) are [.., v, h_1, ..., h_L], the scaled command
+last in a vector of its own, the outputs of all layers behind it: what a layer reads, the new output of the layer below
+and its own old one, stands side by side.
 """
 # ruff: noqa: F821  (the header's names)
 # mypy: ignore-errors

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from hystmpc.codegen import export_controller
 from hystmpc.ctrl import TipController
-from hystmpc.models.kernels.vector_emitter import host_shape
 
 from .compiled import EXAMPLES, SOURCES, Library, library
 from .loops import START, START_DEG, compare
+from .networks import needs_vectors
 
 SAME = 1e-6  # mm
 
@@ -72,8 +72,8 @@ def test_commands_are_those_of_python(plain: Library) -> None:
 @pytest.mark.parametrize("case", CASES)
 def test_commands_are_those_of_python_for_every_part(case: str, tmp_path: Path) -> None:
     settings_, lag_s = CASES[case]
-    if case.startswith("network") and host_shape() is None:
-        pytest.skip("the processor has neither AVX-512 nor AVX2: Python's plain route rounds otherwise than the C")
+    if case.startswith("network"):
+        needs_vectors()
     found = compare(settings_, library(settings_, tmp_path), 2000, lag_s)
     assert found.greatest <= SAME
     assert found.same_sources
