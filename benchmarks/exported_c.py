@@ -25,7 +25,6 @@ from tests.codegen.loops import compare
 from tests.codegen.networks import small_network
 from tests.codegen.test_commands import CASES, PLAIN, tip
 
-
 GRU: dict[str, dict[str, Any]] = {"gru": dict(PLAIN), "gru-that-learns": {}}
 
 

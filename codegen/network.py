@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hystmpc.models.networks.lstm import GATED_MARK, LstmWeights
 from hystmpc.trials.errors import ExportError
-from hystmpc.trials.types import Vec
 
 if TYPE_CHECKING:
     from hystmpc.models.contract.load import OnnxModel
@@ -39,8 +39,8 @@ class NetworkC:
     layers: int
     units: int
     state_size: int
-    weights: Vec
-    head: Vec
+    weights: NDArray[np.float32]
+    head: NDArray[np.float32]
     numbers: dict[str, Any]
 
     def sizes(self, rows: int) -> dict[str, int]:
@@ -97,13 +97,13 @@ def network_of(model: OnnxModel) -> NetworkC:
             **offset,
             "head_bias": packed.head_bias,
             "tanh_limit": np.float32(LIMIT),
-            "tanh_odd": np.float32(ODD),
-            "tanh_even": np.float32(EVEN),
+            "tanh_odd": np.array(ODD, np.float32),
+            "tanh_even": np.array(EVEN, np.float32),
         },
     )
 
 
-def _array(name: str, values: Vec) -> Iterator[str]:
+def _array(name: str, values: NDArray[np.float32]) -> Iterator[str]:
     yield f"HYSTMPC_SHARED HYSTMPC_AT_A_LINE const float hystmpc_{name}[{values.size}] = {{"
     texts = [single_number(value) for value in values]
     for first in range(0, len(texts), _A_LINE):

@@ -71,7 +71,8 @@ def gru_weights(arrays: Mapping[str, ArrayLike]) -> LstmWeights:
         b_ih, b_hh = (np.asarray(arrays[f"gru.{k}.{side}.bias"], dtype=np.float64) for side in ("ih", "hh"))
         gates = b_ih[: 2 * hidden] + b_hh[: 2 * hidden]
         stack.append(LstmLayer(w_ih, w_hh, np.concatenate([gates, b_ih[2 * hidden :], b_hh[2 * hidden :]])))
-    return LstmWeights(tuple(stack), packed.head, float(packed.head_bias[0]), Scaling(*packed.scaling.tolist()))
+    head = packed.head.astype(np.float64)
+    return LstmWeights(tuple(stack), head, float(packed.head_bias[0]), Scaling(*packed.scaling.tolist()))
 
 
 def pack_gru(arrays: Mapping[str, ArrayLike]) -> PackedGru:
