@@ -21,7 +21,7 @@ enum {
 #ifdef __AVX512F__
 enum { TOGETHER = 6, COLUMNS = PANEL };
 #else
-enum { TOGETHER = 3, COLUMNS = PANEL / 2 };
+enum { TOGETHER = 2, COLUMNS = PANEL / 2 };
 #endif
 
 /* a b + c rounded once. Where the processor cannot: by way of double, right but for one rounding in some 10^8. */
@@ -63,8 +63,8 @@ enum { TOGETHER = 3, COLUMNS = PANEL / 2 };
 
 PRODUCT(1)
 PRODUCT(2)
-PRODUCT(3)
 #ifdef __AVX512F__
+PRODUCT(3)
 PRODUCT(4)
 PRODUCT(5)
 PRODUCT(6)
@@ -90,8 +90,8 @@ static void product(const float *weights, int inputs, int rows, const float *x, 
         switch (rows) {
         case 1: product_1(weights + at, inputs, x, sums + at); break;
         case 2: product_2(weights + at, inputs, x, sums + at); break;
-        case 3: product_3(weights + at, inputs, x, sums + at); break;
 #ifdef __AVX512F__
+        case 3: product_3(weights + at, inputs, x, sums + at); break;
         case 4: product_4(weights + at, inputs, x, sums + at); break;
         case 5: product_5(weights + at, inputs, x, sums + at); break;
         default: product_6(weights + at, inputs, x, sums + at); break;
@@ -102,13 +102,18 @@ static void product(const float *weights, int inputs, int rows, const float *x, 
     }
 }
 
-/* tanh(x) = x P(x^2) / Q(x^2), off by at most 2.2e-7 in float; the coefficients are Python's. Not-a-number stays. */
-static inline float bounded(float x) {
+/* Numbers within those from where on tanh is one; not-a-number stays. A loop of its own: inside another one a compiler
+ * makes branches of it, and no vectors. */
+static void bound(const float *x, float *out, int count) {
     const float limit = HYSTMPC_TANH_LIMIT;
-    x = x > limit ? limit : x;
-    return x < -limit ? -limit : x;
+    for (int i = 0; i < count; i++) {
+        const float below = x[i] > limit ? limit : x[i];
+        out[i] = below < -limit ? -limit : below;
+    }
 }
 
+/* tanh(x) = x P(x^2) / Q(x^2) = odd / even within those bounds, off by at most 2.2e-7 in float; the coefficients are
+ * Python's. */
 static inline float odd(float x) {
     static const float a[6] = HYSTMPC_TANH_ODD;
     const float s = x * x;
@@ -121,9 +126,10 @@ static inline float even(float x) {
     return FUSED(FUSED(FUSED(FUSED(b[4], s, b[3]), s, b[2]), s, b[1]), s, b[0]);
 }
 
-static inline float tangent_of(float x) {
-    x = bounded(x);
-    return odd(x) / even(x);
+/* tanh in place. */
+static void tangents_of(float *x, int count) {
+    bound(x, x, count);
+    for (int i = 0; i < count; i++) x[i] = odd(x[i]) / even(x[i]);
 }
 
 static inline float one_less_square(float a) { return FUSED(-a, a, 1.0F); }
@@ -131,33 +137,39 @@ static inline float one_less_square(float a) { return FUSED(-a, a, 1.0F); }
 #if HYSTMPC_GRU
 
 /* Output of a panel's units from the sums z of r, z and both parts of n, sigmoid gates halved: n = tanh(z_n + r z_own),
- * h' = (1 - z) n + z h, with two divisions. */
-static void cell(const float *restrict z, float *restrict c, float *restrict h) {
+ * h' = (1 - z) n + z h, with two divisions. The sums are used up. */
+static void cell(float *restrict z, float *restrict c, float *restrict h) {
+    float *gate = z + LANES, *new = z + 2 * LANES;
+    bound(gate, gate, LANES);
+    tangents_of(z, LANES);
+    for (int i = 0; i < LANES; i++) new[i] = FUSED(FUSED(0.5F, z[i], 0.5F), z[3 * LANES + i], new[i]);
+    bound(new, new, LANES);
     for (int i = 0; i < LANES; i++) {
-        const float opened = FUSED(0.5F, tangent_of(z[i]), 0.5F), zk = bounded(z[LANES + i]);
-        const float zn = bounded(FUSED(opened, z[3 * LANES + i], z[2 * LANES + i]));
-        const float pk = odd(zk), qk = even(zk), qn = even(zn);
-        const float total = FUSED(qk - pk, odd(zn), (qk + pk) * c[i] * qn);
-        const float now = 0.5F * total / (qk * qn);
-        c[i] = now;
-        h[i] = now;
+        const float p = odd(gate[i]), q = even(gate[i]), below = even(new[i]);
+        const float total = FUSED(q - p, odd(new[i]), (q + p) * c[i] * below);
+        c[i] = 0.5F * total / (q * below);
+        h[i] = c[i];
     }
 }
 
 /* The same, and derivatives: dh' = f_0 dh + f_1 dz_r + f_2 dz_z + f_3 dz_n + f_4 dz_own. */
-static void differentiated_cell(const float *restrict z, float *restrict c, float *restrict h,
+static void differentiated_cell(float *restrict z, float *restrict c, float *restrict h,
                                 float (*restrict by)[LANES]) {
+    float *new = z + 2 * LANES;
+    tangents_of(z, 2 * LANES);
+    for (int j = 0; j < LANES; j++) new[j] = FUSED(FUSED(0.5F, z[j], 0.5F), z[3 * LANES + j], new[j]);
+    tangents_of(new, LANES);
     for (int j = 0; j < LANES; j++) {
-        const float r = tangent_of(z[j]), k = tangent_of(z[LANES + j]), own = z[3 * LANES + j];
+        const float r = z[j], k = z[LANES + j];
         const float opened = FUSED(0.5F, r, 0.5F), keep = FUSED(0.5F, k, 0.5F), take = FUSED(-0.5F, k, 0.5F);
-        const float new = tangent_of(FUSED(opened, own, z[2 * LANES + j]));
-        const float fresh = take * one_less_square(new), gap = c[j] - new;
+        const float fresh = take * one_less_square(new[j]), gap = c[j] - new[j];
         by[0][j] = keep;
-        by[1][j] = fresh * own * (0.5F * one_less_square(r));
+        by[1][j] = fresh * z[3 * LANES + j] * (0.5F * one_less_square(r));
         by[2][j] = gap * (0.5F * one_less_square(k));
         by[3][j] = fresh;
         by[4][j] = fresh * opened;
-        c[j] = h[j] = FUSED(keep, gap, new);
+        c[j] = FUSED(keep, gap, new[j]);
+        h[j] = c[j];
     }
 }
 
@@ -173,36 +185,45 @@ static void tangent_cell(const float *restrict z, float *restrict c, float *rest
 #else
 
 /* Cell c and output h of a panel's units from the sums z of the gates i, f, g, o, sigmoid gates halved:
- * c' = f c + i g, h' = o tanh(c'), with two divisions. */
-static void cell(const float *restrict z, float *restrict c, float *restrict h) {
+ * c' = f c + i g, h' = o tanh(c'), with two divisions. The sums are used up. */
+static void cell(float *restrict z, float *restrict c, float *restrict h) {
+    float shown[LANES];
+    bound(z, z, PANEL);
     for (int i = 0; i < LANES; i++) {
-        const float zi = bounded(z[i]), zf = bounded(z[LANES + i]);
-        const float zg = bounded(z[2 * LANES + i]), zo = bounded(z[3 * LANES + i]);
-        const float qi = even(zi), qf = even(zf), qo = even(zo), beside = qi * even(zg);
+        const float zi = z[i], zf = z[LANES + i], zg = z[2 * LANES + i];
+        const float qi = even(zi), qf = even(zf), beside = qi * even(zg);
         const float kept = (qf + odd(zf)) * c[i] * beside;
         const float total = FUSED((qi + odd(zi)) * odd(zg), qf, kept);
-        const float now = 0.5F * total / (beside * qf), shown = bounded(now);
-        c[i] = now;
-        h[i] = 0.5F * (qo + odd(zo)) * odd(shown) / (qo * even(shown));
+        c[i] = 0.5F * total / (beside * qf);
+    }
+    bound(c, shown, LANES);
+    for (int i = 0; i < LANES; i++) {
+        const float zo = z[3 * LANES + i], q = even(zo);
+        h[i] = 0.5F * (q + odd(zo)) * odd(shown[i]) / (q * even(shown[i]));
     }
 }
 
 /* The same, and derivatives: dc' = f_0 dc + f_1 dz_i + f_2 dz_f + f_3 dz_g, dh' = f_4 dz_o + f_5 dc'. */
-static void differentiated_cell(const float *restrict z, float *restrict c, float *restrict h,
+static void differentiated_cell(float *restrict z, float *restrict c, float *restrict h,
                                 float (*restrict by)[LANES]) {
+    float shown[LANES];
+    tangents_of(z, PANEL);
     for (int j = 0; j < LANES; j++) {
-        const float i = tangent_of(z[j]), f = tangent_of(z[LANES + j]);
-        const float g = tangent_of(z[2 * LANES + j]), o = tangent_of(z[3 * LANES + j]);
-        const float gain = FUSED(0.5F, i, 0.5F), forget = FUSED(0.5F, f, 0.5F), out = FUSED(0.5F, o, 0.5F);
-        const float now = FUSED(forget, c[j], gain * g), shown = tangent_of(now);
+        const float i = z[j], f = z[LANES + j], g = z[2 * LANES + j];
+        const float gain = FUSED(0.5F, i, 0.5F), forget = FUSED(0.5F, f, 0.5F);
         by[0][j] = forget;
         by[1][j] = 0.5F * one_less_square(i) * g;
         by[2][j] = 0.5F * one_less_square(f) * c[j];
         by[3][j] = gain * one_less_square(g);
-        by[4][j] = 0.5F * one_less_square(o) * shown;
-        by[5][j] = out * one_less_square(shown);
-        c[j] = now;
-        h[j] = out * shown;
+        c[j] = FUSED(forget, c[j], gain * g);
+        shown[j] = c[j];
+    }
+    tangents_of(shown, LANES);
+    for (int j = 0; j < LANES; j++) {
+        const float o = z[3 * LANES + j], out = FUSED(0.5F, o, 0.5F);
+        by[4][j] = 0.5F * one_less_square(o) * shown[j];
+        by[5][j] = out * one_less_square(shown[j]);
+        h[j] = out * shown[j];
     }
 }
 
