@@ -3,7 +3,7 @@
     python benchmarks/exported_c.py [--steps 100000] [--case NAME] [--float32]
 
 Both run a closed loop on a device of their own with noise, sensor faults and stops, as in `tests/codegen/`. The C is
-compiled with -O2 and called through ctypes, whose call is part of its time.
+compiled with -O2, networks with -O3 -march=native, and called through ctypes, whose call is part of its time.
 """
 
 from __future__ import annotations
@@ -11,30 +11,46 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hystmpc.codegen import export_controller
-from tests.codegen.compiled import EXAMPLES, Library
+from tests.codegen.compiled import EXAMPLES, NETWORK, Library
 from tests.codegen.loops import compare
-from tests.codegen.test_commands import CASES
+from tests.codegen.networks import small_network
+from tests.codegen.test_commands import CASES, PLAIN, tip
+
+GRU: dict[str, dict[str, Any]] = {"gru": dict(PLAIN), "gru-that-learns": {}}
+
+
+@cache
+def _file() -> str:
+    """A GRU with two layers of 64, which stays until the end."""
+    return small_network("gru", 64, 2, Path(tempfile.mkdtemp()))
+
+
+def _gru(controller: dict[str, Any]) -> tuple[dict[str, Any], float]:
+    return tip(_file(), **controller), 0.0
 
 
 def main() -> None:
     """One line a case."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=100_000)
-    parser.add_argument("--case", choices=list(CASES), action="append")
+    parser.add_argument("--case", choices=[*CASES, *GRU], action="append")
     parser.add_argument("--float32", action="store_true")
     given = parser.parse_args()
-    for name in given.case or CASES:
-        settings, lag_s = CASES[name]
+    for name in given.case or [*CASES, *GRU]:
+        settings, lag_s = CASES[name] if name in CASES else _gru(GRU[name])
         export = export_controller(settings, single=given.float32, folder=EXAMPLES)
+        options = NETWORK if "fmaf" in export.functions else ("-O2",)
         with tempfile.TemporaryDirectory() as folder:
-            found = compare(settings, Library(export, Path(folder), given.float32, "-O2"), given.steps, lag_s)
+            found = compare(settings, Library(export, Path(folder), given.float32, options), given.steps, lag_s)
         off = np.abs(found.python - found.c)
         per_step = 1e6 / given.steps
         print(

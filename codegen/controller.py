@@ -17,11 +17,21 @@ from hystmpc.ctrl.planner.settings import TipSettings, read_settings
 from hystmpc.trials.files import write_atomically
 
 from .layout import structs
+from .network import single_number
 from .problem import Problem, problem_of
-from .steps import INEXACT, functions_used, model_source, number, rest_source
+from .steps import (
+    INEXACT,
+    functions_used,
+    model_source,
+    model_warm_up,
+    network_warm_up,
+    number,
+    rest_source,
+)
 
 PARTS = (
     "model",
+    "network",
     "state",
     "basis",
     "learning",
@@ -103,8 +113,8 @@ def export_controller(
 ) -> ControllerExport:
     """The controller that `TipController.from_config(source)` is, as C.
 
-    Its commands are those of the Python controller, `GuardedController.step`, to rounding. A model of operators, the
-    linearised controller, a continuous sensor or none.
+    Its commands are those of the Python controller, `GuardedController.step`, to rounding. A model of operators, an
+    LSTM or a GRU, the linearised controller, a continuous sensor or none.
 
     Args:
         source: a `tip.yaml`, a mapping or settings.
@@ -120,7 +130,7 @@ def export_controller(
     sizes, numbers = _sizes(problem, single), _numbers(problem, single)
     models = _models(problem)
     public, internal = _template("hystmpc.h"), _template("internal.h")
-    texts = {name: _template(f"{name}.c") for name in PARTS}
+    texts = {name: _template(f"{name}.c") for name in PARTS if name != "network" or problem.network is not None}
     head = (
         f"/* {problem.words}\n * Written by hystmpc {version('hystmpc')}; any change is lost at the next export. */\n"
     )
@@ -195,10 +205,15 @@ def _initialiser(value: Any) -> str:
     array = np.asarray(value)
     if array.ndim:
         return "{" + ", ".join(_initialiser(part) for part in array) + "}"
+    if array.dtype == np.float32:
+        return single_number(array)
     return str(int(array)) if array.dtype.kind == "i" else number(float(array))
 
 
 def _models(problem: Problem) -> str:
     rest = problem.rest
     sources = [model_source(name, step) for name, step in problem.steps.items()]
-    return "\n".join([*sources, rest_source(rest.offset, rest.by_angle, rest.by_command, rest.warmup)])
+    if problem.network is not None:
+        sources.append(problem.network.source())
+    warm_up = model_warm_up(rest.warmup) if problem.network is None else network_warm_up(rest.warmup, rest.beside)
+    return "\n".join([*sources, rest_source(rest.offset, rest.by_angle, rest.by_command, warm_up)])

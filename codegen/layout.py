@@ -16,11 +16,12 @@ def structs(header: str, sizes: Mapping[str, int], real: Any) -> Mapping[str, ty
     """Every struct of a header by name.
 
     Args:
-        header: text; its conditions are `#if NAME` and `#endif`, its fields of `hystmpc_real`, int and other structs.
+        header: text; its conditions are `#if NAME` and `#endif`, its fields of `hystmpc_real`, float, int and other
+            structs.
         sizes: of the macros in conditions and dimensions.
         real: ctypes' type of `hystmpc_real`.
     """
-    known: dict[str, Any] = {"hystmpc_real": real, "int": ctypes.c_int}
+    known: dict[str, Any] = {"hystmpc_real": real, "int": ctypes.c_int, "float": ctypes.c_float}
     plain = "\n".join(_chosen(re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL), sizes))
     for body, name in _STRUCT.findall(plain):
         fields = [field for line in body.splitlines() for field in _fields(line, sizes, known)]

@@ -22,26 +22,34 @@ from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.ctrl.planning import FOLLOWING, Candidates
 from hystmpc.models.chain import Chain
+from hystmpc.models.contract.metadata import ModelMetadata
 from hystmpc.models.inverse.drive import split
+from hystmpc.models.inverse.surrogate_backlash import surrogate_backlash
 from hystmpc.models.load import load_model, model_path
-from hystmpc.models.model import Inverse, Predictor
+from hystmpc.models.model import Inverse, LoadedModel, Predictor
 from hystmpc.models.operators.dynamics import Lag
 from hystmpc.models.operators.operator import Operator
+from hystmpc.models.prediction.build import Known, known_pairs
 from hystmpc.models.simulator import ChainModel
 from hystmpc.trials.errors import ExportError
 from hystmpc.trials.types import Mat, Vec
 
+from .network import NetworkC, network_of
 from .steps import Step
 
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """The state at rest: offset + by_angle y + by_command u (S,), then `warmup` samples of the command held."""
+    """The state at rest: offset + by_angle y + by_command u (S,), then `warmup` samples of the command held.
+
+    Operators beside a network are held for `beside` samples instead.
+    """
 
     offset: Vec
     by_angle: Vec
     by_command: Vec
     warmup: int
+    beside: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +59,8 @@ class Problem:
     Attributes:
         sizes: of arrays, and which parts there are; whole numbers.
         numbers: scalars (), vectors and matrices of the algorithm, by the names of its macros in small letters.
-        steps: of `whole`, `middle`, and where they are, `front` and `back`.
+        steps: of `whole`, where there is no network, and `middle`, and where they are, `front` and `back`.
+        network: what is predicted with in the place of `whole`; `middle` is then what stands beside it.
         rest: how a state at rest is made.
         words: what it is, for the head of the file.
     """
@@ -61,6 +70,7 @@ class Problem:
     steps: Mapping[str, Step]
     rest: Rest
     words: str
+    network: NetworkC | None = None
 
 
 def problem_of(settings: TipSettings, folder: Path) -> Problem:
@@ -74,45 +84,102 @@ def problem_of(settings: TipSettings, folder: Path) -> Problem:
     if not isinstance(controller, LinearisedMpcSettings):
         raise ExportError(f"export-c: got controller.kind {controller.kind}, supported is linearised_mpc")
     _check(controller)
-    model = load_model(model_path(settings.model, folder), start="conditioned")
-    if not isinstance(model, ChainModel):
-        raise ExportError(
-            f"export-c: got a model of kind {model.metadata.kind} in an .onnx file, supported are simulators (.yaml)"
-        )
     if settings.inverse is not None:
         raise ExportError(f"export-c: got inverse {settings.inverse}, supported is the model's own: leave it out")
-    parts = _parts(model.simulator.chain, settings.actuator_lag_s)
-    predictor, inverse = known_model(model, None, settings.actuator_lag_s).predictive
-    limits = modelled_limits(settings.limits, limits_of_model(model.metadata))
+    loaded = load_model(model_path(settings.model, folder), start="conditioned")
+    model = _of_chain(loaded, settings) if isinstance(loaded, ChainModel) else _of_network(loaded, settings)
+    predictor, inverse = model.known.predictive
+    facts = loaded.metadata
+    limits = modelled_limits(settings.limits, limits_of_model(facts))
     build_controller(controller, predictor, inverse, limits)  # raises what is wrong with limits and ladder
     own = controller.limits
     limits = limits if own is None else own.build()
-    dt, facts = predictor.dt, model.metadata
-    steps = {name: Step(chain.transition, chain.values, dt) for name, chain in parts.items()}
+    dt = predictor.dt
+    steps = {name: Step(chain.transition, chain.values, dt) for name, chain in model.parts.items()}
     sizes, numbers = _law(controller, predictor, inverse, limits)
     counts = {name: step.size for name, step in steps.items()}
-    ends = {name: counts.get(name, 0) for name in ("front", "back")}
-    if counts["whole"] != counts["middle"] + sum(ends.values()):
-        raise ExportError("export-c: got a delay with a longer store than its time needs, expected the store it needs")
-    rule = facts.rule("conditioned")
-    ahead = _rest_of(parts["front"]) if settings.actuator_lag_s else np.zeros((2, 0))
-    none = np.zeros(len(rule.offset))
+    network = model.network
+    more = {} if network is None else network.numbers
+    if network is not None:
+        sizes |= network.sizes(max(sizes["candidates"], sizes["horizon"] + 1))
     return Problem(
-        {**sizes, **ends, "states": counts["whole"]},
+        {
+            "units": 0,
+            **sizes,
+            **{name: counts.get(name, 0) for name in ("front", "back")},
+            "beside": counts["middle"],
+            "chain": max(counts.values()),
+            "states": model.rest.offset.size,
+        },
         {
             **numbers,
+            **more,
             "inverse_low": facts.command_limits.lower,
             "inverse_high": facts.command_limits.upper,
         },
         steps,
-        Rest(
-            np.concatenate([ahead[0], rule.offset]),
-            np.concatenate([np.zeros(ahead.shape[1]), rule.slope]),
-            np.concatenate([ahead[1], none]),
-            facts.warmup_samples,
-        ),
-        f"{settings.model}: {' + '.join(operator.name for operator in parts['whole'].operators)}, "
-        f"{dt:g} s, {limits} [{facts.command_unit}]",
+        model.rest,
+        f"{settings.model}: {model.words}, {dt:g} s, {limits} [{facts.command_unit}]",
+        network,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """A model in parts; `known` is what the Python controller has of it."""
+
+    known: Known
+    parts: Mapping[str, Chain]
+    rest: Rest
+    words: str
+    network: NetworkC | None = None
+
+
+def _of_chain(model: ChainModel, settings: TipSettings) -> _Model:
+    """Operators, with those that are dynamics on either side."""
+    lag_s, facts = settings.actuator_lag_s, model.metadata
+    parts = _parts(model.simulator.chain, lag_s)
+    sizes = {name: chain.state_size for name, chain in parts.items()}
+    if sizes["whole"] != sum(size for name, size in sizes.items() if name != "whole"):
+        raise ExportError("export-c: got a delay with a longer store than its time needs, expected the store it needs")
+    rest = _behind(parts["front"] if lag_s else None, _at_rest(facts), facts.warmup_samples)
+    words = " + ".join(operator.name for operator in parts["whole"].operators)
+    return _Model(known_model(model, None, lag_s), parts, rest, words)
+
+
+def _of_network(model: LoadedModel, settings: TipSettings) -> _Model:
+    """A network, with the operator that stands in for it where an inverse is needed."""
+    from hystmpc.models.contract.load import OnnxModel  # onnxruntime is not loaded for a simulator
+
+    assert isinstance(model, OnnxModel)  # there are these two
+    network, facts, lag_s = network_of(model), model.metadata, settings.actuator_lag_s
+    companion = surrogate_backlash(model)
+    known, beside = known_pairs(model, companion), companion.metadata()
+    parts = {"middle": companion.chain}
+    if lag_s:
+        known = known.behind((Lag(lag_s),), facts)
+        parts["front"] = Chain(Lag(lag_s))
+    shown = np.array([[0.0], [1.0]])  # the measured angle, by both
+    at_rest = np.concatenate([_at_rest(facts), shown, _at_rest(beside), shown], axis=1)
+    rest = _behind(parts.get("front"), at_rest, facts.warmup_samples, beside.warmup_samples)
+    return _Model(known, parts, rest, f"{facts.kind} of {network.layers} x {network.hidden}", network)
+
+
+def _at_rest(facts: ModelMetadata) -> Mat:
+    """Rows offset and slope by the angle (2, S) of a model's state at rest."""
+    rule = facts.rule("conditioned")
+    return np.array([rule.offset, rule.slope])
+
+
+def _behind(drive: Chain | None, at_rest: Mat, warmup: int, beside: int = 0) -> Rest:
+    ahead = np.zeros((2, 0)) if drive is None else _rest_of(drive)
+    none = np.zeros(at_rest.shape[1])
+    return Rest(
+        np.concatenate([ahead[0], at_rest[0]]),
+        np.concatenate([np.zeros(ahead.shape[1]), at_rest[1]]),
+        np.concatenate([ahead[1], none]),
+        warmup,
+        beside,
     )
 
 

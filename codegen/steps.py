@@ -69,7 +69,7 @@ _OF_TWO: dict[str, Callable[[float, float], float]] = {
     "pow": lambda a, b: a**b,
 }
 _FOLDED: Mapping[str, Callable[..., float]] = MappingProxyType({**_OF_ONE, **_OF_TWO})
-EXACT = ("sqrt", "rint", "floor")
+EXACT = ("sqrt", "rint", "floor", "fmaf")
 """Functions of <math.h> whose results are exact or rounded correctly wherever floating point is IEC 60559."""
 INEXACT = ("exp", "log", "tanh", "sin", "cos", "pow")
 """Functions of <math.h> whose last digits differ from one C library to the next."""
@@ -99,7 +99,7 @@ class Step:
 
 def functions_used(source: str) -> tuple[str, ...]:
     """Functions of <math.h> that C of the package calls, by name."""
-    names = set(re.findall(r"MATH\((\w+)\)\(", source))
+    names = {name or "fmaf" for name in re.findall(r"MATH\((\w+)\)\(|\bfmaf\(", source)}
     return tuple(name for name in (*EXACT, *INEXACT) if name in names)
 
 
@@ -134,8 +134,32 @@ def step_source(name: str, step: Step) -> str:
     )
 
 
-def rest_source(offset: Vec, by_angle: Vec, by_command: Vec, warmup: int) -> str:
-    """C of the state at rest: offset + by_angle y + by_command u, then so many samples of the command held."""
+def model_warm_up(samples: int) -> Sequence[str]:
+    """Statements: so many samples of the command held."""
+    return [
+        "    real theta, next[HYSTMPC_STATES];",
+        f"    for (int k = 0; k < {samples}; k++) {{",
+        "        step_whole(x, u, &theta, next);",
+        "        copy(next, x, S);",
+        "    }",
+    ]
+
+
+def network_warm_up(samples: int, beside: int) -> Sequence[str]:
+    """Statements: so many samples of the network, and of the operators beside it; both show the measured angle."""
+    return [
+        "    real theta, next[HYSTMPC_CHAIN];",
+        "    real *network = x + HYSTMPC_FRONT, *chain = network + HYSTMPC_NETWORK + 1;",
+        f"    for (int k = 0; k < {samples}; k++) network_step(network, u);",
+        f"    for (int k = 0; k < {beside}; k++) {{",
+        "        step_middle(chain, u, &theta, next);",
+        "        copy(next, chain, HYSTMPC_BESIDE);",
+        "    }",
+    ]
+
+
+def rest_source(offset: Vec, by_angle: Vec, by_command: Vec, warm_up: Sequence[str]) -> str:
+    """C of the state at rest: offset + by_angle y + by_command u, then the warm-up."""
     lines = [
         f"    x[{i}] = {number(float(offset[i]))} + {number(float(by_angle[i]))} * y"
         f" + {number(float(by_command[i]))} * u;"
@@ -144,12 +168,8 @@ def rest_source(offset: Vec, by_angle: Vec, by_command: Vec, warmup: int) -> str
     return "\n".join(
         [
             "HYSTMPC_LOCAL void hystmpc_rest(real y, real u, real *x) {",
-            "    real theta, next[HYSTMPC_STATES];",
             *lines,
-            f"    for (int k = 0; k < {warmup}; k++) {{",
-            "        step_whole(x, u, &theta, next);",
-            "        copy(next, x, S);",
-            "    }",
+            *warm_up,
             "}\n",
         ]
     )

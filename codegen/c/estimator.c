@@ -7,7 +7,7 @@ HYSTMPC_LOCAL real usable_angle(real y) { return absolute(y) <= HYSTMPC_ANGLE_BO
 /* One sample of the model; 0 where its answer is not finite or absurdly large. */
 static int model_advance(const real *x, real u, real *angle, real *next) {
     real sum = R(0.0);
-    hystmpc_whole.step(x, u, angle, next);
+    model_step(x, u, angle, next);
     for (int i = 0; i < S; i++) sum += next[i];
     return absolute(*angle) <= HYSTMPC_ANGLE_BOUND && finite(sum);
 }

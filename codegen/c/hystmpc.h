@@ -137,7 +137,12 @@ typedef struct {
     hystmpc_real upper[HYSTMPC_QP_ROWS];
     hystmpc_real by_move[HYSTMPC_HORIZON][HYSTMPC_HORIZON];
     hystmpc_real normal[HYSTMPC_HORIZON][HYSTMPC_HORIZON];
-    hystmpc_real moving[2][HYSTMPC_STATES + 9][HYSTMPC_HORIZON];
+    hystmpc_real moving[2][HYSTMPC_CHAIN + 9][HYSTMPC_HORIZON];
+#if HYSTMPC_UNITS
+    float network_rows[HYSTMPC_NETWORK_ROWS][HYSTMPC_NETWORK_WIDTH]; /* command and outputs, a row a plan or derivative */
+    float network_cells[HYSTMPC_NETWORK_ROWS][HYSTMPC_NETWORK_CELLS];
+    float network_outputs[HYSTMPC_NETWORK_ROWS][HYSTMPC_UNITS];
+#endif
 } hystmpc_work;
 
 typedef struct {

@@ -18,6 +18,13 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
+/* At the beginning of a line of the cache, so that no vector lies across two. */
+#ifdef __GNUC__
+#define HYSTMPC_AT_A_LINE __attribute__((aligned(64)))
+#else
+#define HYSTMPC_AT_A_LINE
+#endif
+
 typedef hystmpc_real real;
 #define R(x) HYSTMPC_REAL(x)
 #define INFINITE ((real)INFINITY)
@@ -42,20 +49,40 @@ typedef struct {
 } model;
 
 #ifndef HYSTMPC_ONE_FILE
-extern const model hystmpc_whole;  /* command to angle */
-extern const model hystmpc_middle; /* what is inverted sample by sample */
+#if !HYSTMPC_UNITS
+extern const model hystmpc_whole; /* command to angle */
+#endif
+extern const model hystmpc_middle; /* the operators that are inverted sample by sample */
 #if HYSTMPC_FRONT
 extern const model hystmpc_front; /* dynamics of the command */
 #endif
 #if HYSTMPC_BACK
 extern const model hystmpc_back; /* dynamics of the angle */
 #endif
+#if HYSTMPC_UNITS
+extern const float hystmpc_weights[], hystmpc_head[];
+#endif
 #endif
 HYSTMPC_LOCAL void hystmpc_rest(real y, real u, real *x); /* the model's state at rest, by the rule of its file */
 
+#if HYSTMPC_FRONT || !HYSTMPC_UNITS
 HYSTMPC_LOCAL void run_plan(const model *m, const real *x, const real *plan, int samples, real *angles);
 HYSTMPC_LOCAL void linearise_plan(hystmpc_work *w, const model *m, const real *x, const real *plan, real *angles);
+#endif
 HYSTMPC_LOCAL real command_for(const real *x, real wanted, real last);
+
+/* The whole, and what is inverted sample by sample: operators (model.c), or a network and operators (network.c). */
+HYSTMPC_LOCAL void model_step(const real *x, real u, real *theta, real *next);
+HYSTMPC_LOCAL void run_model(const real *x, const real *plan, int samples, real *angles);
+HYSTMPC_LOCAL void run_plans(hystmpc_work *w, const real *x, real (*plans)[HYSTMPC_HORIZON], int count,
+                             real (*angles)[HYSTMPC_HORIZON]);
+HYSTMPC_LOCAL void linearise_model(hystmpc_work *w, const real *x, const real *plan);
+HYSTMPC_LOCAL void middle_step(real *x, real u);
+HYSTMPC_LOCAL real middle_command(const real *x, real wanted, real last);
+#if HYSTMPC_UNITS
+HYSTMPC_LOCAL real network_step(real *state, real u);
+#endif
+
 #if HYSTMPC_FRONT || HYSTMPC_BACK
 HYSTMPC_LOCAL void fit_drive(hystmpc_work *w, const model *m, const real *x, const real *wanted, real u_last,
                              real reach, real *inputs);
@@ -63,7 +90,9 @@ HYSTMPC_LOCAL int first_acting(const hystmpc_work *w);
 #endif
 
 /* state.c: the model with what is learned on top of it. */
-HYSTMPC_LOCAL void state_run(const hystmpc_state *s, const real *plan, int samples, real *angles);
+HYSTMPC_LOCAL void state_run(const hystmpc_state *s, const real *plan, real *angles);
+HYSTMPC_LOCAL void state_run_plans(hystmpc_work *w, const hystmpc_state *s, real (*plans)[HYSTMPC_HORIZON], int count,
+                                   real (*angles)[HYSTMPC_HORIZON]);
 HYSTMPC_LOCAL void state_linearise(hystmpc_work *w, const hystmpc_state *s, const real *plan);
 HYSTMPC_LOCAL real state_inverse(const hystmpc_state *s, real theta, real u_last);
 HYSTMPC_LOCAL void state_follow(hystmpc_work *w, const hystmpc_state *s, const real *wanted, real u_last, real *boxed,

@@ -122,12 +122,12 @@ HYSTMPC_LOCAL void propose_predictive(hystmpc_controller *c, const given *g, pro
     p.u_last = g->u_last;
     p.low = HYSTMPC_ANGLE_LOW - g->disturbance;
     p.high = HYSTMPC_ANGLE_HIGH - g->disturbance;
-    for (int n = 0; n < first; n++) state_run(&g->state, c->work.plans[n], H, c->work.angles[n]);
+    state_run_plans(&c->work, &g->state, c->work.plans, first, c->work.angles);
     judge_hold(c, g, c->work.angles[HELD]);
     plan best;
     cheapest(c, &p, 0, c->holding ? 1 : first, &best);
     if (!c->holding) {
-        for (int n = first; n < count; n++) state_run(&g->state, c->work.plans[n], H, c->work.angles[n]);
+        state_run_plans(&c->work, &g->state, c->work.plans + first, count - first, c->work.angles + first);
         cheapest(c, &p, first, count, &best);
     }
     out->status = finite(best.cost) ? HYSTMPC_OK : HYSTMPC_NO_PLAN;
@@ -135,7 +135,7 @@ HYSTMPC_LOCAL void propose_predictive(hystmpc_controller *c, const given *g, pro
         const real error = farthest(c->work.angles[HELD], H, g->disturbance, c->hold_target);
         out->status = improve(&c->work, &p, &best);
         if (out->status == HYSTMPC_OK && gentle(c, best.commands, g->u_last, error))
-            state_run(&g->state, best.commands, H, best.angles);
+            state_run(&g->state, best.commands, best.angles);
     }
     if (out->status != HYSTMPC_OK) {
         c->holding = holding;

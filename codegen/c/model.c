@@ -20,9 +20,11 @@ HYSTMPC_LOCAL void fill(real *to, real value, int count) {
     for (int i = 0; i < count; i++) to[i] = value;
 }
 
+#if HYSTMPC_FRONT || !HYSTMPC_UNITS
+
 /* Angles of one plan; the state is kept. */
 HYSTMPC_LOCAL void run_plan(const model *m, const real *x, const real *commands, int samples, real *angles) {
-    real now[HYSTMPC_STATES], next[HYSTMPC_STATES];
+    real now[HYSTMPC_CHAIN], next[HYSTMPC_CHAIN];
     copy(x, now, m->size);
     for (int t = 0; t < samples; t++) {
         m->step(now, commands[t], &angles[t], next);
@@ -33,8 +35,8 @@ HYSTMPC_LOCAL void run_plan(const model *m, const real *x, const real *commands,
 /* Angles of a plan of H commands, and their Jacobian in the work space, by forward sensitivity. */
 HYSTMPC_LOCAL void linearise_plan(hystmpc_work *w, const model *m, const real *x, const real *commands, real *angles) {
     const int size = m->size;
-    real now[HYSTMPC_STATES], next[HYSTMPC_STATES];
-    real a[HYSTMPC_STATES * HYSTMPC_STATES], b[HYSTMPC_STATES], c[HYSTMPC_STATES], d;
+    real now[HYSTMPC_CHAIN], next[HYSTMPC_CHAIN];
+    real a[HYSTMPC_CHAIN * HYSTMPC_CHAIN], b[HYSTMPC_CHAIN], c[HYSTMPC_CHAIN], d;
     int old = 0;
     copy(x, now, size);
     for (int t = 0; t < H; t++) {
@@ -61,11 +63,13 @@ HYSTMPC_LOCAL void linearise_plan(hystmpc_work *w, const model *m, const real *x
     }
 }
 
+#endif
+
 /* Command that brings the next angle of what is inverted to `wanted`: bracketed Newton on the exact derivative. On a
  * flat branch that already shows it, the command nearest to `last`. */
 HYSTMPC_LOCAL real command_for(const real *x, real wanted, real last) {
     const model *m = &hystmpc_middle;
-    real theta, next[HYSTMPC_STATES], a[HYSTMPC_STATES * HYSTMPC_STATES], b[HYSTMPC_STATES], c[HYSTMPC_STATES], d;
+    real theta, next[HYSTMPC_CHAIN], a[HYSTMPC_CHAIN * HYSTMPC_CHAIN], b[HYSTMPC_CHAIN], c[HYSTMPC_CHAIN], d;
     real low = HYSTMPC_INVERSE_LOW, high = HYSTMPC_INVERSE_HIGH, u = clamp(last, low, high);
     const real tolerance = HYSTMPC_MISS * most(R(1.0), absolute(wanted));
     for (int round = 0; round < 200; round++) {
@@ -81,6 +85,35 @@ HYSTMPC_LOCAL real command_for(const real *x, real wanted, real last) {
     }
     return u;
 }
+
+#if !HYSTMPC_UNITS
+
+HYSTMPC_LOCAL void model_step(const real *x, real u, real *theta, real *next) { hystmpc_whole.step(x, u, theta, next); }
+
+HYSTMPC_LOCAL void run_model(const real *x, const real *commands, int samples, real *angles) {
+    run_plan(&hystmpc_whole, x, commands, samples, angles);
+}
+
+HYSTMPC_LOCAL void run_plans(hystmpc_work *w, const real *x, real (*plans)[HYSTMPC_HORIZON], int count,
+                             real (*angles)[HYSTMPC_HORIZON]) {
+    (void)w;
+    for (int n = 0; n < count; n++) run_plan(&hystmpc_whole, x, plans[n], H, angles[n]);
+}
+
+HYSTMPC_LOCAL void linearise_model(hystmpc_work *w, const real *x, const real *commands) {
+    real angles[HYSTMPC_HORIZON];
+    linearise_plan(w, &hystmpc_whole, x, commands, angles);
+}
+
+HYSTMPC_LOCAL void middle_step(real *x, real u) {
+    real angle, next[HYSTMPC_CHAIN];
+    hystmpc_middle.step(x, u, &angle, next);
+    copy(next, x, hystmpc_middle.size);
+}
+
+HYSTMPC_LOCAL real middle_command(const real *x, real wanted, real last) { return command_for(x, wanted, last); }
+
+#endif
 
 #if HYSTMPC_FRONT || HYSTMPC_BACK
 

@@ -37,9 +37,7 @@ HYSTMPC_LOCAL real plan_cost(const problem *p, const real *commands, const real 
 }
 
 /* A plan that is cheaper than `found` takes its place. */
-static void try_plan(const problem *p, const real *commands, plan *found) {
-    real angles[HYSTMPC_HORIZON];
-    state_run(p->state, commands, H, angles);
+static void try_plan(const problem *p, const real *commands, const real *angles, plan *found) {
     const real cost = plan_cost(p, commands, angles);
     if (!(cost < found->cost)) return;
     copy(commands, found->commands, H);
@@ -47,9 +45,12 @@ static void try_plan(const problem *p, const real *commands, plan *found) {
     found->cost = cost;
 }
 
+enum { SHARES = 3 };
+
 /* The whole step, and where the cost falls by clearly less than the linearisation promised, parts of it too. */
-static void search(const problem *p, const real *step, const real *promising, plan *best) {
-    static const real parts[3] = {R(0.5), R(0.25), R(0.125)};
+static void search(hystmpc_work *w, const problem *p, const real *step, const real *promising, plan *best) {
+    static const real shares[SHARES] = {R(0.5), R(0.25), R(0.125)};
+    real(*parts)[HYSTMPC_HORIZON] = w->plans + 2, (*found)[HYSTMPC_HORIZON] = w->angles + 2; /* of spent candidates */
     const plan start = *best;
     real commands[HYSTMPC_HORIZON], angles[HYSTMPC_HORIZON];
     for (int k = 0; k < H; k++) {
@@ -57,7 +58,7 @@ static void search(const problem *p, const real *step, const real *promising, pl
         angles[k] = start.angles[k] + promising[k];
     }
     real whole[HYSTMPC_HORIZON];
-    state_run(p->state, commands, H, whole);
+    state_run(p->state, commands, whole);
     const real cost = plan_cost(p, commands, whole);
     const real promised = start.cost - plan_cost(p, commands, angles);
     if (cost < best->cost) {
@@ -66,11 +67,12 @@ static void search(const problem *p, const real *step, const real *promising, pl
         best->cost = cost;
     }
     if (start.cost - cost >= R(0.9) * promised) return;
-    for (int i = 0; i < 3; i++) {
-        for (int k = 0; k < H; k++) commands[k] = start.commands[k] + parts[i] * step[k];
-        clip_plan(commands, p->u_last);
-        try_plan(p, commands, best);
+    for (int i = 0; i < SHARES; i++) {
+        for (int k = 0; k < H; k++) parts[i][k] = start.commands[k] + shares[i] * step[k];
+        clip_plan(parts[i], p->u_last);
     }
+    state_run_plans(w, p->state, parts, SHARES, found);
+    for (int i = 0; i < SHARES; i++) try_plan(p, parts[i], found[i], best);
 }
 
 /* Sequential-quadratic-programming iterations, guarded by the nonlinear cost; HYSTMPC_OK or why there is none. */
@@ -104,7 +106,7 @@ HYSTMPC_LOCAL int improve(hystmpc_work *w, const problem *p, plan *best) {
             promising[k] = R(0.0);
             for (int j = 0; j <= k; j++) promising[k] += jacobian[k][j] * step[j];
         }
-        search(p, step, promising, best);
+        search(w, p, step, promising, best);
     }
     return HYSTMPC_OK;
 }

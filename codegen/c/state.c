@@ -10,17 +10,27 @@ static int state_acts(const hystmpc_state *s) {
 #endif
 }
 
-HYSTMPC_LOCAL void state_run(const hystmpc_state *s, const real *commands, int samples, real *angles) {
-    run_plan(&hystmpc_whole, s->model, commands, samples, angles);
+/* Angles along a plan. */
+HYSTMPC_LOCAL void state_run(const hystmpc_state *s, const real *commands, real *angles) {
+    run_model(s->model, commands, H, angles);
 #if HYSTMPC_LEARNS
-    if (s->acts) add_learned(s, commands, samples, angles);
+    if (s->acts) add_learned(s, commands, H, angles);
+#endif
+}
+
+/* Angles along some plans, no more than there are candidates. */
+HYSTMPC_LOCAL void state_run_plans(hystmpc_work *w, const hystmpc_state *s, real (*plans)[HYSTMPC_HORIZON], int count,
+                                   real (*angles)[HYSTMPC_HORIZON]) {
+    run_plans(w, s->model, plans, count, angles);
+#if HYSTMPC_LEARNS
+    if (!s->acts) return;
+    for (int n = 0; n < count; n++) add_learned(s, plans[n], H, angles[n]);
 #endif
 }
 
 /* The Jacobian along a plan, in the work space. */
 HYSTMPC_LOCAL void state_linearise(hystmpc_work *w, const hystmpc_state *s, const real *commands) {
-    real angles[HYSTMPC_HORIZON];
-    linearise_plan(w, &hystmpc_whole, s->model, commands, angles);
+    linearise_model(w, s->model, commands);
 #if HYSTMPC_LEARNS
     if (s->acts) add_slopes(w, s, commands);
 #endif
@@ -30,7 +40,7 @@ HYSTMPC_LOCAL void state_linearise(hystmpc_work *w, const hystmpc_state *s, cons
 static void learned_along(const hystmpc_state *s, const real *commands, int samples, real *added) {
 #if HYSTMPC_LEARNS
     real alone[HYSTMPC_HORIZON];
-    run_plan(&hystmpc_whole, s->model, commands, samples, alone);
+    run_model(s->model, commands, samples, alone);
     copy(alone, added, samples);
     add_learned(s, commands, samples, added);
     for (int k = 0; k < samples; k++) added[k] -= alone[k];
@@ -45,7 +55,7 @@ static void learned_along(const hystmpc_state *s, const real *commands, int samp
 HYSTMPC_LOCAL real state_inverse(const hystmpc_state *s, real theta, real u_last) {
     real added = R(0.0);
     if (state_acts(s)) learned_along(s, &u_last, 1, &added);
-    return command_for(s->model + HYSTMPC_FRONT, theta - added, u_last);
+    return middle_command(s->model + HYSTMPC_FRONT, theta - added, u_last);
 }
 
 #if HYSTMPC_FRONT || HYSTMPC_BACK
@@ -53,7 +63,7 @@ HYSTMPC_LOCAL real state_inverse(const hystmpc_state *s, real theta, real u_last
 /* Dynamics behind are undone along the preview, the inverse follows what is left from the instant on at which a command
  * acts, and the drive is led along its answer within the rate limit. Both plans are the same. */
 static void follow(hystmpc_work *w, const real *x, const real *wanted, real u_last, real *boxed, real *limited) {
-    real travel[HYSTMPC_HORIZON], middle[HYSTMPC_STATES], next[HYSTMPC_STATES], angle, last = u_last;
+    real travel[HYSTMPC_HORIZON], middle[HYSTMPC_STATES], last = u_last;
     int first = 0;
     copy(wanted, travel, H);
 #if HYSTMPC_BACK
@@ -69,8 +79,7 @@ static void follow(hystmpc_work *w, const real *x, const real *wanted, real u_la
     linearise_plan(w, &hystmpc_front, x, held, travel);
     first = first_acting(w);
     for (int k = 0; k < first; k++) {
-        hystmpc_middle.step(middle, travel[k], &angle, next);
-        copy(next, middle, S - HYSTMPC_FRONT - HYSTMPC_BACK);
+        middle_step(middle, travel[k]);
         last = travel[k];
     }
 #endif
@@ -80,11 +89,10 @@ static void follow(hystmpc_work *w, const real *x, const real *wanted, real u_la
         return;
     }
     for (int k = first; k < H; k++) {
-        const real u = command_for(middle, wanted[k], last);
+        const real u = middle_command(middle, wanted[k], last);
         last = clamp(finite(u) ? u : last, HYSTMPC_LOWER, HYSTMPC_UPPER);
         travel[k] = last;
-        hystmpc_middle.step(middle, last, &angle, next);
-        copy(next, middle, S - HYSTMPC_FRONT - HYSTMPC_BACK);
+        middle_step(middle, last);
     }
     copy(travel, boxed, H);
 #if HYSTMPC_FRONT
@@ -97,14 +105,14 @@ static void follow(hystmpc_work *w, const real *x, const real *wanted, real u_la
 
 /* The inverse sample by sample: within the box alone, and within the rate limit too. */
 static void follow(hystmpc_work *w, const real *x, const real *wanted, real u_last, real *boxed, real *limited) {
-    real now[2][HYSTMPC_STATES], next[HYSTMPC_STATES], last[2], u[2] = {R(0.0), R(0.0)}, angle;
+    real now[2][HYSTMPC_STATES], last[2], u[2] = {R(0.0), R(0.0)};
     int rows = 1;
     (void)w;
     copy(x, now[0], S);
     last[0] = last[1] = u_last;
     for (int k = 0; k < H; k++) {
         for (int row = 0; row < rows; row++) {
-            const real goal = command_for(now[row], wanted[k], last[row]);
+            const real goal = middle_command(now[row], wanted[k], last[row]);
             u[row] = clamp(finite(goal) ? goal : last[row], HYSTMPC_LOWER, HYSTMPC_UPPER);
         }
         if (rows == 1 && absolute(u[0] - last[0]) > HYSTMPC_REACH) {
@@ -116,8 +124,7 @@ static void follow(hystmpc_work *w, const real *x, const real *wanted, real u_la
         if (rows == 2) u[1] = clamp(u[1], last[1] - HYSTMPC_REACH, last[1] + HYSTMPC_REACH);
         for (int row = 0; row < rows; row++) {
             last[row] = u[row];
-            hystmpc_middle.step(now[row], u[row], &angle, next);
-            copy(next, now[row], S);
+            middle_step(now[row], u[row]);
         }
         boxed[k] = u[0];
         limited[k] = u[rows - 1];
@@ -147,7 +154,7 @@ HYSTMPC_LOCAL void state_follow(hystmpc_work *w, const hystmpc_state *s, const r
 /* One sample later under the command u. */
 HYSTMPC_LOCAL void state_advance(hystmpc_state *s, real u) {
     real angle, next[HYSTMPC_STATES];
-    hystmpc_whole.step(s->model, u, &angle, next);
+    model_step(s->model, u, &angle, next);
     copy(next, s->model, S);
 #if HYSTMPC_LEARNS
     const real x = (u - HYSTMPC_RANGE_LOW) / HYSTMPC_RANGE_SPAN;

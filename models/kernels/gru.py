@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from hystmpc.trials.errors import ModelError
 from hystmpc.trials.types import Vec
 
+from ..networks.lstm import LstmLayer, LstmWeights
+from ..networks.nodes import Scaling
 from .lstm_plain import add_row, dot_row, rational_tanh
 from .network_route import Float32, NetworkRoute
 from .numba_ import njit
@@ -49,6 +51,28 @@ class PackedGru(NamedTuple):
     head: Float32
     head_bias: Float32
     scaling: NDArray[np.float64]
+
+
+def gru_weights(arrays: Mapping[str, ArrayLike]) -> LstmWeights:
+    """The numbers of an exported GRU as those of four sums a unit, as the vector kernel takes them.
+
+    In the place of gates stand the arguments of r and z, and both parts of n: a_n without own weights, c_n without
+    input weights (`GruNet`).
+
+    Raises:
+        ModelError: if some are missing.
+    """
+    packed = pack_gru(arrays)
+    hidden, stack = packed.head.size, []
+    for k in range(len(packed.recurrent)):
+        named = [np.asarray(arrays[f"gru.{k}.{part}"], dtype=np.float64) for part in ("ih.weight", "hh.weight")]
+        w_ih, w_hh = (np.concatenate([w, np.zeros((hidden, w.shape[1]))]) for w in named)
+        w_hh[3 * hidden :], w_hh[2 * hidden : 3 * hidden] = w_hh[2 * hidden : 3 * hidden].copy(), 0.0
+        b_ih, b_hh = (np.asarray(arrays[f"gru.{k}.{side}.bias"], dtype=np.float64) for side in ("ih", "hh"))
+        gates = b_ih[: 2 * hidden] + b_hh[: 2 * hidden]
+        stack.append(LstmLayer(w_ih, w_hh, np.concatenate([gates, b_ih[2 * hidden :], b_hh[2 * hidden :]])))
+    head = packed.head.astype(np.float64)
+    return LstmWeights(tuple(stack), head, float(packed.head_bias[0]), Scaling(*packed.scaling.tolist()))
 
 
 def pack_gru(arrays: Mapping[str, ArrayLike]) -> PackedGru:

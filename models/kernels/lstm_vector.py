@@ -1,4 +1,4 @@
-"""The vector route of a stacked LSTM: the vector kernel, compiled for this processor, on several threads."""
+"""The vector route of a stacked LSTM or GRU: the vector kernel, compiled for this processor, on several threads."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ from hystmpc.trials.types import Vec
 from ..networks.lstm import LstmWeights
 from .network_route import Float32, NetworkRoute
 from .numba_ import generated_module
-from .vector_emitter import VectorShape
+from .vector_emitter import CELLS, VectorShape
 
 _HEADER = """# emitter {digest}
-from hystmpc.models.kernels.vector_emitter import Rows, VectorShape, block_intrinsic
+from hystmpc.models.kernels.vector_emitter import CELLS, Rows, VectorShape, block_intrinsic
 
-LANES, ROWS = {lanes}, {rows}
-motions, first, tangents = (block_intrinsic(kind, VectorShape(LANES, ROWS)) for kind in Rows)
+LANES, ROWS, CELL = {lanes}, {rows}, CELLS["{cell}"]
+PARTS = CELL.parts
+motions, first, tangents = (block_intrinsic(kind, VectorShape(LANES, ROWS), CELL) for kind in Rows)
 
 
 """
@@ -65,21 +66,21 @@ class VectorKernels:
 
 
 @lru_cache(maxsize=4)
-def vector_kernels(shape: VectorShape) -> VectorKernels:
+def vector_kernels(shape: VectorShape, cell: str = "lstm") -> VectorKernels:
     """Functions for vectors of this shape: compiled, or read from numba's cache, before this returns."""
-    module = generated_module(kernel_source(shape, resources.files("hystmpc.models.kernels")))
+    module = generated_module(kernel_source(shape, resources.files("hystmpc.models.kernels"), cell))
     _compile(module, shape.lanes)
     return VectorKernels(module.rollout, module.linearise, module.sample)
 
 
-def kernel_source(shape: VectorShape, folder: Traversable) -> str:
+def kernel_source(shape: VectorShape, folder: Traversable, cell: str = "lstm") -> str:
     """Text of the module for this shape, from the files in `folder`.
 
     The hash of the emitter is part of it, and thereby of the name of the module: an intrinsic is not part of the digest
     of its callers (`source_digest`).
     """
     digest = hashlib.sha256(folder.joinpath("vector_emitter.py").read_bytes()).hexdigest()[:24]
-    header = _HEADER.format(digest=digest, lanes=shape.lanes, rows=shape.rows)
+    header = _HEADER.format(digest=digest, lanes=shape.lanes, rows=shape.rows, cell=cell)
     return header + folder.joinpath("vector_loops.py").read_text(encoding="utf-8")
 
 
@@ -87,18 +88,18 @@ def _compile(module: ModuleType, lanes: int) -> None:
     """Call each function once, on a network without weights, and forbid to compile for other types of arguments."""
     nothing = np.zeros((1, 1, (1 + 2 * lanes) * 4 * lanes), np.float32)
     packed = PackedPanels(nothing, np.zeros(lanes, np.float32), 0.0, np.ones(4), lanes)
-    state, plans = np.zeros(2 * lanes), np.zeros((1, 1))
+    state, plans = np.zeros(module.PARTS * lanes), np.zeros((1, 1))
     module.rollout(packed, state, plans, 0, 1, np.empty((1, 1)), np.empty((1, state.size)))
     module.linearise(packed, state, plans[0], np.empty(1), np.empty((1, 1)))
     for function in (module.rollout, module.linearise):
         function.disable_compile()
 
 
-def pack_panels(weights: LstmWeights, lanes: int) -> PackedPanels:
+def pack_panels(weights: LstmWeights, lanes: int, cell: str = "lstm") -> PackedPanels:
     """Arrange weights for vectors of `lanes` numbers; sigmoid(z) = 1/2 + 1/2 tanh(z/2), the inner half goes in here."""
     hidden, count = weights.hidden, len(weights.layers)
     units = -(-hidden // lanes) * lanes
-    half = np.array([0.5, 0.5, 1.0, 0.5])
+    half = np.array(CELLS[cell].halves)
     table = np.zeros((count, 1 + 2 * units, 4, units))
     for layer, own in zip(weights.layers, table, strict=True):
         below = layer.inputs if layer.inputs == 1 else units
@@ -185,16 +186,24 @@ class VectorRoute(NetworkRoute):
         weights: of any width; it is filled up to a multiple of the lanes.
         shape: lanes and rows; one that the processor does not have is slow but right.
         threads: asked before every roll-out how many it may use.
+        cell: `lstm`, or `gru` with `gru_weights`.
 
     Raises:
         ModelError: by each method, if the state is of another size.
     """
 
-    def __init__(self, weights: LstmWeights, shape: VectorShape, threads: Callable[[], int] = allowed_threads) -> None:
+    def __init__(
+        self,
+        weights: LstmWeights,
+        shape: VectorShape,
+        threads: Callable[[], int] = allowed_threads,
+        cell: str = "lstm",
+    ) -> None:
         self.name = f"vectors of {shape.lanes}, {shape.rows} rows"
-        self._kernels, self.packed = vector_kernels(shape), pack_panels(weights, shape.lanes)
+        self._kernels, self.packed = vector_kernels(shape, cell), pack_panels(weights, shape.lanes, cell)
         self.sample = self._kernels.sample
-        self._rows, self._threads, self._size = shape.rows, threads, weights.state_size
+        self._rows, self._threads = shape.rows, threads
+        self._size = CELLS[cell].parts * len(weights.layers) * weights.hidden
 
     def advance(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, following = np.empty((1, plan.size)), np.empty((1, state.size))
@@ -224,7 +233,7 @@ class VectorRoute(NetworkRoute):
     def _state(self, state: Vec) -> Vec:
         """Own copy of a state; the kernels do not look where memory ends."""
         if state.shape != (self._size,):
-            raise ModelError(f"LSTM state: got shape {state.shape}, expected ({self._size},)")
+            raise ModelError(f"network state: got shape {state.shape}, expected ({self._size},)")
         return _own(state)
 
     def _spans(self, count: int, threads: int) -> list[tuple[int, int]]:

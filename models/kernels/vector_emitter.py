@@ -1,4 +1,4 @@
-"""The vector kernel: LLVM code for a few rows of the product with one panel of an LSTM's weights, gates at once.
+"""The vector kernel: LLVM code for a few rows of the product with one panel of a cell's weights, gates at once.
 
 Numba compiles Python to LLVM's instructions, and lets a function write its own (`intrinsic`). This one does, since no
 loop in Python says which numbers have to stay in registers:
@@ -12,7 +12,7 @@ enough for the first cache, where it stays while all rows pass."""
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple
@@ -68,6 +68,10 @@ class VectorCode:
     def add(self, a: Any, b: Any) -> Any:
         """a + b."""
         return self.builder.fadd(a, b)
+
+    def sub(self, a: Any, b: Any) -> Any:
+        """a - b."""
+        return self.builder.fsub(a, b)
 
     def mul(self, a: Any, b: Any) -> Any:
         """a b."""
@@ -155,6 +159,51 @@ def tangent_row(code: VectorCode, z: Sequence[Any], c: Any, by: Factors) -> tupl
     return c, code.fma(by.shown, c, code.mul(by.o, o))
 
 
+class GruFactors(NamedTuple):
+    """Derivatives of a row's output: dh' = keep dh + r dz_r + z dz_z + n dz_n + own dz_own."""
+
+    keep: Any
+    r: Any
+    z: Any
+    n: Any
+    own: Any
+
+
+def gru_row(code: VectorCode, z: Sequence[Any], h: Any) -> tuple[Any, Any]:
+    """h' = (1 - z) n + z h, n = tanh(z_n + r z_own), from the sums of r, z and both parts of n, with two divisions."""
+    half, mul = code.constant(0.5), code.mul
+    opened = code.fma(half, _tanh(code, z[0]), half)
+    (pz, qz), (pn, qn) = _fraction(code, z[1]), _fraction(code, code.fma(opened, z[3], z[2]))
+    total = code.fma(code.sub(qz, pz), pn, mul(mul(code.add(qz, pz), h), qn))
+    h = code.div(mul(half, total), mul(qz, qn))
+    return h, h
+
+
+def gru_differentiated_row(code: VectorCode, z: Sequence[Any], h: Any) -> tuple[Any, Any, GruFactors]:
+    """As `gru_row`, and what `gru_tangent_row` multiplies with."""
+    half, mul = code.constant(0.5), code.mul
+    r, k = (_tanh(code, value) for value in z[:2])
+    opened, keep, take = code.fma(half, r, half), code.fma(half, k, half), code.fma(code.constant(-0.5), k, half)
+    new = _tanh(code, code.fma(opened, z[3], z[2]))
+    fresh, gap = mul(take, code.one_less_square(new)), code.sub(h, new)
+    factors = GruFactors(
+        keep=keep,
+        r=mul(mul(fresh, z[3]), mul(half, code.one_less_square(r))),
+        z=mul(gap, mul(half, code.one_less_square(k))),
+        n=fresh,
+        own=mul(fresh, opened),
+    )
+    h = code.fma(keep, gap, new)
+    return h, h, factors
+
+
+def gru_tangent_row(code: VectorCode, z: Sequence[Any], h: Any, by: GruFactors) -> tuple[Any, Any]:
+    """dh' from the derivatives z of the four sums and h of the output."""
+    h = code.fma(by.r, z[0], code.mul(by.keep, h))
+    h = code.fma(by.own, z[3], code.fma(by.n, z[2], code.fma(by.z, z[1], h)))
+    return h, h
+
+
 def _fraction(code: VectorCode, x: Any) -> tuple[Any, Any]:
     """P and Q of tanh(x) = P / Q, 1 < Q < 600: products of three stay far from the ends of float32."""
     x = code.clamp(x, LIMIT)
@@ -164,6 +213,33 @@ def _fraction(code: VectorCode, x: Any) -> tuple[Any, Any]:
 
 def _tanh(code: VectorCode, x: Any) -> Any:
     return code.div(*_fraction(code, x))
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What the four sums of a unit become.
+
+    Attributes:
+        name: in names of functions.
+        halves: factor on the weights of each sum, 1/2 where it is the argument of a sigmoid.
+        parts: numbers a unit that are remembered: cell and output, or the output alone, which then is its own cell.
+        row, differentiated, tangent: the code of a motion, of one with its factors, and of a derivative.
+        factors: what `differentiated` gives and `tangent` takes.
+    """
+
+    name: str
+    halves: tuple[float, float, float, float]
+    parts: int
+    row: Callable[..., Any]
+    differentiated: Callable[..., Any]
+    tangent: Callable[..., Any]
+    factors: Any
+
+
+CELLS = {
+    "lstm": Cell("lstm", (0.5, 0.5, 1.0, 0.5), 2, row, differentiated_row, tangent_row, Factors),
+    "gru": Cell("gru", (0.5, 0.5, 1.0, 1.0), 1, gru_row, gru_differentiated_row, gru_tangent_row, GruFactors),
+}
 
 
 @dataclass(frozen=True)
@@ -219,7 +295,7 @@ class Rows(StrEnum):
         return range(least[self], most + 1)
 
 
-def block_intrinsic(kind: Rows, shape: VectorShape) -> Any:
+def block_intrinsic(kind: Rows, shape: VectorShape, cell: Cell) -> Any:
     """Function for compiled code: one block of rows, one panel, one sample.
 
     block(rows, weights, panel, inputs, x, first, column, c, h, factors) with
@@ -254,7 +330,7 @@ def block_intrinsic(kind: Rows, shape: VectorShape) -> Any:
                 zip(("weights", "x", "c", "h", "factors"), (arguments[k] for k in (1, 4, 7, 8, 9)), strict=True)
             )
             arrays = {name: context.make_array(_TABLE)(context, builder, view) for name, view in views.items()}
-            _call(builder, kind, shape, arrays, *(arguments[k] for k in (0, 2, 3, 5, 6)))
+            _call(builder, kind, shape, cell, arrays, *(arguments[k] for k in (0, 2, 3, 5, 6)))
             return context.get_dummy_value()
 
         return signature, generate
@@ -266,6 +342,7 @@ def _call(
     b: ir.IRBuilder,
     kind: Rows,
     shape: VectorShape,
+    cell: Cell,
     arrays: dict[str, Any],
     rows: Any,
     panel: Any,
@@ -290,14 +367,14 @@ def _call(
     for count in kind.counts(shape.rows):
         choice.add_case(INDEX(count), b.append_basic_block(f"rows{count}"))
         b.position_at_end(b.function.blocks[-1])
-        b.call(_block(b.module, kind, shape, count), [*places, inputs, width["x"], width["c"]])
+        b.call(_block(b.module, kind, shape, cell, count), [*places, inputs, width["x"], width["c"]])
         b.branch(done)
     b.position_at_end(done)
 
 
-def _block(module: ir.Module, kind: Rows, shape: VectorShape, rows: int) -> ir.Function:
+def _block(module: ir.Module, kind: Rows, shape: VectorShape, cell: Cell, rows: int) -> ir.Function:
     """Function (weights, x, c, h, factors, inputs, stride of x, stride of c, h and factors) for `rows` rows."""
-    name = f"hystmpc_{kind}_{shape.lanes}x{rows}"
+    name = f"hystmpc_{cell.name}_{kind}_{shape.lanes}x{rows}"
     known = module.globals.get(name)
     if known is not None:
         return known
@@ -311,7 +388,7 @@ def _block(module: ir.Module, kind: Rows, shape: VectorShape, rows: int) -> ir.F
     nothing = [code.constant(0.0)] * GATES
     starts = [bias if kind is Rows.MOTIONS or (kind is Rows.FIRST and r == 0) else nothing for r in range(rows)]
     sums = _product(code, weights, x, inputs, stride, starts)
-    _finish(code, kind, sums, c, h, factors, width)
+    _finish(code, kind, cell, sums, c, h, factors, width)
     b.ret_void()
     return function
 
@@ -344,22 +421,24 @@ def _product(
     return added
 
 
-def _finish(code: VectorCode, kind: Rows, sums: list[list[Any]], c: Any, h: Any, factors: Any, width: Any) -> None:
+def _finish(
+    code: VectorCode, kind: Rows, unit: Cell, sums: list[list[Any]], c: Any, h: Any, factors: Any, width: Any
+) -> None:
     """From sums to cells and outputs of all rows."""
     b = code.builder
     by = None
     if kind is Rows.TANGENTS:
-        by = Factors(*(code.load(factors, b.mul(width, INDEX(k))) for k in range(len(Factors._fields))))
+        by = unit.factors(*(code.load(factors, b.mul(width, INDEX(k))) for k in range(len(unit.factors._fields))))
     for r, z in enumerate(sums):
         at = b.mul(width, INDEX(r))
         cell = code.load(c, at)
         if kind is Rows.MOTIONS:
-            cell, out = row(code, z, cell)
+            cell, out = unit.row(code, z, cell)
         elif by is None:
-            cell, out, by = differentiated_row(code, z, cell)
+            cell, out, by = unit.differentiated(code, z, cell)
             for k, factor in enumerate(by):
                 code.store(factor, factors, b.mul(width, INDEX(k)))
         else:
-            cell, out = tangent_row(code, z, cell, by)
+            cell, out = unit.tangent(code, z, cell, by)
         code.store(cell, c, at)
         code.store(out, h, at)

@@ -1,8 +1,9 @@
 """Loops around the vector kernel. This file's text is compiled behind a header that chooses sizes, never imported.
 
-The header gives LANES and ROWS, and `motions`, `first` and `tangents`: functions as in `vector_emitter`. The rows of a
-table x (R, LANES + L U) are [.., v, h_1, ..., h_L], the scaled command last in a vector of its own, the outputs of all
-layers behind it: what a layer reads, the new output of the layer below and its own old one, stands side by side.
+The header gives LANES, ROWS and PARTS, the numbers a unit that are remembered, and `motions`, `first` and `tangents`:
+functions as in `vector_emitter`. The rows of a table x (R, LANES + L U) are [.., v, h_1, ..., h_L], the scaled command
+last in a vector of its own, the outputs of all layers behind it: what a layer reads, the new output of the layer below
+and its own old one, stands side by side.
 """
 # ruff: noqa: F821  (the header's names)
 # mypy: ignore-errors
@@ -17,22 +18,25 @@ PLANS = 36  # at a time: with a panel of the weights their rows are in the first
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def head_of(head, x, row):
-    """Scaled angle of a row, the bias left out: the last layer's outputs stand at the end."""
-    total = np.float32(0.0)
+    """Scaled angle of a row, the bias left out: the last layer's outputs stand at the end.
+
+    In double: then the order of the sum, which is the compiler's, is not seen, and exported C has the same angle.
+    """
+    total = 0.0
     start = x.shape[1] - head.size
     for unit in range(head.size):
-        total += head[unit] * x[row, start + unit]
+        total += np.float64(head[unit]) * np.float64(x[row, start + unit])
     return total
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def load(state, hidden, layers, x, c, row):
-    """State (2 L H,) into one row of the tables."""
+    """State (PARTS L H,) into one row of the tables."""
     units = c.shape[2]
     for layer in range(layers):
         for unit in range(hidden):
-            x[row, LANES + layer * units + unit] = state[2 * layer * hidden + unit]
-            c[layer, row, unit] = state[(2 * layer + 1) * hidden + unit]
+            x[row, LANES + layer * units + unit] = state[PARTS * layer * hidden + unit]
+            c[layer, row, unit] = state[(PARTS * layer + PARTS - 1) * hidden + unit]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -79,12 +83,12 @@ def differentiate(weights, rows, x, c, h, factors):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def unload(following, hidden, layers, x, c, row):
-    """State (2 L H,) from one row of the tables."""
+    """State (PARTS L H,) from one row of the tables."""
     units = c.shape[2]
     for layer in range(layers):
         for unit in range(hidden):
-            following[2 * layer * hidden + unit] = x[row, LANES + layer * units + unit]
-            following[(2 * layer + 1) * hidden + unit] = c[layer, row, unit]
+            following[PARTS * layer * hidden + unit] = x[row, LANES + layer * units + unit]
+            following[(PARTS * layer + PARTS - 1) * hidden + unit] = c[layer, row, unit]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -13,7 +13,7 @@ from hystmpc.trials.types import Vec
 
 from ..contract.metadata import ModelMetadata, Start
 from ..kernels.network_route import NetworkRoute
-from ..kernels.vector_emitter import SHAPES, host_shape
+from ..kernels.vector_emitter import SHAPES, VectorShape, host_shape
 from ..model import ModelPredictor
 from ..networks.lstm import GATED_MARK, LstmWeights
 
@@ -77,9 +77,16 @@ class GruPredictor(RoutedPredictor):
     """
 
     def __init__(self, model: OnnxModel) -> None:
-        from ..kernels.gru import GruRoute  # an LSTM does not need it
+        from ..kernels.gru import GruRoute, gru_weights  # an LSTM does not need it
 
-        super().__init__(model.metadata, "conditioned", GruRoute(model.initializers))
+        shape = chosen_shape()
+        if shape is None:
+            super().__init__(model.metadata, "conditioned", GruRoute(model.initializers))
+            return
+        from ..kernels.lstm_vector import VectorRoute
+
+        route = VectorRoute(gru_weights(model.initializers), shape, cell="gru")
+        super().__init__(model.metadata, "conditioned", route)
 
 
 @final
@@ -99,8 +106,8 @@ class GatedLstmPredictor(RoutedPredictor):
         super().__init__(model.metadata, "conditioned", GatedLstmRoute(model.initializers))
 
 
-def chosen_route(weights: LstmWeights) -> NetworkRoute:
-    """The vector kernel in the processor's own shape, the plain route where it has none; or what the user says.
+def chosen_shape() -> VectorShape | None:
+    """The processor's own shape of the vector kernel, None where it has none; or what the user says.
 
     Environment variable HYSTMPC_LSTM_KERNEL: `auto`, `plain`, or the name of a shape, `avx512` or `avx2`.
 
@@ -110,7 +117,16 @@ def chosen_route(weights: LstmWeights) -> NetworkRoute:
     wanted = os.environ.get(VARIABLE) or "auto"
     if wanted not in ("auto", "plain", *SHAPES):
         raise ConfigError(f"{VARIABLE}: got {wanted}, available: auto, plain, {', '.join(SHAPES)}")
-    shape = host_shape() if wanted == "auto" else SHAPES.get(wanted)
+    return host_shape() if wanted == "auto" else SHAPES.get(wanted)
+
+
+def chosen_route(weights: LstmWeights) -> NetworkRoute:
+    """The vector kernel in the shape that `chosen_shape` gives, the plain route where it gives none.
+
+    Raises:
+        ConfigError: if HYSTMPC_LSTM_KERNEL names no route.
+    """
+    shape = chosen_shape()
     if shape is None:
         from ..kernels.lstm_plain import PlainRoute
 

@@ -16,8 +16,12 @@ import pytest
 
 from hystmpc.codegen import ControllerExport, export_controller
 
+PROGRAM = Path(__file__).with_name("sanitized.c")
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")
+OPERATORS = ("-O1",)
+NETWORK = ("-O3", "-march=native")
+"""Options for loops that are to be vectors, and fused multiply-adds that are to be instructions."""
 SOURCES = ("mpc", "feedback", "shifted plan", "inverse", "hold", "stop")
 
 
@@ -41,12 +45,28 @@ def compile_c(arguments: Sequence[str], folder: Path, language: str = "cc") -> N
     assert tried([*known[0], *arguments], folder) == ""
 
 
+def run_sanitized(export: ControllerExport, folder: Path, steps: int = 3000) -> None:
+    """Steps under the sanitizers; where that for addresses has no library, undefined behaviour alone, which traps."""
+    export.write(folder)
+    (folder / "main.c").write_text(PROGRAM.read_text(encoding="utf-8"), encoding="utf-8")
+    both = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    traps = ["-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
+    build = [*STRICT, f"-DSTEPS={steps}", "-O1", "-g", "-o", "run", "main.c", "hystmpc.c", "-lm"]
+    if not compilers() or tried([*compilers()[0], *both, *build], folder):
+        compile_c([*traps, *build], folder)
+    done = subprocess.run([folder / "run"], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (0, f"{steps} steps\n"), done.stderr
+
+
 class Library:
     """A compiled controller: `init`, `step`, `set_target` and `stop` on memory of its own."""
 
-    def __init__(self, export: ControllerExport, folder: Path, single: bool = False, level: str = "-O1") -> None:
+    def __init__(
+        self, export: ControllerExport, folder: Path, single: bool = False, options: Sequence[str] | None = None
+    ) -> None:
         export.write(folder)
-        compile_c([*STRICT, level, "-fPIC", "-shared", "-o", "controller.so", "hystmpc.c", "-lm"], folder)
+        options = options or (NETWORK if "fmaf" in export.functions else OPERATORS)
+        compile_c([*STRICT, *options, "-fPIC", "-shared", "-o", "controller.so", "hystmpc.c", "-lm"], folder)
         real: Any = ctypes.c_float if single else ctypes.c_double
 
         class Command(ctypes.Structure):
@@ -83,6 +103,8 @@ class Library:
         self._library.hystmpc_stop(self.memory)
 
 
-def library(settings: Mapping[str, Any], folder: Path, single: bool = False) -> Library:
+def library(
+    settings: Mapping[str, Any], folder: Path, single: bool = False, options: Sequence[str] | None = None
+) -> Library:
     """The controller of `settings`, compiled in a folder."""
-    return Library(export_controller(settings, single=single, folder=EXAMPLES), folder, single)
+    return Library(export_controller(settings, single=single, folder=EXAMPLES), folder, single, options)

@@ -1,8 +1,12 @@
-/* Three thousand steps with noise, missing and absurd measurements, bad references and stops. */
+/* Steps with noise, missing and absurd measurements, bad references and stops. */
 #include "hystmpc.h"
 
 #include <math.h>
 #include <stdio.h>
+
+#ifndef STEPS
+#define STEPS 3000
+#endif
 
 static hystmpc_controller controller;
 
@@ -11,7 +15,7 @@ int main(void) {
     hystmpc_real last = 2.0, angle = 45.0;
     hystmpc_real reference[HYSTMPC_REFERENCE];
     if (hystmpc_init(&controller, angle, last) != HYSTMPC_STARTED) return 1;
-    for (int k = 0; k < 3000; k++) {
+    for (int k = 0; k < STEPS; k++) {
         state = state * 1664525u + 1013904223u;
         const hystmpc_real noise = (hystmpc_real)(state >> 8) / 16777216.0 - 0.5;
         hystmpc_real measured = angle + noise;
@@ -26,6 +30,6 @@ int main(void) {
         angle += 0.4 * (28.0 + 10.0 * next.u - angle);
         last = next.u;
     }
-    printf("3000 steps\n");
+    printf("%d steps\n", STEPS);
     return 0;
 }

@@ -17,6 +17,7 @@ from hystmpc.ctrl import TipController
 
 from .compiled import EXAMPLES, SOURCES, Library, library
 from .loops import START, START_DEG, compare
+from .networks import needs_vectors
 
 SAME = 1e-6  # mm
 
@@ -40,6 +41,8 @@ CASES: Mapping[str, tuple[dict[str, Any], float]] = {
     "blocks": (tip("builtin:pi", **PLAIN, horizon=40, move_blocking=[1, 1, 2, 4, 8, 8]), 0.0),
     "transport-delay": (tip("builtin:backlash", estimator={"delay_samples": 2}), 0.0),
     "no-sensor": (tip("builtin:auto", estimator={"sensor": "none"}), 0.08),
+    "network": (tip("builtin:lstm", **PLAIN), 0.0),
+    "network-behind-a-lag": (tip("builtin:lstm", 0.08), 0.08),
     "given-sigmas": (
         tip(
             "builtin:pi",
@@ -69,6 +72,8 @@ def test_commands_are_those_of_python(plain: Library) -> None:
 @pytest.mark.parametrize("case", CASES)
 def test_commands_are_those_of_python_for_every_part(case: str, tmp_path: Path) -> None:
     settings_, lag_s = CASES[case]
+    if case.startswith("network"):
+        needs_vectors()
     found = compare(settings_, library(settings_, tmp_path), 2000, lag_s)
     assert found.greatest <= SAME
     assert found.same_sources

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,8 @@ from hystmpc.codegen import export_controller
 from hystmpc.models.kernels.program import BINARY, UNARY
 from hystmpc.trials.errors import ExportError
 
-from .compiled import EXAMPLES, STRICT, compile_c, compilers, tried
+from .compiled import EXAMPLES, STRICT, compile_c, compilers, run_sanitized, tried
 from .test_commands import CASES, tip
-
-PROGRAM = Path(__file__).with_name("sanitized.c")
 
 
 @pytest.mark.slow
@@ -38,7 +35,7 @@ def test_every_compiler_takes_it_without_a_warning(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["plays", "blocks", "lag-of-the-settings"])
+@pytest.mark.parametrize("case", ["plays", "blocks", "lag-of-the-settings", "network"])
 def test_every_part_compiles_alone(case: str, tmp_path: Path) -> None:
     parts = export_controller(CASES[case][0], folder=EXAMPLES).parts
     for name, text in parts.items():
@@ -49,16 +46,7 @@ def test_every_part_compiles_alone(case: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["lag-of-the-settings", "blocks", "soft-limits", "transport-delay"])
 def test_it_runs_clean_under_sanitizers(case: str, tmp_path: Path) -> None:
-    """Undefined behaviour and addresses; where their library is missing, undefined behaviour alone, which traps."""
-    export_controller(CASES[case][0], folder=EXAMPLES).write(tmp_path)
-    (tmp_path / "main.c").write_text(PROGRAM.read_text(encoding="utf-8"), encoding="utf-8")
-    both = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    traps = ["-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
-    build = [*STRICT, "-O1", "-g", "-o", "run", "main.c", "hystmpc.c", "-lm"]
-    if not compilers() or tried([*compilers()[0], *both, *build], tmp_path):
-        compile_c([*traps, *build], tmp_path)
-    done = subprocess.run([tmp_path / "run"], capture_output=True, text=True, timeout=120)
-    assert (done.returncode, done.stdout) == (0, "3000 steps\n"), done.stderr
+    run_sanitized(export_controller(CASES[case][0], folder=EXAMPLES), tmp_path)
 
 
 def test_nothing_is_taken_from_the_heap() -> None:
@@ -76,7 +64,6 @@ def test_every_operation_of_the_operators_has_its_c() -> None:
 
 
 REFUSED: Mapping[str, tuple[dict[str, Any], str]] = {
-    "network": ({"model": "builtin:lstm"}, "got a model of kind lstm in an .onnx file, supported are simulators"),
     "pid": (
         {"model": "builtin:pi", "controller": {"kind": "pid"}},
         "got controller.kind pid, supported is linearised_mpc",

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from onnx import numpy_helper
 
-from hystmpc.models.kernels.gru import GruRoute, pack_gru
+from hystmpc.models.kernels.gru import GruRoute, gru_weights, pack_gru
+from hystmpc.models.kernels.lstm_vector import VectorRoute
+from hystmpc.models.kernels.vector_emitter import SHAPES, host_shape
 from hystmpc.models.networks.nodes import Scaling, network_step_graph
 from hystmpc.models.networks.settings import DeviceFacts, RecurrentSettings
 from hystmpc.trials.errors import ModelError
@@ -15,9 +17,12 @@ torch = pytest.importorskip("torch", reason="torch is an extra")
 
 SCALING = Scaling(3.0, 3.0, 60.0, 32.0)
 every_size = pytest.mark.parametrize("size", [(5, 1), (64, 2), (7, 3)], ids=str)
+every_route = pytest.mark.parametrize("name", ["plain", *SHAPES])
 
 
-def network(size: tuple[int, int]):  # type: ignore[no-untyped-def]
+def network(size: tuple[int, int], name: str):  # type: ignore[no-untyped-def]
+    if name != "plain" and host_shape() is None:
+        pytest.skip("the processor has neither AVX-512 nor AVX2, or numba compiles for another")
     torch.manual_seed(1)
     hidden, layers = size
     settings = RecurrentSettings(cell="gru", hidden=hidden, layers=layers, memory_samples=0, command_gain=1.0)
@@ -26,7 +31,9 @@ def network(size: tuple[int, int]):  # type: ignore[no-untyped-def]
         for weight in net.parameters():
             weight.mul_(2.0)  # gates that open and close
     graph = network_step_graph("gru", net.state_size, SCALING, net.write)
-    return net.double(), GruRoute({t.name: numpy_helper.to_array(t) for t in graph.initializer})
+    arrays = {t.name: numpy_helper.to_array(t) for t in graph.initializer}
+    vectors = name in SHAPES
+    return net.double(), VectorRoute(gru_weights(arrays), SHAPES[name], cell="gru") if vectors else GruRoute(arrays)
 
 
 def reference(net, state: np.ndarray, plan: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # type: ignore[no-untyped-def]
@@ -47,9 +54,10 @@ def reference(net, state: np.ndarray, plan: np.ndarray) -> tuple[np.ndarray, np.
 
 
 @pytest.mark.slow
+@every_route
 @every_size
-def test_exact_from_any_state(size: tuple[int, int]) -> None:
-    net, route = network(size)
+def test_exact_from_any_state(size: tuple[int, int], name: str) -> None:
+    net, route = network(size, name)
     for seed in range(3):
         rng = np.random.default_rng(seed)
         state, plan = rng.uniform(-0.9, 0.9, net.state_size), rng.uniform(0, 6, 20)
@@ -65,9 +73,10 @@ def test_exact_from_any_state(size: tuple[int, int]) -> None:
         np.testing.assert_allclose(route.rollout(state, plans)[1::2], np.tile(angles, (40, 1)), rtol=0, atol=1e-4)
 
 
+@every_route
 @every_size
-def test_sample_moves_only_the_rows_that_it_is_asked_for(size: tuple[int, int]) -> None:
-    net, route = network(size)
+def test_sample_moves_only_the_rows_that_it_is_asked_for(size: tuple[int, int], name: str) -> None:
+    net, route = network(size, name)
     rng = np.random.default_rng(0)
     states, theta = rng.uniform(-0.9, 0.9, (2, net.state_size)), np.full(2, np.nan)
     kept = states.copy()

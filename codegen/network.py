@@ -1,0 +1,116 @@
+"""Recurrent networks as C: which there are, the operators beside them, and their weights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hystmpc.models.networks.lstm import GATED_MARK, LstmWeights
+from hystmpc.trials.errors import ExportError
+
+if TYPE_CHECKING:
+    from hystmpc.models.contract.load import OnnxModel
+
+LANES = 16
+"""Units of a panel of the weights, as `network.c` has it."""
+_A_LINE = 8
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkC:
+    """A network in numbers.
+
+    Attributes:
+        kind: `lstm` or `gru`.
+        hidden, layers: units of a layer, and layers.
+        units: of a layer, filled up to whole panels.
+        state_size: entries of its state.
+        weights: float32, panel after panel; layer after layer.
+        head: float32 (units,).
+        numbers: scalars of its scaling and of its gates.
+    """
+
+    kind: str
+    hidden: int
+    layers: int
+    units: int
+    state_size: int
+    weights: NDArray[np.float32]
+    head: NDArray[np.float32]
+    numbers: dict[str, Any]
+
+    def sizes(self, rows: int) -> dict[str, int]:
+        """Sizes of arrays, `rows` plans or derivatives at a time."""
+        return {
+            "units": self.units,
+            "gru": int(self.kind == "gru"),
+            "hidden": self.hidden,
+            "layers": self.layers,
+            "network": self.state_size,
+            "network_rows": rows,
+            "network_width": 1 + self.layers * self.units,
+            "network_cells": self.layers * self.units,
+        }
+
+    def source(self) -> str:
+        """C of the weights."""
+        return "\n".join([*_array("weights", self.weights), *_array("head", self.head), ""])
+
+
+def network_of(model: OnnxModel) -> NetworkC:
+    """The network of a model file.
+
+    Raises:
+        ExportError: if there is no C of its kind.
+    """
+    kind, arrays = model.metadata.kind, model.initializers
+    if kind not in ("lstm", "gru") or model.metadata.connections or GATED_MARK in arrays:
+        more = " with a gated cell" if GATED_MARK in arrays else ""
+        more = f" with operators {model.metadata.connections[0].way}" if model.metadata.connections else more
+        raise ExportError(
+            f"export-c: got a model of kind {kind}{more} in an .onnx file, "
+            "supported are simulators (.yaml), lstm and gru"
+        )
+    # The kernels' compiler is loaded for a network alone.
+    from hystmpc.models.kernels.gru import gru_weights
+    from hystmpc.models.kernels.lstm_vector import pack_panels
+    from hystmpc.models.kernels.vector_emitter import EVEN, LIMIT, ODD
+
+    weights = gru_weights(arrays) if kind == "gru" else LstmWeights.from_arrays(arrays)
+    packed, count = pack_panels(weights, LANES, kind), len(weights.layers)
+    used = [(2 if layer == 0 else 1 + packed.head.size) + packed.head.size for layer in range(count)]
+    rows = [panels[:, : 4 * LANES * height].ravel() for panels, height in zip(packed.weights, used, strict=True)]
+    offset = dict(zip(("u_offset", "u_scale", "theta_offset", "theta_scale"), packed.scaling.tolist(), strict=True))
+    return NetworkC(
+        kind,
+        weights.hidden,
+        count,
+        packed.head.size,
+        model.state_size,
+        np.concatenate(rows),
+        packed.head,
+        {
+            **offset,
+            "head_bias": packed.head_bias,
+            "tanh_limit": np.float32(LIMIT),
+            "tanh_odd": np.array(ODD, np.float32),
+            "tanh_even": np.array(EVEN, np.float32),
+        },
+    )
+
+
+def _array(name: str, values: NDArray[np.float32]) -> Iterator[str]:
+    yield f"HYSTMPC_SHARED HYSTMPC_AT_A_LINE const float hystmpc_{name}[{values.size}] = {{"
+    texts = [single_number(value) for value in values]
+    for first in range(0, len(texts), _A_LINE):
+        yield "    " + ", ".join(texts[first : first + _A_LINE]) + ","
+    yield "};"
+
+
+def single_number(value: Any) -> str:
+    """A number of type float in C, with as few digits as tell it from all others."""
+    return f"{np.format_float_scientific(np.float32(value), unique=True, trim='0')}F"

@@ -1,0 +1,79 @@
+"""Networks of any size in the exported C."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hystmpc.codegen import export_controller
+from hystmpc.trials.errors import ExportError
+
+from .compiled import NETWORK, STRICT, compilers, library, run_sanitized, tried
+from .loops import compare
+from .networks import needs_vectors, small_network
+from .test_commands import PLAIN, SAME, tip
+
+SLOW_SIZES = [("lstm", 20, 1), ("lstm", 33, 2), ("lstm", 16, 3), ("gru", 20, 1), ("gru", 64, 2), ("gru", 7, 3)]
+EVERY_KIND = pytest.mark.parametrize("kind", ["lstm", "gru"])
+
+
+@pytest.mark.parametrize(
+    "size",
+    [("lstm", 5, 1), ("gru", 5, 1), *(pytest.param(size, marks=pytest.mark.slow) for size in SLOW_SIZES)],
+    ids=str,
+)
+def test_commands_are_those_of_python_for_any_size(size: tuple[str, int, int], tmp_path: Path) -> None:
+    needs_vectors()
+    settings = tip(small_network(*size, tmp_path), **PLAIN)
+    found = compare(settings, library(settings, tmp_path), 200, seed=2)
+    assert found.greatest <= SAME
+    assert found.same_sources
+    assert float(np.ptp(found.c)) > 1.0
+
+
+@pytest.mark.slow
+def test_commands_of_a_gru_are_those_of_python_with_every_part(tmp_path: Path) -> None:
+    needs_vectors()
+    settings = tip(small_network("gru", 64, 2, tmp_path), 0.08)
+    found = compare(settings, library(settings, tmp_path), 2000, 0.08)
+    assert found.greatest <= SAME
+    assert found.same_sources
+
+
+@EVERY_KIND
+def test_without_fused_instructions_commands_stay_close(kind: str, tmp_path: Path) -> None:
+    """The products are then rounded by way of double."""
+    needs_vectors()
+    settings = tip(small_network(kind, 20, 1, tmp_path), **PLAIN)
+    found = compare(settings, library(settings, tmp_path, options=("-O2",)), 200, seed=2)
+    assert found.greatest <= 1e-4
+
+
+@pytest.mark.slow
+@EVERY_KIND
+def test_a_network_runs_clean_under_sanitizers(kind: str, tmp_path: Path) -> None:
+    run_sanitized(export_controller(tip(small_network(kind, 5, 1, tmp_path), 0.08)), tmp_path, 750)
+
+
+@pytest.mark.slow
+@EVERY_KIND
+@pytest.mark.parametrize("single", [False, True])
+def test_every_compiler_takes_a_network_without_a_warning(kind: str, single: bool, tmp_path: Path) -> None:
+    export_controller(tip(small_network(kind, 20, 2, tmp_path)), single=single).write(tmp_path)
+    said = {command[-1]: tried([*command, *STRICT, *NETWORK, "-c", "hystmpc.c"], tmp_path) for command in compilers()}
+    assert {command: text for command, text in said.items() if text} == {}
+
+
+def test_the_weights_take_the_room_that_they_need(tmp_path: Path) -> None:
+    """Four gates of 16 units each: bias, input and outputs of the layer itself, and of the layer below."""
+    source = export_controller(tip(small_network("lstm", 5, 2, tmp_path), **PLAIN)).source
+    assert f"hystmpc_weights[{64 * (2 + 16) + 64 * (1 + 2 * 16)}]" in source
+    assert "hystmpc_head[16]" in source
+
+
+def test_a_network_without_c_is_refused_in_a_line(tmp_path: Path) -> None:
+    line = "export-c: got a model of kind hb1 in an .onnx file, supported are"
+    with pytest.raises(ExportError, match=line):
+        export_controller(tip(small_network("lstm", 5, 1, tmp_path, "hb1")))
