@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from hystmpc.models.kernels.numba_ import njit
 from hystmpc.trials.types import Vec
 
+from ..frozen import replace
 from ..planning_settings import AdaptationSettings
 from .basis import (
     DELAYS,

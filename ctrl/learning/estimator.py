@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 from hystmpc.trials.types import Vec
 
 from ..estimation.observer import Estimate, EstimatorSettings, Observer, OutputEstimator, usable_angle
+from ..frozen import replace
 from .bank import BankState
 from .predictor import LearnedPredictor
 

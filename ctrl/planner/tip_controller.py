@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import RLock
@@ -17,6 +16,7 @@ from hystmpc.trials.types import Vec
 
 from ..command import Command
 from ..fallback import attempt
+from ..frozen import replace
 from .memory import (
     Snapshot,
     TipPlan,
