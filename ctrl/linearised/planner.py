@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 
+from hystmpc.models.inverse.follow import Bounds, clip_plans
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Vec
 
@@ -48,8 +49,9 @@ class LinearisedPlanner(Planner[None]):
         limits: CommandLimits,
         options: OsqpOptions | DaqpOptions | None = None,
     ) -> None:
-        self._predictor, self._limits, self._iterations = predictor, limits, settings.iterations
+        self._predictor, self._iterations = predictor, settings.iterations
         weights, dt = settings.weights, predictor.dt
+        self._bounds = Bounds(limits.lower, limits.upper, limits.rate * dt)
         horizon, blocks = settings.preview_samples(dt), settings.blocks(dt)
         self._cost = PlanCost(weights, horizon)
         self._qp: PlanProgram = TrackingQp(weights, limits, horizon, dt)
@@ -83,11 +85,10 @@ class LinearisedPlanner(Planner[None]):
     def _iterate(self, problem: PlanningProblem, start: CommandPlan, watch: Stopwatch) -> tuple[CommandPlan, str]:
         _, jacobian = self._predictor.linearise(problem.state, start.commands)
         watch.lap("linearise")
-        if not math.isfinite(jacobian.sum()):
-            raise PlanningError("the model's Jacobian is not finite")
         data = self._qp.data(problem, start, jacobian)
-        if not math.isfinite(data.hessian_data.sum() + data.gradient.sum()):  # a sum is finite only where its terms are
-            raise PlanningError("the quadratic program is not finite")
+        if not data.finite:
+            fault = "quadratic program" if math.isfinite(jacobian.sum()) else "model's Jacobian"
+            raise PlanningError(f"the {fault} is not finite")
         solution = self._solver.solve(data)
         watch.lap("solve")
         if not solution.usable:
@@ -99,13 +100,14 @@ class LinearisedPlanner(Planner[None]):
     def _search(self, problem: PlanningProblem, start: CommandPlan, jacobian: Vec, step: Vec) -> CommandPlan:
         """The cheapest of the start plan and parts of the step, by nonlinear cost."""
         # the solver overshoots limits within its tolerance: clip the whole step, parts are then too
-        whole = self._limits.clip_plans(start.commands + step, problem.u_last, self._predictor.dt)
-        step = whole - start.commands
-        found = self._cheapest(whole[None], problem)
-        promised = start.cost - self._cost(whole[None], (start.angles + jacobian @ step)[None], problem)[0]
+        whole = (start.commands + step)[None]
+        clip_plans(whole, *self._bounds, problem.u_last)
+        step = whole[0] - start.commands
+        found = self._cheapest(whole, problem)
+        promised = start.cost - self._cost(whole, (start.angles + jacobian @ step)[None], problem)[0]
         if not start.cost - found.cost >= _KEPT * promised:  # not-a-number: look further
             parts = start.commands + _PARTS[:, None] * step  # half of a move one way and one the other is none
-            parts = self._limits.clip_plans(parts, problem.u_last, self._predictor.dt)
+            clip_plans(parts, *self._bounds, problem.u_last)
             part = self._cheapest(parts, problem)
             found = part if part.cost < found.cost else found
         return found if found.cost < start.cost else start

@@ -115,10 +115,12 @@ class CompiledFollower(Follower):
         self._size = size
 
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        plans = np.full((2, wanted.size), u_last)
-        if np.isfinite(state).all():  # a clamp of the gates would turn what is no number into one
-            ends = np.array(bounds), self._inverted
-            self._kernel(self._packed, self._size, state, *self._chain, wanted, u_last, *ends, plans)
+        plans = np.empty((2, wanted.size))
+        if not np.isfinite(state).all():  # a clamp of the gates would turn what is no number into one
+            plans[:] = u_last
+            return plans
+        ends = np.array(bounds), self._inverted
+        self._kernel(self._packed, self._size, state, *self._chain, wanted, u_last, *ends, plans)
         return plans
 
 
