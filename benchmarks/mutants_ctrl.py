@@ -201,8 +201,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _basis(
         "a learned delay is not waited for",
-        "own[MEMORY + delay - 1 - k] if k < delay else (plan[k - delay] - low)",
-        "(plan[k] - low)",
+        "own[MEMORY + delay - 1 - k] if k < delay else (plan[k - delay] - low) / span",
+        "(plan[k] - low) / span",
     ),
     _basis("the slope of a learned lag is that of none", "by[0, j] *= 1.0 - share", "by[0, j] *= 0.0"),
     _basis("the slope of a dead zone does not wait for it", "if v > ZONES[i]:", "if v > 0.0:"),
