@@ -110,7 +110,7 @@ class CompiledFollower(Follower):
         self._kernel = _compiled_follow(
             kernels.command_for.__module__, None if route is None else route.sample.__module__
         )
-        self._chain = (chain.parameters, chain.sample_s, kernels.step_constants, kernels.tangent_constants)
+        self._chain = (chain.parameters, chain.sample_s, kernels.step_constants, kernels.slope_constants)
         self._inverted = np.array([inverse.low, inverse.high])
         self._size = size
 
