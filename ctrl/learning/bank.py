@@ -221,11 +221,11 @@ class FilterBank:
             angle: of the model at that instant [deg].
             disturbance: the model's own, before this measurement is used [deg].
         """
-        z, covariance, sums = state.z.copy(), state.covariance.copy(), state.sums.copy()
+        z, covariance, sums = state.z.copy(), np.empty_like(state.covariance), state.sums.copy()
         travel = abs(float(state.history[self._delay, 0, 0] - state.history[self._delay + 1, 0, 0]))
         correct_filters(
             z,
-            covariance,
+            state.covariance,
             state.frozen,
             state.history,
             self._delay,
@@ -239,6 +239,7 @@ class FilterBank:
             travel,
             1.0 / self.dt,
             sums,
+            covariance,
         )
         own, last = state.references
         sums[_MODEL] += (y - angle - own) ** 2
@@ -306,51 +307,53 @@ def correct_filters(
     travel: float,
     pace: float,
     sums: Any,
+    after: Any,
 ) -> None:
-    """One measurement for every drive: z (H, K), covariance (H, K, K) and sums of forecast errors, in place."""
-    size = z.shape[1]
-    h = np.empty(size)
+    """One measurement for every drive: z (H, K) and sums of forecast errors in place, covariance (H, K, K) in `after`."""
+    h = np.empty(_SIZE)
     for n in range(z.shape[0]):
         lag, at = n // DELAYS, n % DELAYS + delay
         features(history[at, lag], history[at + 1, lag, 0], start[0], start[1], pace, h[2:])
         h[0], h[1] = 1.0, angle - start[2]
         error, forecast = y - angle, y - angle
-        for a in range(size):
+        for a in range(_SIZE):
             error -= h[a] * z[n, a]
             forecast -= h[a] * frozen[n, a]
         sums[n] += forecast * forecast
-        correct_filter(z[n], covariance[n], h, error, noise, prior, travel == 0.0)
-        for a in range(size):
-            grown = covariance[n, a, a] + growth[a] + walk[a] * travel
-            covariance[n, a, a] = min(grown, max(prior[a], covariance[n, a, a]))
+        correct_filter(z[n], covariance[n], h, error, noise, prior, travel == 0.0, after[n])
+        for a in range(_SIZE):
+            grown = after[n, a, a] + growth[a] + walk[a] * travel
+            after[n, a, a] = min(grown, max(prior[a], after[n, a, a]))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def correct_filter(z: Any, p: Any, h: Any, error: float, noise: float, prior: Any, still: bool) -> None:
-    """One measurement for one drive: z (K,) and covariance p (K, K), in place.
+def correct_filter(z: Any, p: Any, h: Any, error: float, noise: float, prior: Any, still: bool, after: Any) -> None:
+    """One measurement for one drive with covariance p (K, K): z (K,) in place, and the covariance `after` it.
+
+    K is a number that the compiler knows: loops as short as these are vectorised only then.
 
     Args:
         error: of the prediction [deg].
         still: whether the command rests; no weight can have changed then, and a large error is a jump of the offset.
     """
-    size = z.size
-    spread, variance = np.zeros(size), noise
-    for b in range(size):  # not `p @ h`: its last digits, which are learned from, differ between libraries
-        for a in range(size):
+    spread, variance, jump = np.zeros(_SIZE), noise, 0.0
+    for b in range(_SIZE):  # not `p @ h`: its last digits, which are learned from, differ between libraries
+        for a in range(_SIZE):
             spread[a] += p[b, a] * h[b]
-    for a in range(size):
+    for a in range(_SIZE):
         variance += h[a] * spread[a]
     if not (noise <= variance < np.inf and abs(error) < np.inf):  # rounding has eaten the covariance
-        p[:] = 0.0
-        for a in range(size):
-            p[a, a] = prior[a]
+        after[:] = 0.0
+        for a in range(_SIZE):
+            after[a, a] = prior[a]
         return
     if still and error * error > _SURPRISE * variance:
-        p[0, 0] += error * error
-        spread[0] += error * error
-        variance += error * error
-    for a in range(size):
+        jump = error * error
+        spread[0] += jump
+        variance += jump
+    for a in range(_SIZE):
         share = spread[a] / variance
         z[a] += share * error
-        for b in range(size):
-            p[a, b] -= share * spread[b]
+        for b in range(_SIZE):
+            after[a, b] = p[a, b] - share * spread[b]
+    after[0, 0] = p[0, 0] + jump - spread[0] / variance * spread[0]
