@@ -209,7 +209,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _learning("the angle of now jumps with the weights", "noise[0] -= change", "noise[0] -= 0.0"),
     _learning("a jump at rest is no outlier", "far + self._bank.reach(learning.bank)", "1e3"),
     _learning("a jump behind a fast command is an outlier", "far + self._bank.reach(learning.bank)", "far"),
-    _learning("angles on their way have the learned part of now", "self.delay_samples - k", "self.delay_samples"),
+    _learning("angles on their way have the learned part of now", "back - k)", "back)"),
     _learning(
         "missing measurements of a learning controller are not counted", "missing=estimate.missing + 1", "missing=0"
     ),

@@ -202,7 +202,8 @@ class FilterBank:
 
     def reach(self, state: BankState) -> float:
         """How far the angle may have moved under the last commands [deg]: twice what the mean slope says."""
-        return float(2.0 * self._scale * np.ptp(state.queue))
+        shares = state.queue.tolist()
+        return 2.0 * self._scale * (max(shares) - min(shares))
 
     def advance(self, state: BankState, u: float) -> BankState:
         """One sample later under the command u."""
@@ -269,14 +270,12 @@ class FilterBank:
             share=min(max((gained - _LEAST_GAIN) / _FULL_GAIN, 0.0), 1.0),
         )
 
-    def shown(self, state: BankState, back: int) -> Vec:
-        """Features (FEATURES,) of the best drive, `back` samples ago."""
-        out = np.empty(FEATURES)
-        at = state.delay + back
-        memory = state.history[at, state.lag]
-        before = state.history[at + 1, state.lag, 0] if at + 1 < len(state.history) else memory[0]
-        features(memory, float(before), float(state.start[0]), float(state.start[1]), 1.0 / self.dt, out)
-        return out
+    def added(self, state: BankState, angle: float, back: int) -> float:
+        """What the learned part of the best drive adds to the model's angle of `back` samples ago [deg]."""
+        if state.share == 0:
+            return 0.0
+        at, best, pace = state.delay + back, state.best, 1.0 / self.dt
+        return float(learned_angle(state.history, at, state.lag, state.start, pace, state.share, state.z[best], angle))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -288,6 +287,17 @@ def advance_history(before: Any, commands: Any, x: float, lags: Any, creeps: Any
     for t in range(lags.size):
         history[0, t] = before[0, t]
         advance_memory(history[0, t], x, lags[t], creeps)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def learned_angle(history: Any, at: int, lag: int, start: Any, pace: float, share: float, z: Any, angle: float) -> Any:
+    """What z (K,) adds to the model's angle of `at` samples ago behind a lag of the grid, as far as it acts [deg]."""
+    before, f = history[at + 1 if at + 1 < history.shape[0] else at, lag, 0], np.empty(FEATURES)
+    features(history[at, lag], before, start[0], start[1], pace, f)
+    total = z[1] * (angle - start[2])
+    for i in range(FEATURES):
+        total += z[2 + i] * f[i]
+    return share * total
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -309,7 +319,7 @@ def correct_filters(
     sums: Any,
     after: Any,
 ) -> None:
-    """One measurement for every drive: z (H, K) and sums of forecast errors in place, covariance (H, K, K) in `after`."""
+    """One measurement for every drive: z (H, K) and sums of forecast errors in place, their covariance in `after`."""
     h = np.empty(_SIZE)
     for n in range(z.shape[0]):
         lag, at = n // DELAYS, n % DELAYS + delay

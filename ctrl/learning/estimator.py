@@ -58,7 +58,7 @@ class LearningEstimator(Observer):
         model = learning.model
         bank = self._bank.correct(learning.bank, angle, model.angles[0], model.disturbance)
         model = replace(self._plain.correct(model, angle), command=estimate.command, measured=angle, missing=0)
-        change = self._added(model, bank, 0) - learning.added[0]
+        change = self._bank.added(bank, model.angles[0], self.delay_samples) - learning.added[0]
         noise = estimate.bank.copy()
         noise[0] -= change
         if not model.responsive[0]:  # inside the dead band, where one is set
@@ -79,7 +79,8 @@ class LearningEstimator(Observer):
         return replace(after, missing=before.missing) if before.missing else after
 
     def _whole(self, model: Estimate, bank: BankState, noise: Vec, disturbance: float, variance: float) -> Estimate:
-        added = tuple(self._added(model, bank, k) for k in range(len(model.angles)))
+        back = self.delay_samples
+        added = tuple(self._bank.added(bank, angle, back - k) for k, angle in enumerate(model.angles))
         return Estimate(
             state=self._predictor.with_learned(model.state, bank),
             command=model.command,
@@ -95,16 +96,6 @@ class LearningEstimator(Observer):
             added=added[0],
             learning=Learning(model, bank, added),
             distrust=bank.distrust,
-        )
-
-    def _added(self, model: Estimate, bank: BankState, k: int) -> float:
-        """What the learned part adds to the k-th of the model's angles [deg]."""
-        if bank.share == 0:
-            return 0.0
-        weights = bank.weights
-        return float(
-            weights[0] * (model.angles[k] - bank.start[2])
-            + weights[1:] @ self._bank.shown(bank, self.delay_samples - k)
         )
 
 

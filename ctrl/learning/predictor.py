@@ -61,8 +61,8 @@ class LearnedPredictor(Predictor):
 
     def with_learned(self, below: Vec, bank: BankState) -> Vec:
         """The model's state `below` with the learned part of a bank whose newest memory is of the same instant."""
-        weights, start = bank.weights, [*bank.start, self._bank.lags[bank.lag], float(bank.delay)]
-        return np.concatenate([below, bank.history[bank.delay, bank.lag], bank.queue, weights, start])
+        ends = self._bank.lags[bank.lag], float(bank.delay)
+        return np.concatenate([below, bank.history[bank.delay, bank.lag], bank.queue, bank.weights, bank.start, ends])
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         angle, below = self.model.advance(self.below(state), u)
