@@ -81,17 +81,12 @@ class LearningEstimator(Observer):
     def _whole(self, model: Estimate, bank: BankState, noise: Vec, disturbance: float, variance: float) -> Estimate:
         back = self.delay_samples
         added = tuple(self._bank.added(bank, angle, back - k) for k, angle in enumerate(model.angles))
-        return Estimate(
+        return replace(
+            model,
             state=self._predictor.with_learned(model.state, bank),
-            command=model.command,
             angles=tuple(angle + more for angle, more in zip(model.angles, added, strict=True)),
-            responsive=model.responsive,
-            moves=model.moves,
             disturbance=disturbance,
             variance=variance,
-            measured=model.measured,
-            missing=model.missing,
-            stalled=model.stalled,
             bank=noise,
             added=added[0],
             learning=Learning(model, bank, added),
