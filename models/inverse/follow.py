@@ -152,10 +152,11 @@ class DrivenFollower(Follower):
                 _, middle = inner.advance(middle, v)
                 last = v
         if first < wanted.size:
-            free = self._inner.follow(middle, wanted[first:], last, bounds._replace(reach=np.inf))[0]
+            free = self._inner.follow(middle, wanted[first:], last, Bounds(bounds.low, bounds.high, np.inf))[0]
             if front is not None:
-                free = front.fit(ahead, np.append(travel[:first], free), u_last, bounds.reach).inputs
-            plans[:] = np.clip(free, bounds.low, bounds.high)
+                travel[first:] = free
+                free = front.fit(ahead, travel, u_last, bounds.reach).inputs
+            plans[:] = np.minimum(np.maximum(free, bounds.low), bounds.high)  # `np.clip` takes three times as long
         return plans
 
 
