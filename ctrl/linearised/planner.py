@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
 from hystmpc.models.inverse.follow import Bounds, clip_plans
+from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Vec
 
@@ -100,13 +101,14 @@ class LinearisedPlanner(Planner[None]):
     def _search(self, problem: PlanningProblem, start: CommandPlan, jacobian: Vec, step: Vec) -> CommandPlan:
         """The cheapest of the start plan and parts of the step, by nonlinear cost."""
         # the solver overshoots limits within its tolerance: clip the whole step, parts are then too
-        whole = (start.commands + step)[None]
-        clip_plans(whole, *self._bounds, problem.u_last)
-        step = whole[0] - start.commands
+        whole, foreseen = np.empty((2, 1, step.size))
+        take_step(start.commands, start.angles, jacobian, step, *self._bounds, problem.u_last, whole, foreseen)
         found = self._cheapest(whole, problem)
-        promised = start.cost - self._cost(whole, (start.angles + jacobian @ step)[None], problem)[0]
+        promised = start.cost - self._cost(whole, foreseen, problem)[0]
         if not start.cost - found.cost >= _KEPT * promised:  # not-a-number: look further
-            parts = start.commands + _PARTS[:, None] * step  # half of a move one way and one the other is none
+            parts = start.commands + _PARTS[:, None] * (
+                whole - start.commands
+            )  # half of a move one way and one the other is none
             clip_plans(parts, *self._bounds, problem.u_last)
             part = self._cheapest(parts, problem)
             found = part if part.cost < found.cost else found
@@ -114,3 +116,26 @@ class LinearisedPlanner(Planner[None]):
 
     def _cheapest(self, plans: Vec, problem: PlanningProblem) -> CommandPlan:
         return self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def take_step(
+    commands: Any,
+    angles: Any,
+    jacobian: Any,
+    step: Any,
+    low: float,
+    high: float,
+    reach: float,
+    u_last: float,
+    whole: Any,
+    foreseen: Any,
+) -> None:
+    """The plan after a step (1, H), made admissible, and its angles (1, H) as the linearisation has them, in place."""
+    for k in range(step.size):
+        whole[0, k] = commands[k] + step[k]
+    clip_plans(whole, low, high, reach, u_last)
+    for k in range(step.size):
+        foreseen[0, k] = angles[k]
+        for j in range(k + 1):
+            foreseen[0, k] += jacobian[k, j] * (whole[0, j] - commands[j])
