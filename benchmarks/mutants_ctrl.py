@@ -199,13 +199,17 @@ MUTANTS: tuple[Mutant, ...] = (
         "out[at] = memory[1 + i] - v0 - side * RADII[i]",
         "out[at] = memory[1 + i] - v0",
     ),
-    _basis("a learned delay is not waited for", "queue[k] if k < delay else plans[n, k - delay]", "plans[n, k]"),
+    _basis(
+        "a learned delay is not waited for",
+        "own[MEMORY + delay - 1 - k] if k < delay else (plan[k - delay] - low) / span",
+        "(plan[k] - low) / span",
+    ),
     _basis("the slope of a learned lag is that of none", "by[0, j] *= 1.0 - share", "by[0, j] *= 0.0"),
     _basis("the slope of a dead zone does not wait for it", "if v > ZONES[i]:", "if v > 0.0:"),
     _learning("the angle of now jumps with the weights", "noise[0] -= change", "noise[0] -= 0.0"),
     _learning("a jump at rest is no outlier", "far + self._bank.reach(learning.bank)", "1e3"),
     _learning("a jump behind a fast command is an outlier", "far + self._bank.reach(learning.bank)", "far"),
-    _learning("angles on their way have the learned part of now", "self.delay_samples - k", "self.delay_samples"),
+    _learning("angles on their way have the learned part of now", "back - k)", "back)"),
     _learning(
         "missing measurements of a learning controller are not counted", "missing=estimate.missing + 1", "missing=0"
     ),

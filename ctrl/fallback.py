@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, TypeVar, final
 
 import numpy as np
@@ -16,6 +16,7 @@ from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Vec
 
 from .command import EMPTY, ControlInput, Source
+from .frozen import replace
 from .limits import CommandLimits, Count
 
 T = TypeVar("T")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Generic, TypeVar, final
 
@@ -15,6 +15,7 @@ from hystmpc.trials.types import Vec
 from .command import EMPTY, Command, ControlInput, Stopwatch, Timing
 from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, usable_angle
 from .fallback import FallbackChain, FallbackState, Level, attempt
+from .frozen import replace
 from .law import Law, Proposal
 from .limits import CommandLimits
 
@@ -157,8 +158,7 @@ class GuardedController(Generic[M]):
         watch = Stopwatch()
         estimate = self._observer.correct(state.estimate, y)
         watch.lap("estimate")
-        present = GuardedState(estimate, state.memory, state.fallback, state.due)  # `replace` takes ten times as long
-        level, decided = self._decide(present, reference, watch)
+        level, decided = self._decide(replace(state, estimate=estimate), reference, watch)
         u = self._limits.clip(level.u, estimate.command, self._dt)
         after, fault = attempt(lambda: self._observer.advance(estimate, u))
         if after is None:
@@ -173,21 +173,20 @@ class GuardedController(Generic[M]):
             disturbance=after.departure,
             timing=Timing(watch.stages),
         )
-        return command, GuardedState(after, decided.memory, decided.fallback, decided.due)
+        return command, replace(decided, estimate=after)
 
     def _decide(self, state: GuardedState[M], reference: object, watch: Stopwatch) -> tuple[Level, GuardedState[M]]:
         """The level to take, and the state with the law's memory, the fallbacks and the next due angle renewed."""
         fallback, missing = state.fallback, state.estimate.missing
-        waiting = self._input(state, np.full(self.horizon, state.due))
         if fallback.stopped:
-            return self._fallback.stop(waiting, f"latched {fallback.cause}"), state
+            return self._fallback.stop(self._waiting(state), f"latched {fallback.cause}"), state
         try:
             wanted = usable_reference(reference, self.horizon)
         except UnusableReferenceError as error:
-            level, fallback = self._fallback.pause(fallback, waiting, str(error))
+            level, fallback = self._fallback.pause(fallback, self._waiting(state), str(error))
             return level, replace(state, fallback=fallback)
         given = self._input(state, wanted)
-        state = GuardedState(state.estimate, state.memory, fallback, given.setpoint)
+        state = replace(state, due=given.setpoint)
         if missing > self._max_missing:
             reason = f"no usable measurement for {missing} samples"
             level, fallback = self._fallback.on_failure(fallback, given, reason, blind=True)
@@ -201,7 +200,7 @@ class GuardedController(Generic[M]):
             proposal.u, proposal.source or self._law.source, proposal.status, proposal.plan, proposal.predicted
         )
         fallback = self._fallback.on_success(proposal.plan, proposal.predicted)
-        return level, GuardedState(state.estimate, proposal.memory, fallback, state.due)
+        return level, replace(state, memory=proposal.memory, fallback=fallback)
 
     def _proposal(
         self, state: GuardedState[M], given: ControlInput, watch: Stopwatch
@@ -214,6 +213,10 @@ class GuardedController(Generic[M]):
         if proposal is not None and not math.isfinite(proposal.u):
             return None, f"the law answers {proposal.u}"
         return proposal, reason
+
+    def _waiting(self, state: GuardedState[M]) -> ControlInput:
+        """What is given where there is nothing to follow: the angle that is due stays."""
+        return self._input(state, np.full(self.horizon, state.due))
 
     def _input(self, state: GuardedState[M], wanted: Vec) -> ControlInput:
         estimate = state.estimate
@@ -236,10 +239,12 @@ class GuardedController(Generic[M]):
         """Angles at the ends of this and the next samples: those under way, then those of the plan."""
         if not after.angles:
             return EMPTY
-        under_way = np.asarray(after.angles)
-        if not level.predicted.size:
-            return under_way + after.disturbance
-        return np.concatenate([under_way[:-1], level.predicted])[: level.predicted.size] + after.disturbance
+        under_way, planned = after.angles, level.predicted
+        if not planned.size:
+            return np.asarray(under_way) + after.disturbance
+        if len(under_way) > 1:
+            planned = np.concatenate([under_way[:-1], planned])[: planned.size]
+        return planned + after.disturbance
 
     @staticmethod
     def _status(status: str, estimate: Estimate, fault: str) -> str:
@@ -268,6 +273,6 @@ def usable_reference(reference: object, horizon: int) -> Vec:
     if wanted.ndim != 1 or wanted.shape[0] < horizon:
         raise UnusableReferenceError(f"reference: got shape {wanted.shape}, expected ({horizon},)")
     wanted = wanted[:horizon]
-    if not bool(np.all(np.abs(wanted) <= ANGLE_BOUND_DEG)):
+    if not np.abs(wanted).max() <= ANGLE_BOUND_DEG:  # or not a number
         raise UnusableReferenceError(f"reference: not finite or beyond {ANGLE_BOUND_DEG:.0f} deg")
     return wanted

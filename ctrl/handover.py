@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, final
 
 from hystmpc.models.model import Inverse, Predictor
@@ -12,6 +12,7 @@ from .command import ControlInput, Source, Stopwatch
 from .fallback import attempt
 from .feedback.inverse import InverseFeedforward, InversePid
 from .feedback.pid import Pid, PidFeedback, PidSettings
+from .frozen import replace
 from .law import Law, Proposal
 from .limits import CommandLimits
 from .planning_settings import HandoverSettings

@@ -103,7 +103,9 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         if hold.holding:
             return self._proposal(start, "ok", PredictiveMemory(memory.planner, hold))
         plan, status, planner = self._planner.improve(problem, start, memory.planner, watch)
-        commands = self.rule.gentle(hold, plan.commands, given.u_last, self.rule.error(hold, held), self.slope)
+        commands = plan.commands
+        if self.rule.settles(hold):
+            commands = self.rule.gentle(hold, commands, given.u_last, self.rule.error(hold, held), self.slope)
         if commands is not plan.commands:
             commands = self._limits.clip_plans(commands, given.u_last, self._predictor.dt)
             plan = CommandPlan(commands, self._predictor.rollout(given.state, commands[None])[0], plan.cost)
@@ -186,6 +188,10 @@ class HoldRule:
         """Greatest distance of angles (H,) from the angle to be held [deg]."""
         return float(np.max(np.abs(held - hold.target)))
 
+    def settles(self, hold: Hold) -> bool:
+        """Whether an error that is left over is worked off by now."""
+        return self._settle > 0 and hold.constant > self._settle_after
+
     def gentle(self, hold: Hold, plan: Vec, u_last: float, error: float, slope: float) -> Vec:
         """The plan (H,), in a hold within u_last -+ k error / (slope settle), k = 1, 2, ... samples.
 
@@ -197,7 +203,7 @@ class HoldRule:
             error: greatest error of the held command [deg].
             slope: static gain of the model [deg per command unit].
         """
-        if not (self._settle > 0 and hold.constant > self._settle_after and slope > 0):
+        if not (self.settles(hold) and slope > 0):
             return plan
         most = error / (slope * self._settle) * np.arange(1, plan.size + 1)
         return np.clip(plan, u_last - most, u_last + most)

@@ -66,22 +66,23 @@ class PlanCost:
 
     def __init__(self, weights: WeightsSettings, horizon: int) -> None:
         soft = weights.soft_limit if weights.limits_angle else 0.0
-        self._factors = weights.rate, weights.effort, soft
+        self._factors = float(weights.rate), float(weights.effort), float(soft)
         self._tracking = weights.over(horizon)
 
     def __call__(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> Vec:
         """Costs (N,) of the plans (N, H) whose angles are (N, H); infinite where a prediction is not finite."""
-        factors = np.array((*self._factors, *problem.angle_limits))
-        found: Vec = costs(
-            plans, angles, problem.reference, problem.feedforward, problem.u_last, self._tracking, factors
-        )
+        found: Vec = costs(*self._arguments(plans, angles, problem))
         return found
 
     def best(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> CommandPlan:
         """The cheapest of the plans; its cost is infinite where no prediction is finite."""
-        found = self(plans, angles, problem)
-        row = int(np.argmin(found))
-        return CommandPlan(plans[row], angles[row], float(found[row]))
+        row, cost = cheapest(*self._arguments(plans, angles, problem))
+        return CommandPlan(plans[row], angles[row], cost)
+
+    def _arguments(self, plans: Vec, angles: Vec, problem: PlanningProblem) -> tuple[Any, ...]:
+        low, high = problem.angle_limits
+        known = problem.reference, problem.feedforward, problem.u_last, self._tracking
+        return plans, angles, *known, *self._factors, low, high
 
 
 class Planner(ABC, Generic[P]):
@@ -145,14 +146,6 @@ class Candidates:
         return plans
 
 
-def moves_of(plan: Vec, u_last: float) -> Vec:
-    """D p - e_1 u_last (H,); `np.diff` with a prefix takes ten times as long."""
-    moves = plan.copy()
-    moves[0] -= u_last
-    moves[1:] -= plan[:-1]
-    return moves
-
-
 def _reversals(reach: float, horizon: int) -> Vec:
     """Offsets (M, H) from the last command: m = 2, 4, ... samples at the greatest rate, up and down."""
     lengths = [2**i for i in range(1, horizon.bit_length()) if 2**i <= max(horizon // 2, 2)]
@@ -206,9 +199,20 @@ def fill_candidates(plans: Any, targets: Any, remaining: Any, ramps: Any, u_last
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def costs(plans: Any, angles: Any, reference: Any, inverse: Any, u_last: float, tracking: Any, weights: Any) -> Any:
-    """Costs (N,) of `PlanCost`, infinite where they are not finite; weights: rate, effort, soft limit, low, high."""
-    rate, effort, soft, low, high = weights[0], weights[1], weights[2], weights[3], weights[4]
+def costs(
+    plans: Any,
+    angles: Any,
+    reference: Any,
+    inverse: Any,
+    u_last: float,
+    tracking: Any,
+    rate: float,
+    effort: float,
+    soft: float,
+    low: float,
+    high: float,
+) -> Any:
+    """Costs (N,) of `PlanCost`, infinite where they are not finite; low, high: the soft angle limits."""
     found = np.empty(plans.shape[0])
     for n in range(plans.shape[0]):
         total, before = 0.0, u_last
@@ -221,3 +225,23 @@ def costs(plans: Any, angles: Any, reference: Any, inverse: Any, u_last: float, 
             before = plans[n, k]
         found[n] = total if np.isfinite(total) else np.inf
     return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def cheapest(
+    plans: Any,
+    angles: Any,
+    reference: Any,
+    inverse: Any,
+    u_last: float,
+    tracking: Any,
+    rate: float,
+    effort: float,
+    soft: float,
+    low: float,
+    high: float,
+) -> Any:
+    """The first plan of the lowest cost, and that cost; see `costs`."""
+    found = costs(plans, angles, reference, inverse, u_last, tracking, rate, effort, soft, low, high)
+    row = np.argmin(found)
+    return row, found[row]

@@ -191,8 +191,7 @@ def correct_filters(
         most: bound of the gain.
         limit: bound of the disturbance [deg].
     """
-    total = 0.0
-    for i in range(sensor.size):
+    for i in range(sensor.size):  # sums have loops of their own: they would keep this one from being vectorised
         before, noise = bank[1, i], sensor[i]
         spread, error = before + noise, offset - bank[0, i]
         odd = 1.0 + error * error / ((_FREEDOM - 2.0) * spread)
@@ -201,6 +200,8 @@ def correct_filters(
         after[0, i] = min(max(bank[0, i] + gain * error, -limit), limit)
         after[1, i] = (1.0 - gain) * (1.0 - gain) * before + gain * gain * noise
         after[2, i] = bank[2, i] / (math.sqrt(spread) * odd * odd)
+    total = 0.0
+    for i in range(sensor.size):
         total += after[2, i]
     inner, mean = by_model.size, after[0, 0]
     for j in range(by_sensor.size):
@@ -211,7 +212,8 @@ def correct_filters(
         for i in range(inner):
             k = j * inner + i
             after[2, k] = (1.0 - switching) * after[2, k] / total + share * by_model[i]
-            mean += after[2, k] * (after[0, k] - after[0, 0])
+    for k in range(sensor.size):
+        mean += after[2, k] * (after[0, k] - after[0, 0])
     return mean, mixed_variance(after, mean)
 
 

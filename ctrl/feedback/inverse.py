@@ -5,7 +5,7 @@ S2 is RA-L 2024, PMC11633443.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
@@ -14,6 +14,7 @@ from hystmpc.models.model import Inverse, Predictor
 from hystmpc.trials.types import Vec
 
 from ..command import EMPTY, ControlInput, Source, Stopwatch
+from ..frozen import replace
 from ..law import Law, Proposal
 from ..limits import CommandLimits
 from .pid import Pid, PidMemory, is_new

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from hystmpc.models.kernels.numba_ import njit
 from hystmpc.trials.types import Vec
 
+from ..frozen import replace
 from ..planning_settings import AdaptationSettings
 from .basis import (
     DELAYS,
@@ -201,7 +202,8 @@ class FilterBank:
 
     def reach(self, state: BankState) -> float:
         """How far the angle may have moved under the last commands [deg]: twice what the mean slope says."""
-        return float(2.0 * self._scale * np.ptp(state.queue))
+        shares = state.queue.tolist()
+        return 2.0 * self._scale * (max(shares) - min(shares))
 
     def advance(self, state: BankState, u: float) -> BankState:
         """One sample later under the command u."""
@@ -220,11 +222,11 @@ class FilterBank:
             angle: of the model at that instant [deg].
             disturbance: the model's own, before this measurement is used [deg].
         """
-        z, covariance, sums = state.z.copy(), state.covariance.copy(), state.sums.copy()
+        z, covariance, sums = state.z.copy(), np.empty_like(state.covariance), state.sums.copy()
         travel = abs(float(state.history[self._delay, 0, 0] - state.history[self._delay + 1, 0, 0]))
         correct_filters(
             z,
-            covariance,
+            state.covariance,
             state.frozen,
             state.history,
             self._delay,
@@ -238,6 +240,7 @@ class FilterBank:
             travel,
             1.0 / self.dt,
             sums,
+            covariance,
         )
         own, last = state.references
         sums[_MODEL] += (y - angle - own) ** 2
@@ -267,14 +270,12 @@ class FilterBank:
             share=min(max((gained - _LEAST_GAIN) / _FULL_GAIN, 0.0), 1.0),
         )
 
-    def shown(self, state: BankState, back: int) -> Vec:
-        """Features (FEATURES,) of the best drive, `back` samples ago."""
-        out = np.empty(FEATURES)
-        at = state.delay + back
-        memory = state.history[at, state.lag]
-        before = state.history[at + 1, state.lag, 0] if at + 1 < len(state.history) else memory[0]
-        features(memory, float(before), float(state.start[0]), float(state.start[1]), 1.0 / self.dt, out)
-        return out
+    def added(self, state: BankState, angle: float, back: int) -> float:
+        """What the learned part of the best drive adds to the model's angle of `back` samples ago [deg]."""
+        if state.share == 0:
+            return 0.0
+        at, best, pace = state.delay + back, state.best, 1.0 / self.dt
+        return float(learned_angle(state.history, at, state.lag, state.start, pace, state.share, state.z[best], angle))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -286,6 +287,17 @@ def advance_history(before: Any, commands: Any, x: float, lags: Any, creeps: Any
     for t in range(lags.size):
         history[0, t] = before[0, t]
         advance_memory(history[0, t], x, lags[t], creeps)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def learned_angle(history: Any, at: int, lag: int, start: Any, pace: float, share: float, z: Any, angle: float) -> Any:
+    """What z (K,) adds to the model's angle of `at` samples ago behind a lag of the grid, as far as it acts [deg]."""
+    before, f = history[at + 1 if at + 1 < history.shape[0] else at, lag, 0], np.empty(FEATURES)
+    features(history[at, lag], before, start[0], start[1], pace, f)
+    total = z[1] * (angle - start[2])
+    for i in range(FEATURES):
+        total += z[2 + i] * f[i]
+    return share * total
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -305,51 +317,53 @@ def correct_filters(
     travel: float,
     pace: float,
     sums: Any,
+    after: Any,
 ) -> None:
-    """One measurement for every drive: z (H, K), covariance (H, K, K) and sums of forecast errors, in place."""
-    size = z.shape[1]
-    h = np.empty(size)
+    """One measurement for every drive: z (H, K) and sums of forecast errors in place, their covariance in `after`."""
+    h = np.empty(_SIZE)
     for n in range(z.shape[0]):
         lag, at = n // DELAYS, n % DELAYS + delay
         features(history[at, lag], history[at + 1, lag, 0], start[0], start[1], pace, h[2:])
         h[0], h[1] = 1.0, angle - start[2]
         error, forecast = y - angle, y - angle
-        for a in range(size):
+        for a in range(_SIZE):
             error -= h[a] * z[n, a]
             forecast -= h[a] * frozen[n, a]
         sums[n] += forecast * forecast
-        correct_filter(z[n], covariance[n], h, error, noise, prior, travel == 0.0)
-        for a in range(size):
-            grown = covariance[n, a, a] + growth[a] + walk[a] * travel
-            covariance[n, a, a] = min(grown, max(prior[a], covariance[n, a, a]))
+        correct_filter(z[n], covariance[n], h, error, noise, prior, travel == 0.0, after[n])
+        for a in range(_SIZE):
+            grown = after[n, a, a] + growth[a] + walk[a] * travel
+            after[n, a, a] = min(grown, max(prior[a], after[n, a, a]))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def correct_filter(z: Any, p: Any, h: Any, error: float, noise: float, prior: Any, still: bool) -> None:
-    """One measurement for one drive: z (K,) and covariance p (K, K), in place.
+def correct_filter(z: Any, p: Any, h: Any, error: float, noise: float, prior: Any, still: bool, after: Any) -> None:
+    """One measurement for one drive with covariance p (K, K): z (K,) in place, and the covariance `after` it.
+
+    K is a number that the compiler knows: loops as short as these are vectorised only then.
 
     Args:
         error: of the prediction [deg].
         still: whether the command rests; no weight can have changed then, and a large error is a jump of the offset.
     """
-    size = z.size
-    spread, variance = np.zeros(size), noise
-    for b in range(size):  # not `p @ h`: its last digits, which are learned from, differ between libraries
-        for a in range(size):
+    spread, variance, jump = np.zeros(_SIZE), noise, 0.0
+    for b in range(_SIZE):  # not `p @ h`: its last digits, which are learned from, differ between libraries
+        for a in range(_SIZE):
             spread[a] += p[b, a] * h[b]
-    for a in range(size):
+    for a in range(_SIZE):
         variance += h[a] * spread[a]
     if not (noise <= variance < np.inf and abs(error) < np.inf):  # rounding has eaten the covariance
-        p[:] = 0.0
-        for a in range(size):
-            p[a, a] = prior[a]
+        after[:] = 0.0
+        for a in range(_SIZE):
+            after[a, a] = prior[a]
         return
     if still and error * error > _SURPRISE * variance:
-        p[0, 0] += error * error
-        spread[0] += error * error
-        variance += error * error
-    for a in range(size):
+        jump = error * error
+        spread[0] += jump
+        variance += jump
+    for a in range(_SIZE):
         share = spread[a] / variance
         z[a] += share * error
-        for b in range(size):
-            p[a, b] -= share * spread[b]
+        for b in range(_SIZE):
+            after[a, b] = p[a, b] - share * spread[b]
+    after[0, 0] = p[0, 0] + jump - spread[0] / variance * spread[0]

@@ -32,6 +32,10 @@ _EDGE = 1e-12
 FEATURES = 1 + RADII.size + ZONES.size + _WEIGHTED + CREEPS_S.size + 1
 MEMORY = 1 + RADII.size + CREEPS_S.size
 """Entries of the memory behind one lag: v, plays, slow followers."""
+OWN = MEMORY + DELAYS + 1 + FEATURES + 5
+"""Entries of the learned part's state: memory, queue of the last commands, weights, v0, side, m_0, share of the lag in
+a sample, delay [samples]; commands as shares of the range, the newest first."""
+OF_WEIGHTS, OF_START = slice(MEMORY + DELAYS, OWN - 5), slice(OWN - 5, OWN)
 SHARES: Vec = np.concatenate(
     [[0.7], np.full(RADII.size, 0.5), np.full(ZONES.size, 1.0), np.full(_WEIGHTED, 0.5), [0.2, 0.2], [0.3]]
 )
@@ -110,34 +114,30 @@ def features(memory: Any, before: float, v0: float, side: float, pace: float, ou
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def add_learned(
-    memory: Any,
-    queue: Any,
-    weights: Any,
-    start: Any,
-    steps: Any,
-    creeps: Any,
-    plans: Any,
-    angles: Any,
-) -> None:
-    """angles (N, H) <- m + w_c (m - m_0) + sum_i w_i f_i along plans (N, H) in shares of the range, in place.
+def acting_command(own: Any, plan: Any, k: int, low: float, span: float) -> Any:
+    """The command behind the delay in sample k of a plan (H,), as a share of the range."""
+    delay = int(own[OWN - 1])
+    return own[MEMORY + delay - 1 - k] if k < delay else (plan[k - delay] - low) / span
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def add_learned(own: Any, pace: float, creeps: Any, low: float, span: float, plans: Any, angles: Any) -> None:
+    """angles (N, H) <- m + w_c (m - m_0) + sum_i w_i f_i along plans (N, H), in place.
 
     Args:
-        memory: behind the lag, D samples ago (MEMORY,).
-        queue: commands of the last D samples (D,), the oldest first.
-        weights: w_c, then w_i (1 + FEATURES,) [1 and deg].
-        start: v0, side, m_0.
-        steps: share of the lag, samples per second.
+        own: the learned part's state (OWN,).
+        pace: samples per second.
         creeps: as `creep_shares`.
+        low, span: least command, and the range of commands [command unit].
     """
-    delay, horizon = queue.size, plans.shape[1]
-    now, f = memory.copy(), np.empty(FEATURES)
+    weights, start, horizon = own[OF_WEIGHTS], own[OF_START], plans.shape[1]
+    now, f = np.empty(MEMORY), np.empty(FEATURES)
     for n in range(plans.shape[0]):
-        now[:] = memory
+        now[:] = own[:MEMORY]
         for k in range(horizon):
             before = now[0]
-            advance_memory(now, queue[k] if k < delay else plans[n, k - delay], steps[0], creeps)
-            features(now, before, start[0], start[1], steps[1], f)
+            advance_memory(now, acting_command(own, plans[n], k, low, span), start[3], creeps)
+            features(now, before, start[0], start[1], pace, f)
             total = weights[0] * (angles[n, k] - start[2])
             for i in range(FEATURES):
                 total += weights[1 + i] * f[i]
@@ -196,19 +196,19 @@ def slopes_by_memory(now: Any, weights: Any, pace: float, out: Any) -> None:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def add_slopes(memory: Any, queue: Any, weights: Any, steps: Any, creeps: Any, plan: Any, jacobian: Any) -> None:
-    """jacobian (H, H) of the model <- that of the whole, along one plan (H,) in shares of the range, in place.
-
-    `jacobian` is by shares of the range too; the other arguments are those of `add_learned`.
-    """
-    delay, horizon = queue.size, plan.size
-    now, by, slopes = memory.copy(), np.zeros((MEMORY + 1, horizon)), np.empty(MEMORY + 1)
+def add_slopes(own: Any, pace: float, creeps: Any, low: float, span: float, plan: Any, jacobian: Any) -> None:
+    """jacobian (H, H) of the model <- that of the whole, along one plan (H,), in place; see `add_learned`."""
+    weights, share, horizon = own[OF_WEIGHTS], own[OWN - 2], plan.size
+    now, before, slopes = own[:MEMORY].copy(), np.empty(MEMORY), np.empty(MEMORY + 1)
+    by, row = np.zeros((MEMORY + 1, horizon)), np.empty(horizon)
     for k in range(horizon):
-        acting, before = k - delay, now.copy()
-        advance_memory(now, plan[acting] if acting >= 0 else queue[k], steps[0], creeps)
-        advance_slopes(before, now, acting, steps[0], creeps, by)
-        slopes_by_memory(now, weights, steps[1], slopes)
+        before[:] = now
+        advance_memory(now, acting_command(own, plan, k, low, span), share, creeps)
+        advance_slopes(before, now, k - int(own[OWN - 1]), share, creeps, by)
+        slopes_by_memory(now, weights, pace, slopes)
+        row[: k + 1] = 0.0
+        for i in range(MEMORY + 1):
+            for j in range(k + 1):
+                row[j] += slopes[i] * by[i, j]
         for j in range(k + 1):
-            jacobian[k, j] *= 1.0 + weights[0]
-            for i in range(MEMORY + 1):
-                jacobian[k, j] += slopes[i] * by[i, j]
+            jacobian[k, j] = (1.0 + weights[0]) * jacobian[k, j] + row[j] / span

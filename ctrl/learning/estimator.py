@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 from hystmpc.trials.types import Vec
 
 from ..estimation.observer import Estimate, EstimatorSettings, Observer, OutputEstimator, usable_angle
+from ..frozen import replace
 from .bank import BankState
 from .predictor import LearnedPredictor
 
@@ -57,7 +58,7 @@ class LearningEstimator(Observer):
         model = learning.model
         bank = self._bank.correct(learning.bank, angle, model.angles[0], model.disturbance)
         model = replace(self._plain.correct(model, angle), command=estimate.command, measured=angle, missing=0)
-        change = self._added(model, bank, 0) - learning.added[0]
+        change = self._bank.added(bank, model.angles[0], self.delay_samples) - learning.added[0]
         noise = estimate.bank.copy()
         noise[0] -= change
         if not model.responsive[0]:  # inside the dead band, where one is set
@@ -78,32 +79,18 @@ class LearningEstimator(Observer):
         return replace(after, missing=before.missing) if before.missing else after
 
     def _whole(self, model: Estimate, bank: BankState, noise: Vec, disturbance: float, variance: float) -> Estimate:
-        added = tuple(self._added(model, bank, k) for k in range(len(model.angles)))
-        return Estimate(
+        back = self.delay_samples
+        added = tuple(self._bank.added(bank, angle, back - k) for k, angle in enumerate(model.angles))
+        return replace(
+            model,
             state=self._predictor.with_learned(model.state, bank),
-            command=model.command,
             angles=tuple(angle + more for angle, more in zip(model.angles, added, strict=True)),
-            responsive=model.responsive,
-            moves=model.moves,
             disturbance=disturbance,
             variance=variance,
-            measured=model.measured,
-            missing=model.missing,
-            stalled=model.stalled,
             bank=noise,
             added=added[0],
             learning=Learning(model, bank, added),
             distrust=bank.distrust,
-        )
-
-    def _added(self, model: Estimate, bank: BankState, k: int) -> float:
-        """What the learned part adds to the k-th of the model's angles [deg]."""
-        if bank.share == 0:
-            return 0.0
-        weights = bank.weights
-        return float(
-            weights[0] * (model.angles[k] - bank.start[2])
-            + weights[1:] @ self._bank.shown(bank, self.delay_samples - k)
         )
 
 

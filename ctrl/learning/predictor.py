@@ -14,20 +14,29 @@ from ..analysis import static_gain
 from ..fallback import attempt
 from ..planning_settings import AdaptationSettings
 from .bank import BankState, FilterBank
-from .basis import DELAYS, FEATURES, MEMORY, add_learned, add_slopes, advance_memory, first_memory
+from .basis import (
+    DELAYS,
+    FEATURES,
+    MEMORY,
+    OF_WEIGHTS,
+    OWN,
+    acting_command,
+    add_learned,
+    add_slopes,
+    advance_memory,
+    first_memory,
+)
 
 _ROUNDS = 2
 _RANGE_DEG = 60.0  # angle over the range of a model that does not say it [deg]
 _SENSOR_DEG = 0.1  # standard deviation of a sensor of which the model's file says nothing [deg]
-_OWN = MEMORY + DELAYS + 1 + FEATURES + 5
 
 
 @final
 class LearnedPredictor(Predictor):
     """theta = m + w_c (m - m_0) + sum_i w_i f_i, see `basis`; the weights stand still in a roll-out.
 
-    Where all weights are zero this is the model. The state is the model's, then memory (MEMORY,), queue (DELAYS,),
-    weights (1 + FEATURES,), v0, side, m_0, share of the lag in a sample, delay [samples].
+    Where all weights are zero this is the model. The state is the model's, then that of the learned part (OWN,).
     """
 
     def __init__(self, model: Predictor, settings: AdaptationSettings) -> None:
@@ -36,6 +45,7 @@ class LearnedPredictor(Predictor):
         self.slope = attempt(lambda: static_gain(model))[0] or _RANGE_DEG / (high - low)  # a model may fail
         self._settings, self._low, self._span = settings, low, high - low
         self._bank = self.filters(0)
+        self._known = 1.0 / model.dt, self._bank.creeps, float(low), float(high - low)
 
     def filters(self, delay: int) -> FilterBank:
         """The bank that learns the weights, behind `delay` samples of delay that the model does not have."""
@@ -51,61 +61,46 @@ class LearnedPredictor(Predictor):
 
     def with_learned(self, below: Vec, bank: BankState) -> Vec:
         """The model's state `below` with the learned part of a bank whose newest memory is of the same instant."""
-        weights, start = bank.weights, [*bank.start, self._bank.lags[bank.lag], float(bank.delay)]
-        return np.concatenate([below, bank.history[bank.delay, bank.lag], bank.queue, weights, start])
+        ends = self._bank.lags[bank.lag], float(bank.delay)
+        return np.concatenate([below, bank.history[bank.delay, bank.lag], bank.queue, bank.weights, bank.start, ends])
 
     def advance(self, state: Vec, u: float) -> tuple[float, Vec]:
         angle, below = self.model.advance(self.below(state), u)
-        memory, waiting, weights, start, steps = self._parts(state)
-        x, angles = (u - self._low) / self._span, np.array([[angle]])
-        add_learned(memory, waiting, weights, start, steps, self._bank.creeps, np.array([[x]]), angles)
-        after = state[state.size - _OWN :].copy()
-        advance_memory(after[:MEMORY], waiting[0] if waiting.size else x, steps[0], self._bank.creeps)
-        after[MEMORY + 1 : MEMORY + DELAYS] = after[MEMORY : MEMORY + DELAYS - 1].copy()
-        after[MEMORY] = x
+        own, plan, angles = state[state.size - OWN :], np.array([u]), np.array([[angle]])
+        add_learned(own, *self._known, plan[None], angles)
+        after = own.copy()
+        x = acting_command(own, plan, 0, self._low, self._span)
+        advance_memory(after[:MEMORY], x, own[OWN - 2], self._bank.creeps)
+        after[MEMORY + 1 : MEMORY + DELAYS] = own[MEMORY : MEMORY + DELAYS - 1]
+        after[MEMORY] = (u - self._low) / self._span
         return float(angles[0, 0]), np.concatenate([below, after])
 
     def rollout(self, state: Vec, plans: Vec) -> Vec:
         angles = np.ascontiguousarray(self.model.rollout(self.below(state), plans))
-        self._add(state, plans, angles)
+        add_learned(state[state.size - OWN :], *self._known, plans, angles)
         return angles
 
     def learned(self, state: Vec, plans: Vec) -> Vec:
         """What the learned part adds (N, H) [deg] along the plans (N, H)."""
         model = self.model.rollout(self.below(state), plans)
-        angles = np.array(model, order="C")
-        self._add(state, plans, angles)
+        angles = model.copy()
+        add_learned(state[state.size - OWN :], *self._known, plans, angles)
         return angles - model
 
     def linearise(self, state: Vec, plan: Vec) -> tuple[Vec, Vec]:
         angles, jacobian = self.model.linearise(self.below(state), plan)
-        angles, jacobian = angles.copy(), np.ascontiguousarray(jacobian) * self._span
-        self._add(state, plan[None], angles[None])
-        memory, waiting, weights, _, steps = self._parts(state)
-        shares = (plan - self._low) / self._span
-        add_slopes(memory, waiting, weights, steps, self._bank.creeps, shares, jacobian)
-        return angles, jacobian / self._span
+        own, angles, jacobian = state[state.size - OWN :], angles.copy(), np.array(jacobian, order="C")
+        add_learned(own, *self._known, plan[None], angles[None])
+        add_slopes(own, *self._known, plan, jacobian)
+        return angles, jacobian
 
     def below(self, state: Vec) -> Vec:
         """The model's own state."""
-        return state[: state.size - _OWN]
+        return state[: state.size - OWN]
 
     def weights(self, state: Vec) -> Vec:
         """w_c and w (1 + FEATURES,) [1 and deg]."""
-        return self._parts(state)[2]
-
-    def _add(self, state: Vec, plans: Vec, angles: Vec) -> None:
-        """The learned part along the plans (N, H), added to the model's angles (N, H) in place."""
-        memory, waiting, weights, start, steps = self._parts(state)
-        shares = np.ascontiguousarray((plans - self._low) / self._span)
-        add_learned(memory, waiting, weights, start, steps, self._bank.creeps, shares, angles)
-
-    def _parts(self, state: Vec) -> tuple[Vec, Vec, Vec, Vec, Vec]:
-        """Memory, commands that have not acted yet (the oldest first), weights, start and steps of `add_learned`."""
-        own = state[state.size - _OWN :]
-        waiting = np.ascontiguousarray(own[MEMORY : MEMORY + int(own[-1])][::-1])
-        weights, start = np.split(own[MEMORY + DELAYS : -2], [1 + FEATURES])
-        return own[:MEMORY], waiting, weights, start, np.array([own[-2], 1.0 / self.dt])
+        return state[state.size - OWN :][OF_WEIGHTS]
 
 
 @final

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -62,7 +63,7 @@ class DaqpSolver(QpSolver):
         )
         primal, _, flag, info = answer
         primal = np.array(primal, dtype=np.float64)
-        finite = bool(np.all(np.isfinite(primal)))
+        finite = math.isfinite(primal.sum())
         status = _STATUS.get(flag, f"exit flag {flag}") if finite else "solution not finite"
         usable = finite and flag == _SOLVED
         if not usable:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
+from hystmpc.models.inverse.follow import Bounds, clip_plans
+from hystmpc.models.kernels.numba_ import njit
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Vec
 
@@ -48,8 +50,9 @@ class LinearisedPlanner(Planner[None]):
         limits: CommandLimits,
         options: OsqpOptions | DaqpOptions | None = None,
     ) -> None:
-        self._predictor, self._limits, self._iterations = predictor, limits, settings.iterations
+        self._predictor, self._iterations = predictor, settings.iterations
         weights, dt = settings.weights, predictor.dt
+        self._bounds = Bounds(limits.lower, limits.upper, limits.rate * dt)
         horizon, blocks = settings.preview_samples(dt), settings.blocks(dt)
         self._cost = PlanCost(weights, horizon)
         self._qp: PlanProgram = TrackingQp(weights, limits, horizon, dt)
@@ -83,11 +86,10 @@ class LinearisedPlanner(Planner[None]):
     def _iterate(self, problem: PlanningProblem, start: CommandPlan, watch: Stopwatch) -> tuple[CommandPlan, str]:
         _, jacobian = self._predictor.linearise(problem.state, start.commands)
         watch.lap("linearise")
-        if not math.isfinite(jacobian.sum()):
-            raise PlanningError("the model's Jacobian is not finite")
         data = self._qp.data(problem, start, jacobian)
-        if not math.isfinite(data.hessian_data.sum() + data.gradient.sum()):  # a sum is finite only where its terms are
-            raise PlanningError("the quadratic program is not finite")
+        if not data.finite:
+            fault = "quadratic program" if math.isfinite(jacobian.sum()) else "model's Jacobian"
+            raise PlanningError(f"the {fault} is not finite")
         solution = self._solver.solve(data)
         watch.lap("solve")
         if not solution.usable:
@@ -99,16 +101,41 @@ class LinearisedPlanner(Planner[None]):
     def _search(self, problem: PlanningProblem, start: CommandPlan, jacobian: Vec, step: Vec) -> CommandPlan:
         """The cheapest of the start plan and parts of the step, by nonlinear cost."""
         # the solver overshoots limits within its tolerance: clip the whole step, parts are then too
-        whole = self._limits.clip_plans(start.commands + step, problem.u_last, self._predictor.dt)
-        step = whole - start.commands
-        found = self._cheapest(whole[None], problem)
-        promised = start.cost - self._cost(whole[None], (start.angles + jacobian @ step)[None], problem)[0]
+        whole, foreseen = np.empty((2, 1, step.size))
+        take_step(start.commands, start.angles, jacobian, step, *self._bounds, problem.u_last, whole, foreseen)
+        found = self._cheapest(whole, problem)
+        promised = start.cost - self._cost(whole, foreseen, problem)[0]
         if not start.cost - found.cost >= _KEPT * promised:  # not-a-number: look further
-            parts = start.commands + _PARTS[:, None] * step  # half of a move one way and one the other is none
-            parts = self._limits.clip_plans(parts, problem.u_last, self._predictor.dt)
+            parts = start.commands + _PARTS[:, None] * (
+                whole - start.commands
+            )  # half of a move one way and one the other is none
+            clip_plans(parts, *self._bounds, problem.u_last)
             part = self._cheapest(parts, problem)
             found = part if part.cost < found.cost else found
         return found if found.cost < start.cost else start
 
     def _cheapest(self, plans: Vec, problem: PlanningProblem) -> CommandPlan:
         return self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def take_step(
+    commands: Any,
+    angles: Any,
+    jacobian: Any,
+    step: Any,
+    low: float,
+    high: float,
+    reach: float,
+    u_last: float,
+    whole: Any,
+    foreseen: Any,
+) -> None:
+    """The plan after a step (1, H), made admissible, and its angles (1, H) as the linearisation has them, in place."""
+    for k in range(step.size):
+        whole[0, k] = commands[k] + step[k]
+    clip_plans(whole, low, high, reach, u_last)
+    for k in range(step.size):
+        foreseen[0, k] = angles[k]
+        for j in range(k + 1):
+            foreseen[0, k] += jacobian[k, j] * (whole[0, j] - commands[j])

@@ -15,7 +15,7 @@ from hystmpc.trials.errors import ControllerError
 from hystmpc.trials.types import Mat, Vec
 
 from ..limits import CommandLimits
-from ..planning import CommandPlan, PlanningProblem, moves_of
+from ..planning import CommandPlan, PlanningProblem
 from ..planning_settings import WeightsSettings
 
 
@@ -63,6 +63,11 @@ class QpData:
     upper: Vec
     constraint_data: Vec | None
     dual: Vec
+
+    @property
+    def finite(self) -> bool:
+        """Whether cost and gradient are."""
+        return bool(all_finite(self.hessian_data, self.gradient))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,31 +138,36 @@ class TrackingQp(PlanProgram):
     """
 
     def __init__(self, weights: WeightsSettings, limits: CommandLimits, horizon: int, dt: float) -> None:
-        self._weights, self._limits, self._horizon = weights, limits, horizon
+        self._weights, self._horizon = weights, horizon
         self._soft = weights.limits_angle
-        self._reach = limits.rate * dt
         self._tracking = weights.over(horizon)
-        self._factors = np.array((weights.rate, weights.effort))
+        self._factors = np.array((weights.rate, weights.effort, limits.lower, limits.upper, limits.rate * dt))
+        self._triangle = horizon * (horizon + 1) // 2
         # the Jacobian is lower triangular; column by column its entries are those of the transpose, row by row
         self._columns = np.triu_indices(horizon)
         rows = np.vstack([np.eye(horizon), np.eye(horizon) - np.eye(horizon, k=-1)])
         self.pattern = _pattern(rows, np.tril(np.ones((horizon, horizon))) if self._soft else None)
 
     def data(self, problem: PlanningProblem, around: CommandPlan, jacobian: Mat) -> QpData:
-        plan = around.commands
-        moves = moves_of(plan, problem.u_last)
-        error, off = around.angles - problem.reference, plan - problem.feedforward
-        hessian = np.empty(plan.size * (plan.size + 1) // 2)
-        gradient = condense(jacobian, error, self._tracking, moves, off, self._factors, hessian)
-        none = np.zeros(plan.size)
-        hard = QpData(
+        size = self._horizon
+        hessian, gradient = np.empty(self._triangle), np.empty(size)
+        lower, upper, dual = np.empty((3, 2 * size))
+        tracking_program(
+            jacobian,
+            around.angles,
+            problem.reference,
+            around.commands,
+            problem.feedforward,
+            problem.u_last,
+            self._tracking,
+            self._factors,
             hessian,
             gradient,
-            np.concatenate([self._limits.lower - plan, -self._reach - moves]),
-            np.concatenate([self._limits.upper - plan, self._reach - moves]),
-            None,
-            np.concatenate([none, rate_multipliers(gradient, moves, self._reach)]),
+            lower,
+            upper,
+            dual,
         )
+        hard = QpData(hessian, gradient, lower, upper, None, dual)
         return self._softened(hard, problem, around, jacobian.T[self._columns]) if self._soft else hard
 
     def deviation(self, primal: Vec) -> Vec:
@@ -289,14 +299,57 @@ def _pattern(rows: Mat, angles: Mat | None) -> QpPattern:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def condense(jacobian: Any, error: Any, tracking: Any, moves: Any, off: Any, weights: Any, hessian: Any) -> Any:
-    """The gradient (H,) and, in place, the upper triangle (H (H + 1) / 2,), column by column, of `TrackingQp`.
+def moves_of(plan: Any, u_last: float) -> Any:
+    """D p - e_1 u_last (H,)."""
+    moves = plan.copy()
+    moves[0] -= u_last
+    for k in range(1, plan.size):
+        moves[k] -= plan[k - 1]
+    return moves
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def all_finite(hessian: Any, gradient: Any) -> Any:
+    """A sum is finite only where its terms are."""
+    return np.isfinite(hessian.sum() + gradient.sum())
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def tracking_program(
+    jacobian: Any,
+    angles: Any,
+    reference: Any,
+    plan: Any,
+    feedforward: Any,
+    u_last: float,
+    tracking: Any,
+    factors: Any,
+    hessian: Any,
+    gradient: Any,
+    lower: Any,
+    upper: Any,
+    dual: Any,
+) -> None:
+    """The hard limits' part of `TrackingQp` around a plan, in place; factors: rate, effort, least, greatest, reach."""
+    size, reach = plan.size, factors[4]
+    moves = moves_of(plan, u_last)
+    condense(jacobian, angles - reference, tracking, moves, plan - feedforward, factors, hessian, gradient)
+    for k in range(size):
+        lower[k], upper[k], dual[k] = factors[2] - plan[k], factors[3] - plan[k], 0.0
+        lower[size + k], upper[size + k] = -reach - moves[k], reach - moves[k]
+    dual[size:] = rate_multipliers(gradient, moves, reach)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def condense(
+    jacobian: Any, error: Any, tracking: Any, moves: Any, off: Any, weights: Any, hessian: Any, gradient: Any
+) -> None:
+    """Gradient (H,) and upper triangle (H (H + 1) / 2,), column by column, of `TrackingQp`, in place.
 
     jacobian (H, H) is lower triangular; moves = D p - e_1 u_last and off = p - f, each (H,); weights: rate, effort.
     """
     size, at = error.size, 0
     rate, effort = 2.0 * weights[0], 2.0 * weights[1]
-    gradient = np.empty(size)
     for i in range(size):
         total = effort * off[i] + rate * moves[i]
         if i + 1 < size:
@@ -313,7 +366,6 @@ def condense(jacobian: Any, error: Any, tracking: Any, moves: Any, off: Any, wei
             hessian[at + i - 1] -= rate
         gradient[i] = total
         at += i + 1
-    return gradient
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

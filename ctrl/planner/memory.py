@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -17,6 +17,7 @@ from hystmpc.trials.types import Vec
 from ..command import Command, Source
 from ..estimation.observer import Estimate, usable_angle
 from ..fallback import attempt
+from ..frozen import replace
 from ..guarded import GuardedController, GuardedState
 from ..limits import CommandLimits
 from .reference import Reference, ReferenceRequest, rest_reference

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import RLock
@@ -18,6 +17,7 @@ from hystmpc.trials.types import Vec
 
 from ..command import Command
 from ..fallback import attempt
+from ..frozen import replace
 from .memory import (
     Snapshot,
     TipPlan,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from importlib import resources
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -12,7 +14,7 @@ from hystmpc.trials.types import Vec
 
 from ..chain import Chain
 from ..contract.metadata import InitialRule, ModelMetadata
-from ..kernels.numba_ import njit
+from ..kernels.numba_ import generated_module, njit
 from ..model import Inverse, Predictor
 from ..operators.dynamics import Delay, Lag, RateLimit, Servo, stored
 from ..operators.operator import Operator
@@ -24,6 +26,7 @@ DYNAMICS = (Delay, Lag, Servo, RateLimit)
 _MOVE_WEIGHT = 1e-3  # of a squared move of the input against a squared deviation of the output
 _ROUNDS = 3  # linearisations
 _LINEAR = 1e-6  # share of the output's change that the linearisation may miss
+_NUMBERS = np.array([_MOVE_WEIGHT, _ROUNDS, _LINEAR])
 _ACTS = 1e-6  # share of the greatest answer below which an input does not act yet
 _WHOLE = 1e-9  # share of a sample by which a delay of whole samples may be short of them
 _FREE = 1e9  # bound of moves that have none
@@ -59,6 +62,9 @@ class Drive:
         rest = InitialRule(offset=tuple(at[0].tolist()), slope=tuple((at[1] - at[0]).tolist()))
         own = {"kind": "drive", "initial": rest, "conditioned": rest, "warmup_samples": 0, "noise": None}
         self.predictor = CompiledPredictor(chain.transition, chain.values, facts.model_copy(update=own))
+        run = self.predictor.kernels
+        self._fit = _compiled_fit(run.linearise.__module__)
+        self._known = self.predictor.parameters, self.predictor.sample_s, run.tangent_constants
         self.size = chain.state_size
         self.delay_samples = sum(int(o.delay_s / facts.dt_s + _WHOLE) for o in operators if isinstance(o, Delay))
 
@@ -76,18 +82,8 @@ class Drive:
         Solved exactly for linear dynamics, by Gauss-Newton steps for others. Every program is solved by an active-set
         method for least squares with bounds (Stark and Parker, Computational Statistics 10 (1995)).
         """
-        moves, inputs = np.zeros(wanted.size), np.full(wanted.size, u_last)
-        outputs, response = self.predictor.linearise(state, inputs)
-        first = first_acting(response)
-        for _ in range(_ROUNDS):
-            by_move = np.ascontiguousarray(np.cumsum(response[:, ::-1], axis=1)[:, ::-1])
-            found = bounded_moves(by_move, wanted - outputs, moves, min(reach, _FREE), _MOVE_WEIGHT)
-            promised, moves = outputs + by_move @ (found - moves), found
-            inputs = u_last + np.cumsum(moves)
-            before = outputs
-            outputs, response = self.predictor.linearise(state, inputs)
-            if np.max(np.abs(outputs - promised)) <= _LINEAR * max(1.0, float(np.max(np.abs(outputs - before)))):
-                break
+        inputs, outputs = np.empty((2, wanted.size))
+        first = self._fit(state, *self._known, wanted, u_last, min(reach, _FREE), _NUMBERS, inputs, outputs)
         return Fit(inputs, outputs, first)
 
 
@@ -155,14 +151,35 @@ def first_acting(response: Any) -> int:
     return int(response.shape[0])
 
 
-def bounded_moves(by_move: Vec, off: Vec, start: Vec, reach: float, weight: float) -> Vec:
-    """argmin over |m_k| <= reach of |G (m - m_0) - e|^2 + w |m|^2 (H,), with G (H, H), e (H,), m_0 `start` (H,)."""
-    hessian = by_move.T @ by_move
-    linear = by_move.T @ off + hessian @ start
-    hessian[np.diag_indices_from(hessian)] += weight
-    moves: Vec = start.copy()
+@lru_cache(maxsize=64)
+def _compiled_fit(chain: str) -> Callable[..., int]:
+    """`drive_loops.fit` for the module of a drive's kernels."""
+    header = f"from {chain} import linearise\nfrom {__name__} import bounded_moves, first_acting\n\n\n"
+    loops = resources.files("hystmpc.models.kernels").joinpath("drive_loops.py").read_text(encoding="utf-8")
+    fit: Callable[..., int] = generated_module(header + loops).fit
+    return fit
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def bounded_moves(by_move: Any, off: Any, moves: Any, reach: float, weight: float) -> None:
+    """argmin over |m_k| <= reach of |G (m - m_0) - e|^2 + w |m|^2 (H,), in place from m_0.
+
+    by_move: G (H, H), lower triangular; off: e (H,).
+    """
+    size = moves.size
+    hessian, linear = np.zeros((size, size)), np.zeros(size)
+    for k in range(size):
+        for i in range(k + 1):
+            slope = by_move[k, i]
+            linear[i] += slope * off[k]
+            for j in range(k + 1):
+                hessian[i, j] += slope * by_move[k, j]
+    for i in range(size):
+        for j in range(size):
+            linear[i] += hessian[i, j] * moves[j]
+    for i in range(size):
+        hessian[i, i] += weight
     lead_moves(hessian, linear, reach, moves)
-    return moves
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -110,15 +110,17 @@ class CompiledFollower(Follower):
         self._kernel = _compiled_follow(
             kernels.command_for.__module__, None if route is None else route.sample.__module__
         )
-        self._chain = (chain.parameters, chain.sample_s, kernels.step_constants, kernels.tangent_constants)
+        self._chain = (chain.parameters, chain.sample_s, kernels.step_constants, kernels.slope_constants)
         self._inverted = np.array([inverse.low, inverse.high])
         self._size = size
 
     def follow(self, state: Vec, wanted: Vec, u_last: float, bounds: Bounds) -> Vec:
-        plans = np.full((2, wanted.size), u_last)
-        if np.isfinite(state).all():  # a clamp of the gates would turn what is no number into one
-            ends = np.array(bounds), self._inverted
-            self._kernel(self._packed, self._size, state, *self._chain, wanted, u_last, *ends, plans)
+        plans = np.empty((2, wanted.size))
+        if not np.isfinite(state).all():  # a clamp of the gates would turn what is no number into one
+            plans[:] = u_last
+            return plans
+        ends = np.array(bounds), self._inverted
+        self._kernel(self._packed, self._size, state, *self._chain, wanted, u_last, *ends, plans)
         return plans
 
 
@@ -150,10 +152,11 @@ class DrivenFollower(Follower):
                 _, middle = inner.advance(middle, v)
                 last = v
         if first < wanted.size:
-            free = self._inner.follow(middle, wanted[first:], last, bounds._replace(reach=np.inf))[0]
+            free = self._inner.follow(middle, wanted[first:], last, Bounds(bounds.low, bounds.high, np.inf))[0]
             if front is not None:
-                free = front.fit(ahead, np.append(travel[:first], free), u_last, bounds.reach).inputs
-            plans[:] = np.clip(free, bounds.low, bounds.high)
+                travel[first:] = free
+                free = front.fit(ahead, travel, u_last, bounds.reach).inputs
+            plans[:] = np.minimum(np.maximum(free, bounds.low), bounds.high)  # `np.clip` takes three times as long
         return plans
 
 

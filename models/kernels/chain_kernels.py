@@ -35,6 +35,7 @@ class ChainKernels:
     state_size: int
     step_constants: Vec
     tangent_constants: Vec
+    slope_constants: Vec
 
 
 def compile_step(function: Any) -> ChainKernels:
@@ -60,7 +61,8 @@ def _compile(serialized: str) -> ChainKernels:
         "tangent",
         _TEMPLATES,
     )
-    generated = "".join(_INLINED + program.source + "\n\n" for program in (step, tangent))
+    slope = scalar_program(dense("slope", arguments, [theta, by(theta, u)]), "slope", _TEMPLATES)
+    generated = "".join(_INLINED + program.source + "\n\n" for program in (step, tangent, slope))
     loops = resources.files("hystmpc.models.kernels").joinpath("chain_loops.py").read_text(encoding="utf-8")
     module = generated_module(_HEADER + "\n\n" + generated + loops)
     return ChainKernels(
@@ -71,6 +73,7 @@ def _compile(serialized: str) -> ChainKernels:
         size,
         np.array(step.constants),
         np.array(tangent.constants),
+        np.array(slope.constants),
     )
 
 

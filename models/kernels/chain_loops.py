@@ -6,8 +6,9 @@ k...):
     step(x, u, p, dt, theta (1,), following (S,), k)
     tangent(x, u, p, dt, theta, following, A (S*S,), B (S,), C (S,), D (1,), k): also d following / d x and d u,
         d theta / d x and d u, matrices column-major
+    slope(x, u, p, dt, theta, D (1,), k): theta and d theta / d u alone
 """
-# ruff: noqa: F821  (step and tangent are generated)
+# ruff: noqa: F821  (step, tangent and slope are generated)
 # mypy: ignore-errors
 # pyright: reportUndefinedVariable=false
 
@@ -77,13 +78,11 @@ def command_for(state, wanted, low, high, last, p, dt, k):
     The step is taken to be non-decreasing in the command. On a flat branch that already shows `wanted` the command
     nearest to `last` is kept.
     """
-    size = state.size
-    theta, following = np.empty(1), np.empty(size)
-    a, b, c, d = np.empty(size * size), np.empty(size), np.empty(size), np.empty(1)
+    theta, d = np.empty(1), np.empty(1)
     u = np.array([min(max(last, low), high)])
     tolerance = 1e-11 * max(1.0, abs(wanted))
     for _ in range(200):
-        tangent(state, u, p, dt, theta, following, a, b, c, d, k)
+        slope(state, u, p, dt, theta, d, k)
         miss = wanted - theta[0]
         if abs(miss) <= tolerance:
             break

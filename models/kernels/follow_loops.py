@@ -23,7 +23,7 @@ def within(u, low, high, last):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def follow(packed, size, state, p, dt, k_step, k_tangent, wanted, u_last, bounds, inverted, plans):
+def follow(packed, size, state, p, dt, k_step, k_slope, wanted, u_last, bounds, inverted, plans):
     """Commands (2, H) along the angles `wanted` (H,): row 0 within [low, high] alone, row 1 within the rate limit too.
 
     state: [network (S,), its angle, chain, its angle], or the chain alone where `size` = S = 0. The chain is asked for
@@ -44,7 +44,7 @@ def follow(packed, size, state, p, dt, k_step, k_tangent, wanted, u_last, bounds
     for n in range(wanted.size):
         for row in range(rows):
             off = angle[row, 0] - theta[row] if size > 0 else 0.0
-            goal = command_for(beside[row], wanted[n] + off, inverted[0], inverted[1], last[row], p, dt, k_tangent)
+            goal = command_for(beside[row], wanted[n] + off, inverted[0], inverted[1], last[row], p, dt, k_slope)
             u[row] = within(goal, low, high, last[row])
         if rows == 1 and abs(u[0] - last[0]) > reach:
             rows = 2

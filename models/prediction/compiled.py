@@ -62,5 +62,5 @@ class CompiledPredictor(InvertiblePredictor):
 
     def command_for(self, state: Vec, theta: float, low: float, high: float, last: float) -> float:
         run = self.kernels
-        u = run.command_for(state, theta, low, high, last, self.parameters, self.sample_s, run.tangent_constants)
+        u = run.command_for(state, theta, low, high, last, self.parameters, self.sample_s, run.slope_constants)
         return float(u)

@@ -74,7 +74,8 @@ def test_the_program_is_solved_as_scipy_solves_it(seed: int, reach: float, gain:
     age = np.subtract.outer(np.arange(H), np.arange(H))
     by_move = np.where(age >= 0, 1.0 - (1.0 - gain) ** (np.maximum(age, 0) + 1.0), 0.0)
     off, weight = np.cumsum(np.random.default_rng(seed).normal(0.0, 0.5, H)), 1e-3
-    moves = bounded_moves(by_move, off, np.zeros(H), reach, weight)
+    moves = np.zeros(H)
+    bounded_moves(by_move, off, moves, reach, weight)
     rows, right = np.vstack([by_move, np.sqrt(weight) * np.eye(H)]), np.append(off, np.zeros(H))
     exact = lsq_linear(rows, right, (-reach, reach), tol=1e-12)
     assert np.max(np.abs(moves)) <= reach
