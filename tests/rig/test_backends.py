@@ -50,6 +50,7 @@ class Bending:
     """A tip that follows the command through a play and a lag, with noise, and with faults by sample."""
 
     faults: Mapping[int, float | None] = field(default_factory=dict)
+    drift_deg: float = 0.0  # of a sample, from the 20th on
     drawn: random.Random = field(default_factory=lambda: random.Random(4))
     play: float = 0.0
     angle: float = 30.0
@@ -58,7 +59,7 @@ class Bending:
         self.play = min(max(self.play, command - 0.4), command + 0.4)
         self.angle += 0.4 * (30.0 + 11.0 * self.play - self.angle)
         noisy = self.angle + self.drawn.gauss(0.0, 0.1)
-        return self.faults.get(k, noisy)
+        return self.faults.get(k, noisy + self.drift_deg * max(k - 20, 0))
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ class Case:
     costs_ns: Mapping[int, int] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     stop_at: int | None = None
+    drift_deg: float = 0.0
 
 
 def between(first: int, last: int, angle: float | None) -> dict[int, float | None]:
@@ -98,10 +100,7 @@ CASES = {
         settings={"drill": {**FAILS, "solver_fails_for_s": 100.0}},
     ),
     "the device left its model": Case(
-        "plausibility.model_error_deg",
-        STOPPED,
-        between(20, 1000, 100.0),
-        settings={"sensor": {**RUN["sensor"], "rate_limit_deg_s": 1e6, "frozen_samples": None}},
+        "implausible", STOPPED, drift_deg=1.0, settings={"plausibility": {"model_error_s": 0.2}}
     ),
 }
 
@@ -109,7 +108,7 @@ CASES = {
 def run(case: Case, backend: str) -> tuple[list[Sample], RunOutcome]:
     """A run on a clock that obeys: nothing but the backend differs."""
     settings = RunSettings.parse({**RUN, "controller": PLAIN, **case.settings, "realtime": {"backend": backend}})
-    device = Bending(case.faults)
+    device = Bending(case.faults, case.drift_deg)
 
     def script(k: int, command: float) -> float | None:
         if k == case.stop_at:
