@@ -8,16 +8,22 @@ import random
 import signal
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from hystmpc.codegen.build import compiler
+from hystmpc.codegen import export_controller
+from hystmpc.codegen.build import compiler, shared_library
+from hystmpc.ctrl import TipController
+from hystmpc.ctrl.planner.assembly import assemble
+from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.rig.commission.compiled import compiled_controller
 from hystmpc.rig.commission.experiment import tracking_phase
-from hystmpc.rig.config import RunSettings
+from hystmpc.rig.config import RecordSettings, RunSettings
 from hystmpc.rig.loop import RunOutcome
 from hystmpc.rig.recording.sample import Sample
-from hystmpc.trials.errors import ExportError
+from hystmpc.trials.errors import ConfigError, ExportError
 
 from .bench_parts import DT, LIMITS, NS, Rig
 
@@ -157,3 +163,94 @@ def test_a_run_ends_at_rest_within_the_limits(name: str, backend: str) -> None:
     assert all(move <= most for move, most in zip(moves, reach, strict=True))
     assert sent[-1].command == 0.0
     assert ended.confirmed or case.cause.startswith("sensor dead")
+
+
+@pytest.mark.slow
+def test_snapshots_stops_and_recordings_are_those_of_python() -> None:
+    settings = TipSettings.parse(PLAIN)
+    assembly = assemble(settings, Path())
+    tips = (
+        TipController(assembly, settings),
+        TipController(assembly, settings, compiled_controller(assembly.controller, settings)),
+    )
+    sent: list[list[tuple[float, str]]] = []
+    for tip in tips:
+        device, found = Bending(), []
+
+        def steps(count: int, tip: TipController = tip, device: Bending = device) -> list[tuple[float, str]]:
+            commands = [tip.step(device(0, tip.state().command)) for _ in range(count)]
+            return [(command.u, str(command.source)) for command in commands]
+
+        commands = [*([0.0] * 3), *(0.1 * k for k in range(20))]
+        tip.replay(commands, [math.nan, *(30.0 + 2.0 * u for u in commands[1:10]), *([math.nan] * 13)])
+        tip.set_reference([50.0])
+        found += steps(10)
+        kept = tip.snapshot()
+        found += steps(10)
+        tip.restore(kept, held=3.0)
+        found += steps(5)
+        tip.stop()
+        found += steps(5)
+        assert tip.state().stopped
+        tip.reset(35.0)
+        tip.set_reference([45.0])
+        found += steps(5)
+        sent.append(found)
+    python, c = sent
+    assert [source for _, source in c] == [source for _, source in python]
+    assert [u for u, _ in c] == pytest.approx([u for u, _ in python], abs=SAME)
+    assert {"mpc", "stop"} <= {source for _, source in c}
+
+
+def refused(**controller: Any) -> str:
+    """What is said of a controller that has no C."""
+    law = {**PLAIN["controller"], **controller}
+    settings = {**RUN, "controller": {**PLAIN, "controller": law}, "realtime": {"backend": "c"}}
+    with pytest.raises(ConfigError) as error:
+        tracking_phase(RunSettings.parse(settings))
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_a_controller_without_c_is_refused_before_anything_moves() -> None:
+    assert "got controller.solver osqp" in refused(solver="osqp")
+
+
+def test_no_compiler_is_said_in_one_line_that_lists_what_would_do(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("HYSTMPC_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("CC", "no-such-compiler")
+    assert "CC=no-such-compiler" in refused()
+    monkeypatch.delenv("CC")
+    monkeypatch.setattr("hystmpc.codegen.build.shutil.which", lambda name: None)
+    monkeypatch.setattr("hystmpc.codegen.build.importlib.util.find_spec", lambda name: None)
+    said = refused()
+    assert all(word in said for word in ("variable CC", "program cc", "ziglang", "backend: python"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_compiler_that_fails_leaves_nothing_in_the_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HYSTMPC_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("CC", "false")
+    assert "the C compiler false fails" in refused()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_the_same_source_is_compiled_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HYSTMPC_CACHE_DIR", str(tmp_path))
+    export = export_controller(PLAIN)
+    made = shared_library(export)
+    monkeypatch.setenv("CC", "false")
+    assert shared_library(export) == made
+    assert list(tmp_path.iterdir()) == [made]
+    with pytest.raises(ExportError):
+        shared_library(export_controller({**PLAIN, "model": "builtin:backlash"}))
+
+
+def test_a_recording_has_no_controller_to_compile() -> None:
+    settings = {key: value for key, value in RUN.items() if key not in ("reference", "controller")}
+    excitations = {"steps": {"kind": "ramps", "start": 0, "stops": [2, 0], "holds_s": [0.2, 0.2]}}
+    with pytest.raises(ConfigError, match=r"got realtime\.backend c, expected python"):
+        RecordSettings.parse({**settings, "excitations": excitations, "realtime": {"backend": "c"}})
