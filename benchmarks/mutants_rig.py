@@ -59,11 +59,6 @@ MUTANTS: tuple[Mutant, ...] = (
         "if state.estimate.command != c.view.estimate.command:",
         "if c.view.estimate.command is None:",
     ),
-    _compiled(
-        "an angle of a recording that is no angle is taken for one",
-        "if beside.look_on(usable_angle(y), u):",
-        "if beside.look_on(0.0 if y != y else y, u):",
-    ),
     _in_c(
         "the C plans in a hurry",
         "    if (c->hurried) {\n        out->status = HYSTMPC_NO_TIME;\n        return;\n    }\n",

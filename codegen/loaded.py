@@ -37,7 +37,7 @@ class LoadedController:
         self._step.argtypes, self._step.restype = [ctypes.c_void_p, _REAL, ctypes.c_void_p], kind_of_answer
         self.view: Any = kind()
         """The struct `hystmpc_controller` of the header."""
-        self._at, self._size = ctypes.addressof(self.view), int(kind.work.offset)  # type: ignore[attr-defined]
+        self._at, self._size = ctypes.addressof(self.view), int(kind.work.offset)
 
     @property
     def memory(self) -> bytes:

@@ -102,7 +102,7 @@ class CompiledController(PlannersController):
         first = int(self._python.usable_in(commands, angles)[0])
         beside = self._begun(float(angles[first]), float(commands[max(first - 1, 0)]))
         for y, u in zip(angles[first:].tolist(), commands[first:].tolist(), strict=True):
-            if beside.look_on(usable_angle(y), u):
+            if beside.look_on(y, u):
                 raise ControllerError(f"replay: the model fails at command {u}")
         return self._state(beside, FallbackState())
 

@@ -19,7 +19,7 @@ from hystmpc.ctrl import TipController
 from hystmpc.ctrl.planner.assembly import assemble
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.commission.compiled import compiled_controller
-from hystmpc.rig.commission.experiment import tracking_phase
+from hystmpc.rig.commission.experiment import make_timely, tracking_phase
 from hystmpc.rig.config import RecordSettings, RunSettings
 from hystmpc.rig.loop import RunOutcome
 from hystmpc.rig.recording.sample import Sample
@@ -169,16 +169,15 @@ def test_a_run_ends_at_rest_within_the_limits(name: str, backend: str) -> None:
 def test_snapshots_stops_and_recordings_are_those_of_python() -> None:
     settings = TipSettings.parse(PLAIN)
     assembly = assemble(settings, Path())
-    tips = (
-        TipController(assembly, settings),
-        TipController(assembly, settings, compiled_controller(assembly.controller, settings)),
-    )
+    compiled = compiled_controller(assembly.controller, settings)
+    backends: Any = make_timely(assembly.controller), (compiled, compiled)
     sent: list[list[tuple[float, str]]] = []
-    for tip in tips:
-        device, found = Bending(), []
+    for controller, law in backends:
+        tip, device = TipController(assembly, settings, controller), Bending()
+        found: list[tuple[float, str]] = []
 
         def steps(count: int, tip: TipController = tip, device: Bending = device) -> list[tuple[float, str]]:
-            commands = [tip.step(device(0, tip.state().command)) for _ in range(count)]
+            commands = [tip.step(device(0, tip.state().command) or math.nan) for _ in range(count)]
             return [(command.u, str(command.source)) for command in commands]
 
         commands = [*([0.0] * 3), *(0.1 * k for k in range(20))]
@@ -195,6 +194,13 @@ def test_snapshots_stops_and_recordings_are_those_of_python() -> None:
         tip.reset(35.0)
         tip.set_reference([45.0])
         found += steps(5)
+        law.refusal = "no time"
+        found += steps(24)
+        assert not tip.state().stopped
+        found += steps(2)
+        assert tip.state().stopped  # latched, whatever comes
+        law.refusal = ""
+        found += steps(2)
         sent.append(found)
     python, c = sent
     assert [source for _, source in c] == [source for _, source in python]
