@@ -7,7 +7,7 @@ import math
 import random
 import signal
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,10 @@ from hystmpc.rig.commission.experiment import make_timely, tracking_phase
 from hystmpc.rig.config import RecordSettings, RunSettings
 from hystmpc.rig.loop import RunOutcome
 from hystmpc.rig.recording.sample import Sample
+from hystmpc.studies.faults.cases import CASES as CAMPAIGN
+from hystmpc.studies.faults.cases import Link
+from hystmpc.studies.faults.judge import judge
+from hystmpc.studies.faults.play import play
 from hystmpc.trials.errors import ConfigError, ExportError
 
 from .bench_parts import DT, LIMITS, NS, Rig
@@ -206,6 +210,18 @@ def test_snapshots_stops_and_recordings_are_those_of_python() -> None:
     assert [source for _, source in c] == [source for _, source in python]
     assert [u for u, _ in c] == pytest.approx([u for u, _ in python], abs=SAME)
     assert {"mpc", "stop"} <= {source for _, source in c}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["sensor NaN", "device killed", "controller SIGTERM", "no sensor, solver fails for good"]
+)
+def test_faults_over_udp_end_as_with_python(name: str, tmp_path: Path) -> None:
+    """Two processes and a socket; the verdicts of the campaign, from the device's own log."""
+    case = next(case for case in CAMPAIGN if case.name == name)
+    case = replace(case, settings={**case.settings, "realtime": {"backend": "c"}})
+    verdict = judge(case, play(case, tmp_path / "case", Link()))
+    assert verdict.failures == (), verdict
 
 
 def refused(**controller: Any) -> str:
