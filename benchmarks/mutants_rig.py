@@ -38,9 +38,47 @@ _asked_bench = mutated_file("rig", "bench.py", "test_live_control.py")
 _asked_phase = mutated_file("rig", "commission/phases.py", "test_live_control.py")
 _targets = mutated_file("rig", "commission/experiment.py", "test_live_control.py")
 _page = mutated_file("rig", "live/page.py", "test_live_control.py", "test_live.py")
+_compiled = mutated_file("rig", "commission/compiled.py", "test_backends.py")
+_in_c = Mutated("codegen", "codegen/c/controller.c", ("tests/rig/test_backends.py",))
 _at_bench = Mutated("cli", "cli/at_bench.py", ("tests/rig/test_bench.py",))
 
 MUTANTS: tuple[Mutant, ...] = (
+    _compiled(
+        "the C does not know of a stop that was asked for",
+        "if state.fallback.stopped and not c.view.stopped:",
+        "if False:",
+    ),
+    _compiled(
+        "the C plans although there is no time",
+        "if self.refusal:\n            c.hurry()",
+        "if not self.refusal:\n            pass",
+    ),
+    _compiled(
+        "a stop that the C has latched is not told",
+        "FallbackState(c.view.failures, bool(c.view.stopped), cause=state.fallback.cause)",
+        "FallbackState(c.view.failures, False, cause=state.fallback.cause)",
+    ),
+    _compiled(
+        "what the C remembers is not what the state says",
+        "if state.memory is not self._newest:",
+        "if not self._newest and not state.memory:",
+    ),
+    _compiled(
+        "the C goes on from another command than the device holds",
+        "if state.estimate.command != c.view.estimate.command:",
+        "if c.view.estimate.command is None:",
+    ),
+    _in_c(
+        "the C plans in a hurry",
+        "    if (c->hurried) {\n        out->status = HYSTMPC_NO_TIME;\n        return;\n    }\n",
+        "",
+    ),
+    _in_c("the hurry of a sample lasts", "    c->hurried = 0;\n    answer.missing", "    answer.missing"),
+    _in_c(
+        "the C looks on and forgets what was sent",
+        "    advance(c, command);\n",
+        "    advance(c, c->estimate.command);\n",
+    ),
     _intake(
         "the age of a reading is not judged",
         "fresh = age_s <= settings.age_limit_s",

@@ -85,6 +85,7 @@ class ControllerExport:
         functions: of <math.h> that are called; those without an exact result are `inexact`.
         sample_s: time between two steps [s].
         reference_samples: wanted angles that a step looks at.
+        structs: of the header, as ctypes.
     """
 
     header: str
@@ -95,6 +96,7 @@ class ControllerExport:
     functions: tuple[str, ...]
     sample_s: float
     reference_samples: int
+    structs: Mapping[str, type[ctypes.Structure]]
 
     @property
     def inexact(self) -> tuple[str, ...]:
@@ -164,6 +166,7 @@ def export_controller(
         functions_used(source_text),
         float(np.asarray(problem.numbers["dt_s"])),
         problem.sizes["reference"],
+        kinds,
     )
 
 

@@ -10,7 +10,7 @@ from typing import Generic, TypeVar, final
 import numpy as np
 
 from hystmpc.trials.errors import ControllerError, HystmpcError
-from hystmpc.trials.types import Vec
+from hystmpc.trials.types import Index, Vec
 
 from .command import EMPTY, Command, ControlInput, Stopwatch, Timing
 from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, usable_angle
@@ -114,15 +114,9 @@ class GuardedController(Generic[M]):
                 have rested at the first usable one, under the command sent before it, or then where it is the first.
 
         Raises:
-            ControllerError: if no angle is usable, a command is beyond the limits, or the model fails.
+            ControllerError: as `usable_in`, or if the model fails.
         """
-        usable = np.flatnonzero([math.isfinite(usable_angle(y)) for y in angles])
-        low, high = self._limits.lower, self._limits.upper
-        if commands.shape != angles.shape or not usable.size or not np.all((commands >= low) & (commands <= high)):
-            raise ControllerError(
-                f"replay: got {commands.size} commands and {angles.size} angles, {usable.size} of them usable, "
-                f"expected as many commands within {low} to {high} as angles, at least one of them usable"
-            )
+        usable = self.usable_in(commands, angles)
         first = int(usable[0])
         state = self.init(float(angles[first]), float(commands[max(first - 1, 0)]))
         estimate, last = state.estimate, float(angles[usable[-1]])
@@ -132,6 +126,21 @@ class GuardedController(Generic[M]):
                 raise ControllerError(f"replay: the model fails at command {u}: {fault}")
             estimate = after
         return replace(state, estimate=estimate, memory=self._law.init(last, estimate.command), due=last)
+
+    def usable_in(self, commands: Vec, angles: Vec) -> Index:
+        """The samples of a recording whose angle is usable, at least one.
+
+        Raises:
+            ControllerError: if no angle is usable, the lengths differ, or a command is beyond the limits.
+        """
+        usable = np.flatnonzero([math.isfinite(usable_angle(y)) for y in angles])
+        low, high = self._limits.lower, self._limits.upper
+        if commands.shape != angles.shape or not usable.size or not np.all((commands >= low) & (commands <= high)):
+            raise ControllerError(
+                f"replay: got {commands.size} commands and {angles.size} angles, {usable.size} of them usable, "
+                f"expected as many commands within {low} to {high} as angles, at least one of them usable"
+            )
+        return usable
 
     def sigma_deg(self, state: GuardedState[M]) -> float:
         """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""

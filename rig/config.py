@@ -72,7 +72,7 @@ class BenchSettings(Settings):
     """
 
     name: Name
-    rate_hz: float = Field(ge=1, le=500)
+    rate_hz: float = Field(ge=1, le=1000)
     command_unit: Literal["mm", "bar"]
     limits: LimitsSettings
     ramps: RampSettings = RampSettings()
@@ -200,6 +200,8 @@ class RecordSettings(BenchSettings):
     def _measures(self) -> RecordSettings:
         if self.sensor.kind == "none":
             raise ValueError("got sensor.kind none, expected continuous or intermittent: a trial holds angles")
+        if self.realtime.backend != "python":
+            raise ValueError(f"got realtime.backend {self.realtime.backend}, expected python: there is no controller")
         return self
 
 

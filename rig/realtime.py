@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from typing import Protocol, final
+from typing import Literal, Protocol, final
 
 from pydantic import Field
 from threadpoolctl import threadpool_limits
@@ -96,9 +96,12 @@ class RealtimeSettings(SchedulingSettings):
 
     Attributes:
         spin_s: how long before a deadline sleeping ends and spinning begins.
+        backend: what steps the controller of a run: `python`; or `c`, its export as C, compiled when the run begins.
+            The commands are the same, the step is shorter. `c` needs a C compiler.
     """
 
     spin_s: NotNegative = 0.0005
+    backend: Literal["python", "c"] = "python"
 
 
 @contextmanager

@@ -19,11 +19,13 @@ int hystmpc_init(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real com
     init_handover(c);
 #endif
     c->due = c->target = angle_deg;
-    c->planned = c->failures = c->stopped = 0;
+    c->planned = c->failures = c->stopped = c->hurried = 0;
     return answer;
 }
 
 void hystmpc_set_target(hystmpc_controller *c, hystmpc_real angle_deg) { c->target = angle_deg; }
+
+void hystmpc_hurry(hystmpc_controller *c) { c->hurried = 1; }
 
 void hystmpc_stop(hystmpc_controller *c) {
     c->stopped = 1;
@@ -149,6 +151,10 @@ static void propose(hystmpc_controller *c, const given *g, proposal *out) {
         out->status = HYSTMPC_STALE_MODEL;
         return;
     }
+    if (c->hurried) {
+        out->status = HYSTMPC_NO_TIME;
+        return;
+    }
 #if HYSTMPC_HANDS_OVER
     propose_handover(c, g, out);
 #else
@@ -193,11 +199,19 @@ static void decide(hystmpc_controller *c, const real *reference, proposal *out) 
     copy(out->angles + 1, c->predicted, c->planned);
 }
 
+int hystmpc_look_on(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command) {
+    correct(c, angle_deg);
+    if (finite(usable_angle(angle_deg))) c->due = angle_deg;
+    advance(c, command);
+    return c->estimate.stalled;
+}
+
 hystmpc_command hystmpc_step(hystmpc_controller *c, hystmpc_real angle_deg, const hystmpc_real *reference) {
     hystmpc_command answer;
     proposal out;
     correct(c, angle_deg);
     decide(c, reference, &out);
+    c->hurried = 0;
     answer.missing = c->estimate.missing;
     answer.u = within_limits(out.u, c->estimate.command);
     advance(c, answer.u);

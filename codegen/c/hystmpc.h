@@ -39,7 +39,8 @@ enum {
     HYSTMPC_STALE_MODEL = 4,   /* the model could not be advanced */
     HYSTMPC_NO_PLAN = 5,       /* prediction, Jacobian or quadratic program not finite */
     HYSTMPC_NO_SOLUTION = 6,   /* the quadratic program was not solved */
-    HYSTMPC_NO_COMMAND = 7     /* the law's answer is not finite */
+    HYSTMPC_NO_COMMAND = 7,    /* the law's answer is not finite */
+    HYSTMPC_NO_TIME = 8        /* the caller has no time for a plan, see hystmpc_hurry */
 };
 
 /* Answers of hystmpc_init. */
@@ -164,6 +165,7 @@ typedef struct {
     int planned;                              /* entries of plan */
     int failures;
     int stopped;
+    int hurried;                              /* whether the next step makes no plan */
     hystmpc_work work;
 } hystmpc_controller;
 
@@ -176,6 +178,13 @@ hystmpc_command hystmpc_step(hystmpc_controller *c, hystmpc_real angle_deg, cons
 
 /* The angle [deg] wanted from the next step on, where no reference is given. */
 void hystmpc_set_target(hystmpc_controller *c, hystmpc_real angle_deg);
+
+/* One sample in which another has sent `command`: the controller looks on, and knows the hysteresis when it takes over.
+ * The command has to be within the limits. Answers for how many samples the model has failed, 0 where it has not. */
+int hystmpc_look_on(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command);
+
+/* The next step makes no plan, and is answered by the fallbacks: for a sample that begins too late. */
+void hystmpc_hurry(hystmpc_controller *c);
 
 /* Latch the stop: every further step goes towards the safe command, or stays. Only hystmpc_init releases it. */
 void hystmpc_stop(hystmpc_controller *c);

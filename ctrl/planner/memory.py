@@ -18,8 +18,9 @@ from ..command import Command, Source
 from ..estimation.observer import Estimate, usable_angle
 from ..fallback import attempt
 from ..frozen import replace
-from ..guarded import GuardedController, GuardedState
+from ..guarded import GuardedState
 from ..limits import CommandLimits
+from .controller import PlannersController
 from .reference import Reference, ReferenceRequest, rest_reference
 from .ruckig_ import Kinematics
 
@@ -85,7 +86,7 @@ def initial_snapshot(origin: str, command: float, sent: bool = False) -> Snapsho
     return Snapshot(origin, Command(command, Source.HOLD, "not started"), sent)
 
 
-def start_control(memory: Snapshot, controller: GuardedController[Any], y: float) -> Snapshot:
+def start_control(memory: Snapshot, controller: PlannersController, y: float) -> Snapshot:
     """At rest at the measured angle `y` [deg], with the request, if there is one, turned into a reference.
 
     Raises:
@@ -99,7 +100,7 @@ def start_control(memory: Snapshot, controller: GuardedController[Any], y: float
     return replace(memory, steps=0, control=control, reference=reference, request=None)
 
 
-def replay_recording(origin: str, controller: GuardedController[Any], commands: Vec, angles: Vec) -> Snapshot:
+def replay_recording(origin: str, controller: PlannersController, commands: Vec, angles: Vec) -> Snapshot:
     """The state at time 0 after a recording of commands and angles, at rest at the last measured angle.
 
     Raises:
@@ -110,7 +111,7 @@ def replay_recording(origin: str, controller: GuardedController[Any], commands: 
     return Snapshot(origin, held, control=control, reference=rest_reference(control.due, 0.0))
 
 
-def try_to_start(memory: Snapshot, controller: GuardedController[Any], y: object) -> Snapshot:
+def try_to_start(memory: Snapshot, controller: PlannersController, y: object) -> Snapshot:
     """The started controller where `y` allows it; otherwise the command is held, and its status says why."""
     angle = usable_angle(y)
     after, reason = attempt(lambda: start_control(memory, controller, angle))
@@ -135,13 +136,13 @@ def set_request(memory: Snapshot, request: ReferenceRequest, dt: float, start: K
     return replace(memory, reference=request(start, memory.steps * dt))
 
 
-def halted(memory: Snapshot, controller: GuardedController[Any], cause: str = "by stop()") -> Snapshot:
+def halted(memory: Snapshot, controller: PlannersController, cause: str = "by stop()") -> Snapshot:
     """With the stop latched."""
     control = None if memory.control is None else controller.stop(memory.control, cause)
     return replace(memory, control=control, halted=True)
 
 
-def take_up(memory: Snapshot, present: Snapshot, controller: GuardedController[Any], held: float) -> Snapshot:
+def take_up(memory: Snapshot, present: Snapshot, controller: PlannersController, held: float) -> Snapshot:
     """A restored or replayed memory, with the command that the device holds now; a latched stop stays latched.
 
     Args:
@@ -261,7 +262,7 @@ class TipPlan:
     reference_deg: Vec
 
 
-def tip_state(memory: Snapshot, controller: GuardedController[Any], tolerance_deg: float) -> TipState:
+def tip_state(memory: Snapshot, controller: PlannersController, tolerance_deg: float) -> TipState:
     """What a planner sees of a snapshot."""
     now, command = memory.steps * controller.dt, memory.command
     motion, measured = memory.motion(now), memory.measured_deg

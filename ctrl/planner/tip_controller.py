@@ -43,6 +43,7 @@ from .settings import TipSettings, read_settings
 
 if TYPE_CHECKING:
     from .assembly import Assembly
+    from .controller import PlannersController
 
 
 _ROUNDS = 3  # evaluations of a reference within one step, where another thread sets a new one each time
@@ -65,18 +66,22 @@ class TipController:
     All memory is one frozen `Snapshot`. A latched stop survives everything but `reset`. Whatever is restored, replayed
     or reset, the next command is limited from the last one sent, unless the caller says that the device holds another.
 
+    Args:
+        controller: stepped in the place of the assembly's.
+
     Raises:
         ControllerError: if the start command is beyond the limits.
     """
 
-    def __init__(self, assembly: Assembly, settings: TipSettings) -> None:
+    def __init__(self, assembly: Assembly, settings: TipSettings, controller: PlannersController | None = None) -> None:
         limits, start = assembly.limits, settings.start_command
         start = limits.lower if start is None else start
         if not limits.lower <= start <= limits.upper:
             raise ControllerError(f"start_command: got {start}, expected {limits.lower} to {limits.upper}")
         self._assembly, self._settings, self._lock = assembly, settings, RLock()
+        self._controller: PlannersController = controller or assembly.controller
         self._nothing = np.empty(0)  # a reference that is too short: the controller holds
-        self._ahead: Vec = assembly.controller.dt * np.arange(1, assembly.controller.horizon + 1, dtype=np.float64)
+        self._ahead: Vec = self.dt * np.arange(1, self._controller.horizon + 1, dtype=np.float64)
         self._origin = assembly.origin(settings)
         self._memory = initial_snapshot(self._origin, start)
 
@@ -102,7 +107,7 @@ class TipController:
     @property
     def dt(self) -> float:
         """Sample time [s]."""
-        return self._assembly.controller.dt
+        return self._controller.dt
 
     def step(self, measured_theta_deg: float) -> Command:
         """One sample: the command to send now.
@@ -115,7 +120,7 @@ class TipController:
             with self._lock:
                 memory = self._memory
                 if memory.control is None:
-                    memory = try_to_start(memory, self._assembly.controller, measured_theta_deg)
+                    memory = try_to_start(memory, self._controller, measured_theta_deg)
                     self._memory = memory
                 reference = memory.reference
                 if reference is None or memory.stopped:
@@ -149,7 +154,7 @@ class TipController:
         Raises:
             ControllerError: if the angle or the time cannot be used, or the controller's sensor is not intermittent.
         """
-        controller = self._assembly.controller
+        controller = self._controller
         with self._lock:
             memory = self._memory
             if memory.control is None:
@@ -166,7 +171,7 @@ class TipController:
             self._memory = replace(memory, sent=True)
             return command
         preview = self._nothing if wanted is None else wanted
-        command, control = self._assembly.controller.step(control, measured_theta_deg, preview)
+        command, control = self._controller.step(control, measured_theta_deg, preview)
         if fault:
             command = replace(command, status=f"reference: {fault}")
         self._memory = replace(memory, steps=memory.steps + 1, control=control, command=command, sent=True)
@@ -206,7 +211,7 @@ class TipController:
 
     def state(self) -> TipState:
         """Where the controller is."""
-        return tip_state(self._memory, self._assembly.controller, self._settings.tolerance_deg)
+        return tip_state(self._memory, self._controller, self._settings.tolerance_deg)
 
     def plan(self) -> TipPlan:
         """What the last step means to do over its horizon."""
@@ -233,7 +238,7 @@ class TipController:
     def stop(self) -> None:
         """Hold, or ramp to the configured `safe_command`, from the next step on; latched until `reset`."""
         with self._lock:
-            self._memory = halted(self._memory, self._assembly.controller)
+            self._memory = halted(self._memory, self._controller)
 
     def reset(self, measured_theta_deg: float | None = None, command: float | None = None) -> None:
         """Forget everything and rest: at time 0, with no target. The one call that releases a latched stop.
@@ -251,7 +256,7 @@ class TipController:
                 held = require_within(command, self._assembly.limits, "reset: got command")
             memory = initial_snapshot(self._origin, held, command is None and self._memory.sent)
             if measured_theta_deg is not None:
-                memory = start_control(memory, self._assembly.controller, measured_theta_deg)
+                memory = start_control(memory, self._controller, measured_theta_deg)
             self._memory = memory
 
     def replay(self, commands: ArrayLike, angles_deg: ArrayLike, held: float | None = None) -> None:
@@ -269,12 +274,12 @@ class TipController:
                 ends at another command than this controller sent last.
         """
         sent, seen = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in (commands, angles_deg))
-        memory = replay_recording(self._origin, self._assembly.controller, sent, seen)  # takes longer than a sample
+        memory = replay_recording(self._origin, self._controller, sent, seen)  # takes longer than a sample
         said = None if held is None else require_within(held, self._assembly.limits, "replay: got held")
         with self._lock:
             present = self._memory
             holds = held_after_replay(memory, present, self._assembly.limits) if said is None else said
-            self._memory = take_up(memory, present, self._assembly.controller, holds)
+            self._memory = take_up(memory, present, self._controller, holds)
 
     def snapshot(self) -> Snapshot:
         """Everything remembered; equal futures follow from it."""
@@ -298,7 +303,7 @@ class TipController:
         with self._lock:
             present = self._memory
             holds = present.command.u if said is None else said
-            self._memory = take_up(usable, present, self._assembly.controller, holds)
+            self._memory = take_up(usable, present, self._controller, holds)
 
     def _request(self, request: ReferenceRequest) -> None:
         """Take up a request; where it starts from a user's reference, that is asked outside the lock."""

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from threading import Lock, Thread
-from typing import Any, final
+from typing import Any, Protocol, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,8 +19,10 @@ from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.law import Law, Proposal
 from hystmpc.ctrl.monitor import ChangeMonitor, MonitorState
 from hystmpc.ctrl.planner.assembly import Assembly, assemble
+from hystmpc.ctrl.planner.controller import PlannersController
 from hystmpc.ctrl.planner.reach import beyond_reach
 from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
+from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.ctrl.planner.tip_controller import TipController
 from hystmpc.trajectories.ruckig_ import PiecewiseCubic
 from hystmpc.trajectories.trajectory import Trajectory
@@ -92,8 +93,8 @@ def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lamb
     )
     assembly = assemble(tip_settings, Path())
     _fits(settings, assembly)
-    controller, law_of_it = make_timely(assembly.controller)
-    tip = TipController(replace(assembly, controller=controller), tip_settings)
+    controller, law_of_it = _stepped(settings, assembly, tip_settings)
+    tip = TipController(assembly, tip_settings, controller)
     reference = settings.reference.build()
     if beyond := beyond_reach(reference(np.linspace(0.0, reference.duration_s, 1000)), assembly.workspace.model):
         note(f"warning: the reference {beyond}")
@@ -110,6 +111,18 @@ def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lamb
     watch = ModelWatch(settings.plausibility, limit, settings.dt_s)
     monitor = ChangeMonitor(assembly.predictor.noise, settings.dt_s, assembly.workspace.model)
     return Tracking(tip, law_of_it, lead_in, watch, monitor, fails, settings.sensor, beside)
+
+
+def _stepped(
+    settings: RunSettings, assembly: Assembly, tip_settings: TipSettings
+) -> tuple[PlannersController, Refusing]:
+    """The controller that the backend steps, and what tells it that there is no time for a plan."""
+    if settings.realtime.backend == "python":
+        return make_timely(assembly.controller)
+    from .compiled import compiled_controller
+
+    compiled = compiled_controller(assembly.controller, tip_settings)
+    return compiled, compiled
 
 
 def _fits(settings: RunSettings, assembly: Assembly) -> None:
@@ -170,7 +183,7 @@ class Tracking(Phase):
     def __init__(
         self,
         tip: TipController,
-        law: TimelyLaw,
+        law: Refusing,
         lead_in: LeadIn,
         watch: ModelWatch,
         monitor: ChangeMonitor,
@@ -332,6 +345,12 @@ def present_angle(tip: TipController) -> float:
     assert control is not None
     estimate = control.estimate
     return estimate.angles[0] + estimate.disturbance if estimate.angles else estimate.measured
+
+
+class Refusing(Protocol):
+    """Something in a controller that can be told why there is no time for a plan; empty: there is."""
+
+    refusal: str
 
 
 class NoTimeError(Exception):

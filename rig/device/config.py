@@ -98,7 +98,7 @@ class DeviceSettings(Settings):
         seed: of noise and faults.
     """
 
-    rate_hz: float = Field(ge=1, le=500)
+    rate_hz: float = Field(ge=1, le=1000)
     command_unit: Literal["mm", "bar"]
     plant: dict[str, Any]
     sensor: SimulatedSensor = ContinuousSensorSettings()

@@ -35,6 +35,7 @@ from .sample import Sample, SampleQueue, Sink, Tee
 _LENGTH = struct.Struct("<I")
 
 _FEED_S = 0.05
+_BLOCK = 10  # samples about: packing them keeps the interpreter from the control thread
 
 _QUEUE_S = 30.0
 
@@ -165,6 +166,7 @@ class RecorderProcess(Sink):
         self._desk = desk or Desk()
         self._answers: deque[tuple[int, bool, str]] = deque()
         self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
+        self._feed_s = min(_FEED_S, _BLOCK / rate_hz)
         self._folder = str(order["folder"])
         command = [sys.executable, "-m", "hystmpc.rig.recording.recorder_process"]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -227,7 +229,7 @@ class RecorderProcess(Sink):
     def _feed(self) -> None:
         """The thread that packs and sends; a process that is slow makes it wait, not the control thread."""
         while True:
-            ending = self._end.wait(_FEED_S)
+            ending = self._end.wait(self._feed_s)
             samples = self._waiting.take()
             block = self._packed(samples) if samples else b""
             if self._answers:

@@ -16,9 +16,10 @@ MUTANTS = mutants.MUTANTS
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: f"{m.file}: {m.name}")
 def test_every_mutant_applies_and_its_tests_are_there(mutant: Any) -> None:
-    """The old text stands in the file exactly once, and what comes instead is Python."""
+    """The old text stands in the file exactly once, and what comes instead is Python, in a file of Python."""
     text = mutants.mutated(mutant, (ROOT / mutant.file).read_text(encoding="utf-8"))
-    compile(text, mutant.file, "exec")
+    if mutant.file.endswith(".py"):
+        compile(text, mutant.file, "exec")
     assert mutant.file.startswith(f"{mutant.room}/")
     assert mutant.tests
     assert [test for test in mutant.tests if not (ROOT / test).exists()] == []

@@ -1,0 +1,201 @@
+"""`realtime.backend: c`: the controller of a run as C, compiled, stepped in the place of the Python one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from hystmpc.codegen.build import shared_library
+from hystmpc.codegen.controller import ControllerExport, export_controller
+from hystmpc.codegen.loaded import LoadedController
+from hystmpc.ctrl.command import EMPTY, Command, Source, Stopwatch, Timing
+from hystmpc.ctrl.estimation.observer import Estimate, usable_angle
+from hystmpc.ctrl.fallback import FallbackState
+from hystmpc.ctrl.guarded import GuardedController, GuardedState, UnusableReferenceError, usable_reference
+from hystmpc.ctrl.handover import LEVELS
+from hystmpc.ctrl.planner.controller import PlannersController
+from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.trials.errors import ConfigError, ControllerError, ExportError
+from hystmpc.trials.types import Vec
+
+# In the order of the header's HYSTMPC_MPC ... HYSTMPC_STOP.
+_SOURCES = (Source.MPC, Source.CONTROLLER, Source.SHIFTED_PLAN, Source.INVERSE, Source.HOLD, Source.STOP)
+_FEEDBACK = 1
+
+# By the header's HYSTMPC_OK ... HYSTMPC_NO_TIME; `{...}` are filled in.
+_REASONS = (
+    "ok",
+    "latched {cause}",
+    "{reference}",
+    "no usable measurement for {missing} samples",
+    "the model state is {stalled} samples old",
+    "PlanningError: prediction, Jacobian or quadratic program is not finite",
+    "PlanningError: the quadratic program was not solved",
+    "the law answers no finite command",
+    "NoTimeError: {refusal}",
+)
+
+
+def compiled_controller(controller: GuardedController[Any], settings: TipSettings) -> CompiledController:
+    """The controller that `settings` say, as C.
+
+    Args:
+        controller: the same in Python.
+
+    Raises:
+        ConfigError: if a part of it has no C, there is no compiler, or the compiler fails.
+    """
+    try:
+        export = export_controller(settings)
+        return CompiledController(controller, export, shared_library(export))
+    except (ExportError, OSError) as error:
+        said = str(error).removeprefix("export-c: ")
+        raise ConfigError(f"realtime.backend c: {said}; backend: python needs nothing") from None
+
+
+@final
+class CompiledController(PlannersController):
+    """Answers as its Python does: the same commands, sources and lines of status; a state is its own snapshot.
+
+    Of the estimate there is what the rig looks at: angle of now, disturbance, learned part, counts. Of the plan there
+    is its first angle. `refusal` says why the next steps have no time for a plan, as that of `TimelyLaw`.
+
+    Args:
+        python: the same controller in Python; it judges whether the start makes sense.
+        library: the compiled export.
+    """
+
+    def __init__(self, python: GuardedController[Any], export: ControllerExport, library: Path) -> None:
+        self._python, self._export, self._library = python, export, library
+        self._loaded = LoadedController(export, library)
+        self._learns = hasattr(self._loaded.view, "learning")
+        self._newest = b""  # what the loaded one remembers
+        self._unusable = np.full(self.horizon, np.nan)
+        self.refusal = ""
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self._python.dt
+
+    @property
+    def horizon(self) -> int:
+        """Reference samples that `step` looks at."""
+        return self._export.reference_samples
+
+    def init(self, y: float, u: float) -> GuardedState[bytes]:
+        """State at rest.
+
+        Raises:
+            ControllerError: as `GuardedController.init`.
+        """
+        return self._state(self._begun(y, u), FallbackState())
+
+    def replay(self, commands: Vec, angles: Vec) -> GuardedState[bytes]:
+        """State after a recording, see `GuardedController.replay`; another thread may step meanwhile.
+
+        Raises:
+            ControllerError: as `GuardedController.replay`.
+        """
+        first = int(self._python.usable_in(commands, angles)[0])
+        beside = self._begun(float(angles[first]), float(commands[max(first - 1, 0)]))
+        for y, u in zip(angles[first:].tolist(), commands[first:].tolist(), strict=True):
+            if beside.look_on(y, u):
+                raise ControllerError(f"replay: the model fails at command {u}")
+        return self._state(beside, FallbackState())
+
+    def sigma_deg(self, state: GuardedState[Any]) -> float:
+        """Standard deviation of the error of the estimated angle [deg]; not-a-number where it is not known."""
+        return self._python.sigma_deg(state)
+
+    def measure(self, state: GuardedState[Any], y: float, age: float) -> GuardedState[Any]:
+        """Refused: frames of an intermittent sensor have no C.
+
+        Raises:
+            ControllerError: always.
+        """
+        return self._python.measure(state, y, age)
+
+    def stop(self, state: GuardedState[Any], cause: str) -> GuardedState[Any]:
+        """The state after which every step stops; only a new `init` releases it."""
+        return self._python.stop(state, cause)
+
+    def step(self, state: GuardedState[bytes], y: float, reference: Vec) -> tuple[Command, GuardedState[bytes]]:
+        """One sample; any `y` and any `reference` are answered."""
+        watch = Stopwatch()
+        try:
+            wanted, fault = usable_reference(reference, self.horizon), ""
+        except UnusableReferenceError as error:
+            wanted, fault = self._unusable, str(error)
+        c = self._loaded
+        if state.memory is not self._newest:
+            c.remember(state.memory)
+        if state.estimate.command != c.view.estimate.command:
+            c.hold(state.estimate.command)
+        if state.fallback.stopped and not c.view.stopped:
+            c.stop()
+        if self.refusal:
+            c.hurry()
+        answer = c.step(usable_angle(y), np.ascontiguousarray(wanted))
+        latched = FallbackState(c.view.failures, bool(c.view.stopped), cause=state.fallback.cause)
+        after = self._state(c, latched)
+        self._newest = after.memory
+        watch.lap("law")
+        command = Command(
+            u=answer.u,
+            source=_SOURCES[answer.source],
+            status=self._status(answer, fault, state, after),
+            predicted=np.array((answer.predicted_deg,)),
+            disturbance=answer.departure_deg,
+            timing=Timing(watch.stages),
+        )
+        return command, after
+
+    def _begun(self, y: float, u: float) -> LoadedController:
+        """A memory of its own, at rest."""
+        self._python.init(y, u)
+        begun = LoadedController(self._export, self._library)
+        if refused := begun.init(y, u):
+            raise ControllerError(f"controller: the C cannot start at {y} deg, command {u}: answer {refused}")
+        return begun
+
+    def _state(self, c: LoadedController, fallback: FallbackState) -> GuardedState[bytes]:
+        e = c.view.estimate
+        added = c.view.learning.added[0] if self._learns else 0.0
+        seen = Estimate(
+            EMPTY,
+            e.command,
+            (e.angles[0],),
+            (True,),
+            (0.0,),
+            e.disturbance,
+            e.variance,
+            e.measured,
+            e.missing,
+            e.stalled,
+            added,
+        )
+        return GuardedState(seen, c.memory, fallback, c.view.due)
+
+    def _status(self, answer: Any, fault: str, before: GuardedState[bytes], after: GuardedState[bytes]) -> str:
+        """The line that `GuardedController` would say."""
+        view, notes = self._loaded.view, []
+        if answer.status:
+            said = _REASONS[answer.status].format(
+                cause=before.fallback.cause,
+                reference=fault,
+                missing=answer.missing,
+                stalled=before.estimate.stalled,
+                refusal=self.refusal,
+            )
+            notes.append(f"stopped: {said}" if _SOURCES[answer.source] is Source.STOP else said)
+        elif answer.source == _FEEDBACK:
+            distrust = 100 * view.learning.distrust
+            notes.append(f"{LEVELS[view.feedback.level]}: forecasts are off by {distrust:.0f} % of the motion")
+        if answer.missing:
+            notes.append(f"measurement missing or outlying for {answer.missing} samples, predicted")
+        if after.estimate.stalled:
+            notes.append("model state not advanced: the model fails")
+        return "; ".join(notes) or "ok"

@@ -1,0 +1,278 @@
+"""Laws of a run that hold whichever backend steps the controller: Python, or its export as C."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+import signal
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hystmpc.codegen import export_controller
+from hystmpc.codegen.build import compiler, shared_library
+from hystmpc.ctrl import TipController
+from hystmpc.ctrl.planner.assembly import assemble
+from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.rig.commission.compiled import compiled_controller
+from hystmpc.rig.commission.experiment import make_timely, tracking_phase
+from hystmpc.rig.config import RecordSettings, RunSettings
+from hystmpc.rig.loop import RunOutcome
+from hystmpc.rig.recording.sample import Sample
+from hystmpc.studies.faults.cases import CASES as CAMPAIGN
+from hystmpc.studies.faults.cases import Link
+from hystmpc.studies.faults.judge import judge
+from hystmpc.studies.faults.play import play
+from hystmpc.trials.errors import ConfigError, ExportError
+
+from .bench_parts import DT, LIMITS, NS, Rig
+
+SAME = 1e-6  # mm, deg
+RUN: dict[str, Any] = {
+    "name": "bench",
+    "rate_hz": 25,
+    "command_unit": "mm",
+    "limits": {"lower": 0, "upper": 6, "rate_per_s": 10},
+    "safe_command": 0,
+    "sensor": {"lower_deg": 0, "upper_deg": 120},
+    "transport": {"kind": "simulated", "plant": {}},
+    "reference": {"kind": "point_to_point", "start_deg": 35, "targets_deg": [60, 45], "holds_s": [0.6, 0.4]},
+}
+LEARNS = {"model": "builtin:pi", "actuator_lag_s": 0.08, "controller": {"kind": "linearised_mpc"}}
+PLAIN = {"model": "builtin:pi", "controller": {"kind": "linearised_mpc", "adaptation": None}}
+BACKENDS = ("python", "c")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiles() -> None:
+    try:
+        compiler()
+    except ExportError as error:
+        pytest.skip(str(error))
+
+
+@dataclass
+class Bending:
+    """A tip that follows the command through a play and a lag, with noise, and with faults by sample."""
+
+    faults: Mapping[int, float | None] = field(default_factory=dict)
+    drift_deg: float = 0.0  # of a sample, from the 20th on
+    drawn: random.Random = field(default_factory=lambda: random.Random(4))
+    play: float = 0.0
+    angle: float = 30.0
+
+    def __call__(self, k: int, command: float) -> float | None:
+        self.play = min(max(self.play, command - 0.4), command + 0.4)
+        self.angle += 0.4 * (30.0 + 11.0 * self.play - self.angle)
+        noisy = self.angle + self.drawn.gauss(0.0, 0.1)
+        return self.faults.get(k, noisy + self.drift_deg * max(k - 20, 0))
+
+
+@dataclass(frozen=True)
+class Case:
+    """What goes wrong in a run, how it ends, and the sources that its commands come from."""
+
+    cause: str = ""
+    sources: frozenset[str] = frozenset({"hold", "mpc", "return"})
+    faults: Mapping[int, float | None] = field(default_factory=dict)
+    costs_ns: Mapping[int, int] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    stop_at: int | None = None
+    drift_deg: float = 0.0
+
+
+def between(first: int, last: int, angle: float | None) -> dict[int, float | None]:
+    return dict.fromkeys(range(first, last), angle)
+
+
+STOPPED = frozenset({"hold", "mpc", "stop"})
+FAILS = {"solver_fails_from_s": 0.5, "solver_fails_for_s": 0.3}
+CASES = {
+    "nothing": Case(),
+    "learning": Case(settings={"controller": LEARNS}),
+    "angle not a number for a while": Case(faults=between(20, 26, math.nan)),
+    "angle not a number for good": Case("sensor dead: no plausible angle", STOPPED, between(20, 1000, math.nan)),
+    "outliers": Case(faults=between(20, 22, 110.0)),
+    "the device gone": Case("sensor dead: no plausible angle", STOPPED, between(20, 1000, None)),
+    "a stop asked for": Case("SIGTERM", STOPPED, stop_at=25),
+    "late samples": Case(sources=frozenset({"hold", "mpc", "shifted plan", "return"}), costs_ns={22: NS // 20}),
+    "late samples in a row": Case(
+        sources=frozenset({"hold", "mpc", "shifted plan", "return"}), costs_ns={22: NS // 20, 23: NS // 20}
+    ),
+    "the solver fails": Case(sources=frozenset({"hold", "mpc", "shifted plan", "return"}), settings={"drill": FAILS}),
+    "the solver fails for good": Case(
+        "controller stopped",
+        STOPPED | {"shifted plan", "inverse"},
+        settings={"drill": {**FAILS, "solver_fails_for_s": 100.0}},
+    ),
+    "the device left its model": Case(
+        "implausible", STOPPED, drift_deg=1.0, settings={"plausibility": {"model_error_s": 0.2}}
+    ),
+}
+
+
+def run(case: Case, backend: str) -> tuple[list[Sample], RunOutcome]:
+    """A run on a clock that obeys: nothing but the backend differs."""
+    settings = RunSettings.parse({**RUN, "controller": PLAIN, **case.settings, "realtime": {"backend": backend}})
+    device = Bending(case.faults, case.drift_deg)
+
+    def script(k: int, command: float) -> float | None:
+        if k == case.stop_at:
+            rig.flag.set(signal.Signals.SIGTERM.name)
+        return device(k, command)
+
+    rig = Rig(script, costs_ns=case.costs_ns, sensor=settings.sensor)
+    outcome = rig.run([tracking_phase(settings, beside=False)])
+    return rig.sink.samples, outcome
+
+
+def plain(sample: Sample) -> dict[str, Any]:
+    """What a sample says, but for how long its parts took, and for numbers that are compared by their size."""
+    names = ("reference_deg", "measured_deg", "source", "status", "missed", "faults", "sequence", "t_s")
+    return {name: "nan" if (value := getattr(sample, name)) != value else value for name in names}
+
+
+def off(one: float, other: float) -> float:
+    return 0.0 if math.isnan(one) and math.isnan(other) else abs(one - other)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_a_run_is_the_same_with_either_backend(name: str) -> None:
+    case = CASES[name]
+    (python, ended), (c, ended_c) = (run(case, backend) for backend in BACKENDS)
+    assert [plain(sample) for sample in c] == [plain(sample) for sample in python]
+    assert max(off(a.command, b.command) for a, b in zip(python, c, strict=True)) <= SAME
+    assert max(off(a.predicted_deg, b.predicted_deg) for a, b in zip(python, c, strict=True)) <= SAME
+    assert (ended_c.cause, ended_c.confirmed, ended_c.clipped) == (ended.cause, ended.confirmed, ended.clipped)
+    assert ended_c.faults == ended.faults
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("name", CASES)
+def test_a_run_ends_at_rest_within_the_limits(name: str, backend: str) -> None:
+    case = CASES[name]
+    samples, ended = run(case, backend)
+    assert ended.cause.startswith(case.cause) if case.cause else not ended.cause
+    assert {sample.source for sample in samples} - {"wait"} == case.sources
+    sent = [sample for sample in samples if sample.source != "wait"]
+    assert all(LIMITS.lower <= sample.command <= LIMITS.upper for sample in sent)
+    reach = [LIMITS.rate * max(b.t_s - a.t_s, DT) + 1e-9 for a, b in itertools.pairwise(sent)]
+    moves = [abs(b.command - a.command) for a, b in itertools.pairwise(sent)]
+    assert all(move <= most for move, most in zip(moves, reach, strict=True))
+    assert sent[-1].command == 0.0
+    assert ended.confirmed or case.cause.startswith("sensor dead")
+
+
+@pytest.mark.slow
+def test_snapshots_stops_and_recordings_are_those_of_python() -> None:
+    settings = TipSettings.parse(PLAIN)
+    assembly = assemble(settings, Path())
+    compiled = compiled_controller(assembly.controller, settings)
+    backends: Any = make_timely(assembly.controller), (compiled, compiled)
+    sent: list[list[tuple[float, str]]] = []
+    for controller, law in backends:
+        tip, device = TipController(assembly, settings, controller), Bending()
+        found: list[tuple[float, str]] = []
+
+        def steps(count: int, tip: TipController = tip, device: Bending = device) -> list[tuple[float, str]]:
+            commands = [tip.step(device(0, tip.state().command) or math.nan) for _ in range(count)]
+            return [(command.u, str(command.source)) for command in commands]
+
+        commands = [*([0.0] * 3), *(0.1 * k for k in range(20))]
+        tip.replay(commands, [math.nan, *(30.0 + 2.0 * u for u in commands[1:10]), *([math.nan] * 13)])
+        tip.set_reference([50.0])
+        found += steps(10)
+        kept = tip.snapshot()
+        found += steps(10)
+        tip.restore(kept, held=3.0)
+        found += steps(5)
+        tip.stop()
+        found += steps(5)
+        assert tip.state().stopped
+        tip.reset(35.0)
+        tip.set_reference([45.0])
+        found += steps(5)
+        law.refusal = "no time"
+        found += steps(24)
+        assert not tip.state().stopped
+        found += steps(2)
+        assert tip.state().stopped  # latched, whatever comes
+        law.refusal = ""
+        found += steps(2)
+        sent.append(found)
+    python, c = sent
+    assert [source for _, source in c] == [source for _, source in python]
+    assert [u for u, _ in c] == pytest.approx([u for u, _ in python], abs=SAME)
+    assert {"mpc", "stop"} <= {source for _, source in c}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["sensor NaN", "device killed", "controller SIGTERM", "no sensor, solver fails for good"]
+)
+def test_faults_over_udp_end_as_with_python(name: str, tmp_path: Path) -> None:
+    """Two processes and a socket; the verdicts of the campaign, from the device's own log."""
+    case = next(case for case in CAMPAIGN if case.name == name)
+    case = replace(case, settings={**case.settings, "realtime": {"backend": "c"}})
+    verdict = judge(case, play(case, tmp_path / "case", Link()))
+    assert verdict.failures == (), verdict
+
+
+def refused(**controller: Any) -> str:
+    """What is said of a controller that has no C."""
+    law = {**PLAIN["controller"], **controller}
+    settings = {**RUN, "controller": {**PLAIN, "controller": law}, "realtime": {"backend": "c"}}
+    with pytest.raises(ConfigError) as error:
+        tracking_phase(RunSettings.parse(settings))
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_a_controller_without_c_is_refused_before_anything_moves() -> None:
+    assert "got controller.solver osqp" in refused(solver="osqp")
+
+
+def test_no_compiler_is_said_in_one_line_that_lists_what_would_do(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("HYSTMPC_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("CC", "no-such-compiler")
+    assert "CC=no-such-compiler" in refused()
+    monkeypatch.delenv("CC")
+    monkeypatch.setattr("hystmpc.codegen.build.shutil.which", lambda name: None)
+    monkeypatch.setattr("hystmpc.codegen.build.importlib.util.find_spec", lambda name: None)
+    said = refused()
+    assert all(word in said for word in ("variable CC", "program cc", "ziglang", "backend: python"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_compiler_that_fails_leaves_nothing_in_the_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HYSTMPC_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("CC", "false")
+    assert "the C compiler false fails" in refused()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_the_same_source_is_compiled_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HYSTMPC_CACHE_DIR", str(tmp_path))
+    export = export_controller(PLAIN)
+    made = shared_library(export)
+    monkeypatch.setenv("CC", "false")
+    assert shared_library(export) == made
+    assert list(tmp_path.iterdir()) == [made]
+    with pytest.raises(ExportError):
+        shared_library(export_controller({**PLAIN, "model": "builtin:backlash"}))
+
+
+def test_a_recording_has_no_controller_to_compile() -> None:
+    settings = {key: value for key, value in RUN.items() if key not in ("reference", "controller")}
+    excitations = {"steps": {"kind": "ramps", "start": 0, "stops": [2, 0], "holds_s": [0.2, 0.2]}}
+    with pytest.raises(ConfigError, match=r"got realtime\.backend c, expected python"):
+        RecordSettings.parse({**settings, "excitations": excitations, "realtime": {"backend": "c"}})
