@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
-import os
 import platform
-import shlex
-import shutil
-import subprocess
-import sys
-import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 
-from hystmpc.trials.errors import ExportError
-
-_LONGEST_S = 600.0  # ziglang makes its C library first
+from ..compiler import compiler, shared_library, zig
 
 
 @dataclass(frozen=True)
@@ -60,41 +50,16 @@ def host_platform() -> str | None:
     return next((name for name, known in PLATFORMS.items() if known.system == platform.system()), None)
 
 
-def compiler_for(name: str) -> Sequence[str] | None:
-    """Command of a C compiler for a platform: `CC`, `cc`, else ziglang; None where there is none."""
-    if name == host_platform():
-        own = shlex.split(os.environ.get("CC", "")) or [shutil.which("cc") or ""]
-        if own[0]:
-            return own
-    if importlib.util.find_spec("ziglang") is None:
-        return None
-    return [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[name].target]
-
-
 def compiled(name: str, sources: Mapping[str, str], main: str) -> bytes | None:
-    """The shared library of C sources for a platform; None where there is no compiler.
+    """The shared library of C sources for a platform; None where there is no compiler for it.
 
     Args:
         main: the file that is compiled; the others are headers.
 
     Raises:
-        ExportError: where the compiler fails; its first line says why.
+        ExportError: where the compiler fails; its first error says why.
     """
-    command = compiler_for(name)
-    if command is None:
-        return None
-    with tempfile.TemporaryDirectory() as folder:
-        for file, text in sources.items():
-            (Path(folder) / file).write_text(text, encoding="utf-8")
-        out = f"library.{PLATFORMS[name].ending}"
-        flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared"]
-        flags += [] if name == "win64" else ["-fPIC"]
-        arguments = [*command, *flags, "-DFMI3_OVERRIDE_FUNCTION_PREFIX", "-s", "-o", out, main, "-lm"]
-        try:
-            done = subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=_LONGEST_S)
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise ExportError(f"export-fmu: the compiler {command[0]} cannot run: {error}") from None
-        if done.returncode:
-            said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip()[:200])
-            raise ExportError(f"export-fmu: the compiler {shlex.join(command)} failed: {said}")
-        return (Path(folder) / out).read_bytes()
+    command = (compiler() if name == host_platform() else None) or zig("-target", PLATFORMS[name].target)
+    flags = ["-O2", "-fvisibility=hidden", "-DFMI3_OVERRIDE_FUNCTION_PREFIX", "-s"]
+    flags += [] if name == "win64" else ["-fPIC"]
+    return None if command is None else shared_library(command, flags, sources, main)

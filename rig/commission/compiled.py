@@ -7,7 +7,7 @@ from typing import Any, final
 
 import numpy as np
 
-from hystmpc.codegen.build import shared_library
+from hystmpc.codegen.build import controller_library
 from hystmpc.codegen.controller import ControllerExport, export_controller
 from hystmpc.codegen.loaded import LoadedController
 from hystmpc.ctrl.command import EMPTY, Command, Source, Stopwatch, Timing
@@ -49,7 +49,7 @@ def compiled_controller(controller: GuardedController[Any], settings: TipSetting
     """
     try:
         export = export_controller(settings)
-        return CompiledController(controller, export, shared_library(export))
+        return CompiledController(controller, export, controller_library(export))
     except (ExportError, OSError) as error:
         said = str(error).removeprefix("export-c: ")
         raise ConfigError(f"realtime.backend c: {said}; backend: python needs nothing") from None

@@ -243,7 +243,8 @@ def test_binaries_for_other_machines(tmp_path: Path) -> None:
 
 
 def test_without_a_compiler_there_are_sources(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("hystmpc.codegen.fmu.binary.compiler_for", lambda name: None)
+    for name in ("compiler", "zig"):
+        monkeypatch.setattr(f"hystmpc.codegen.fmu.binary.{name}", lambda *_: None)
     done = CliRunner().invoke(app, ["export-fmu", "builtin:pi", "--out", str(tmp_path / "pi.fmu")])
     assert done.exit_code == 0, done.output
     assert "sources only: no C compiler was found for this machine" in " ".join(done.output.split())
