@@ -6,7 +6,7 @@ import hashlib
 import sys
 from pathlib import Path
 
-from llvmlite.binding import get_host_cpu_name
+from llvmlite.binding import get_host_cpu_name  # type: ignore[import-untyped]
 
 from hystmpc.models.kernels.numba_ import cache_folder
 from hystmpc.trials.errors import ExportError

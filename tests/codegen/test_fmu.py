@@ -255,7 +255,7 @@ def test_without_a_compiler_there_are_sources(monkeypatch: pytest.MonkeyPatch, t
 
 def test_a_compiler_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "false")
-    with pytest.raises(ExportError, match="the compiler false failed"):
+    with pytest.raises(ExportError, match="the C compiler false fails"):
         export_fmu(plant_of("pi").simulator, plant_of("pi").rest)
 
 
