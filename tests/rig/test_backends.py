@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hystmpc.codegen import export_controller
@@ -21,7 +22,8 @@ from hystmpc.ctrl.planner.assembly import assemble
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.rig.commission.compiled import compiled_controller
 from hystmpc.rig.commission.experiment import make_timely, tracking_phase
-from hystmpc.rig.config import RecordSettings, RunSettings
+from hystmpc.rig.commission.phases import Past, PhaseInput
+from hystmpc.rig.config import RecordSettings, RunSettings, load_run
 from hystmpc.rig.loop import RunOutcome
 from hystmpc.rig.recording.sample import Sample
 from hystmpc.studies.faults.cases import CASES as CAMPAIGN
@@ -29,6 +31,7 @@ from hystmpc.studies.faults.cases import Link
 from hystmpc.studies.faults.judge import judge
 from hystmpc.studies.faults.play import play
 from hystmpc.trials.errors import ConfigError, ExportError
+from hystmpc.trials.run_folder import RunFolder
 
 from .bench_parts import DT, LIMITS, NS, Rig
 
@@ -221,6 +224,28 @@ def test_faults_over_udp_end_as_with_python(name: str, tmp_path: Path) -> None:
     case = replace(case, settings={**case.settings, "realtime": {"backend": "c"}})
     verdict = judge(case, play(case, tmp_path / "case", Link()))
     assert verdict.failures == (), verdict
+
+
+@pytest.mark.slow
+def test_over_udp_python_would_have_sent_what_the_c_sent(tmp_path: Path) -> None:
+    """The Python phase is shown the samples of the run's own log, so that the time of a message makes no difference."""
+    folder = tmp_path / "case"
+    case = replace(CAMPAIGN[0], settings={"realtime": {"backend": "c"}, "reference": {"cycles": 1}})
+    play(case, folder, Link())
+    log = RunFolder.open(folder / "run").log()
+    sent, angles = (np.asarray(log[name], dtype=np.float64).tolist() for name in ("command_mm", "angle_deg"))
+    sources, limited = list(log["source"]), ["limited from" in status for status in log["status"]]
+    first, end = sources.index("hold"), sources.index("return")
+    phase = tracking_phase(load_run(folder / "run.yaml", ["realtime.backend=python"]), beside=False)
+    phase.begin(PhaseInput(angles[first], sent[first - 1]), Past(sent[:first], angles[:first]))
+    compared = 0
+    begun = next(k for k in range(first, end) if sources[k] != "hold")  # the hand-over may take some samples
+    for k in (first, *range(begun, end)):
+        wanted = phase.step(PhaseInput(angles[k], sent[k - 1], bool(log["missed"][k - 1])))
+        if not limited[k]:  # by the last check before the wire
+            assert wanted.u == pytest.approx(sent[k], abs=SAME)
+            compared += 1
+    assert compared > 50
 
 
 def refused(**controller: Any) -> str:
