@@ -39,7 +39,7 @@ class ModelContract(ABC):
 
     @abstractmethod
     def model(self) -> Model:
-        """The model that is tested: of a class of yours, or `hystmpc.load_model(FILE)`."""
+        """The model that is tested: of a class of yours, or what `hystmpc.load_model` opens."""
 
     def test_it_starts_at_the_measured_angle(self) -> None:
         """`output(initial(y))` is y, for every row."""
