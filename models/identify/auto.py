@@ -126,7 +126,7 @@ def _identified(
             runs_to_fit(trials, skip_first_flexure),
             settings,
             lambda done, rmse: progress(share + (1 - share) * done, rmse),
-            search.offsets,
+            search.terms,
         )
         try:
             found = full.again(found)

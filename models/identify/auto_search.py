@@ -36,6 +36,7 @@ _CORE = "core"  # name of the part that every device has
 _NEXT_ROUND = 0.5  # time of a round over that of the round before
 _AT_LAST = 5  # fits that take as long as the last fit and the table of parts
 _THREADS = 2  # alternatives that are fitted side by side
+_STARTS = 0.5  # of the held-out mean square error, by which starts of their own have to lower it in several trials
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,11 @@ class AutoSettings:
     """How `fit auto` searches; thresholds were chosen on simulated development devices.
 
     Attributes:
-        standard_errors: by which the held-out error has to fall for a part to be added.
-        least_share: of the held-out mean square error, by which it has to fall.
+        standard_errors: by which the held-out error has to fall for a part to be added, however little that is.
+        least_share: of the held-out mean square error, by which it has to fall in any case.
+        clear_share: of the held-out mean square error: a fall by this share for each block of three seconds is enough.
+            In logs of a few blocks the standard error is as large as the error itself, and a part that halves the error
+            would be left out.
         near: alternatives within this factor of the best training error may be the best on held-out trials. Simpler
             ones are judged there, too, unless even the error of their fit is significantly above that of the best.
         rounds: greatest number of passes over all parts.
@@ -54,6 +58,7 @@ class AutoSettings:
 
     standard_errors: float = 2.0
     least_share: float = 0.05
+    clear_share: float = 0.0125
     near: float = 1.15
     rounds: int = 3
     evaluations: int = 12
@@ -62,7 +67,8 @@ class AutoSettings:
     def worth(self, before: Blocks, after: Blocks) -> bool:
         """Whether held-out errors fall by enough for a part to be added."""
         fall, error = gain(before, after)
-        return fall > max(self.standard_errors * error, self.least_share * before.mse)
+        sure = min(self.standard_errors * error, self.clear_share * before.energy.size * before.mse)
+        return fall > max(sure, self.least_share * before.mse)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +127,11 @@ class AutoSearch:
     to stand in for it, and chooses each part anew while the others change.
 
     Source: one-standard-error rule of Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984),
-    section 3.4.3; the number of standard errors is `AutoSettings.standard_errors`.
+    section 3.4.3; the number of standard errors is `AutoSettings.standard_errors`, and `AutoSettings.clear_share`
+    bounds what the simpler form may cost.
 
-    In a single trial the drive may begin anywhere: there, plays could take up its start. In several they cannot.
+    In a single trial the drive may begin anywhere: there, plays could take up its start. In several it begins at rest,
+    unless starts of their own halve the held-out mean square error, as in parts of one long log.
     """
 
     def __init__(
@@ -132,7 +140,7 @@ class AutoSearch:
         runs: Sequence[Run],
         settings: AutoSettings,
         progress: SearchProgress,
-        offsets: bool = False,
+        terms: TrialTerms | None = None,
     ) -> None:
         self.runs, self.settings, self._progress = tuple(runs), settings, progress
         scale = Scale.of(runs)
@@ -140,14 +148,19 @@ class AutoSearch:
         self._names = (*(part.name for part in self._parts), _CORE)
         self._command = command_range(trials)
         self._done, self._planned, self._weight = 0.0, 1.0, 1.0  # in points from which fits start
-        self.offsets, self.interrupted = offsets, False
+        self.terms, self.interrupted = terms or TrialTerms(own_start=len(self.runs) == 1), False
         self.tried: list[Choice] = []
+
+    @property
+    def offsets(self) -> bool:
+        """Whether each trial has an offset of its own."""
+        return self.terms.own_offset
 
     def run(self) -> Choice:
         """The chosen device."""
         core, none = self._cores[-1], self._none()
         try:
-            self.offsets = self._zeroed_anew()
+            self.terms = self._terms_of_trials()
             present = self._judged(core, none, self._fitted(core, none, None))
         except KeyboardInterrupt:
             raise nothing_found("the first core", interrupted=True) from None
@@ -168,10 +181,17 @@ class AutoSearch:
                     seen[name] = _labels(present.core, present.forms), self.tried[first:]
                 if _labels(present.core, present.forms) == before:
                     break
-            return self._polished(self._with_one_zero(present))
+            return self._polished(self._with_one_zero(self._simplest_tried(present)))
         except KeyboardInterrupt:
             self.interrupted = True
             return present
+
+    def _simplest_tried(self, present: Choice) -> Choice:
+        """The simplest of all that were tried, by the same rule: rounds may end beside a simpler or better device."""
+        alike = [present, *(c for c in self.tried if c.hypothesis.problem.terms == self.terms)]
+        best = min(alike, key=lambda choice: choice.judged.mse)
+        ordered = sorted(alike, key=lambda choice: (choice.size, choice.judged.mse))
+        return next(c for c in ordered if c is best or not self.settings.worth(c.judged, best.judged))
 
     def _alternatives(self, name: str, present: Choice) -> list[tuple[CoreForm, dict[str, Form]]]:
         """The device with every form of one part."""
@@ -184,10 +204,12 @@ class AutoSearch:
         """The device with one offset for all trials, where offsets of their own are worth nothing any more."""
         if not self.offsets:
             return choice
-        self.offsets = False
+        self.terms = replace(self.terms, own_offset=False)
         plain = self._judged(choice.core, choice.forms, self._fitted(choice.core, choice.forms, choice))
-        self.offsets = self.settings.worth(plain.judged, choice.judged)
-        return choice if self.offsets else plain
+        if not self.settings.worth(plain.judged, choice.judged):
+            return plain
+        self.terms = replace(self.terms, own_offset=True)
+        return choice
 
     def again(self, choice: Choice) -> Choice:
         """The device of another rate fitted to these trials, its drive chosen anew: some are alike at few samples."""
@@ -258,17 +280,21 @@ class AutoSearch:
         best = min((choice.judged.mse for choice in self.tried), default=math.nan)
         self._progress(min(self._done / self._planned, 1.0), math.sqrt(best))
 
-    def _zeroed_anew(self) -> bool:
-        """Whether trials have offsets of their own, seen with the richest core behind the commonest drive."""
-        if len(self.runs) < 2:
-            return False
-        found = []
-        for self.offsets in (False, True):
-            delay_and_lag = next(form for form in self._parts[0].forms if len(form) > 1)
-            forms = {**self._none(), self._parts[0].name: delay_and_lag}
-            fit = self._fitted(self._cores[-1], forms, None)
-            found.append(self._validation(self._cores[-1]).judge(fit))
-        return self.settings.worth(found[0], found[1])
+    def _terms_of_trials(self) -> TrialTerms:
+        """Offsets or starts of their own, seen with the richest core behind the commonest drive."""
+        if len(self.runs) == 1:
+            return self.terms
+        core, drive = self._cores[-1], next(form for form in self._parts[0].forms if len(form) > 1)
+        delay, lag = drive
+        at_rest, zeroed, started = TrialTerms(), TrialTerms(own_offset=True), TrialTerms(own_start=True)
+        errors = {}
+        for self.terms in (at_rest, zeroed, started):
+            drives = [(delay, replace(lag, starts=(start,))) for start in lag.starts]
+            fits = [self._fitted(core, {**self._none(), self._parts[0].name: form}, None) for form in drives]
+            errors[self.terms] = self._validation(core).judge(min(fits, key=lambda fit: fit.mse))
+        if errors[started].mse < _STARTS * min(errors[at_rest].mse, errors[zeroed].mse):
+            return started
+        return zeroed if self.settings.worth(errors[at_rest], errors[zeroed]) else at_rest
 
     def _simplest(self, made: Sequence[tuple[CoreForm, dict[str, Form]]], present: Choice) -> Choice:
         def fitted(alternative: tuple[CoreForm, dict[str, Form]]) -> tuple[CoreForm, dict[str, Form], Hypothesis]:
@@ -301,7 +327,7 @@ class AutoSearch:
 
     def _fitted(self, core: CoreForm, forms: Mapping[str, Form], present: Choice | None) -> Hypothesis:
         """Joint fit from the present values where a part stays, from its own starts where it is new."""
-        validation, terms = self._validation(core), TrialTerms(own_offset=self.offsets, own_start=len(self.runs) == 1)
+        validation, terms = self._validation(core), self.terms
         effects = [*(c for form in forms.values() for c in form), *core.curve]
         held = _values(present.hypothesis) if present else {}
         starts = [[held[c.label]] if c.label in held else [list(start) for start in c.starts] for c in effects]
