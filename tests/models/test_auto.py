@@ -12,11 +12,11 @@ from hystmpc.models.effects.effect import Scale
 from hystmpc.models.identify.auto import identify_auto
 from hystmpc.models.identify.auto_search import AutoSearch, AutoSettings
 from hystmpc.models.identify.baseline import FreeCoreBaseline
-from hystmpc.models.identify.cross_validation import CrossValidation
+from hystmpc.models.identify.cross_validation import CrossValidation, gain
 from hystmpc.models.identify.free_run import StagedChain
 from hystmpc.models.identify.parts import device_parts
 from hystmpc.models.identify.problem import TrialTerms
-from hystmpc.models.identify.runs import command_range, runs_of
+from hystmpc.models.identify.runs import Blocks, command_range, runs_of
 from hystmpc.models.kinds.catalogue import kind_named
 from hystmpc.models.kinds.kind import FitRequest
 from hystmpc.models.operators.dynamics import Delay, Lag
@@ -188,6 +188,37 @@ def started_in_motion(core: Operator, seed: int = 3) -> Trial:
 def test_slow_dynamics_are_no_hysteresis_and_do_not_hide_it(core: Operator, kept: bool) -> None:
     label = identify_auto([started_in_motion(core)]).choice.core.label
     assert (not label.startswith("line")) == kept  # a line with a curve has no hysteresis either
+
+
+@pytest.mark.slow
+def test_parts_of_one_log_have_starts_of_their_own_and_trials_from_rest_have_not() -> None:
+    """A slow drive that is in motion where a part begins is found only if it may begin there."""
+    errors: dict[bool, float] = {}
+    whole = started_in_motion(Line(10.0, 5.0))
+    parts = [whole.select(0, 750), whole.select(750, 1500)]
+    parts = [replace(part, t=part.t - part.t[0], source=f"part_{k}.csv") for k, part in enumerate(parts)]
+    for trials, own in ((parts, True), (recorded(Lag(0.15))[:2], False)):
+        search = AutoSearch(trials, runs_of(trials), AutoSettings(), lambda share, rmse: None)
+        found = search.run()
+        assert search.terms == TrialTerms(own_start=own)
+        assert any(c.effect == "lag" for c in found.forms["drive"])
+        errors[own] = found.rmse_deg
+    assert max(errors.values()) < 2 * NOISE_DEG
+
+
+@pytest.mark.parametrize(("blocks", "worth"), [(8, True), (200, False)])
+def test_few_blocks_need_not_prove_what_halves_the_error(blocks: int, worth: bool) -> None:
+    """All of the fall lies in one block: two standard errors are never reached, 1.25 % a block are by few blocks."""
+    lower = np.ones(blocks)
+    higher = lower.copy()
+    higher[0] += 0.5 * blocks
+    samples, run = np.full(blocks, 75.0), np.zeros(blocks, dtype=np.intp)
+    before, after = Blocks(higher, samples, run), Blocks(lower, samples, run)
+    fall, error = gain(before, after)
+    assert fall < 2 * error
+    assert fall > 0.3 * before.mse
+    assert AutoSettings().worth(before, after) == worth
+    assert not AutoSettings().worth(after, before)
 
 
 def test_where_a_slow_drive_stood_at_the_start_is_no_error_of_its_model() -> None:
