@@ -41,10 +41,10 @@ _STARTS = 0.5  # of the held-out mean square error, by which starts of their own
 
 @dataclass(frozen=True)
 class AutoSettings:
-    """How `fit auto` searches; thresholds were chosen on simulated development devices.
+    """How `fit auto` searches; thresholds were chosen on development data, `clear_share` on short real logs, too.
 
     Attributes:
-        standard_errors: by which the held-out error has to fall for a part to be added, however little that is.
+        standard_errors: by which the held-out error has to fall for a part to be added.
         least_share: of the held-out mean square error, by which it has to fall in any case.
         clear_share: of the held-out mean square error: a fall by this share for each block of three seconds is enough.
             In logs of a few blocks the standard error is as large as the error itself, and a part that halves the error
