@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import Field, dataclass, fields, replace
 from typing import Any, ClassVar, Protocol, Self, TypeVar
 
@@ -111,16 +111,7 @@ class Decades:
 
     def in_log(self, unit: str) -> float:
         """Log units in one working unit of a quantity, as `deg s/cmd` or `1/deg^2`; 1 of what has none of these."""
-        above, *below = unit.split("/")
-        factor = self._power(above)
-        for part in below:
-            factor /= self._power(part)
-        return factor
-
-    def _power(self, part: str) -> float:
-        found = [match for factor in part.split() if (match := _FACTOR.fullmatch(factor))]
-        own = {"cmd": self.command, "deg": self.angle}
-        return math.prod(own.get(match[1], 1.0) ** int(match[2] or 1) for match in found)
+        return size_of(unit, {"cmd": self.command, "deg": self.angle})
 
     def log_operator(self, operator: Operator, side: Side) -> Operator:
         """An operator in working units that acts on that side, brought back."""
@@ -139,6 +130,17 @@ class Decades:
         factors = [self.in_log(unit_on(parameter.unit, side)) ** way for parameter in operator.parameters]
         values = zip(operator.values, factors, strict=True)
         return operator.with_values([v * factor for v, factor in values])
+
+
+def size_of(unit: str, sizes: Mapping[str, float]) -> float:
+    """Size of a quantity from those of the units in its own, such as `cmd s^2/deg`; a unit without a size counts 1."""
+
+    def product(part: str) -> float:
+        found = [match for factor in part.split() if (match := _FACTOR.fullmatch(factor))]
+        return math.prod(sizes.get(match[1], 1.0) ** int(match[2] or 1) for match in found)
+
+    above, *below = unit.split("/")
+    return product(above) / math.prod(map(product, below))
 
 
 def _signals(trials: Sequence[Trial]) -> tuple[list[Vec], list[Vec]]:

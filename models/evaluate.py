@@ -90,8 +90,17 @@ def free_run(model: RunnableModel, commands: Vec, y: float) -> Vec:
     return theta[model.metadata.warmup_samples :]
 
 
-def evaluate(model: RunnableModel, trial: Trial, skip_first_flexure: bool = False) -> TrialEvaluation:
+def evaluate(
+    model: RunnableModel, trial: Trial, skip_first_flexure: bool = False, before: Trial | None = None
+) -> TrialEvaluation:
     """Score a free run over one trial that is sampled at the model's sample time; an inverse map runs over it swapped.
+
+    Args:
+        model: that is scored.
+        trial: that is scored.
+        skip_first_flexure: score from the first reversal of the trial's command on.
+        before: what was recorded up to the trial's first sample, of a trial that is part of a longer log. The free run
+            begins with it, and its samples do not count.
 
     Raises:
         ModelError: if sample times or units differ, or the model's angle is not finite.
@@ -106,15 +115,19 @@ def evaluate(model: RunnableModel, trial: Trial, skip_first_flexure: bool = Fals
             f"{trial.source}: {trial.units.command} in and {trial.units.angle} out, expected {metadata.command_unit} "
             f"and {metadata.angle_unit} as the model has them"
         )
-    held = round(HOLD_S / trial.dt)
-    commands = np.concatenate([trial.command, np.full(held, trial.command[-1])])
-    theta = free_run(model, commands, float(trial.angle[0]))
+    held = np.full(round(HOLD_S / trial.dt), trial.command[-1])
+    if before is None:
+        theta = free_run(model, np.concatenate([trial.command, held]), float(trial.angle[0]))
+    else:
+        before = before.swapped() if trial.inverted and not before.inverted else before
+        whole = np.concatenate([before.command, trial.command, held])
+        theta = free_run(model, whole, float(before.angle[0]))[len(before) :]
     if not np.all(np.isfinite(theta)):
         raise ModelError(
             f"{trial.source}: the model's angle is not finite from sample {np.argmin(np.isfinite(theta))} on"
         )
     start = first_flexure_end(trial) if skip_first_flexure else 0
-    holds = [(a, b) for a, b in segment(trial).holds if a >= start] + [(len(trial), commands.size)]
+    holds = [(a, b) for a, b in segment(trial).holds if a >= start] + [(len(trial), theta.size)]
     errors = _errors(trial, theta, start, holds)
     return TrialEvaluation(trial, theta[: len(trial)], start, errors, _outside(trial, metadata))
 

@@ -13,6 +13,7 @@ from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from ..chain import Chain
+from ..decades import size_of
 from ..model import FitProgress
 from .chain_fit import ChainFit, ChainTask, Tracker
 from .free_run import FreeRuns, StagedChain
@@ -134,13 +135,8 @@ def parameter_scales(chain: Chain, trials: Sequence[Trial]) -> Vec:
     forward = [trial.swapped() if trial.inverted else trial for trial in trials]
     span = max(float(np.ptp(trial.command)) for trial in forward)
     speed = max(float(np.max(np.abs(np.diff(trial.command)))) / trial.dt for trial in forward)
-    sizes = {"cmd": span, "deg": max(float(np.ptp(t.angle)) for t in forward), "s": span / speed, "1": 1.0}
-
-    def size(unit: str) -> float:
-        over, _, under = unit.partition("/")
-        return sizes[over] / sizes[under or "1"]
-
-    return np.array([size(parameter.unit) for parameter in chain.parameters])
+    sizes = {"cmd": span, "deg": max(float(np.ptp(t.angle)) for t in forward), "s": span / speed}
+    return np.array([size_of(parameter.unit, sizes) for parameter in chain.parameters])
 
 
 def _counted(trial: Trial, settings: AdamSettings) -> Windows:

@@ -124,7 +124,8 @@ class AutoSearch:
     """Part after part, the simplest alternative whose held-out error is not significantly above the best one.
 
     All parameters are fitted jointly for each alternative. It begins with the richest core, so that no other part has
-    to stand in for it, and chooses each part anew while the others change.
+    to stand in for it, and chooses each part anew while the others change. It then begins a second time with a line,
+    since the richest core can stand in for a valve or a lag. Of all that was tried, the simplest is taken.
 
     Source: one-standard-error rule of Breiman, Friedman, Olshen, Stone, Classification and Regression Trees (1984),
     section 3.4.3; the number of standard errors is `AutoSettings.standard_errors`, and `AutoSettings.clear_share`
@@ -166,25 +167,35 @@ class AutoSearch:
             raise nothing_found("the first core", interrupted=True) from None
         try:
             self._plan([a for n in self._names for a in self._alternatives(n, present)], present, self.settings.rounds)
-            # of each part: the device when it was chosen last, and what was tried
-            seen: dict[str, tuple[tuple[str, ...], list[Choice]]] = {}
-            for k in range(self.settings.rounds):
-                self._weight = _NEXT_ROUND**k
-                before = _labels(present.core, present.forms)
-                for name in self._names:
-                    device, tried = seen.get(name, ((), []))
-                    if device == _labels(present.core, present.forms):
-                        self.tried += tried  # again the same, which weighs in the intervals as often
-                        continue
-                    first = len(self.tried)
-                    present = self._simplest(self._alternatives(name, present), present)
-                    seen[name] = _labels(present.core, present.forms), self.tried[first:]
-                if _labels(present.core, present.forms) == before:
-                    break
-            return self._polished(self._with_one_zero(self._simplest_tried(present)))
+            present = self._rounds(present, self._names)
+            line = self._judged(self._cores[0], none, self._fitted(self._cores[0], none, None))
+            self._rounds(line, [name for name in self._names if name != _CORE])
+            chosen = self._simplest_tried(present)
+            if chosen.core is self._cores[0] is not present.core:
+                chosen = self._simplest_tried(self._simplest(self._alternatives(_CORE, chosen), chosen))
+            return self._polished(self._with_one_zero(chosen))
         except KeyboardInterrupt:
             self.interrupted = True
-            return present
+            return self._simplest_tried(present)
+
+    def _rounds(self, present: Choice, names: Sequence[str]) -> Choice:
+        """The device with these parts chosen one after the other, until nothing changes."""
+        # of each part: the device when it was chosen last, and what was tried
+        seen: dict[str, tuple[tuple[str, ...], list[Choice]]] = {}
+        for k in range(self.settings.rounds):
+            self._weight = _NEXT_ROUND**k
+            before = _labels(present.core, present.forms)
+            for name in names:
+                device, tried = seen.get(name, ((), []))
+                if device == _labels(present.core, present.forms):
+                    self.tried += tried  # again the same, which weighs in the intervals as often
+                    continue
+                first = len(self.tried)
+                present = self._simplest(self._alternatives(name, present), present)
+                seen[name] = _labels(present.core, present.forms), self.tried[first:]
+            if _labels(present.core, present.forms) == before:
+                break
+        return present
 
     def _simplest_tried(self, present: Choice) -> Choice:
         """The simplest of all that were tried, by the same rule: rounds may end beside a simpler or better device."""
@@ -281,17 +292,23 @@ class AutoSearch:
         self._progress(min(self._done / self._planned, 1.0), math.sqrt(best))
 
     def _terms_of_trials(self) -> TrialTerms:
-        """Offsets or starts of their own, seen with the richest core behind the commonest drive."""
+        """Offsets or starts of their own: what the better of two devices errs by with them, behind the commonest drive.
+
+        The richest core, and a line behind a valve: free of hysteresis, it cannot take up where a slow drive began.
+        """
         if len(self.runs) == 1:
             return self.terms
-        core, drive = self._cores[-1], next(form for form in self._parts[0].forms if len(form) > 1)
-        delay, lag = drive
+        delay, lag = next(form for form in self._parts[0].forms if len(form) > 1)
+        valve = next({part.name: part.forms[-1]} for part in self._parts if part.name == "valve")
         at_rest, zeroed, started = TrialTerms(), TrialTerms(own_offset=True), TrialTerms(own_start=True)
         errors = {}
         for self.terms in (at_rest, zeroed, started):
-            drives = [(delay, replace(lag, starts=(start,))) for start in lag.starts]
-            fits = [self._fitted(core, {**self._none(), self._parts[0].name: form}, None) for form in drives]
-            errors[self.terms] = self._validation(core).judge(min(fits, key=lambda fit: fit.mse))
+            judged = []
+            for core, more in ((self._cores[0], valve), (self._cores[-1], {})):
+                drives = [{self._parts[0].name: (delay, replace(lag, starts=(start,)))} for start in lag.starts]
+                fits = [self._fitted(core, self._none() | drive | more, None) for drive in drives]
+                judged.append(self._validation(core).judge(min(fits, key=lambda fit: fit.mse)))
+            errors[self.terms] = min(judged, key=lambda held_out: held_out.mse)
         if errors[started].mse < _STARTS * min(errors[at_rest].mse, errors[zeroed].mse):
             return started
         return zeroed if self.settings.worth(errors[at_rest], errors[zeroed]) else at_rest

@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+
+import numpy as np
 
 from hystmpc.models.identify.runs import fingerprint
 from hystmpc.models.kinds.catalogue import kind_named
@@ -73,12 +75,17 @@ class TrainingJob:
 
 @dataclass(frozen=True, eq=False)
 class TrainingTask:
-    """A job with its trials, command to angle whatever the job's direction."""
+    """A job with its trials, command to angle whatever the job's direction.
+
+    Attributes:
+        before: what the one test trial's log holds before it, see `before`.
+    """
 
     job: TrainingJob
     training: tuple[Trial, ...]
     validation: tuple[Trial, ...]
     tests: Splits
+    before: Trial | None = None
 
     @property
     def key(self) -> str:
@@ -94,6 +101,7 @@ class TrainingTask:
     def fingerprint(self) -> str:
         """SHA-256 over the job's settings and all its trials: a result with the same one need not be computed again."""
         parts = {"training": self.training, "validation": self.validation} | dict(self.tests)
+        parts |= {"before": (self.before,)} if self.before else {}
         hashes = {name: fingerprint(trials) for name, trials in parts.items()}
         names = {name: [trial.source for trial in trials] for name, trials in parts.items()}
         text = json.dumps([asdict(self.job), hashes, names], sort_keys=True)
@@ -168,6 +176,16 @@ def _parts(trial: Trial, count: int) -> list[Trial]:
         replace(trial.select(start, stop), source=str(path.with_stem(f"{path.stem}_part{k + 1}")))
         for k, (start, stop) in enumerate(pairwise(edges))
     ]
+
+
+def before(trial: Trial, logs: Sequence[Trial], parts: int) -> Trial | None:
+    """What was recorded before a trial that is one of several parts of a log; None before the first part."""
+    at = next(k for k, log in enumerate(logs) if log is trial)
+    earlier = logs[at - at % parts : at]
+    if not earlier:
+        return None
+    t, command, angle = (np.concatenate([getattr(log, name) for log in earlier]) for name in ("t", "command", "angle"))
+    return Trial(t, command, angle, units=trial.units, source=trial.source)
 
 
 def _shortened(split: str, trials: tuple[Trial, ...]) -> tuple[Trial, ...]:

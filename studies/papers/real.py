@@ -29,7 +29,7 @@ from hystmpc.trials.types import Vec
 from ..statistics import compared, least_p
 from ..tables import NOTHING, Cell, StudyTable
 from .common import jobs_pieces, jobs_table, set_up
-from .job import LOGS, Splits, TrainingJob, TrainingTask, betas_for, preset_for, steps_for
+from .job import LOGS, Splits, TrainingJob, TrainingTask, before, betas_for, preset_for, steps_for
 from .result import JobResult, Score, StudyOutcome, title_of
 from .settings import StudySettings
 
@@ -59,7 +59,9 @@ def real_tasks(settings: StudySettings, splits: Splits) -> tuple[TrainingTask, .
                             "main", kind, preset, direction, fold, beta, settings.seed, steps, skip_first_flexure=True
                         )
                         others = tuple(log for log in logs if log is not held_out)
-                        tasks.append(TrainingTask(job, others, (), {LOGS: (held_out,)}))
+                        tasks.append(
+                            TrainingTask(job, others, (), {LOGS: (held_out,)}, before(held_out, logs, settings.parts))
+                        )
     return tuple(tasks)
 
 

@@ -16,7 +16,7 @@ from hystmpc.sim.jobs.runner import ResultFiles, Status
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .job import Splits, TrainingJob
+from .job import LOGS, Splits, TrainingJob, before
 from .settings import StudySettings
 
 FORMAT = "hystmpc-study-job/1"
@@ -135,7 +135,9 @@ class StudyOutcome:
         Raises:
             ModelError: if the model is gone or damaged.
         """
-        return evaluate(self.model(job), trial)
+        logs = self.splits.get(LOGS)
+        earlier = before(trial, logs, self.settings.parts) if logs else None
+        return evaluate(self.model(job), trial, before=earlier)
 
 
 def title_of(kind: str) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hystmpc.models.chain import Chain
+from hystmpc.models.decades import size_of
 from hystmpc.models.identify.adam import AdamSettings, WindowLoss, Windows, parameter_scales
 from hystmpc.models.identify.chain_fit import ConvergenceReport
 from hystmpc.models.identify.chain_kinds import CHAIN_KINDS, Structure, chain_task
@@ -127,6 +128,19 @@ def test_scales_of_parameters_are_the_ranges_of_the_signals() -> None:
     assert (slope, shift) == (pytest.approx(height / span), pytest.approx(span))
     swapped = [trial.swapped() for trial in BACKLASH_TRIALS]
     np.testing.assert_allclose(parameter_scales(CHAINS["backlash"], swapped), [slope, slope, shift, shift])
+
+
+@pytest.mark.parametrize("kind", list(CHAIN_KINDS))
+def test_scales_of_parameters_follow_the_units_of_the_signals(kind: str) -> None:
+    chain = chain_task(kind, BACKLASH_TRIALS, Structure()).starts[0]
+    scaled = [Trial(t.t, 7.0 * t.command, 3.0 * t.angle) for t in BACKLASH_TRIALS]
+    factors = [size_of(parameter.unit, {"cmd": 7.0, "deg": 3.0}) for parameter in chain.parameters]
+    np.testing.assert_allclose(parameter_scales(chain, scaled), factors * parameter_scales(chain, BACKLASH_TRIALS))
+
+
+def test_the_size_of_a_unit_by_hand() -> None:
+    assert size_of("cmd s^2/deg", {"cmd": 2.0, "s": 3.0, "deg": 4.0}) == 2.0 * 9.0 / 4.0
+    assert size_of("1/deg^2", {"deg": 4.0}) == 1.0 / 16.0
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,17 @@ from typer.testing import CliRunner
 
 from hystmpc.cli.main import app
 from hystmpc.models.chain import Chain
+from hystmpc.models.evaluate import evaluate
+from hystmpc.models.operators.dynamics import Lag
+from hystmpc.models.simulator import ChainModel
 from hystmpc.studies.papers.devices import device_settings
+from hystmpc.studies.papers.job import study_splits
+from hystmpc.studies.papers.real import real_tasks
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.trial import Trial, Units
 
-from ..gap.engine_examples import moves, trials_of
+from ..gap.engine_examples import moves, simulator_of, trials_of
 from ..models.zoo import BACKLASH
 
 LIST = """
@@ -66,3 +72,25 @@ def test_a_list_of_devices_is_read_beside_its_logs(tmp_path: Path) -> None:
     (tmp_path / "wrong.yaml").write_text("catheter: {log: a.csv}\n", encoding="utf-8")
     with pytest.raises(ConfigError, match="catheter"):
         device_settings(tmp_path / "wrong.yaml")
+
+
+def test_a_part_of_a_log_is_scored_as_that_stretch_of_a_free_run_over_the_log(tmp_path: Path) -> None:
+    """A slow device is in motion where a part begins; a free run from rest there would be no error of its model."""
+    slow = Chain(BACKLASH, (Lag(3.0),))
+    log = trials_of(slow, [moves(1, 24.0)])[0]
+    write_csv(log, tmp_path / "whole.csv")
+    (tmp_path / "one.yaml").write_text("device: {logs: [whole.csv], parts: 3}\n", encoding="utf-8")
+    settings = device_settings(tmp_path / "one.yaml", kinds=("backlash",))["device"]
+    tasks = real_tasks(settings, study_splits(settings))
+    assert [0 if task.before is None else len(task.before) for task in tasks] == [0, 200, 400]
+    assert len({task.fingerprint for task in tasks}) == 3
+
+    model = ChainModel(replace(simulator_of(BACKLASH), chain=slow))
+    whole = evaluate(model, log).theta
+    parts = [task.tests["logs"][0] for task in tasks]
+    theta = [evaluate(model, part, before=task.before).theta for part, task in zip(parts, tasks, strict=True)]
+    np.testing.assert_allclose(np.concatenate(theta), whole, atol=1e-5)  # the file has six digits
+    assert (
+        evaluate(model, parts[1]).errors.rmse_deg
+        > 20 * evaluate(model, parts[1], before=tasks[1].before).errors.rmse_deg
+    )
