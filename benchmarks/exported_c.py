@@ -3,7 +3,8 @@
     python benchmarks/exported_c.py [--steps 100000] [--case NAME] [--float32]
 
 Both run a closed loop on a device of their own with noise, sensor faults and stops, as in `tests/codegen/`. The C is
-compiled with -O2, networks with -O3 -march=native, and called through ctypes, whose call is part of its time.
+compiled as `realtime.backend: c` compiles it (`codegen.build`), and called through ctypes, whose call is part of its
+time. Times are processor time.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hystmpc.codegen import export_controller
-from tests.codegen.compiled import EXAMPLES, NETWORK, Library
+from hystmpc.codegen.build import FLAGS
+from tests.codegen.compiled import EXAMPLES, Library
 from tests.codegen.loops import compare
 from tests.codegen.networks import small_network
 from tests.codegen.test_commands import CASES, PLAIN, tip
@@ -48,9 +50,8 @@ def main() -> None:
     for name in given.case or [*CASES, *GRU]:
         settings, lag_s = CASES[name] if name in CASES else _gru(GRU[name])
         export = export_controller(settings, single=given.float32, folder=EXAMPLES)
-        options = NETWORK if "fmaf" in export.functions else ("-O2",)
         with tempfile.TemporaryDirectory() as folder:
-            found = compare(settings, Library(export, Path(folder), given.float32, options), given.steps, lag_s)
+            found = compare(settings, Library(export, Path(folder), given.float32, FLAGS), given.steps, lag_s)
         off = np.abs(found.python - found.c)
         per_step = 1e6 / given.steps
         print(
