@@ -116,12 +116,10 @@ def evaluate(
             f"and {metadata.angle_unit} as the model has them"
         )
     held = np.full(round(HOLD_S / trial.dt), trial.command[-1])
-    if before is None:
-        theta = free_run(model, np.concatenate([trial.command, held]), float(trial.angle[0]))
-    else:
-        before = before.swapped() if trial.inverted and not before.inverted else before
-        whole = np.concatenate([before.command, trial.command, held])
-        theta = free_run(model, whole, float(before.angle[0]))[len(before) :]
+    began = before or trial
+    began = began.swapped() if trial.inverted and not began.inverted else began
+    lead = began.command if before else trial.command[:0]
+    theta = free_run(model, np.concatenate([lead, trial.command, held]), float(began.angle[0]))[lead.size :]
     if not np.all(np.isfinite(theta)):
         raise ModelError(
             f"{trial.source}: the model's angle is not finite from sample {np.argmin(np.isfinite(theta))} on"

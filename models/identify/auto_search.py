@@ -166,16 +166,18 @@ class AutoSearch:
         except KeyboardInterrupt:
             raise nothing_found("the first core", interrupted=True) from None
         try:
-            self._plan([a for n in self._names for a in self._alternatives(n, present)], present, self.settings.rounds)
+            parts = tuple(part.name for part in self._parts)
+            open_forms = [a for name in (*self._names, *parts) for a in self._alternatives(name, present)]
+            self._plan(open_forms, present, self.settings.rounds)
             present = self._rounds(present, self._names)
             line = self._judged(self._cores[0], none, self._fitted(self._cores[0], none, None))
-            self._rounds(line, [name for name in self._names if name != _CORE])
+            self._rounds(line, parts)
             chosen = self._simplest_tried(present)
             if chosen.core is self._cores[0] is not present.core:
                 chosen = self._simplest_tried(self._simplest(self._alternatives(_CORE, chosen), chosen))
             return self._polished(self._with_one_zero(chosen))
         except KeyboardInterrupt:
-            self.interrupted = True
+            self.interrupted, self.terms = True, present.hypothesis.problem.terms
             return self._simplest_tried(present)
 
     def _rounds(self, present: Choice, names: Sequence[str]) -> Choice:
@@ -292,9 +294,9 @@ class AutoSearch:
         self._progress(min(self._done / self._planned, 1.0), math.sqrt(best))
 
     def _terms_of_trials(self) -> TrialTerms:
-        """Offsets or starts of their own: what the better of two devices errs by with them, behind the commonest drive.
+        """Whether trials have offsets or starts of their own, judged by the better of two devices with one drive.
 
-        The richest core, and a line behind a valve: free of hysteresis, it cannot take up where a slow drive began.
+        One has the richest core. The other has a valve and a line, whose lack of memory cannot stand in for a start.
         """
         if len(self.runs) == 1:
             return self.terms

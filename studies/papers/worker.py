@@ -115,7 +115,7 @@ def _scores(model: OnnxModel, task: TrainingTask) -> Iterable[Score]:
             later = None
             if task.job.skip_first_flexure:
                 try:
-                    later = evaluate(model, trial, True, task.before).errors
+                    later = evaluate(model, trial, skip_first_flexure=True, before=task.before).errors
                 except LogError:  # a command that never turns has nothing after its first flexure
                     later = None
             yield Score(split, trial.source, evaluate(model, trial, before=task.before).errors, later)

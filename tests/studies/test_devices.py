@@ -75,7 +75,7 @@ def test_a_list_of_devices_is_read_beside_its_logs(tmp_path: Path) -> None:
 
 
 def test_a_part_of_a_log_is_scored_as_that_stretch_of_a_free_run_over_the_log(tmp_path: Path) -> None:
-    """A slow device is in motion where a part begins; a free run from rest there would be no error of its model."""
+    """A slow device is in motion where a part begins. A free run that begins at rest there errs with the true model."""
     slow = Chain(BACKLASH, (Lag(3.0),))
     log = trials_of(slow, [moves(1, 24.0)])[0]
     write_csv(log, tmp_path / "whole.csv")
