@@ -31,6 +31,10 @@ class FitError(HystmpcError):
     """An identification cannot start or has diverged."""
 
 
+class FitInterruptedError(FitError):
+    """The user ended a fit that had nothing to keep yet."""
+
+
 class TrajectoryError(HystmpcError):
     """A reference cannot be generated within its limits."""
 

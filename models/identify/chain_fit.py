@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hystmpc.trials.errors import FitError, ModelError, did_you_mean
+from hystmpc.trials.errors import FitError, FitInterruptedError, ModelError, did_you_mean
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
@@ -230,5 +230,5 @@ def chain_from(template: Chain, values: Vec) -> Chain:
 def nothing_found(looked_at: str, interrupted: bool) -> FitError:
     """Why there is no best point: the user was faster, or no error is a number."""
     if interrupted:
-        return FitError("the fit was interrupted before its first look, there is nothing to keep")
+        return FitInterruptedError("the fit was interrupted before its first look, there is nothing to keep")
     return FitError(f"no finite error in {looked_at}, expected at least one; check the units")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hystmpc.trials.errors import FitError
+from hystmpc.trials.errors import FitError, FitInterruptedError
 from hystmpc.trials.trial import Trial
 
 from ..contract.equivalence import TOLERANCE_DEG
@@ -120,7 +120,8 @@ def fit_network(
     except KeyboardInterrupt:
         interrupted = True
     if best is None:
-        raise FitError(_nothing_to_keep(history, trials[0].units.angle))
+        kind = FitInterruptedError if interrupted else FitError
+        raise kind(_nothing_to_keep(history, trials[0].units.angle))
     sources = tuple(trial.source for trial in held_out)
     chosen, net = best
     return NetworkFit(

@@ -15,7 +15,7 @@ from filelock import FileLock, Timeout
 from pydantic import TypeAdapter
 
 from hystmpc.trials.config import dump_yaml
-from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
+from hystmpc.trials.errors import ConfigError, FitInterruptedError, HystmpcError, LogError
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
@@ -125,6 +125,8 @@ def attempt(call: Callable[[], R]) -> Attempt[R]:
     start = time.perf_counter()
     try:
         value = call()
+    except FitInterruptedError:
+        raise KeyboardInterrupt from None
     except Exception as raised:  # noqa: BLE001  # one job's defect must not cost the others hours
         return Attempt(None, raised, time.perf_counter() - start)
     return Attempt(value, None, time.perf_counter() - start)

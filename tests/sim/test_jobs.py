@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from hystmpc.models.identify.chain_fit import nothing_found
 from hystmpc.sim.jobs.backend import InTurn
 from hystmpc.sim.jobs.runner import ResultFiles, Status, alone_in, attempt, resumed_folder, run_jobs, wall_minutes
 from hystmpc.trials.errors import ConfigError, LogError
@@ -148,6 +149,8 @@ def test_an_attempt_tells_errors_of_the_package_plainly_and_others_with_their_ty
     assert attempt(lambda: 3).error == ""
     assert attempt(raising(ConfigError("two\nlines"))).error == "two lines"
     assert attempt(raising(KeyError("x"))).error == "KeyError: 'x'"
+    with pytest.raises(KeyboardInterrupt):  # a fit that Ctrl-C has ended is no failed one: the study ends, too
+        attempt(raising(nothing_found("the first core", interrupted=True)))
     assert attempt(raising(ConfigError(""))).value is None
     with pytest.raises(KeyboardInterrupt):
         attempt(raising(KeyboardInterrupt()))
