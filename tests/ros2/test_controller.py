@@ -246,7 +246,7 @@ def test_the_files_around_the_plugin_name_the_same_class_library_and_parameters(
 def test_every_compiler_takes_it_without_a_warning(
     compiler: list[str], single: bool, releases: list[str], tmp_path: Path
 ) -> None:
-    """Compiled, not linked: the wheel's compiler would make its C++ library for that, which takes half a minute."""
+    """It is not linked: for that the wheel's compiler would build its C++ library, which takes half a minute."""
     arguments = written(tmp_path, single)
     assert tried([*compiler, *arguments, *releases, "-c"], tmp_path) == ""
 
