@@ -6,6 +6,7 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+import onnx
 import pytest
 from onnx import TensorProto, numpy_helper
 
@@ -16,7 +17,7 @@ from hystmpc.models.model import StepFunction
 from hystmpc.trials.errors import ExportError
 from hystmpc.trials.types import Vec
 
-from .contract_examples import DT_S, PROBE, SLOPE, SYSTEMS, WIDTH, Play, RatePlay, metadata, node, play_graph
+from .contract_examples import DT_S, PROBE, SLOPE, SYSTEMS, WIDTH, Play, RatePlay, graph_of, metadata, node, play_graph
 
 
 @pytest.fixture(scope="module", params=SYSTEMS, ids=lambda system: system.name)
@@ -118,7 +119,7 @@ def test_casadi_function_has_exact_derivatives(bundle: ExportBundle, model: Onnx
 def test_changed_weight_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
     wrong = ExportBundle(play_graph(slope=SLOPE * 1.001), metadata(1), Play(), PROBE)
     with pytest.raises(
-        ExportError, match=r"onnxruntime on its own, sample \d+: theta \[deg\] is .* nothing was written"
+        ExportError, match=r"onnxruntime in batches of 8, draw \d+, row \d: theta \[deg\] is .* nothing was written"
     ):
         export_onnx(wrong, tmp_path / "model.onnx")
     assert list(tmp_path.iterdir()) == []
@@ -131,6 +132,39 @@ def test_refused_export_keeps_the_file_that_was_there(tmp_path: Path) -> None:
     with pytest.raises(ExportError):
         export_onnx(ExportBundle(play_graph(slope=2.0), metadata(1), Play(), PROBE), path)
     assert load_onnx(path).hash == before
+
+
+class Chaos(StepFunction):
+    """x+ = 1 - 1.9 x^2, theta = x+: a difference in the last digit grows to the full range within a hundred steps."""
+
+    state_size = 1
+
+    def advance(self, state: Vec, u: Vec) -> tuple[Vec, Vec]:
+        following = 1.0 - 1.9 * state * state + 0.0 * u
+        return following, following
+
+    def jacobian(self, state: Vec, _u: float) -> Vec:
+        return np.array([[-3.8 * state[0], 0.0], [-3.8 * state[0], 0.0]])
+
+
+def chaos_graph() -> onnx.GraphProto:
+    """The same map, multiplied in another order."""
+    nodes = [
+        node("Mul", "state state", "square"),
+        node("Mul", "square a", "scaled"),
+        node("Sub", "one scaled", "mapped"),
+        node("Mul", "u zero", "nothing"),
+        node("Add", "mapped nothing", "next_state"),
+        node("Identity", "next_state", "theta"),
+    ]
+    return graph_of(nodes, 1, {"a": np.array(1.9), "one": np.array(1.0), "zero": np.array(0.0)})
+
+
+def test_sensitive_model_is_told_from_a_wrong_step(tmp_path: Path) -> None:
+    told = r"onnxruntime on its own, sample \d+: .* single steps agree to \S+e-1\d .* the model itself is sensitive"
+    with pytest.raises(ExportError, match=told):
+        export_onnx(ExportBundle(chaos_graph(), metadata(1), Chaos(), PROBE), tmp_path / "model.onnx")
+    assert list(tmp_path.iterdir()) == []
 
 
 class WrongSlope(StepFunction):
