@@ -117,6 +117,7 @@ def test_the_clock_that_check_proposes_is_one_that_check_fit_and_evaluate_take(
     assert one == pytest.approx(other, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_fit_is_scored_on_trials_that_it_did_not_see_and_drawn(
     logs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

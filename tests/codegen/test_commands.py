@@ -61,6 +61,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Library:
     return library(CASES["plays"][0], tmp_path_factory.mktemp("plain"))
 
 
+@pytest.mark.slow
 def test_commands_are_those_of_python(plain: Library) -> None:
     found = compare(CASES["plays"][0], plain, 1000)
     assert found.greatest <= SAME

@@ -105,6 +105,7 @@ def test_it_repeats_the_python_simulator(name: str, version: FmuVersion, tmp_pat
     assert greatest_difference(fmu, plant) <= 1e-9  # not-a-number is not
 
 
+@pytest.mark.slow
 @versions
 def test_equal_simulators_give_equal_files(version: FmuVersion, tmp_path: Path) -> None:
     one, two = (written(plant_of("pi"), tmp_path / name, version).read_bytes() for name in ("one.fmu", "two.fmu"))
@@ -277,6 +278,7 @@ def test_what_has_no_fmu_is_refused_in_a_line(tmp_path: Path) -> None:
         export_fmu(plant.simulator, plant.rest, platforms=["win46"])
 
 
+@pytest.mark.slow
 def test_the_command_says_what_it_wrote_and_left_out(tmp_path: Path) -> None:
     run, out = CliRunner(), tmp_path / "device.fmu"
     arguments = ["export-fmu", str(FILES / "simulate_builtin.yaml"), "--out", str(out), "--fmi", "3.0"]

@@ -42,6 +42,7 @@ def test_commands_of_a_gru_are_those_of_python_with_every_part(tmp_path: Path) -
     assert found.same_sources
 
 
+@pytest.mark.slow
 @EVERY_KIND
 def test_without_fused_instructions_commands_stay_close(kind: str, tmp_path: Path) -> None:
     """The products are then rounded by way of double."""

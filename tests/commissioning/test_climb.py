@@ -53,6 +53,7 @@ def test_whatever_the_device_answers_it_gets_no_command_beyond_a_limit(
     assert not sent or sent[-1] == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 @given(answers=st.lists(ANGLES, min_size=1, max_size=40), share=st.floats(0.0, 1.0), controlled=st.booleans())
 @settings(max_examples=12)
 def test_recordings_and_tracks_keep_to_the_range_that_was_found(

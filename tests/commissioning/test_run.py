@@ -46,6 +46,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[float]]:
     return folder / "run", sent
 
 
+@pytest.mark.slow
 def test_a_device_becomes_a_controller(whole: tuple[Path, list[float]]) -> None:
     out, sent = whole
     assert within(sent, settings(out))
@@ -101,6 +102,7 @@ def test_an_interrupted_one_goes_on_to_the_same_result(
     assert within(after, bench)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_a_complete_one_moves_nothing_more_and_other_settings_are_refused(
     whole: tuple[Path, list[float]], tmp_path: Path

@@ -106,6 +106,7 @@ class Stranger:
         return self.y + 0.05 * float(self.random.standard_normal())
 
 
+@pytest.mark.slow
 def test_worthless_forecasts_end_in_feedback_within_limits() -> None:
     loop, device = controller(), Stranger(3)
     state, y, last, levels = loop.init(45.0, 2.0), 45.0, 2.0, []

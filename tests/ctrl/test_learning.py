@@ -412,6 +412,7 @@ def followed(device: Device, settings: dict[str, object], prepare: bool) -> floa
 HALVED = ("half the gain", "three times the play", "delay of 5 samples", "all of it")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prepare", [False, True], ids=["from rest", "prepared"])
 @pytest.mark.parametrize("name", CHANGED)
 def test_learning_never_destabilises_a_changed_device_and_mends_it_behind_two_flexures(

@@ -126,6 +126,7 @@ def test_one_iteration_finds_the_optimum_in_blocked_moves_of_a_linear_model(hori
     np.testing.assert_allclose(LIMITS.clip_plans(found.commands, problem.u_last, DT), found.commands, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", SOUND, ids=lambda c: c.name)
 def test_a_scan_with_a_long_preview_is_followed_as_closely_as_by_the_linearised_controller(case: Case) -> None:
     errors = []

@@ -68,6 +68,7 @@ def test_importing_it_loads_nothing() -> None:
     assert done.stdout.split() == []
 
 
+@pytest.mark.slow
 def test_from_trials_to_a_controller(pi: hystmpc.Fit, trials: list[hystmpc.Trial], tmp_path: Path) -> None:
     evaluation = hystmpc.evaluate(pi, trials)
     assert len(evaluation) == 3

@@ -88,6 +88,7 @@ def test_a_sentence_goes_on_behind_a_colon_and_a_decimal_point(tmp_path: Path) -
     assert running_text(sentences_of(page)).count(".") == len(sentences_of(page))
 
 
+@pytest.mark.slow
 def test_the_whole_site_is_easy_to_read() -> None:
     textstat = pytest.importorskip("textstat")
     sentences = [sentence for page in PAGES for sentence in sentences_of(page)]

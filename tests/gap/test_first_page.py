@@ -141,6 +141,7 @@ def test_where_no_angle_follows_its_command_the_wiring_is_to_be_looked_at() -> N
     assert advice == ("Look for a wrong file or column, a loose sensor, or a tendon or line that is broken.",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_one_figure_stands_first_and_everything_else_is_folded(verdict: Verdict) -> None:
     pieces = diagnosis_report(report_data(verdict, 3)).pieces

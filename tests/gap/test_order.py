@@ -55,6 +55,7 @@ def test_a_claim_that_the_clock_contradicts_is_refused() -> None:
     assert in_recording_order(TRIALS[:1], ordered=False) == (TRIALS[:1], "known")
 
 
+@pytest.mark.slow
 @given(st.permutations(TRIALS))
 def test_nothing_is_carried_from_trial_to_trial_without_an_order(given_: list[Trial]) -> None:
     prepared = prepare(given_, SIMULATOR, ordered=False)

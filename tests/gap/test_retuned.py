@@ -44,6 +44,7 @@ def wider(more: float) -> Backlash:
 TRIALS = [Trial(DT * np.arange(u.size), u, np.zeros(u.size), source=f"{k}") for k, u in enumerate(COMMANDS)]
 
 
+@pytest.mark.slow
 def test_a_friction_that_has_grown_is_retuned_and_said_with_its_interval() -> None:
     trials = trials_of(Chain(wider(0.8)), COMMANDS)
     found = conclude(find_causes(trials, simulator_of(BACKLASH, KNOWN)))[0]

@@ -212,6 +212,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return made
 
 
+@pytest.mark.slow
 def test_on_the_corrected_simulator_itself_the_fall_is_the_one_expected(runs: dict[str, Path]) -> None:
     (fall,) = tracking_falls(runs["after"], [runs["before"]], runs["diagnosis"])
     assert fall.before is not None

@@ -98,6 +98,7 @@ def assert_the_same(command: float, angle: float, only: tuple[str, ...] | None) 
         np.testing.assert_allclose(list(effect.parameters.values()), list(same.parameters.values()), rtol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("command", "angle"), OTHER)
 def test_a_diagnosis_is_free_of_units(command: float, angle: float) -> None:
     assert_the_same(command, angle, ("creep", "lag"))
@@ -109,6 +110,7 @@ def test_the_whole_library_is_free_of_units(command: float, angle: float) -> Non
     assert_the_same(command, angle, None)
 
 
+@pytest.mark.slow
 def test_files_and_page_carry_the_unit(tmp_path: Path) -> None:
     _, evidence = diagnosed(1.0, 1e-3, ("creep", "lag"))
     folder = save_diagnosis(evidence, tmp_path / "out", {})

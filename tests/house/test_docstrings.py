@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
+import pytest
+
 from hystmpc.trials import errors
 
 from .source import Function, Module, modules
@@ -87,6 +89,7 @@ def raised(node: Function) -> set[str]:
     return names & ERRORS
 
 
+@pytest.mark.slow
 def test_everything_public_has_a_docstring() -> None:
     assert [str(d) for d in public() if d.node.name not in CONSTRUCTORS and not docstring(d)] == []
 

@@ -79,6 +79,7 @@ def archive(repository: Path, folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
 def test_the_version_is_the_tags_with_and_without_a_history(tmp_path: Path) -> None:
     repository = tmp_path / "repository"

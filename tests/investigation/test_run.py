@@ -50,6 +50,7 @@ def check_laws(made: Investigated, settings: InvestigateSettings, sent: list[flo
     assert all(f"Round {found.number}" in page for found in made.rounds)
 
 
+@pytest.mark.slow
 def test_interrupted_it_goes_on_to_the_same_result_and_ends_with_the_device_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -113,6 +114,7 @@ def test_the_plan_is_within_limits_and_time_and_needs_no_angle(tmp_path: Path) -
         assert commands[0] == commands[-1] == 1.0
 
 
+@pytest.mark.slow
 def test_a_further_motion_is_of_a_kind_that_was_not_recorded_and_what_was_fitted_allows_it(tmp_path: Path) -> None:
     made, left = settings(tmp_path, investigate={"minutes": 5.0}), "dwell_near_lowest"
     kinds = {template.name for template in TEMPLATES}

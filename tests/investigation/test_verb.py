@@ -49,6 +49,7 @@ def test_what_is_refused_is_one_line(
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_a_safe_stop_keeps_the_device_latched_and_ends_with_three(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

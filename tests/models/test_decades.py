@@ -67,6 +67,7 @@ def test_every_kind_is_free_of_units(kind: ModelKind, tmp_path: Path) -> None:
     np.testing.assert_allclose(share[1], share[0], rtol=0.02)
 
 
+@pytest.mark.slow
 @given(SIZES, SIZES)
 def test_the_parameters_scale_with_the_signals(command: float, angle: float) -> None:
     """theta = m (u + c) with u a times and theta b times as large: m grows by b / a, c by a."""

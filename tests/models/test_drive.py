@@ -52,6 +52,7 @@ def test_a_path_that_it_can_take_is_taken(name: str) -> None:
     np.testing.assert_allclose(found.predictor.rollout(state, fit.inputs[None])[0], fit.outputs, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVES)
 def test_a_rest_is_kept_without_a_move(name: str) -> None:
     found, state = drive(name)

@@ -94,6 +94,7 @@ def test_the_resonance_is_read_off_the_trials() -> None:
     assert found.lead_s < 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("metre", [1.0, 1e6], ids=["m", "um"])
 def test_a_device_is_found_again_in_any_unit(metre: float) -> None:
     """From a log that starts in motion, whose first fifth does not count."""

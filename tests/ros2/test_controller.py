@@ -40,6 +40,7 @@ def running(library: ctypes.CDLL) -> Manager:
     return manager
 
 
+@pytest.mark.slow
 def test_commands_are_those_of_python(library: ctypes.CDLL) -> None:
     """Each in a loop of its own around a simulated catheter, with noise, lost measurements and targets."""
     random, device = np.random.default_rng(3), predictor_for(load_model("builtin:tendon-catheter", "conditioned"))

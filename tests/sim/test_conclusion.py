@@ -89,6 +89,7 @@ def test_a_motion_that_starts_at_the_rest_needs_no_approach_and_one_far_away_doe
     assert set(prepare(study(motions={"far": far}, approach=False)).approach_s.values()) == {0.0}
 
 
+@pytest.mark.slow
 def test_a_first_jump_no_longer_hides_the_tracking(tmp_path) -> None:
     """The motion of a device, 17 deg away from its rest: without an approach the jump is nearly all of the error."""
     far = MOVE | {"start_deg": 45.0, "targets_deg": [55.0, 48.0]}

@@ -40,6 +40,7 @@ def test_frames_as_dense_as_the_samples_and_never_late_are_a_continuous_sensor()
     assert np.sqrt(np.mean((dense["linearised_mpc"].true_deg - plain["linearised_mpc"].true_deg) ** 2)) < 0.1
 
 
+@pytest.mark.slow
 def test_every_controller_follows_by_frames_and_again_as_before(tmp_path: Path) -> None:
     config = study(controllers=ALL, sensor={**CAMERA, "noise_deg": 0.2}, seed=3)
     found = compare(config, tmp_path / "run")

@@ -48,6 +48,7 @@ def listed(folder: Path) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_one_command_ranks_kinds_over_devices(tmp_path: Path) -> None:
     out = tmp_path / "out"
     told = ["study", "kinds", "--data", str(listed(tmp_path)), "--kinds", "backlash,maxwell_slip"]

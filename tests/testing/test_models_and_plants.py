@@ -60,6 +60,7 @@ def test_every_model_of_the_library_keeps_the_contract(name: str) -> None:
     keeps(Own())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUICK)
 def test_every_quick_kind_keeps_the_contract(name: str) -> None:
     class Own(KindContract):

@@ -77,6 +77,7 @@ def test_bars_steps_and_cells_are_in_the_table() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_report_writes_its_figures_where_they_are_asked_for_and_nowhere_else(tmp_path: Path) -> None:
     with figures_to(tmp_path / "figures"):
         report().save(tmp_path / "a.html")
