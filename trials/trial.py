@@ -200,13 +200,15 @@ _SOUND = 20  # intervals from which a rate can be told
 
 def clock_advice(t: Vec) -> str:
     """What to do about time stamps (T,) [s] that repeat or run backwards, for an error line: `; ...`."""
-    late = np.flatnonzero(np.diff(t) <= 0)
-    sound = t[: int(late[0]) + 1] if late.size and late[0] >= _SOUND else t  # a clock that ran out of digits coarsens
-    forward = np.diff(sound)
-    forward = forward[forward > 0]
-    if not forward.size:
+    steps = np.diff(t)
+    late = np.flatnonzero(steps <= 0)
+    if late.size and late[0] >= _SOUND:  # a clock that ran out of digits coarsens: its sound part tells the rate
+        steps = steps[: late[0]]
+    if not np.any(steps > 0):
         return ""
-    rate = 1 / float(np.median(forward))
+    # Where stamps only repeat, each repetition is a sample too; a clock that ran backwards has no duration.
+    interval = float(np.mean(steps) if np.all(steps >= 0) else np.median(steps[steps > 0]))
+    rate = 1 / interval
     return f"; if it was sampled evenly, `--sampled-hz {rate:.4g}` stands in for the broken clock"
 
 

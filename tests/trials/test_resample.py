@@ -13,7 +13,16 @@ from hystmpc.trials.check import Severity, check
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, LogError
 from hystmpc.trials.read import read_trials
-from hystmpc.trials.trial import MAX_GAP_S, Trial, Units, at_rate, parts_at_gaps, require_uniform, resample
+from hystmpc.trials.trial import (
+    MAX_GAP_S,
+    Trial,
+    Units,
+    at_rate,
+    clock_advice,
+    parts_at_gaps,
+    require_uniform,
+    resample,
+)
 
 
 def jittered(count: int, seed: int, start: float = 3.0) -> Trial:
@@ -150,6 +159,14 @@ def test_a_clock_that_runs_out_of_digits_is_stood_in_for(tmp_path: Path) -> None
         assert check(path, given_layout, sampled_hz=200).worst is not Severity.ERROR
     with pytest.raises(ConfigError, match="expected a positive number"):
         read_trials(path, sampled_hz=0)
+
+
+def test_the_rate_of_a_clock_too_coarse_from_the_start_counts_its_repetitions() -> None:
+    t = 0.01 * np.arange(3000.0)  # 100 Hz, stamps of a tenth of a second
+    (finding,) = check(Trial(np.floor(10 * t + 1e-9) / 10, t, t)).of("duplicates")
+    assert "`--sampled-hz 100.3`" in finding.message  # 2,999 intervals in 29.9 s
+    back = np.where(np.arange(3000) % 50 == 49, t - 0.1, t)
+    assert clock_advice(back).count("--sampled-hz 100`") == 1
 
 
 def test_the_unit_of_the_log_is_the_unit_of_the_trial(tmp_path: Path) -> None:
