@@ -163,10 +163,10 @@ def test_a_clock_that_runs_out_of_digits_is_stood_in_for(tmp_path: Path) -> None
 
 def test_the_rate_of_a_clock_too_coarse_from_the_start_counts_its_repetitions() -> None:
     t = 0.01 * np.arange(3000.0)  # 100 Hz, stamps of a tenth of a second
-    (finding,) = check(Trial(np.floor(10 * t + 1e-9) / 10, t, t)).of("duplicates")
-    assert "`--sampled-hz 100.3`" in finding.message  # 2,999 intervals in 29.9 s
+    coarse = np.floor(10 * t + 1e-9) / 10
+    assert "`--sampled-hz 100.3`" in clock_advice(coarse)  # 2,999 intervals in 29.9 s
     back = np.where(np.arange(3000) % 50 == 49, t - 0.1, t)
-    assert clock_advice(back).count("--sampled-hz 100`") == 1
+    assert "`--sampled-hz 100`" in clock_advice(back)
 
 
 def test_the_unit_of_the_log_is_the_unit_of_the_trial(tmp_path: Path) -> None:
