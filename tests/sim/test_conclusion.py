@@ -65,6 +65,11 @@ def test_the_best_is_named_and_held_against_the_other_sort(errors: dict[str, flo
     assert ("a" if errors.get("a") == 0.1 else "b", "rmse_deg") in best_figures(found.of_motion("move"))
 
 
+def test_errors_that_are_printed_alike_are_equally_good() -> None:
+    best = best_figures(result({"a": 0.0494, "b": 0.0486, "c": 0.0505}, KINDS).of_motion("move"))
+    assert {controller for controller, name in best if name == "rmse_deg"} == {"a", "b"}
+
+
 def test_one_controller_alone_is_not_the_best() -> None:
     found = result({"a": 0.1}, KINDS)
     assert conclusion(found) == ""
