@@ -23,24 +23,14 @@ static const real motion_variance[HYSTMPC_MOTIONS] = HYSTMPC_MOTION_VARIANCES; /
 static const real by_sensor[HYSTMPC_SENSORS] = HYSTMPC_BY_SENSOR;
 static const real by_model[HYSTMPC_DRIFTS * HYSTMPC_MOTIONS] = HYSTMPC_BY_MODEL;
 
-/* Sum in eight parts, since an addition that waits for the one before costs several times as much. */
-static real total_of(const real *terms, int count) {
-    real parts[8] = {R(0.0)};
-    int i = 0;
-    for (; i + 8 <= count; i += 8)
-        for (int k = 0; k < 8; k++) parts[k] += terms[i + k];
-    for (; i < count; i++) parts[0] += terms[i];
-    return ((parts[0] + parts[4]) + (parts[1] + parts[5])) + ((parts[2] + parts[6]) + (parts[3] + parts[7]));
-}
-
 /* Variance of the mixture of all filters about its mean. */
 static real mixed_variance(real bank[3][HYSTMPC_FILTERS], real mean) {
-    real terms[M];
+    real total = R(0.0);
     for (int i = 0; i < M; i++) {
         const real off = bank[0][i] - mean;
-        terms[i] = bank[2][i] * (bank[1][i] + off * off);
+        total += bank[2][i] * (bank[1][i] + off * off);
     }
-    return total_of(terms, M);
+    return total;
 }
 
 static void bank_init(hystmpc_estimate *e, real disturbance) {
@@ -58,33 +48,32 @@ static void bank_init(hystmpc_estimate *e, real disturbance) {
  * then all weights mixed with their prior, since how wrong the model is may change. */
 HYSTMPC_LOCAL void bank_correct(real bank[3][HYSTMPC_FILTERS], real offset, real *mean, real *variance) {
     enum { INNER = DRIFTS * MOTIONS };
-    real share[SENSORS], total = R(0.0), terms[M];
+    real total = R(0.0);
     for (int j = 0; j < SENSORS; j++) {
         const real noise = sensor_variance[j];
         for (int i = j * INNER; i < (j + 1) * INNER; i++) {
-            const real before = bank[1][i], spread = before + noise, by_spread = R(1.0) / spread;
-            const real error = offset - bank[0][i];
-            real odd = R(1.0) + R(0.2) * error * error * by_spread;
+            const real before = bank[1][i], spread = before + noise, error = offset - bank[0][i];
+            real odd = R(1.0) + error * error / (R(5.0) * spread);
             odd *= odd;
-            const real gain = least(before * by_spread, HYSTMPC_MOST_GAIN), rest = R(1.0) - gain;
+            const real gain = least(before / spread, HYSTMPC_MOST_GAIN), rest = R(1.0) - gain;
             bank[0][i] = clamp(bank[0][i] + gain * error, -HYSTMPC_DISTURBANCE_LIMIT, HYSTMPC_DISTURBANCE_LIMIT);
             bank[1][i] = rest * rest * before + gain * gain * noise;
             bank[2][i] = bank[2][i] / (root(spread) * odd * odd);
+            total += bank[2][i];
         }
-        share[j] = total_of(bank[2] + j * INNER, INNER);
-        total += share[j];
     }
-    const real kept = (R(1.0) - HYSTMPC_SWITCHING) / total;
+    *mean = bank[0][0];
     for (int j = 0; j < SENSORS; j++) {
-        const real mixed = HYSTMPC_SWITCHING * ((R(1.0) - HYSTMPC_SENSOR_SHARE) * share[j] / total +
-                                                HYSTMPC_SENSOR_SHARE * by_sensor[j]);
+        real share = R(0.0);
+        for (int i = j * INNER; i < (j + 1) * INNER; i++) share += bank[2][i];
+        share = HYSTMPC_SWITCHING *
+                ((R(1.0) - HYSTMPC_SENSOR_SHARE) * share / total + HYSTMPC_SENSOR_SHARE * by_sensor[j]);
         for (int i = 0; i < INNER; i++) {
             const int k = j * INNER + i;
-            bank[2][k] = kept * bank[2][k] + mixed * by_model[i];
-            terms[k] = bank[2][k] * (bank[0][k] - bank[0][0]);
+            bank[2][k] = (R(1.0) - HYSTMPC_SWITCHING) * bank[2][k] / total + share * by_model[i];
+            *mean += bank[2][k] * (bank[0][k] - bank[0][0]);
         }
     }
-    *mean = bank[0][0] + total_of(terms, M);
     *variance = mixed_variance(bank, *mean);
 }
 
