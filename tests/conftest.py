@@ -30,7 +30,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Three workers on two cores: a tenth of the tests waits in real time for a device and leaves its core idle."""
+    """Three workers on two cores: a test that runs a device in real time mostly waits and leaves its core idle."""
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     return int(cores * 3 // 2)
