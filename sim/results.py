@@ -214,7 +214,7 @@ class StudyResult:
 def best_figures(runs: Sequence[Result]) -> frozenset[tuple[str, str]]:
     """Controller and name of the figure for the least RMSE, greatest error and hold error along a motion.
 
-    Figures that agree to 0.001 deg, as tables print them, are equally good.
+    Figures that agree to 0.001 deg, as the command prints them, are equally good.
     """
     names = ("rmse_deg", "max_abs_deg", "hold_error_deg") if len(runs) > 1 else ()
     figures = {(run.controller, name): round(getattr(run.metrics, name), 3) for run in runs for name in names}
