@@ -38,7 +38,7 @@ _asked_bench = mutated_file("rig", "bench.py", "test_live_control.py")
 _asked_phase = mutated_file("rig", "commission/phases.py", "test_live_control.py")
 _targets = mutated_file("rig", "commission/experiment.py", "test_live_control.py")
 _page = mutated_file("rig", "live/page.py", "test_live_control.py", "test_live.py")
-_compiled = mutated_file("rig", "commission/compiled.py", "test_backends.py")
+_compiled = mutated_file("rig", "compiled/controller.py", "test_backends.py")
 _in_c = Mutated("codegen", "codegen/c/controller.c", ("tests/rig/test_backends.py",))
 _at_bench = Mutated("cli", "cli/at_bench.py", ("tests/rig/test_bench.py",))
 

@@ -41,14 +41,14 @@ def zig(*arguments: str) -> tuple[str, ...] | None:
     return (sys.executable, "-m", "ziglang", "cc", *arguments)
 
 
-def shared_library(command: Sequence[str], flags: Sequence[str], sources: Mapping[str, str], main: str) -> bytes:
+def shared_library(command: Sequence[str], flags: Sequence[str], sources: Mapping[str, str], *mains: str) -> bytes:
     """The bytes of a shared library.
 
     Args:
         command: of the compiler.
         flags: beside those for C99 and for a library.
         sources: text of each file, by its name.
-        main: the file that is compiled; the others are headers.
+        mains: the files that are compiled; the others are headers.
 
     Raises:
         ExportError: if the compiler cannot run or fails, with the first error that it says.
@@ -56,7 +56,7 @@ def shared_library(command: Sequence[str], flags: Sequence[str], sources: Mappin
     with tempfile.TemporaryDirectory(prefix="hystmpc-c-") as folder:
         for file, text in sources.items():
             (Path(folder) / file).write_text(text, encoding="utf-8")
-        words = [*command, *_FLAGS, *flags, "-o", "library", main, "-lm"]
+        words = [*command, *_FLAGS, *flags, "-o", "library", *mains, "-lm"]
         try:
             done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=_LONGEST_S, check=False)
         except (OSError, subprocess.TimeoutExpired) as error:

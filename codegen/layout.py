@@ -8,7 +8,16 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 _STRUCT = re.compile(r"typedef struct \{(.*?)\} (\w+);", re.DOTALL)
-_FIELD = re.compile(r"^\s*(?:const )?(\w+) (.+);")
+_FIELD = re.compile(r"^\s*(?:const |volatile )?(\w+) (.+);")
+_TYPES: Mapping[str, Any] = {
+    "int": ctypes.c_int,
+    "float": ctypes.c_float,
+    "double": ctypes.c_double,
+    "uint8_t": ctypes.c_uint8,
+    "int32_t": ctypes.c_int32,
+    "uint32_t": ctypes.c_uint32,
+    "int64_t": ctypes.c_int64,
+}
 _NAME = re.compile(r"(\w+)((?:\[[^\]]+\])*)")
 
 
@@ -16,12 +25,12 @@ def structs(header: str, sizes: Mapping[str, int], real: Any) -> Mapping[str, ty
     """Every struct of a header by name.
 
     Args:
-        header: text; its conditions are `#if NAME` and `#endif`, its fields of `hystmpc_real`, float, int and other
-            structs.
+        header: text; its conditions are `#if NAME` and `#endif`, its fields of `hystmpc_real`, plain numbers and other
+            structs; names of structs begin with `hystmpc_`.
         sizes: of the macros in conditions and dimensions.
         real: ctypes' type of `hystmpc_real`.
     """
-    known: dict[str, Any] = {"hystmpc_real": real, "int": ctypes.c_int, "float": ctypes.c_float}
+    known: dict[str, Any] = {"hystmpc_real": real, **_TYPES}
     plain = "\n".join(_chosen(re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL), sizes))
     for body, name in _STRUCT.findall(plain):
         fields = [field for line in body.splitlines() for field in _fields(line, sizes, known)]

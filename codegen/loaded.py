@@ -19,7 +19,7 @@ class LoadedController:
 
     `memory` is what is remembered from step to step, as bytes: a snapshot, which `remember` takes up again. A step
     keeps the interpreter's lock: another thread that took it meanwhile would keep the loop waiting for longer than the
-    step lasts. `look_on` leaves it to others.
+    step lasts. `init` and `look_on`, which no loop waits for, leave it to others.
 
     Raises:
         OSError: if the file is no library of this machine.
@@ -28,7 +28,7 @@ class LoadedController:
     def __init__(self, export: ControllerExport, library: Path) -> None:
         kind, kind_of_answer = (export.structs[f"hystmpc_{name}"] for name in ("controller", "command"))
         functions, patient = ctypes.PyDLL(str(library)), ctypes.CDLL(str(library))
-        self._init, self._step, self._look_on = functions.hystmpc_init, functions.hystmpc_step, patient.hystmpc_look_on
+        self._init, self._step, self._look_on = patient.hystmpc_init, functions.hystmpc_step, patient.hystmpc_look_on
         self._stop, self._hurry = functions.hystmpc_stop, functions.hystmpc_hurry
         for function in (self._init, self._look_on):
             function.argtypes = [ctypes.c_void_p, _REAL, _REAL]
@@ -37,7 +37,8 @@ class LoadedController:
         self._step.argtypes, self._step.restype = [ctypes.c_void_p, _REAL, ctypes.c_void_p], kind_of_answer
         self.view: Any = kind()
         """The struct `hystmpc_controller` of the header."""
-        self._at, self._size = ctypes.addressof(self.view), int(kind.work.offset)
+        self.address = self._at = ctypes.addressof(self.view)
+        self._size = int(kind.work.offset)
 
     @property
     def memory(self) -> bytes:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, TrajectoryError
 from hystmpc.trials.files import write_atomically
 
 from .commission.phases import AwaitStart, Phase, SafeStop
@@ -23,7 +23,7 @@ from .recording.sample import Sink
 from .safety.gate import Anchor, Gate
 from .safety.intake import Intake
 from .safety.plausibility import MotionWatch
-from .safety.ramp import ramp_commands, stop_commands
+from .safety.ramp import stop_commands
 from .safety.stop import RUNNING, Latch, StopFlag, latch_text, stopping_on_signals
 from .transports.from_outside import PythonSettings
 from .transports.transport import Conversion, PlantFactory, RunContext, Transport
@@ -139,7 +139,9 @@ def _loop(
         flag.end()  # whoever asks for something else from now on is told so
         return SafeStop(way, safe, tolerance, cause, patience=max(_REPEATS, round(_PATIENCE_S / dt_s)))
 
-    ramp_commands(contact.held, 0.0, safe, ramps, dt_s)  # ruckig is loaded before it is needed in a hurry
+    for velocity in (0.0, ramps.velocity_per_s, limits.rate):  # each way out has been gone once before it is in a hurry
+        with suppress(TrajectoryError):
+            way(contact.held, velocity)
     gate = Gate(limits, dt_s)
     if not contact.tells:
         gate.anchor(contact.held)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import final
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, final
 
 from .commission.phases import REMEMBERED, AwaitStart, Decision, Past, Phase, PhaseInput, SafeStop, place_frames
 from .histogram import Timings
@@ -32,6 +32,8 @@ class RunOutcome:
         unsent: commands that the transport did not take.
         refused: samples on which the sink raised, which it should not.
         faults: samples by fault.
+        in_c: samples that were taken whole in C.
+        left_c: how often Python had to go on, by why.
     """
 
     cause: str
@@ -43,11 +45,24 @@ class RunOutcome:
     unsent: int
     refused: int
     faults: dict[str, int]
+    in_c: int = 0
+    left_c: dict[str, int] = field(default_factory=dict)
 
 
 _S = 1e-9
 _READINGS = 64  # taken at most in one sample; a flood must not cost the deadline
 _PILED_UP = 100_000
+_CALM = 5  # samples without a fault before others are taken in C
+
+
+class Times(NamedTuple):
+    """Of one sample [ns]: monotonic its wake-up, deadline and end, and the wall clock."""
+
+    woke: int
+    deadline: int
+    done: int
+    wall: int
+
 
 # Cause to the phase that leads to the safe command; no cause at the regular end.
 ToSafe = Callable[[str], SafeStop]
@@ -95,6 +110,8 @@ class ControlLoop:
         self._start_ns = self._woke_ns = self._boot_ns = 0
         self._sequence = self._skipped = self._waited = self._commands = self._unsent = self._refused = 0
         self._late = False
+        self._calm = 0  # samples in a row without a fault
+        self._in_c, self._left_c = 0, Counter[str]()
         self._refused_ns: int | None = None  # since when no command leaves
         self._newest: Reading | None = None
         self._cause, self._stop_s, self._safe_s, self._confirmed = "", math.nan, math.nan, False
@@ -114,6 +131,7 @@ class ControlLoop:
         self._boot_ns = self._clock.boot_ns()
         going = True
         while going:
+            deadline = self._taken_in_c(deadline)
             self._clock.wait_until(deadline)
             going = self._sample(deadline)
             deadline = self._next(deadline)
@@ -122,9 +140,54 @@ class ControlLoop:
         except Exception:  # noqa: BLE001 - the run is over; there is nobody left to tell
             self._unsent += 1
         counts = self._gate.clipped, self._unsent, self._refused
+        in_c = self._in_c, dict(self._left_c)
         return RunOutcome(
-            self._cause, self._sequence, self._stop_s, self._safe_s, self._confirmed, *counts, dict(self.faults)
+            self._cause, self._sequence, self._stop_s, self._safe_s, self._confirmed, *counts, dict(self.faults), *in_c
         )
+
+    def _taken_in_c(self, deadline: int) -> int:
+        """The deadline of the next sample that is to be taken here: those before it are taken in C, where one can."""
+        phase = self._phase
+        compiled = None if phase is None or self._calm < _CALM or self._flag.word.value else phase.compiled()
+        if phase is None or compiled is None:
+            return deadline
+        parts = compiled.parts(self._intake, self._gate, self._transport)
+        if parts is None:
+            return deadline
+        self._calm = 0
+        own = {"deadline_ns": deadline, "boot_ns": self._boot_ns, "dt_ns": self._dt_ns, "stall_ns": self._stall_ns}
+        compiled.begin({**parts, **self._anchor.numbers(), **own})
+        for sample, decision in phase.taken_in_c(self._flag):
+            self._book(sample, compiled.received(sample), decision)
+            if decision.finished:
+                self._finished()
+        view = compiled.view
+        self._left_c[compiled.reason] += 1
+        self._transport.take_back(compiled.unread(), view.own_sequence)
+        self._skip(view.skipped)
+        return int(view.deadline_ns)
+
+    def _book(self, done: Any, raw: Sequence[tuple[bytes, int]], decision: Decision) -> None:
+        """A sample that was taken in C, by the rules of those that are taken here; what they find ends it there."""
+        self._in_c += 1
+        self._skip(done.skipped)
+        readings = (self._transport.reading(*one) for one in raw)
+        seen = self._intake.judge([reading for reading in readings if reading], done.woke_ns, self._gate.last)
+        self._boot_ns = done.boot_ns
+        self._anchor.judge(seen, done.boot_ns)
+        if cause := seen.dead or self._anchor.moved or decision.fault:
+            self._flag.set(cause)
+        self._gate.clipped += not abs(done.u - done.wanted) <= 1e-12
+        if done.sent:
+            self._left(done.u, done.sent_ns)
+        elif self._anchor.in_time(done.sent_boot_ns):
+            self._refused_by_wire(done.sent_boot_ns)
+        else:
+            self._unsent += 1
+        self._remember(self._gate.last, seen)
+        faults = seen.faults if done.sent else (*seen.faults, "command-not-sent")
+        times = Times(done.woke_ns, done.deadline_ns, done.done_ns, done.wall_ns)
+        self._conclude(times, seen, decision, self._gate.last, faults)
 
     def _sample(self, deadline: int) -> bool:
         """One sample; False after the last one."""
@@ -152,7 +215,7 @@ class ControlLoop:
         held = self._gate.last
         self._remember(held, seen)
         faults = seen.faults if sent else (*seen.faults, "command-not-sent")
-        self._conclude(woke, deadline, seen, decision, held, faults)
+        self._conclude(self._times(woke, deadline), seen, decision, held, faults)
         if not decision.finished:
             return True
         if isinstance(self._phase, SafeStop):
@@ -163,8 +226,16 @@ class ControlLoop:
             if self._cause and self._phase.sent:
                 self._safe_s = _S * (self._clock.now_ns() - self._start_ns)
             return False
-        self._phase = None
+        self._finished()
         return True
+
+    def _finished(self) -> None:
+        """The phase is over. Where the way back is next, it is worked out now, in what is left of the sample."""
+        self._phase = None
+        if not self._rest:
+            phase = self._to_safe("")
+            phase.begin(PhaseInput(math.nan, self._gate.last, velocity=self._gate.velocity), Past([], []))
+            self._phase = phase
 
     def _wait(self, woke: int, deadline: int, seen: Seen, stop: str) -> bool:
         """Send nothing in this sample, since it is not known what the device holds; False where that is given up."""
@@ -178,7 +249,7 @@ class ControlLoop:
             self._unsent += 1
         decision = Decision(held, "wait", over or "nothing is sent until it is known what the device holds")
         faults = (*seen.faults, "held-unknown") if self._commands else seen.faults
-        self._conclude(woke, deadline, seen, decision, held, faults)
+        self._conclude(self._times(woke, deadline), seen, decision, held, faults)
         self._waited += 1
         if not over:
             return True
@@ -197,21 +268,22 @@ class ControlLoop:
         self._past_y.append(math.nan if seen.frames else seen.angle_deg)
         place_frames(self._past_y, seen.frames, _S * self._dt_ns)
 
-    def _conclude(
-        self, woke: int, deadline: int, seen: Seen, decision: Decision, u: float, faults: tuple[str, ...]
-    ) -> None:
+    def _times(self, woke: int, deadline: int) -> Times:
+        return Times(woke, deadline, self._clock.now_ns(), self._clock.wall_ns())
+
+    def _conclude(self, times: Times, seen: Seen, decision: Decision, u: float, faults: tuple[str, ...]) -> None:
         """Count and hand on what the sample was."""
-        done = self._clock.now_ns()
-        period = woke - self._woke_ns
-        self._count(period, woke - deadline, done - woke)
-        self._late = done > deadline + self._dt_ns
+        period = times.woke - self._woke_ns
+        self._count(period, times.woke - times.deadline, times.done - times.woke)
+        self._late = times.done > times.deadline + self._dt_ns
         self.timings.missed += self._late
         if self._late:
             faults = (*faults, "deadline-missed")
         self.faults.update(faults)
+        self._calm = 0 if faults else self._calm + 1
         if math.isfinite(u):  # before the first contact there is nothing to record
-            self._hand_on(self._record(woke, deadline, period, seen, decision, u, faults, done - woke))
-        self._woke_ns = woke
+            self._hand_on(self._record(times, period, seen, decision, u, faults))
+        self._woke_ns = times.woke
         self._sequence += 1
 
     def _drain(self) -> None:
@@ -282,19 +354,22 @@ class ControlLoop:
         try:
             self._transport.write(u)
         except Exception:  # noqa: BLE001 - counted and shown; a dead device ends the run by its silence
-            self._unsent += 1
-            self._anchor.not_sent(self._clock.boot_ns())
-            self._blocked()
+            self._refused_by_wire(self._clock.boot_ns())
             return False
-        self._gate.sent(u, self._clock.now_ns())
+        self._left(u, self._clock.now_ns())
+        return True
+
+    def _left(self, u: float, at: int) -> None:
+        """A command has left."""
+        self._gate.sent(u, at)
         self._anchor.sent()
         self._commands += 1
         self._refused_ns = None
-        return True
 
-    def _blocked(self) -> None:
+    def _refused_by_wire(self, now: int) -> None:
         """Ask for a stop where the wire has taken no command for too long: a device may talk and not listen."""
-        now = self._clock.boot_ns()
+        self._unsent += 1
+        self._anchor.not_sent(now)
         self._refused_ns = now if self._refused_ns is None else self._refused_ns
         if now - self._refused_ns > self._stall_ns:
             self._flag.set(f"no command has left for {_S * (now - self._refused_ns):.2f} s")
@@ -315,35 +390,31 @@ class ControlLoop:
         """The next deadline that has not passed by a whole sample."""
         deadline += self._dt_ns
         behind = self._clock.now_ns() - deadline
-        self._skipped = max(0, behind // self._dt_ns)
-        self.timings.skipped += self._skipped
-        self._sequence += self._skipped
+        self._skip(max(0, behind // self._dt_ns))
         return deadline + self._skipped * self._dt_ns
 
+    def _skip(self, samples: int) -> None:
+        """So many samples have passed wholly."""
+        self._skipped = samples
+        self.timings.skipped += samples
+        self._sequence += samples
+
     def _record(
-        self,
-        woke: int,
-        deadline: int,
-        period: int,
-        seen: Seen,
-        decision: Decision,
-        u: float,
-        faults: tuple[str, ...],
-        execution: int,
+        self, times: Times, period: int, seen: Seen, decision: Decision, u: float, faults: tuple[str, ...]
     ) -> Sample:
-        limited = not abs(u - decision.u) <= 1e-9
+        limited, woke = not abs(u - decision.u) <= 1e-9, times.woke
         return Sample(
             t_s=_S * (woke - self._start_ns),
-            wall_ns=self._clock.wall_ns(),
+            wall_ns=times.wall,
             reference_deg=decision.reference_deg,
             measured_deg=seen.angle_deg,
             command=u,
             source=decision.source,
             status=f"{decision.status}; limited from {decision.u:.6g}" if limited else decision.status,
             predicted_deg=decision.predicted_deg,
-            stages_s=(*decision.stages_s, ("execution", _S * execution)),
+            stages_s=(*decision.stages_s, ("execution", _S * (times.done - woke))),
             period_s=_S * period,
-            lateness_s=_S * max(0, woke - deadline),
+            lateness_s=_S * max(0, woke - times.deadline),
             missed=self._late,
             faults=faults,
             sequence=self._sequence,

@@ -18,6 +18,7 @@ from hystmpc.trials.types import Vec
 from ..command import Command
 from ..fallback import attempt
 from ..frozen import replace
+from ..guarded import GuardedState
 from .memory import (
     Snapshot,
     TipPlan,
@@ -140,6 +141,19 @@ class TipController:
         """One sample in which nothing was sent and the device held; the answer says so."""
         with self._lock:
             return self._answer(math.nan, None, "sample skipped, command held")
+
+    def took(self, steps: int, command: Command, control: GuardedState[Any] | None = None) -> None:
+        """Samples that the same controller was stepped through elsewhere, such as in C.
+
+        Args:
+            steps: how many.
+            command: answer of the last of them.
+            control: the controller's state after it; None where more are to come.
+        """
+        with self._lock:
+            memory = self._memory
+            after = memory.control if control is None else control
+            self._memory = replace(memory, steps=memory.steps + steps, control=after, command=command, sent=True)
 
     def measure(self, theta_deg: float, taken_at_s: float) -> None:
         """Use a frame of an intermittent sensor, taken in the past; between frames `step` gets NaN.

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from threading import Lock, Thread
-from typing import Any, Protocol, final
+from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,6 @@ from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.law import Law, Proposal
 from hystmpc.ctrl.monitor import ChangeMonitor, MonitorState
 from hystmpc.ctrl.planner.assembly import Assembly, assemble
-from hystmpc.ctrl.planner.controller import PlannersController
 from hystmpc.ctrl.planner.reach import beyond_reach
 from hystmpc.ctrl.planner.ruckig_ import Kinematics, move_to_rest
 from hystmpc.ctrl.planner.settings import TipSettings
@@ -35,8 +34,16 @@ from ..live.desk import Answer, Desk
 from ..recording.sample import Sink
 from ..safety.intake import SensorSettings
 from ..safety.plausibility import ModelWatch
+from ..safety.stop import StopFlag
 from ..transports.transport import PlantFactory, Transport
 from .phases import REMEMBERED, Decision, Past, Phase, PhaseInput
+
+if TYPE_CHECKING:
+    from ..compiled.controller import CompiledController
+    from ..compiled.loop import CompiledLoop
+
+_LATE = "late: no time for a plan"
+_FOR_GOOD = 1 << 62  # steps
 
 # From the measured angle [deg] to the trajectory that starts there.
 LeadIn = Callable[[float], Trajectory]
@@ -93,7 +100,8 @@ def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lamb
     )
     assembly = assemble(tip_settings, Path())
     _fits(settings, assembly)
-    controller, law_of_it = _stepped(settings, assembly, tip_settings)
+    compiled = _compiled(settings, assembly, tip_settings)
+    controller, law_of_it = make_timely(assembly.controller) if compiled is None else (compiled, compiled)
     tip = TipController(assembly, tip_settings, controller)
     reference = settings.reference.build()
     if beyond := beyond_reach(reference(np.linspace(0.0, reference.duration_s, 1000)), assembly.workspace.model):
@@ -110,19 +118,16 @@ def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lamb
     limit = estimator.disturbance_limit_deg if isinstance(estimator, EstimatorSettings) else math.inf
     watch = ModelWatch(settings.plausibility, limit, settings.dt_s)
     monitor = ChangeMonitor(assembly.predictor.noise, settings.dt_s, assembly.workspace.model)
-    return Tracking(tip, law_of_it, lead_in, watch, monitor, fails, settings.sensor, beside)
+    return Tracking(tip, law_of_it, lead_in, watch, monitor, fails, settings.sensor, beside, compiled)
 
 
-def _stepped(
-    settings: RunSettings, assembly: Assembly, tip_settings: TipSettings
-) -> tuple[PlannersController, Refusing]:
-    """The controller that the backend steps, and what tells it that there is no time for a plan."""
+def _compiled(settings: RunSettings, assembly: Assembly, tip_settings: TipSettings) -> CompiledController | None:
+    """The controller as C, None for the backend of Python."""
     if settings.realtime.backend == "python":
-        return make_timely(assembly.controller)
-    from .compiled import compiled_controller
+        return None
+    from ..compiled.controller import compiled_controller
 
-    compiled = compiled_controller(assembly.controller, tip_settings)
-    return compiled, compiled
+    return compiled_controller(assembly.controller, tip_settings, settings.realtime.spin_s)
 
 
 def _fits(settings: RunSettings, assembly: Assembly) -> None:
@@ -176,6 +181,7 @@ class Tracking(Phase):
         sensor: of the bench; continuous where left out.
         beside: whether the hand-over goes on beside the loop; False where a sample takes no time, so that each run of a
             computed device is the same.
+        compiled: the controller, where it is one in C: it may take whole samples.
     """
 
     name = "track"
@@ -190,8 +196,9 @@ class Tracking(Phase):
         drill_s: tuple[float, float] | None = None,
         sensor: SensorSettings | None = None,
         beside: bool = True,
+        compiled: CompiledController | None = None,
     ) -> None:
-        self._beside = beside
+        self._beside, self._compiled = beside, compiled
         self._tip, self._law, self._lead_in, self._watch, self._drill = tip, law, lead_in, watch, drill_s
         self._kind, self._rest_deg = ("continuous", None) if sensor is None else (sensor.kind, sensor.rest_deg)
         self._monitor, self._changed = monitor, ""
@@ -226,6 +233,8 @@ class Tracking(Phase):
                 return Answer(False, "no target can be set now: the controller does not track")
             self._tip.set_target(angle_deg)
             self._stays = True
+            if self._compiled is not None and self._compiled.loop is not None:
+                self._compiled.loop.interrupt()
         return Answer(True, reach.reason)
 
     def begin(self, now: PhaseInput, past: Past) -> None:
@@ -249,17 +258,43 @@ class Tracking(Phase):
                 self._tip.measure(angle, taken_s)
         self._early.clear()
         self._law.refusal = self._refusal(now)
-        self._judge(now.angle_deg)
+        control = self._tip.snapshot().control
+        if self._kind == "continuous" and control is not None and control.estimate.angles:
+            self._judge(now.angle_deg, control.estimate.angles[0] - control.estimate.added)
         command = self._tip.step(now.angle_deg if self._kind == "continuous" else math.nan)
         self._k += 1 + now.skipped
-        return self._decision(command)
-
-    def _judge(self, angle_deg: float) -> None:
-        """Compare the model's own angle with the measured one; once a second it is asked whether the device changed."""
         control = self._tip.snapshot().control
-        if self._kind != "continuous" or control is None or not control.estimate.angles:
+        return self._decision(command, math.nan if control is None else control.due)
+
+    def compiled(self) -> CompiledLoop | None:
+        """The loop in C, once the controller tracks and before the reference ends."""
+        if self._compiled is None or not self._tracks or self._kind != "continuous" or self._drill is not None:
+            return None
+        return self._compiled.loop
+
+    def taken_in_c(self, flag: StopFlag) -> Iterator[tuple[Any, Decision]]:
+        tip, memory, law, loop = self._tip, self._tip.snapshot(), self._compiled, self.compiled()
+        reference, control = memory.reference, memory.control
+        if law is None or loop is None or control is None or reference is None or self._reference is None:
             return
-        model = control.estimate.angles[0] - control.estimate.added
+        estimate, over = control.estimate, math.ceil(self._reference.duration_s / tip.dt)
+        over += (over * tip.dt < self._reference.duration_s) - ((over - 1) * tip.dt >= self._reference.duration_s)
+        model, stalled, command = estimate.angles[0] - estimate.added, estimate.stalled, None
+        law.take_up(control)
+        numbers = {**self._watch.numbers(), "steps": memory.steps}
+        end = _FOR_GOOD if self._stays else memory.steps + over - self._k
+        for sample in loop.samples(numbers, lambda steps: reference.at(tip.dt * steps), end, flag):
+            self._judge(sample.angle_deg, model)
+            command = law.taken(sample, stalled, _LATE)
+            model, stalled = sample.model_deg, sample.stalled
+            tip.took(1 + sample.skipped, command)
+            self._k += 1 + sample.skipped
+            yield sample, self._decision(command, sample.due_deg)
+        if command is not None:
+            tip.took(0, command, law.after())
+
+    def _judge(self, angle_deg: float, model: float) -> None:
+        """Compare the model's own angle with the measured one; once a second it is asked whether the device changed."""
         if self._judged is None:
             self._judged = self._monitor.init(model, angle_deg)
         self._judged = self._monitor.advance(self._judged, model, angle_deg)
@@ -311,14 +346,14 @@ class Tracking(Phase):
 
     def _refusal(self, now: PhaseInput) -> str:
         if now.late or now.skipped:
-            return "late: no time for a plan"
+            return _LATE
         t = self._k * self._tip.dt
         if self._drill is not None and self._drill[0] <= t < self._drill[1]:
             return "drill: solver made to fail"
         return ""
 
-    def _decision(self, command: Command) -> Decision:
-        reference, control = self._reference, self._tip.snapshot().control
+    def _decision(self, command: Command, due_deg: float) -> Decision:
+        reference = self._reference
         assert reference is not None
         t = self._k * self._tip.dt
         with self._turn:
@@ -331,7 +366,7 @@ class Tracking(Phase):
             u=command.u,
             source=str(command.source),
             status=command.status + self._changed,
-            reference_deg=math.nan if control is None else control.due,
+            reference_deg=due_deg,
             predicted_deg=predicted,
             stages_s=stages,
             finished=over,

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, MutableSequence, Sequence
+from collections.abc import Callable, Iterator, MutableSequence, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol, final
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, final
 
 from pydantic import Field, model_validator
 
@@ -15,6 +15,10 @@ from hystmpc.trials.types import Vec
 
 from ..safety.intake import SeenFrame
 from ..safety.ramp import RampSettings, ramp_commands, way_commands
+
+if TYPE_CHECKING:
+    from ..compiled.loop import CompiledLoop
+    from ..safety.stop import StopFlag
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +93,15 @@ class Phase(Protocol):
     def step(self, now: PhaseInput) -> Decision:
         """One sample."""
         ...
+
+    def compiled(self) -> CompiledLoop | None:
+        """What takes the next samples in C; None where they have to be taken in Python."""
+        return None
+
+    def taken_in_c(self, flag: StopFlag) -> Iterator[tuple[Any, Decision]]:
+        """Samples that `compiled`, which has begun, takes until the flag is set; each with what was decided."""
+        del flag
+        return iter(())
 
 
 @final

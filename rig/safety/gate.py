@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from typing import final
 
 from hystmpc.ctrl.limits import CommandLimits
@@ -59,6 +60,13 @@ class Gate:
         u = self._limits.clip(wanted, self.last, self._elapsed_s(now_ns))
         self.clipped += not abs(u - wanted) <= 1e-12
         return u
+
+    def numbers(self) -> Mapping[str, float] | None:
+        """What the same check in C begins with; None while nothing has been sent."""
+        if not self.anchored or self._sent_ns is None:
+            return None
+        limits = {"lower": self._limits.lower, "upper": self._limits.upper, "rate": self._limits.rate}
+        return {**limits, "dt_s": self._dt, "last": self.last, "gate_ns": self._sent_ns}
 
     def sent(self, u: float, now_ns: int) -> None:
         """The command `u` has really left at `now_ns` [ns]: the next one is measured from it."""
@@ -129,6 +137,10 @@ class Anchor:
             return True
         self._lose(boot_ns)
         return False
+
+    def numbers(self) -> Mapping[str, float]:
+        """What the same judgement in C begins with."""
+        return {"gap_ns": self._gap_ns, "judged_ns": self._judged_ns}
 
     def sent(self) -> None:
         """A command has left; time without commands counts from the judgement that allowed it."""

@@ -191,6 +191,34 @@ class Intake:
         age_s = _S * (now_ns - seen_ns)
         return Seen(angle, tuple(dict.fromkeys(faults)), self._dead, self._held, follows, tuple(frames), age_s)
 
+    def numbers(self, dt_s: float, recent: int) -> Mapping[str, Any] | None:
+        """What the same judgement in C begins with; None for a sensor or a moment that it does not know.
+
+        Args:
+            dt_s: sample time [s].
+            recent: commands that it has room for.
+        """
+        settings, watch = self._settings, self._watch
+        if settings.kind != "continuous" or watch is None or not math.isfinite(self._angle) or not self._flight_ns:
+            return None
+        return {
+            **self._order.numbers(),
+            **watch.numbers(),
+            **self._followed.recent(dt_s, recent),
+            "angle_low": settings.lower_deg,
+            "angle_high": settings.upper_deg,
+            "angle_rate": settings.rate_limit_deg_s,
+            "age_limit_s": settings.age_limit_s,
+            "frozen_samples": settings.frozen_samples or 0,
+            "frozen_travel": settings.frozen_travel,
+            "accepted_ns": self._accepted_ns,
+            "angle": self._angle,
+            "flight_ns": self._flight_ns[False],
+            "repeats": self._repeats,
+            "travelled": self._travel,
+            "command": self._command,
+        }
+
     @property
     def lost(self) -> int:
         """Measurements that were sent and never came."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections import deque
-from typing import final
+from collections.abc import Mapping
+from typing import Any, final
 
 from hystmpc.ctrl.limits import Positive
 from hystmpc.trials.config import Settings
@@ -87,6 +89,23 @@ class MotionWatch:
             f"{self._moves:.3g} deg or more (plausibility.travel, plausibility.moves_deg)"
         )
 
+    def numbers(self) -> Mapping[str, float]:
+        """What the same rule in C begins with; `travel` -1 does not look, `since_ns` 0 is none."""
+        return {
+            "travel": self._travel if self._on else -1.0,
+            "travel_at_once": _AT_ONCE * self._travel,
+            "travel_hold_ns": self._hold_ns,
+            "moves": self._moves,
+            "smooth_s": _SMOOTH_S,
+            "smooth": self._smooth,
+            "low": self._low,
+            "high": self._high,
+            "least": self._least,
+            "most": self._most,
+            "watched_ns": self._seen_ns,
+            "since_ns": self._since_ns or 0,
+        }
+
     def _smoothed(self, angle: float, now_ns: int) -> float:
         share = 1.0 - math.exp(-_S * (now_ns - self._seen_ns) / _SMOOTH_S)
         self._smooth = angle if math.isnan(self._smooth) else self._smooth + share * (angle - self._smooth)
@@ -107,6 +126,15 @@ class ModelWatch:
         self._bound = min(settings.model_error_deg, 0.99 * limit_deg)
         self._longest = settings.model_error_s / dt_s
         self._samples = 0
+
+    def numbers(self) -> Mapping[str, float]:
+        """What the same rule in C goes by, which ends at half of the samples."""
+        bound = self._bound if self._on else math.inf
+        return {
+            "departure_bound": bound,
+            "departures_most": max(math.floor(self._longest), 1),
+            "departures": self._samples,
+        }
 
     def judge(self, disturbance_deg: float) -> str:
         """Why the run has to stop, empty while it has not; called once a sample."""
@@ -136,6 +164,21 @@ class DriveFollowing:
         self._tolerance, self._window_ns = tolerance, round(1e9 * window_s)
         self._sent: deque[tuple[int, float]] = deque()
         self._off_ns: int | None = None
+
+    def recent(self, dt_s: float, most: int) -> Mapping[str, Any]:
+        """The last commands that were sent, at most as many as the window has samples, for the same rule in C."""
+        count = max(min(most, int(1e-9 * self._window_ns / dt_s)), 1)
+        commands = [u for _, u in self._sent][-count:]
+        recent = (ctypes.c_double * most)(*commands)
+        tolerance = -1.0 if self._tolerance is None else self._tolerance
+        next_ = len(commands) % count
+        return {
+            "recent": recent,
+            "recent_count": len(commands),
+            "recent_next": next_,
+            "recent_most": count,
+            "tolerance": tolerance,
+        }
 
     def judge(self, held: float, sent: float, now_ns: int) -> tuple[bool, str]:
         """Whether the device follows, and why the run has to stop, empty while it has not."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import signal
@@ -31,19 +32,23 @@ class StopFlag:
     Attributes:
         cause: why a safe stop is asked for, empty while none is.
         ending: whether the run is to end, or ends already.
+        word: 1 where either is so, for a loop that looks at memory alone.
     """
 
     def __init__(self) -> None:
         self.cause = ""
         self.ending = False
+        self.word = ctypes.c_int(0)
 
     def set(self, cause: str) -> None:
         """Ask for a safe stop."""
         self.cause = self.cause or cause
+        self.word.value = 1
 
     def end(self) -> None:
         """Ask for the regular end: back to the safe command, without a latch."""
         self.ending = True
+        self.word.value = 1
 
 
 @contextmanager

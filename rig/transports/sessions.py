@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import final
 
 NEW, RESTARTED, REPLAYED = "", "restarted", "replayed-or-reordered"
@@ -18,6 +19,10 @@ class Order:
         self._sequence = 0
         self._ended: list[int] = []
         self.lost = 0
+
+    def numbers(self) -> Mapping[str, int]:
+        """Session and sequence number of the newest message."""
+        return {"session": self._session or 0, "sequence": self._sequence}
 
     def judge(self, session: int, sequence: int) -> str:
         """`NEW`, `RESTARTED` (new as well) or `REPLAYED`; messages that never came are added to `lost`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol, Self
@@ -81,6 +81,24 @@ class Transport(Protocol):
     def counters(self) -> Mapping[str, int]:
         """What was rejected on the wire, by cause."""
         ...
+
+    def numbers(self) -> Mapping[str, float] | None:
+        """What a loop in C needs to read and write here; None for a wire that it does not know."""
+        return None
+
+    def reading(self, data: bytes, received_ns: int) -> Reading | None:
+        """The reading that such a loop has received; None where it is none."""
+        del data, received_ns
+        return None
+
+    def take_back(self, unread: Sequence[tuple[bytes, int]], sent: int) -> None:
+        """Such a loop has ended: what it has received and not used is read first.
+
+        Args:
+            unread: bytes and monotonic time of receipt [ns].
+            sent: sequence number of the last message that it has sent.
+        """
+        del unread, sent
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,8 +25,8 @@ import socket
 import struct
 import time
 import zlib
-from collections import Counter
-from collections.abc import Mapping
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
@@ -153,6 +153,7 @@ class UdpTransport(Transport):
         self._session, self._sequence = secrets.randbits(32), 0
         self._counters: Counter[str] = Counter()
         self._answered, self._greeted_ns, self._open = False, 0, True
+        self._unread: deque[tuple[bytes, int]] = deque()
 
     @property
     def counters(self) -> Mapping[str, int]:
@@ -161,6 +162,9 @@ class UdpTransport(Transport):
     def read(self) -> Reading | None:
         if not self._answered and time.monotonic_ns() - self._greeted_ns >= _HELLO_NS:
             self.greet()
+        while self._unread:
+            if reading := self.reading(*self._unread.popleft()):
+                return reading
         for _ in range(_TRIES):
             try:
                 data = self._wire.recv(SIZE + 1)
@@ -169,17 +173,38 @@ class UdpTransport(Transport):
             except ConnectionRefusedError:
                 self._counters["nobody listens"] += 1
                 raise
-            message = decode(data)
-            if isinstance(message, str):
-                self._counters[message] += 1
-            elif message.kind is not Kind.READING:
-                self._counters["not a reading"] += 1
-            else:
-                self._answered = True
-                angle, held = self._conversion.angle_deg(message.value), self._conversion.command(message.held)
-                now = time.monotonic_ns()
-                return Reading(angle, message.sequence, message.session, message.stamp_ns, now, held)
+            if reading := self.reading(data, time.monotonic_ns()):
+                return reading
         return None
+
+    def reading(self, data: bytes, received_ns: int) -> Reading | None:
+        """The reading of a datagram; one that is none is counted."""
+        message = decode(data)
+        if isinstance(message, str):
+            self._counters[message] += 1
+            return None
+        if message.kind is not Kind.READING:
+            self._counters["not a reading"] += 1
+            return None
+        self._answered = True
+        angle, held = self._conversion.angle_deg(message.value), self._conversion.command(message.held)
+        return Reading(angle, message.sequence, message.session, message.stamp_ns, received_ns, held)
+
+    def numbers(self) -> Mapping[str, float]:
+        """What a loop in C needs to read and write here."""
+        conversion = self._conversion
+        return {
+            "descriptor": self._wire.fileno(),
+            "own_session": self._session,
+            "own_sequence": self._sequence & 0xFFFFFFFF,
+            "angle_factor": conversion.angle_factor,
+            "angle_offset": conversion.angle_offset_deg,
+            "command_factor": conversion.command_factor,
+        }
+
+    def take_back(self, unread: Sequence[tuple[bytes, int]], sent: int) -> None:
+        self._unread.extend(unread)
+        self._sequence = sent
 
     def write(self, command: float) -> None:
         self._send(Kind.COMMAND, self._conversion.raw_command(command))

@@ -15,7 +15,7 @@ from hystmpc.rig.safety.intake import Intake, SensorSettings
 from hystmpc.rig.safety.plausibility import MotionWatch, PlausibilitySettings
 from hystmpc.rig.safety.ramp import RampSettings, stop_commands, way_commands
 from hystmpc.rig.safety.stop import StopFlag
-from hystmpc.rig.transports.transport import Reading
+from hystmpc.rig.transports.transport import Reading, Transport
 
 DT = 0.04
 LIMITS = CommandLimits(0.0, 6.0, 10.0)
@@ -53,7 +53,7 @@ Script = Callable[[int, float], float | None]
 
 
 @dataclass
-class ScriptedTransport:
+class ScriptedTransport(Transport):
     """A device whose angle is a function of the count of commands and of the one it holds; remembers every command.
 
     With `watchdog` it returns to 0 by itself after half a second without a command, and then wants a new greeting.

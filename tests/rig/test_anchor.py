@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.limits import CommandLimits
-from hystmpc.rig.commission.phases import Decision, Past, PhaseInput
+from hystmpc.rig.commission.phases import Decision, Past, Phase, PhaseInput
 from hystmpc.rig.safety.gate import Gate
 from hystmpc.rig.safety.plausibility import ModelWatch, MotionWatch, PlausibilitySettings
 from hystmpc.rig.safety.ramp import RampSettings, stop_commands
@@ -22,7 +22,7 @@ STEP = LIMITS.rate * DT
 
 
 @dataclass
-class Rising:
+class Rising(Phase):
     """A phase that raises the command at a rate [unit/s] for 20 s."""
 
     rate: float

@@ -80,7 +80,7 @@ def test_the_latch_is_set_before_anything_moves_and_released_at_the_end(tmp_path
     """A program that is killed leaves it set."""
     found: list[str] = []
 
-    class Looking:
+    class Looking(Phase):
         name = "looking"
 
         def begin(self, now: PhaseInput, past: Past) -> None:
@@ -99,7 +99,7 @@ def test_the_latch_is_set_before_anything_moves_and_released_at_the_end(tmp_path
 
 @pytest.mark.slow
 def test_a_stop_stays_latched_until_somebody_resets_it(tmp_path: Path) -> None:
-    class Failing:
+    class Failing(Phase):
         name = "failing"
 
         def begin(self, now: PhaseInput, past: Past) -> None:

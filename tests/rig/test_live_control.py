@@ -174,7 +174,7 @@ def test_a_long_wait_before_start_is_one_sample_of_the_past(tmp_path: Path) -> N
     """Else an hour of it would have to be replayed in the hand-over."""
     found: list[int] = []
 
-    class Looking:
+    class Looking(Phase):
         """A motion that counts what it is told of the past."""
 
         name = "looking"

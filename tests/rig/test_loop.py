@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystmpc.rig.commission.phases import CommandMotion, Decision, Past, PhaseInput, PretensionCheck
+from hystmpc.rig.commission.phases import CommandMotion, Decision, Past, Phase, PhaseInput, PretensionCheck
 from hystmpc.rig.safety.ramp import ramp_commands, way_commands
 
 from .bench_parts import DT, LIMITS, RAMPS, Rig, following, travel
@@ -25,7 +25,7 @@ def within_limits(commands: list[float], held: float = 0.0) -> bool:
 
 
 @dataclass
-class Wild:
+class Wild(Phase):
     """A phase that wants anything, or raises."""
 
     seed: int
@@ -94,7 +94,7 @@ def test_no_command_leaves_the_limits_whatever_comes(
 def test_a_phase_that_raises_stops_the_run(at: str) -> None:
     """It is not held and tried again: what it would have done is not known."""
 
-    class Raising:
+    class Raising(Phase):
         name = "raising"
         steps = 0
 
@@ -163,7 +163,7 @@ def test_a_late_command_is_a_miss_and_whole_samples_are_skipped() -> None:
     """A write of 1.5 samples is a miss; one of 2.5 samples also skips a sequence number."""
     seen: list[PhaseInput] = []
 
-    class Watching:
+    class Watching(Phase):
         name = "watching"
 
         def begin(self, now: PhaseInput, past: Past) -> None:

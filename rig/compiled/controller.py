@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, final
 
@@ -19,6 +20,9 @@ from hystmpc.ctrl.planner.controller import PlannersController
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.trials.errors import ConfigError, ControllerError, ExportError
 from hystmpc.trials.types import Vec
+
+from . import loop
+from .loop import CompiledLoop
 
 # In the order of the header's HYSTMPC_MPC ... HYSTMPC_STOP.
 _SOURCES = (Source.MPC, Source.CONTROLLER, Source.SHIFTED_PLAN, Source.INVERSE, Source.HOLD, Source.STOP)
@@ -38,18 +42,26 @@ _REASONS = (
 )
 
 
-def compiled_controller(controller: GuardedController[Any], settings: TipSettings) -> CompiledController:
+def compiled_controller(
+    controller: GuardedController[Any], settings: TipSettings, spin_s: float = 0.0
+) -> CompiledController:
     """The controller that `settings` say, as C.
 
     Args:
         controller: the same in Python.
+        spin_s: of its loop, as `RealtimeSettings.spin_s`.
 
     Raises:
         ConfigError: if a part of it has no C, there is no compiler, or the compiler fails.
     """
     try:
         export = export_controller(settings)
-        return CompiledController(controller, export, controller_library(export))
+        beside = loop.source() if loop.available() else ""
+        fixed = {
+            "spin_ns": round(1e9 * spin_s),
+            "stop_after": settings.controller.resolved().ladder.stop_after_failures,
+        }
+        return CompiledController(controller, export, controller_library(export, beside), fixed)
     except (ExportError, OSError) as error:
         said = str(error).removeprefix("export-c: ")
         raise ConfigError(f"realtime.backend c: {said}; backend: python needs nothing") from None
@@ -64,16 +76,25 @@ class CompiledController(PlannersController):
 
     Args:
         python: the same controller in Python; it judges whether the start makes sense.
-        library: the compiled export.
+        library: the compiled export, with the loop where the system has what that calls.
+        fixed: what the loop is given once, see `CompiledLoop`.
+
+    Attributes:
+        loop: steps this controller in C; None where the system has not what it calls.
     """
 
-    def __init__(self, python: GuardedController[Any], export: ControllerExport, library: Path) -> None:
+    def __init__(
+        self, python: GuardedController[Any], export: ControllerExport, library: Path, fixed: Mapping[str, float]
+    ) -> None:
         self._python, self._export, self._library = python, export, library
         self._loaded = LoadedController(export, library)
         self._learns = hasattr(self._loaded.view, "learning")
         self._newest = b""  # what the loaded one remembers
         self._unusable = np.full(self.horizon, np.nan)
         self.refusal = ""
+        self.loop: CompiledLoop | None = None
+        if loop.available():
+            self.loop = CompiledLoop(library, self._loaded.address, self.horizon, {**fixed, "dt_s": self.dt})
 
     @property
     def dt(self) -> float:
@@ -130,28 +151,51 @@ class CompiledController(PlannersController):
         except UnusableReferenceError as error:
             wanted, fault = self._unusable, str(error)
         c = self._loaded
+        self.take_up(state)
+        if self.refusal:
+            c.hurry()
+        answer = c.step(usable_angle(y), np.ascontiguousarray(wanted))
+        after = self.after(state.fallback.cause)
+        watch.lap("law")
+        view = c.view
+        status = _line(
+            answer,
+            after.estimate.stalled,
+            view.feedback.level if answer.source == _FEEDBACK else 0,
+            view.learning.distrust if answer.source == _FEEDBACK else 0.0,
+            cause=state.fallback.cause,
+            reference=fault,
+            stalled=state.estimate.stalled,
+            refusal=self.refusal,
+        )
+        return _command(answer.u, answer, status, watch.stages), after
+
+    def taken(self, sample: Any, stalled: int, refusal: str) -> Command:
+        """The answer of a sample that a loop in C has taken.
+
+        Args:
+            stalled: of the sample before it.
+            refusal: why there was no time for a plan, where there was none.
+        """
+        status = _line(sample, sample.stalled, sample.level, sample.distrust, stalled=stalled, refusal=refusal)
+        return _command(sample.wanted, sample, status, {"law": 1e-9 * sample.step_ns})
+
+    def after(self, cause: str = "") -> GuardedState[bytes]:
+        """The state after the last step; `cause` is that of a latched stop."""
+        view = self._loaded.view
+        after = self._state(self._loaded, FallbackState(view.failures, bool(view.stopped), cause=cause))
+        self._newest = after.memory
+        return after
+
+    def take_up(self, state: GuardedState[bytes]) -> None:
+        """Go on from `state`."""
+        c = self._loaded
         if state.memory is not self._newest:
             c.remember(state.memory)
         if state.estimate.command != c.view.estimate.command:
             c.hold(state.estimate.command)
         if state.fallback.stopped and not c.view.stopped:
             c.stop()
-        if self.refusal:
-            c.hurry()
-        answer = c.step(usable_angle(y), np.ascontiguousarray(wanted))
-        latched = FallbackState(c.view.failures, bool(c.view.stopped), cause=state.fallback.cause)
-        after = self._state(c, latched)
-        self._newest = after.memory
-        watch.lap("law")
-        command = Command(
-            u=answer.u,
-            source=_SOURCES[answer.source],
-            status=self._status(answer, fault, state, after),
-            predicted=np.array((answer.predicted_deg,)),
-            disturbance=answer.departure_deg,
-            timing=Timing(watch.stages),
-        )
-        return command, after
 
     def _begun(self, y: float, u: float) -> LoadedController:
         """A memory of its own, at rest."""
@@ -179,23 +223,34 @@ class CompiledController(PlannersController):
         )
         return GuardedState(seen, c.memory, fallback, c.view.due)
 
-    def _status(self, answer: Any, fault: str, before: GuardedState[bytes], after: GuardedState[bytes]) -> str:
-        """The line that `GuardedController` would say."""
-        view, notes = self._loaded.view, []
-        if answer.status:
-            said = _REASONS[answer.status].format(
-                cause=before.fallback.cause,
-                reference=fault,
-                missing=answer.missing,
-                stalled=before.estimate.stalled,
-                refusal=self.refusal,
-            )
-            notes.append(f"stopped: {said}" if _SOURCES[answer.source] is Source.STOP else said)
-        elif answer.source == _FEEDBACK:
-            distrust = 100 * view.learning.distrust
-            notes.append(f"{LEVELS[view.feedback.level]}: forecasts are off by {distrust:.0f} % of the motion")
-        if answer.missing:
-            notes.append(f"measurement missing or outlying for {answer.missing} samples, predicted")
-        if after.estimate.stalled:
-            notes.append("model state not advanced: the model fails")
-        return "; ".join(notes) or "ok"
+
+def _line(
+    answer: Any,
+    stalled_after: int,
+    level: int,
+    distrust: float,
+    *,
+    cause: str = "",
+    reference: str = "",
+    stalled: int = 0,
+    refusal: str = "",
+) -> str:
+    """The line that `GuardedController` would say of an answer with `source`, `status` and `missing`."""
+    notes = []
+    if answer.status:
+        said = _REASONS[answer.status].format(
+            cause=cause, reference=reference, missing=answer.missing, stalled=stalled, refusal=refusal
+        )
+        notes.append(f"stopped: {said}" if _SOURCES[answer.source] is Source.STOP else said)
+    elif answer.source == _FEEDBACK:
+        notes.append(f"{LEVELS[level]}: forecasts are off by {100 * distrust:.0f} % of the motion")
+    if answer.missing:
+        notes.append(f"measurement missing or outlying for {answer.missing} samples, predicted")
+    if stalled_after:
+        notes.append("model state not advanced: the model fails")
+    return "; ".join(notes) or "ok"
+
+
+def _command(u: float, answer: Any, status: str, stages: Mapping[str, float]) -> Command:
+    predicted = np.array((answer.predicted_deg,))
+    return Command(u, _SOURCES[answer.source], status, EMPTY, predicted, answer.departure_deg, Timing(stages))
