@@ -46,10 +46,13 @@ def faults(
     folder: Annotated[Path, typer.Option("--out", help="Folder for the cases, new or empty.")],
     only: Annotated[list[str] | None, typer.Option("--only", help="A part of a case's name; may be repeated.")] = None,
     transport: Annotated[Literal["udp", "dds", "both"], typer.Option("--transport", help="The wires.")] = "both",
+    backend: Annotated[
+        Literal["python", "c"], typer.Option("--backend", help="What steps the controller; c leaves out frames.")
+    ] = "python",
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="Cases at a time; more than cores spoils timing.")] = 1,
 ) -> None:
     """Break sensor, wire, processes, disk, model and solver, case by case; exit code 1 if a case fails."""
-    plays = _chosen(folder, only or [], transport)
+    plays = _chosen(folder, only or [], transport, backend)
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # no device may be left behind
     verdicts: list[FaultVerdict] = []
     try:
@@ -68,7 +71,7 @@ def faults(
     out.print(f"{len(verdicts)} cases, all as they have to be; no command beyond the limits")
 
 
-def _chosen(folder: Path, only: list[str], transport: str) -> list[_Play]:
+def _chosen(folder: Path, only: list[str], transport: str, backend: str) -> list[_Play]:
     """The cases to play, in a folder that is new or empty.
 
     Raises:
@@ -80,13 +83,14 @@ def _chosen(folder: Path, only: list[str], transport: str) -> list[_Play]:
     kinds: list[Kind] = [kind for kind in KINDS if transport in (kind, "both")]
     if "dds" in kinds:
         require_dds()
-    chosen = [case for case in CASES if not only or any(text in case.name for text in only)]
+    known = [case.stepped_by(backend) for case in CASES if backend == "python" or case.has_c]
+    chosen = [case for case in known if not only or any(text in case.name for text in only)]
     wanted: list[tuple[FaultCase, Kind]] = [
         (case, kind) for kind in kinds for case in chosen if kind == "udp" or not case.of_datagrams
     ]
     if not wanted:
-        known = "; ".join(case.name for case in CASES if "udp" in kinds or not case.of_datagrams)
-        raise ConfigError(f"--only: got {', '.join(only)}, available over {transport}: {known}")
+        names = "; ".join(case.name for case in known if "udp" in kinds or not case.of_datagrams)
+        raise ConfigError(f"--only: got {', '.join(only)}, available over {transport}: {names}")
     require_vacant(folder)
     first = os.getpid()  # two campaigns at a time keep apart
     domains = (_DOMAINS[(first + k) % len(_DOMAINS)] for k in range(len(wanted)))

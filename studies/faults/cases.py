@@ -103,6 +103,15 @@ class FaultCase:
     file_limit_bytes: int | None = None
     corrupt_model: bool = False
 
+    def stepped_by(self, backend: str) -> FaultCase:
+        """The same case with that `realtime.backend`."""
+        return replace(self, settings={**self.settings, "realtime": {"backend": backend}})
+
+    @property
+    def has_c(self) -> bool:
+        """Whether its controller can be stepped as C: frames have none."""
+        return self.settings.get("sensor", {}).get("kind") != "intermittent"
+
     @property
     def of_datagrams(self) -> bool:
         """Whether it needs to get at datagrams, so that it can be played over UDP only."""

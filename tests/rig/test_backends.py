@@ -221,7 +221,7 @@ def test_snapshots_stops_and_recordings_are_those_of_python() -> None:
 def test_faults_over_udp_end_as_with_python(name: str, tmp_path: Path) -> None:
     """Two processes and a socket; the verdicts of the campaign, from the device's own log."""
     case = next(case for case in CAMPAIGN if case.name == name)
-    case = replace(case, settings={**case.settings, "realtime": {"backend": "c"}})
+    case = case.stepped_by("c")
     verdict = judge(case, play(case, tmp_path / "case", Link()))
     assert verdict.failures == (), verdict
 
