@@ -39,6 +39,8 @@ _asked_phase = mutated_file("rig", "commission/phases.py", "test_live_control.py
 _targets = mutated_file("rig", "commission/experiment.py", "test_live_control.py")
 _page = mutated_file("rig", "live/page.py", "test_live_control.py", "test_live.py")
 _compiled = mutated_file("rig", "compiled/controller.py", "test_backends.py")
+_taken = mutated_file("rig", "compiled/loop.c", "test_loop_in_c.py")
+_watched = mutated_file("rig", "compiled/loop.py", "test_loop_in_c.py")
 _in_c = Mutated("codegen", "codegen/c/controller.c", ("tests/rig/test_backends.py",))
 _at_bench = Mutated("cli", "cli/at_bench.py", ("tests/rig/test_bench.py",))
 
@@ -55,8 +57,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _compiled(
         "a stop that the C has latched is not told",
-        "FallbackState(c.view.failures, bool(c.view.stopped), cause=state.fallback.cause)",
-        "FallbackState(c.view.failures, False, cause=state.fallback.cause)",
+        "FallbackState(view.failures, bool(view.stopped), cause=cause)",
+        "FallbackState(view.failures, False, cause=cause)",
     ),
     _compiled(
         "what the C remembers is not what the state says",
@@ -67,6 +69,58 @@ MUTANTS: tuple[Mutant, ...] = (
         "the C goes on from another command than the device holds",
         "if state.estimate.command != c.view.estimate.command:",
         "if c.view.estimate.command is None:",
+    ),
+    _taken(
+        "the loop in C does not look at the checksum",
+        "checksum(data, BODY) != number_at(data + BODY, 4)",
+        "0",
+    ),
+    _taken("the loop in C takes old messages", "|| ahead == 0 || ahead > HALF", ""),
+    _taken(
+        "the loop in C takes stale messages",
+        "    if (!(1e-9 * ((double)(woke_ns - r->received_ns) + excess) <= l->age_limit_s)) return 0;\n",
+        "",
+    ),
+    _taken("the loop in C takes any angle", "l->angle_low <= angle && angle <= l->angle_high && ", ""),
+    _taken(
+        "the loop in C takes jumps",
+        "!(fabs(angle - l->angle) <= l->angle_rate * elapsed_s) || ",
+        "",
+    ),
+    _taken("the loop in C takes a frozen sensor", "l->repeats >= l->frozen_samples && ", "l->repeats < 0 && "),
+    _taken("the loop in C takes a silent sensor", "S(woke_ns - l->accepted_ns) <= l->age_limit_s", "1"),
+    _taken(
+        "the loop in C does not see that the device does not follow",
+        "return low - l->tolerance <= held && held <= high + l->tolerance;",
+        "return 1;",
+    ),
+    _taken("the loop in C does not see a blocked tip", "if (l->travel < 0.0 || angle != angle) return 1;", "return 1;"),
+    _taken("the loop in C goes on under a stop", "if (*asked || l->asked) return ASKED;\n    if (!look", "if (!look"),
+    _taken(
+        "the loop in C goes on with an old target",
+        "if (*asked || l->asked) return ASKED;\n    if (l->written",
+        "if (l->written",
+    ),
+    _taken("the loop in C goes on unwatched", "l->written - l->read >= l->most_behind", "0"),
+    _taken(
+        "the loop in C sends what the controller wants",
+        "s->u = admissible(l, s->wanted, s->checked_ns);",
+        "s->u = s->wanted;",
+    ),
+    _taken(
+        "the loop in C lets a pause earn a jump",
+        "least_of(most_of(S(at_ns - l->gate_ns), 0.1 * l->dt_s), l->dt_s)",
+        "100.0 * l->dt_s",
+    ),
+    _taken(
+        "the loop in C goes on with a controller about to stop",
+        "c->stopped || c->failures + 1 >= l->stop_after || ",
+        "",
+    ),
+    _watched(
+        "what the loop in C has read and not used is lost",
+        "return _received(self.view.pending, self.view.unread)",
+        "return []",
     ),
     _in_c(
         "the C plans in a hurry",
@@ -270,8 +324,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _loop(
         "a command that did not leave counts as sent",
-        "            self._unsent += 1\n            self._anchor.not_sent(self._clock.boot_ns())",
-        "            self._unsent += 1\n            self._gate.sent(u, self._clock.now_ns())",
+        "            self._refused_by_wire(self._clock.boot_ns())\n            return False",
+        "            self._refused_by_wire(0)\n            self._gate.sent(u, self._clock.now_ns())",
     ),
     _loop("a wire that takes no command goes on", "if now - self._refused_ns > self._stall_ns:", "if now < 0:"),
     _loop("a way back that was not sent ends well", "if not self._phase.sent and not self._cause:", "if now is None:"),
@@ -341,7 +395,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _admission(
         "old messages are new", "if self._order.judge(session, sequence) not in (NEW, RESTARTED):", "if now_ns < 0:"
     ),
-    _udp("any kind is a reading", "elif message.kind is not Kind.READING:", "elif message.kind is None:"),
+    _udp("any kind is a reading", "if message.kind is not Kind.READING:", "if message.kind is None:"),
     _udp(
         "goodbye is said anyway over UDP", "for _ in range(_GOODBYES if goodbye else 0):", "for _ in range(_GOODBYES):"
     ),

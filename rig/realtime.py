@@ -97,7 +97,8 @@ class RealtimeSettings(SchedulingSettings):
     Attributes:
         spin_s: how long before a deadline sleeping ends and spinning begins.
         backend: what steps the controller of a run: `python`; or `c`, its export as C, compiled when the run begins.
-            The commands are the same, the step is shorter. `c` needs a C compiler.
+            The commands are the same, the step is shorter. Over UDP whole samples are taken in C while all is as
+            expected. `c` needs a C compiler.
     """
 
     spin_s: NotNegative = 0.0005
