@@ -1,0 +1,140 @@
+"""Compiled parts of the sampling planners: drawing plans, fitting a slope to their angles, weighing them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hystmpc.models.inverse.follow import clip_plans
+from hystmpc.models.kernels.numba_ import njit
+
+_SMALL = 1e-12  # squared distance of a sample from the start below which it says nothing
+_RIDGE = 1e-6  # of the fit, as a share of its normal matrix's trace
+_TINY = float(np.finfo(np.float64).tiny)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def draw_plans(
+    normals: Any,
+    shape: Any,
+    mean: Any,
+    deviations: Any,
+    low: float,
+    high: float,
+    reach: float,
+    u_last: float,
+    plans: Any,
+) -> None:
+    """Admissible plans (N, H) = mean + deviations * (w shape), in place; w (N, m) are `normals` made orthogonal.
+
+    shape (m, H); mean (H,); deviations (N, 1) or (1, H).
+    """
+    make_orthogonal(normals)
+    for n in range(normals.shape[0]):
+        plans[n] = 0.0
+        for j in range(normals.shape[1]):
+            for k in range(mean.size):
+                plans[n, k] += normals[n, j] * shape[j, k]
+    plans[:] = mean + deviations * plans
+    clip_plans(plans, low, high, reach, u_last)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def make_orthogonal(normals: Any) -> None:
+    """The first m rows of (N, m), the next m and so on made orthogonal in place; every row keeps its length."""
+    size = normals.shape[1]
+    for n in range(normals.shape[0]):
+        row = normals[n]
+        length = np.sqrt(_product(row, row))
+        for other in range(n - n % size, n):
+            before = normals[other]
+            share = _product(before, row) / _product(before, before)
+            for k in range(size):
+                row[k] -= share * before[k]
+        factor = length / np.sqrt(_product(row, row))
+        for k in range(size):
+            row[k] *= factor
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _product(a: Any, b: Any) -> Any:
+    total = 0.0
+    for k in range(a.size):
+        total += a[k] * b[k]
+    return total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def fit_columns(
+    plans: Any, angles: Any, commands: Any, start_angles: Any, ends: Any, whitening: Any, columns: Any
+) -> None:
+    """S F^-1 (H, m) in place: the fit in `SampledGaussNewton` to plans (N, H) and angles (N, H) around a start plan.
+
+    ends (m,): last samples of the blocks; whitening (m, m): F^-1, transposed.
+    """
+    size, horizon = ends.size, commands.size
+    normal, products = np.zeros((size, size)), np.zeros((size, horizon))
+    z = np.empty(size)
+    for n in range(plans.shape[0]):
+        z[:] = 0.0
+        for j in range(size):
+            off = plans[n, ends[j]] - commands[ends[j]]
+            for k in range(size):
+                z[k] += off * whitening[j, k]
+        near = 1.0 / max(_product(z, z), _SMALL) ** 2
+        for j in range(size):
+            weighted = near * z[j]
+            for k in range(size):
+                normal[j, k] += weighted * z[k]
+            for k in range(horizon):
+                products[j, k] += weighted * (angles[n, k] - start_angles[k])
+    # no sample may have moved at all: then the slope is zero
+    ridge = _RIDGE * np.trace(normal) + _TINY
+    for j in range(size):
+        normal[j, j] += ridge
+    solve(normal, products)
+    column = np.empty(horizon)
+    for i in range(size):
+        column[:] = 0.0
+        for j in range(size):
+            for k in range(horizon):
+                column[k] += whitening[i, j] * products[j, k]
+        columns[:, i] = column
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def solve(matrix: Any, right: Any) -> None:
+    """`right` (m, H) becomes the solution X of matrix X = right, by matrix = R'R; the upper triangle becomes R."""
+    size, count = right.shape
+    for j in range(size):
+        for i in range(j):
+            for k in range(j, size):
+                matrix[j, k] -= matrix[i, j] * matrix[i, k]
+            for k in range(count):
+                right[j, k] -= matrix[i, j] * right[i, k]
+        root = np.sqrt(matrix[j, j])
+        for k in range(j, size):
+            matrix[j, k] /= root
+        for k in range(count):
+            right[j, k] /= root
+    for j in range(size - 1, -1, -1):
+        for i in range(j + 1, size):
+            for k in range(count):
+                right[j, k] -= matrix[j, i] * right[i, k]
+        for k in range(count):
+            right[j, k] /= matrix[j, j]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def weighted_mean(plans: Any, costs: Any, temperature: float) -> Any:
+    """Mean (H,) of plans (N, H) with finite costs (N,), by exp(-(J - J_min) / lambda); see `SamplingMpcSettings`."""
+    lowest = costs.min()
+    scale = max(temperature * (np.median(costs) - lowest), _TINY)
+    total, mean = 0.0, np.zeros(plans.shape[1])
+    for n in range(plans.shape[0]):
+        weight = np.exp((lowest - costs[n]) / scale)
+        total += weight
+        for k in range(mean.size):
+            mean[k] += weight * plans[n, k]
+    return mean / total
