@@ -257,8 +257,8 @@ class SamplingSettings(PredictiveSettings):
 
     kind: Literal["sampling_mpc"] = "sampling_mpc"
     method: Literal["mppi", "cem"] = "mppi"
-    samples: Count | None = None
-    iterations: Count = 2
+    samples: Count = 48
+    iterations: Count = 1
     sigma: Positive | None = None
     finest: Annotated[float, Field(gt=0, le=1)] = 0.01
     temperature: Positive = 0.02

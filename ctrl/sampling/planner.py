@@ -22,7 +22,7 @@ from ..planning_settings import SamplingSettings, WeightsSettings
 from .loops import draw_plans, fit_columns, weighted_mean
 
 _LEAST = 0.05  # of every direction in the noise, as a share of the strongest, so that the fit sees all of them
-_PARTS = np.array([1.0, 0.35, 0.1])[:, None]
+_PARTS = np.array([1.0, 0.6, 0.35, 0.2, 0.1])[:, None]
 _KEPT = 0.3  # share of the elites that take part in the next iteration again (Pinneri et al. 2020)
 
 
@@ -48,7 +48,6 @@ class SamplingPlanner(Planner[SampleCounter]):
         self._bounds = Bounds(limits.lower, limits.upper, limits.rate * dt)
         self._sigma = settings.deviation(limits.rate * dt)
         blocking = MoveBlocking(settings.blocks(dt), horizon)
-        self._samples = settings.samples or len(blocking.lengths)
         # the same distribution from as few normals as there are blocks
         left, sizes, _ = np.linalg.svd(settings.noise.matrix(horizon)[blocking.ends])
         strengths = np.full(len(left), _LEAST * sizes[0])
@@ -77,8 +76,8 @@ class SamplingPlanner(Planner[SampleCounter]):
         self, generator: np.random.Generator, mean: Vec, deviations: Mat, problem: PlanningProblem
     ) -> Mat:
         """Admissible plans (N, H) around `mean` (H,), from smooth noise of unit variance times `deviations`."""
-        normals = generator.standard_normal((self._samples, len(self._shape)))
-        plans = np.empty((self._samples, mean.size))
+        normals = generator.standard_normal((self._settings.samples, len(self._shape)))
+        plans = np.empty((len(normals), mean.size))
         draw_plans(normals, self._shape, mean, deviations, *self._bounds, problem.u_last, plans)
         return plans
 
@@ -116,7 +115,7 @@ class SampledGaussNewton:
         self._solver = DaqpSolver(self._qp.pattern, DaqpOptions())
 
     def plans(self, start: CommandPlan, plans: Mat, angles: Mat, problem: PlanningProblem) -> Mat:
-        """Parts of the step from `start`, the whole one first (3, H), from samples (N, H) and their angles (N, H).
+        """Parts of the step from `start`, the whole one first (5, H), from samples (N, H) and their angles (N, H).
 
         There is none, shape (0, H), where the program cannot be solved.
         """
@@ -133,22 +132,20 @@ class SampledGaussNewton:
 class PathIntegralPlanner(SamplingPlanner):
     """Weighted mean of random plans around the best candidate (Williams et al., T-RO 2018, eq. (30)).
 
-    The samples spread geometrically from `sigma` to its finest share, over all iterations: the first one explores, the
-    last one refines. The mean is moved to the weighted mean, to the best sample or along the step of
-    `SampledGaussNewton`, whichever costs least, never to a worse plan. The weighted mean alone would follow the noise
-    of the disturbance estimate.
+    The samples spread geometrically from `sigma` to its finest share, so that one iteration both explores and refines.
+    The mean is moved to the weighted mean, to the best sample or along the step of `SampledGaussNewton`, whichever
+    costs least, never to a worse plan. The weighted mean alone would follow the noise of the disturbance estimate.
     """
 
     def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
-        shape = settings.iterations, self._samples, 1
-        self._sigmas = self._sigma * np.geomspace(1.0, settings.finest, math.prod(shape)).reshape(shape)
+        self._sigmas = self._sigma * np.geomspace(1.0, settings.finest, settings.samples)[:, None]
 
     def _best(
         self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
     ) -> CommandPlan:
-        for sigmas in self._sigmas:
-            plans = self._drawn(generator, start.commands, sigmas, problem)
+        for _ in range(self._settings.iterations):
+            plans = self._drawn(generator, start.commands, self._sigmas, problem)
             watch.lap("sample")
             angles = self._predictor.rollout(problem.state, plans)
             watch.lap("rollout")
@@ -194,7 +191,7 @@ class CrossEntropyPlanner(SamplingPlanner):
 
     def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
         super().__init__(predictor, settings, limits)
-        self._elites = min(max(2, math.ceil(settings.elites * self._samples)), self._samples)
+        self._elites = min(max(2, math.ceil(settings.elites * settings.samples)), settings.samples)
         self._kept = math.ceil(_KEPT * self._elites)
 
     def _best(
