@@ -31,11 +31,10 @@ def draw_plans(
     shape (m, H); mean (H,); deviations (N, 1) or (1, H).
     """
     make_orthogonal(normals)
+    plans[:] = 0.0
     for n in range(normals.shape[0]):
-        plans[n] = 0.0
         for j in range(normals.shape[1]):
-            for k in range(mean.size):
-                plans[n, k] += normals[n, j] * shape[j, k]
+            add(plans[n], normals[n, j], shape[j])
     plans[:] = mean + deviations * plans
     clip_plans(plans, low, high, reach, u_last)
 
@@ -46,23 +45,11 @@ def make_orthogonal(normals: Any) -> None:
     size = normals.shape[1]
     for n in range(normals.shape[0]):
         row = normals[n]
-        length = np.sqrt(_product(row, row))
+        length = np.sqrt(product(row, row))
         for other in range(n - n % size, n):
             before = normals[other]
-            share = _product(before, row) / _product(before, before)
-            for k in range(size):
-                row[k] -= share * before[k]
-        factor = length / np.sqrt(_product(row, row))
-        for k in range(size):
-            row[k] *= factor
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _product(a: Any, b: Any) -> Any:
-    total = 0.0
-    for k in range(a.size):
-        total += a[k] * b[k]
-    return total
+            add(row, -product(before, row) / product(before, before), before)
+        row *= length / np.sqrt(product(row, row))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -75,55 +62,60 @@ def fit_columns(
     """
     size, horizon = ends.size, commands.size
     normal, products = np.zeros((size, size)), np.zeros((size, horizon))
-    z = np.empty(size)
+    z, column = np.empty(size), np.empty(horizon)
     for n in range(plans.shape[0]):
         z[:] = 0.0
         for j in range(size):
-            off = plans[n, ends[j]] - commands[ends[j]]
-            for k in range(size):
-                z[k] += off * whitening[j, k]
-        near = 1.0 / max(_product(z, z), _SMALL) ** 2
+            add(z, plans[n, ends[j]] - commands[ends[j]], whitening[j])
+        change = angles[n] - start_angles
+        near = 1.0 / max(product(z, z), _SMALL) ** 2
         for j in range(size):
-            weighted = near * z[j]
-            for k in range(size):
-                normal[j, k] += weighted * z[k]
-            for k in range(horizon):
-                products[j, k] += weighted * (angles[n, k] - start_angles[k])
+            add(normal[j], near * z[j], z)
+            add(products[j], near * z[j], change)
     # no sample may have moved at all: then the slope is zero
     ridge = _RIDGE * np.trace(normal) + _TINY
     for j in range(size):
         normal[j, j] += ridge
     solve(normal, products)
-    column = np.empty(horizon)
     for i in range(size):
         column[:] = 0.0
         for j in range(size):
-            for k in range(horizon):
-                column[k] += whitening[i, j] * products[j, k]
+            add(column, whitening[i, j], products[j])
         columns[:, i] = column
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def solve(matrix: Any, right: Any) -> None:
     """`right` (m, H) becomes the solution X of matrix X = right, by matrix = R'R; the upper triangle becomes R."""
-    size, count = right.shape
+    size = matrix.shape[0]
     for j in range(size):
         for i in range(j):
-            for k in range(j, size):
-                matrix[j, k] -= matrix[i, j] * matrix[i, k]
-            for k in range(count):
-                right[j, k] -= matrix[i, j] * right[i, k]
+            factor = -matrix[i, j]
+            add(matrix[j, j:], factor, matrix[i, j:])
+            add(right[j], factor, right[i])
         root = np.sqrt(matrix[j, j])
-        for k in range(j, size):
-            matrix[j, k] /= root
-        for k in range(count):
-            right[j, k] /= root
+        matrix[j, j:] /= root
+        right[j] /= root
     for j in range(size - 1, -1, -1):
         for i in range(j + 1, size):
-            for k in range(count):
-                right[j, k] -= matrix[j, i] * right[i, k]
-        for k in range(count):
-            right[j, k] /= matrix[j, j]
+            add(right[j], -matrix[j, i], right[i])
+        right[j] /= matrix[j, j]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def product(a: Any, b: Any) -> Any:
+    """Inner product of two vectors."""
+    total = 0.0
+    for k in range(a.size):
+        total += a[k] * b[k]
+    return total
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def add(target: Any, factor: float, row: Any) -> None:
+    """target += factor * row, in place."""
+    for k in range(target.size):
+        target[k] += factor * row[k]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -135,6 +127,5 @@ def weighted_mean(plans: Any, costs: Any, temperature: float) -> Any:
     for n in range(plans.shape[0]):
         weight = np.exp((lowest - costs[n]) / scale)
         total += weight
-        for k in range(mean.size):
-            mean[k] += weight * plans[n, k]
+        add(mean, weight, plans[n])
     return mean / total

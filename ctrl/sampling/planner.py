@@ -72,9 +72,7 @@ class SamplingPlanner(Planner[SampleCounter]):
     ) -> CommandPlan:
         """The best plan of all iterations, no worse than `start`."""
 
-    def _drawn(
-        self, generator: np.random.Generator, mean: Vec, deviations: Mat, problem: PlanningProblem
-    ) -> Mat:
+    def _drawn(self, generator: np.random.Generator, mean: Vec, deviations: Mat, problem: PlanningProblem) -> Mat:
         """Admissible plans (N, H) around `mean` (H,), from smooth noise of unit variance times `deviations`."""
         normals = generator.standard_normal((self._settings.samples, len(self._shape)))
         plans = np.empty((len(normals), mean.size))
