@@ -42,14 +42,14 @@ def draw_plans(
 @njit(cache=True, error_model="numpy", nogil=True)
 def make_orthogonal(normals: Any) -> None:
     """The first m rows of (N, m), the next m and so on made orthogonal in place; every row keeps its length."""
-    size = normals.shape[1]
-    for n in range(normals.shape[0]):
+    count, size = normals.shape
+    squares = np.empty(count)
+    for n in range(count):
         row = normals[n]
-        length = np.sqrt(product(row, row))
+        squares[n] = product(row, row)
         for other in range(n - n % size, n):
-            before = normals[other]
-            add(row, -product(before, row) / product(before, before), before)
-        row *= length / np.sqrt(product(row, row))
+            add(row, -product(normals[other], row) / squares[other], normals[other])
+        row *= np.sqrt(squares[n] / product(row, row))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -70,7 +70,7 @@ def fit_columns(
         change = angles[n] - start_angles
         near = 1.0 / max(product(z, z), _SMALL) ** 2
         for j in range(size):
-            add(normal[j], near * z[j], z)
+            add(normal[j, j:], near * z[j], z[j:])
             add(products[j], near * z[j], change)
     # no sample may have moved at all: then the slope is zero
     ridge = _RIDGE * np.trace(normal) + _TINY
@@ -86,7 +86,7 @@ def fit_columns(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def solve(matrix: Any, right: Any) -> None:
-    """`right` (m, H) becomes the solution X of matrix X = right, by matrix = R'R; the upper triangle becomes R."""
+    """`right` (m, H) becomes X of matrix X = right, by matrix = R'R; only its upper triangle is read, and becomes R."""
     size = matrix.shape[0]
     for j in range(size):
         for i in range(j):
