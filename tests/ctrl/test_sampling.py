@@ -161,10 +161,11 @@ def test_the_slope_of_a_linear_model_is_found_from_one_sample_a_direction() -> N
     slope, start, around = random.standard_normal((9, 4)), random.standard_normal(9), random.standard_normal(9)
     ends, factor = np.array([1, 3, 4, 8]), random.standard_normal((4, 4))
     plans, found = random.standard_normal((4, 9)), np.empty((9, 4))
+    plans[:, ends] = start[ends] + factor.T  # z is a unit vector each time
     angles = around + (plans - start)[:, ends] @ slope.T
     whitening = np.ascontiguousarray(np.linalg.inv(factor).T)
     fit_columns(plans, angles, start, around, ends, whitening, found)
-    np.testing.assert_allclose(found, slope, atol=1e-2)
+    np.testing.assert_allclose(found, slope, atol=1e-4)
 
 
 def test_perturbations_follow_the_rate_limit_unless_they_are_given() -> None:
