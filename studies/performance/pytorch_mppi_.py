@@ -13,7 +13,7 @@ from hystmpc.ctrl.planning_settings import WeightsSettings
 from hystmpc.models.networks.lstm import LstmWeights
 from hystmpc.trials.types import Vec
 
-_LAMBDA = 0.1  # with a sigma of the greatest move of a sample, the least mean cost of its plans on a grid of both
+_LAMBDA = 0.1  # with a sigma of the greatest move of a sample, near the least mean cost of its plans on a grid
 
 
 def installed() -> bool:
