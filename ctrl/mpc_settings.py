@@ -76,7 +76,7 @@ class SamplingMpcSettings(PredictiveController, SamplingSettings):
 
     Attributes:
         method: which of them.
-        samples: plans per iteration N.
+        samples: plans per iteration N; at least twice as many as there are blocks show every direction twice.
         iterations: times the distribution is moved per step.
         sigma: largest standard deviation of the perturbations [mm or bar]; null for a tenth of the greatest move that
             the rate limit allows in a sample.

@@ -257,7 +257,7 @@ class SamplingSettings(PredictiveSettings):
 
     kind: Literal["sampling_mpc"] = "sampling_mpc"
     method: Literal["mppi", "cem"] = "mppi"
-    samples: Count = 256
+    samples: Count = 44
     iterations: Count = 1
     sigma: Positive | None = None
     finest: Annotated[float, Field(gt=0, le=1)] = 0.01

@@ -102,6 +102,13 @@ class PlanProgram(ABC):
         """The program around the plan `around` with Jacobian (H, H), lower triangular [deg per command unit]."""
 
     @abstractmethod
+    def blocked(self, problem: PlanningProblem, around: CommandPlan, columns: Mat) -> QpData:
+        """The program around the plan `around` with J M = `columns` (H, m) [deg per command unit].
+
+        A column is zero before its block starts; what stands there is not read.
+        """
+
+    @abstractmethod
     def deviation(self, primal: Vec) -> Vec:
         """What z = `primal` adds to the commands of the plan (H,)."""
 
@@ -169,6 +176,9 @@ class TrackingQp(PlanProgram):
         )
         hard = QpData(hessian, gradient, lower, upper, None, dual)
         return self._softened(hard, problem, around, jacobian.T[self._columns]) if self._soft else hard
+
+    def blocked(self, problem: PlanningProblem, around: CommandPlan, columns: Mat) -> QpData:
+        return self.data(problem, around, columns)  # every sample is a block: M is the identity
 
     def deviation(self, primal: Vec) -> Vec:
         return primal[: self._horizon]
@@ -256,10 +266,6 @@ class BlockedQp(PlanProgram):
         return self.blocked(problem, around, columns)
 
     def blocked(self, problem: PlanningProblem, around: CommandPlan, columns: Mat) -> QpData:
-        """The program around the plan `around` with J M = `columns` (H, m) [deg per command unit].
-
-        A column is zero before its block starts; what stands there is not read.
-        """
         plan, count = around.commands, self._starts.size
         moves, off = moves_of(plan, problem.u_last), plan - problem.feedforward
         weighted = np.stack((self._doubled, self._doubled * (around.angles - problem.reference)))

@@ -9,20 +9,20 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from hystmpc.models.inverse.follow import Bounds, clip_plans
 from hystmpc.models.model import Predictor
 from hystmpc.trials.types import Mat, Vec
 
 from ..command import Stopwatch
 from ..limits import CommandLimits
 from ..linearised.daqp_ import DaqpOptions, DaqpSolver
-from ..linearised.program import BlockedQp, MoveBlocking
+from ..linearised.program import BlockedQp, MoveBlocking, PlanProgram, TrackingQp
 from ..planning import CommandPlan, PlanCost, Planner, PlanningError, PlanningProblem
 from ..planning_settings import SamplingSettings, WeightsSettings
+from .loops import draw_plans, fit_columns, weighted_mean
 
 _LEAST = 0.05  # of every direction in the noise, as a share of the strongest, so that the fit sees all of them
-_SMALL = 1e-12  # squared distance of a sample from the start below which it says nothing
-_RIDGE = 1e-6  # of the fit, as a share of its normal matrix's trace
-_PARTS = np.array([1.0, 0.5, 0.25])[:, None]
+_PARTS = np.array([1.0, 0.6, 0.35, 0.2, 0.1])[:, None]
 _KEPT = 0.3  # share of the elites that take part in the next iteration again (Pinneri et al. 2020)
 
 
@@ -39,11 +39,13 @@ class SamplingPlanner(Planner[SampleCounter]):
         u = p + sigma M F w,  w standard normal
 
     with p the plan around which they lie, M (H, m) of `MoveBlocking` and F (m, m) the noise at the ends of the blocks.
+    The w of each m samples, one after another, are orthogonal: m samples show every direction once.
     """
 
     def __init__(self, predictor: Predictor, settings: SamplingSettings, limits: CommandLimits) -> None:
-        self._predictor, self._limits, self._settings = predictor, limits, settings
+        self._predictor, self._settings = predictor, settings
         horizon, dt = settings.preview_samples(predictor.dt), predictor.dt
+        self._bounds = Bounds(limits.lower, limits.upper, limits.rate * dt)
         self._sigma = settings.deviation(limits.rate * dt)
         blocking = MoveBlocking(settings.blocks(dt), horizon)
         # the same distribution from as few normals as there are blocks
@@ -70,15 +72,20 @@ class SamplingPlanner(Planner[SampleCounter]):
     ) -> CommandPlan:
         """The best plan of all iterations, no worse than `start`."""
 
-    def _perturbations(self, generator: np.random.Generator) -> Mat:
-        """Smooth noise of unit variance (N, H)."""
-        return generator.standard_normal((self._settings.samples, len(self._shape))) @ self._shape
+    def _drawn(self, generator: np.random.Generator, mean: Vec, deviations: Mat, problem: PlanningProblem) -> Mat:
+        """Admissible plans (N, H) around `mean` (H,), from smooth noise of unit variance times `deviations`."""
+        normals = generator.standard_normal((self._settings.samples, len(self._shape)))
+        plans = np.empty((len(normals), mean.size))
+        draw_plans(normals, self._shape, mean, deviations, *self._bounds, problem.u_last, plans)
+        return plans
 
     def _admissible(self, plans: Mat, problem: PlanningProblem) -> Mat:
-        return self._limits.clip_plans(plans, problem.u_last, self._predictor.dt)
+        """The plans (N, H), clipped in place."""
+        clip_plans(plans, *self._bounds, problem.u_last)
+        return plans
 
     def _cheapest(self, plans: Mat, problem: PlanningProblem) -> CommandPlan:
-        """The cheapest of a few plans (N, H), made admissible."""
+        """The cheapest of a few plans (N, H), made admissible in place."""
         plans = self._admissible(plans, problem)
         return self._cost.best(plans, self._predictor.rollout(problem.state, plans), problem)
 
@@ -99,31 +106,24 @@ class SampledGaussNewton:
     ) -> None:
         self._ends = blocking.ends
         self._whitening = np.ascontiguousarray(np.linalg.inv(factor).T)
-        self._qp = BlockedQp(weights, limits, blocking, dt)
+        single = len(blocking.lengths) == blocking.horizon
+        self._qp: PlanProgram = (
+            TrackingQp(weights, limits, blocking.horizon, dt) if single else BlockedQp(weights, limits, blocking, dt)
+        )
         self._solver = DaqpSolver(self._qp.pattern, DaqpOptions())
 
     def plans(self, start: CommandPlan, plans: Mat, angles: Mat, problem: PlanningProblem) -> Mat:
-        """The step from `start`, its half and its quarter (3, H), from samples (N, H) and their angles (N, H).
+        """Parts of the step from `start`, the whole one first (5, H), from samples (N, H) and their angles (N, H).
 
         There is none, shape (0, H), where the program cannot be solved.
         """
-        slope = self._slope((plans - start.commands)[:, self._ends] @ self._whitening, angles - start.angles)
-        columns = np.ascontiguousarray((self._whitening @ slope).T)
+        columns = np.empty((start.commands.size, self._ends.size))
+        fit_columns(plans, angles, start.commands, start.angles, self._ends, self._whitening, columns)
         solution = self._solver.solve(self._qp.blocked(problem, start, columns))
         if not solution.usable:
             return np.empty((0, start.commands.size))
         found: Mat = start.commands + _PARTS * self._qp.deviation(solution.primal)
         return found
-
-    @staticmethod
-    def _slope(z: Mat, answers: Mat) -> Mat:
-        """S' (m, H) from distances (N, m) and changes of the angles (N, H)."""
-        near = 1.0 / np.maximum(np.einsum("nk,nk->n", z, z), _SMALL)[:, None]
-        z, answers = near * z, near * answers
-        normal = z.T @ z
-        # no sample may have moved at all: then the slope is zero
-        normal[np.diag_indices_from(normal)] += _RIDGE * np.trace(normal) + np.finfo(np.float64).tiny
-        return np.asarray(np.linalg.solve(normal, z.T @ answers), dtype=np.float64)
 
 
 @final
@@ -143,35 +143,28 @@ class PathIntegralPlanner(SamplingPlanner):
         self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
     ) -> CommandPlan:
         for _ in range(self._settings.iterations):
-            start = self._iterate(problem, start, generator, watch)
+            plans = self._drawn(generator, start.commands, self._sigmas, problem)
+            watch.lap("sample")
+            angles = self._predictor.rollout(problem.state, plans)
+            watch.lap("rollout")
+            start = self._better(problem, start, plans, angles)
+            watch.lap("weigh")
         return start
 
-    def _iterate(
-        self, problem: PlanningProblem, start: CommandPlan, generator: np.random.Generator, watch: Stopwatch
-    ) -> CommandPlan:
-        plans = self._admissible(start.commands + self._sigmas * self._perturbations(generator), problem)
-        watch.lap("sample")
-        angles = self._predictor.rollout(problem.state, plans)
-        watch.lap("rollout")
+    def _better(self, problem: PlanningProblem, start: CommandPlan, plans: Mat, angles: Mat) -> CommandPlan:
+        """The cheapest of the start, the samples, their weighted mean and the parts of the fitted step."""
         costs = self._cost(plans, angles, problem)
-        usable = np.isfinite(costs)
-        if not usable.all():
+        if not math.isfinite(costs.sum()):
+            usable = np.isfinite(costs)
             if not usable.any():
                 raise PlanningError(f"none of {len(plans)} samples has a finite prediction")
             plans, angles, costs = plans[usable], angles[usable], costs[usable]
-        best = int(np.argmin(costs))
+        best = int(costs.argmin())
         found = CommandPlan(plans[best], angles[best], float(costs[best]))
-        averaged = self._weighted(plans, costs)
         polished = self._polish.plans(start, plans, angles, problem)
-        tried = self._cheapest(np.vstack([averaged[None], polished]), problem)
-        watch.lap("weigh")
+        averaged = weighted_mean(plans, costs, self._settings.temperature)
+        tried = self._cheapest(np.vstack((averaged, polished)), problem)
         return min((start, tried, found), key=lambda p: p.cost)
-
-    def _weighted(self, plans: Mat, costs: Vec) -> Vec:
-        lowest = costs.min()
-        spread = float(np.median(costs)) - lowest
-        weights = np.exp(-(costs - lowest) / max(self._settings.temperature * spread, np.finfo(float).tiny))
-        return weights @ plans / weights.sum()
 
 
 class _Search(NamedTuple):
@@ -213,7 +206,7 @@ class CrossEntropyPlanner(SamplingPlanner):
     def _iterate(
         self, problem: PlanningProblem, search: _Search, generator: np.random.Generator, watch: Stopwatch
     ) -> _Search:
-        plans = self._admissible(search.mean + search.deviation * self._perturbations(generator), problem)
+        plans = self._drawn(generator, search.mean, search.deviation[None], problem)
         plans = np.vstack([plans, search.elites])
         watch.lap("sample")
         angles = self._predictor.rollout(problem.state, plans)

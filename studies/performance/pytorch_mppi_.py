@@ -13,6 +13,8 @@ from hystmpc.ctrl.planning_settings import WeightsSettings
 from hystmpc.models.networks.lstm import LstmWeights
 from hystmpc.trials.types import Vec
 
+_LAMBDA = 0.1  # with a sigma of the greatest move of a sample, near the least mean cost of its plans on a grid
+
 
 def installed() -> bool:
     """Whether pytorch-mppi and torch are there; neither is imported."""
@@ -51,6 +53,7 @@ class TorchMppi:
         self._torch = torch
         self._net = net_of(network).requires_grad_(False)
         self._size = network.state_size
+        self._limits, self._dt = limits, dt
         self._scaling, self._reach, self._rate = network.scaling, limits.rate * dt, weights.rate
         self._tracking = [float(q) for q in weights.over(horizon)]
         self._reference = [0.0] * horizon
@@ -63,7 +66,7 @@ class TorchMppi:
             torch.eye(1) * sigma**2,
             num_samples=samples,
             horizon=horizon,
-            lambda_=1.0,
+            lambda_=_LAMBDA,
             u_min=torch.tensor([limits.lower]),
             u_max=torch.tensor([limits.upper]),
             u_init=middle,
@@ -75,12 +78,13 @@ class TorchMppi:
         """Threads of torch from here on."""
         self._torch.set_num_threads(count)
 
-    def solve(self, problem: PlanningProblem) -> float:
-        """The next command, from the last plan shifted by one sample."""
+    def solve(self, problem: PlanningProblem) -> Vec:
+        """The next plan (H,), from the last one shifted by one sample; its rate limited as in the dynamics."""
         self._reference = problem.reference.tolist()
         with self._torch.inference_mode():
-            wanted = float(self._mppi.command(self._start(problem.state, problem.u_last)))
-        return min(max(wanted, problem.u_last - self._reach), problem.u_last + self._reach)
+            self._mppi.command(self._start(problem.state, problem.u_last))
+        plan: Any = self._mppi.U
+        return self._limits.clip_plans(plan[:, 0].numpy(), problem.u_last, self._dt)
 
     def angles(self, state: Vec, u_last: float, plan: Vec) -> Vec:
         """Angles (H,) [deg] of one plan (H,) as the peer's dynamics see it, its rate limited."""

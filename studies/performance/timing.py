@@ -147,7 +147,7 @@ class BenchSettings:
     Attributes:
         hidden: cells in each of the network's two layers; the goals are for 64.
         horizon: H.
-        samples: N of the sampling controller and of the batched roll-outs.
+        samples: N of the sampling controller's peer and of the batched roll-outs.
     """
 
     hidden: int = 64

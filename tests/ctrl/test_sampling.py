@@ -14,6 +14,7 @@ from hystmpc.ctrl.linearised.planner import LinearisedPlanner
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.ctrl.planning import CommandPlan, PlanCost, Planner, PlanningError
 from hystmpc.ctrl.planning_settings import ColouredNoiseSettings, SplineNoiseSettings, WeightsSettings
+from hystmpc.ctrl.sampling.loops import fit_columns, make_orthogonal
 from hystmpc.ctrl.sampling.planner import CrossEntropyPlanner, PathIntegralPlanner, SampleCounter
 from hystmpc.trials.errors import ConfigError, ControllerError
 
@@ -142,6 +143,29 @@ def test_a_long_preview_has_the_blocks_of_the_linearised_controller_and_a_short_
     sampling, linearised = SamplingMpcSettings(), LinearisedMpcSettings()
     assert sampling.blocks(0.004) == linearised.blocks(0.004)
     assert sampling.blocks(0.04) == (1,) * 20
+
+
+@pytest.mark.parametrize("count", [3, 7, 16])
+def test_samples_show_every_direction_once_before_any_other(count: int) -> None:
+    drawn = np.random.default_rng(0).standard_normal((count, 7))
+    made = drawn.copy()
+    make_orthogonal(made)
+    np.testing.assert_allclose(np.linalg.norm(made, axis=1), np.linalg.norm(drawn, axis=1))
+    for first in range(0, count, 7):
+        products = made[first : first + 7] @ made[first : first + 7].T
+        np.testing.assert_allclose(products, np.diag(np.diag(products)), atol=1e-9)
+
+
+def test_the_slope_of_a_linear_model_is_found_from_one_sample_a_direction() -> None:
+    random = np.random.default_rng(1)
+    slope, start, around = random.standard_normal((9, 4)), random.standard_normal(9), random.standard_normal(9)
+    ends, factor = np.array([1, 3, 4, 8]), random.standard_normal((4, 4))
+    plans, found = random.standard_normal((4, 9)), np.empty((9, 4))
+    plans[:, ends] = start[ends] + factor.T  # z is a unit vector each time
+    angles = around + (plans - start)[:, ends] @ slope.T
+    whitening = np.ascontiguousarray(np.linalg.inv(factor).T)
+    fit_columns(plans, angles, start, around, ends, whitening, found)
+    np.testing.assert_allclose(found, slope, atol=1e-4)
 
 
 def test_perturbations_follow_the_rate_limit_unless_they_are_given() -> None:
