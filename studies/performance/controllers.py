@@ -167,9 +167,8 @@ def sampling_rows(subject: Subject, settings: BenchSettings, clock: Clock, threa
     controller = build_controller(wanted, subject.predictor, subject.inverse, subject.limits)
     instants = record_scan(controller, subject)
     jobs = [TimedCall(_SAMPLING, in_turn(instants, lambda _, i: controller.step(i.state, i.measured, i.reference)))]
-    sigma = (
-        subject.limits.rate * subject.metadata.dt_s
-    )  # a tenth of it, as ours has, leaves the peer far behind the scan
+    # a tenth of it, as ours has, leaves the peer far behind the scan
+    sigma = subject.limits.rate * subject.metadata.dt_s
     peers = [_MppiPeer(n, k) for n in (wanted.samples, settings.samples) for k in sorted({1, threads})]
     answers: dict[_MppiPeer, list[tuple[int, Vec]]] = defaultdict(list)
     if pytorch_mppi_.installed():
