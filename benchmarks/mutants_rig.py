@@ -96,11 +96,6 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _taken("the loop in C does not see a blocked tip", "if (l->travel < 0.0 || angle != angle) return 1;", "return 1;"),
     _taken("the loop in C goes on under a stop", "if (*asked || l->asked) return ASKED;\n    if (!look", "if (!look"),
-    _taken(
-        "the loop in C goes on with an old target",
-        "if (*asked || l->asked) return ASKED;\n    if (l->written",
-        "if (l->written",
-    ),
     _taken("the loop in C goes on unwatched", "l->written - l->read >= l->most_behind", "0"),
     _taken(
         "the loop in C sends what the controller wants",

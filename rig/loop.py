@@ -157,10 +157,17 @@ class ControlLoop:
         self._calm = 0
         own = {"deadline_ns": deadline, "boot_ns": self._boot_ns, "dt_ns": self._dt_ns, "stall_ns": self._stall_ns}
         compiled.begin({**parts, **self._anchor.numbers(), **own})
-        for sample, decision in phase.taken_in_c(self._flag):
-            self._book(sample, compiled.received(sample), decision)
-            if decision.finished:
-                self._finished()
+        taken = phase.taken_in_c(self._flag)
+        try:
+            for sample, decision in taken:
+                self._book(sample, compiled.received(sample), decision)
+                if decision.finished:
+                    self._finished()
+        except Exception as error:  # noqa: BLE001 - the loop must end at rest, from what the device says that it holds
+            self._flag.set(f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")
+            self._anchor.not_sent(self._clock.boot_ns())
+        finally:
+            taken.close()  # the loop in C has ended then
         view = compiled.view
         self._left_c[compiled.reason] += 1
         self._transport.take_back(compiled.unread(), view.own_sequence)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Generator
+from contextlib import closing, suppress
 from pathlib import Path
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any, Protocol, final
@@ -272,7 +272,7 @@ class Tracking(Phase):
             return None
         return self._compiled.loop
 
-    def taken_in_c(self, flag: StopFlag) -> Iterator[tuple[Any, Decision]]:
+    def taken_in_c(self, flag: StopFlag) -> Generator[tuple[Any, Decision]]:
         tip, memory, law, loop = self._tip, self._tip.snapshot(), self._compiled, self.compiled()
         reference, control = memory.reference, memory.control
         if law is None or loop is None or control is None or reference is None or self._reference is None:
@@ -283,13 +283,14 @@ class Tracking(Phase):
         law.take_up(control)
         numbers = {**self._watch.numbers(), "steps": memory.steps}
         end = _FOR_GOOD if self._stays else memory.steps + over - self._k
-        for sample in loop.samples(numbers, lambda steps: reference.at(tip.dt * steps), end, flag):
-            self._judge(sample.angle_deg, model)
-            command = law.taken(sample, stalled, _LATE)
-            model, stalled = sample.model_deg, sample.stalled
-            tip.took(1 + sample.skipped, command)
-            self._k += 1 + sample.skipped
-            yield sample, self._decision(command, sample.due_deg)
+        with closing(loop.samples(numbers, lambda steps: reference.at(tip.dt * steps), end, flag)) as samples:
+            for sample in samples:
+                self._judge(sample.angle_deg, model)
+                command = law.taken(sample, stalled, _LATE)
+                model, stalled = sample.model_deg, sample.stalled
+                tip.took(1 + sample.skipped, command)
+                self._k += 1 + sample.skipped
+                yield sample, self._decision(command, sample.due_deg)
         if command is not None:
             tip.took(0, command, law.after())
 

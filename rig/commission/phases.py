@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, MutableSequence, Sequence
+from collections.abc import Callable, Generator, MutableSequence, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, final
 
@@ -98,10 +98,10 @@ class Phase(Protocol):
         """What takes the next samples in C; None where they have to be taken in Python."""
         return None
 
-    def taken_in_c(self, flag: StopFlag) -> Iterator[tuple[Any, Decision]]:
+    def taken_in_c(self, flag: StopFlag) -> Generator[tuple[Any, Decision]]:
         """Samples that `compiled`, which has begun, takes until the flag is set; each with what was decided."""
         del flag
-        return iter(())
+        yield from ()
 
 
 @final

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
@@ -29,7 +29,7 @@ _REASONS = (
     "asked",
     "the loop stood still",
     "Python did not keep up",
-    "end of the reference",
+    "no further reference",
     "reading",
     "motion or held command",
     "controller",
@@ -94,7 +94,7 @@ class CompiledLoop:
 
     def samples(
         self, numbers: Mapping[str, Any], wanted: Callable[[Vec], Vec], end: int, flag: StopFlag
-    ) -> Iterator[Any]:
+    ) -> Generator[Any]:
         """Take samples in C, and hand on the struct `hystmpc_sample` of each; `view` then says how it ended.
 
         Args:
@@ -110,12 +110,16 @@ class CompiledLoop:
         word = ctypes.byref(flag.word)
         run = Thread(target=self._run, args=(ctypes.byref(view), self._controller, word), name="loop-in-c", daemon=True)
         run.start()
-        with _after_the_loop():
-            while run.is_alive():
-                run.join(self._watch_s)
+        try:
+            with _after_the_loop():
+                while run.is_alive():
+                    run.join(self._watch_s)
+                    yield from self._new()
+                    self._feed(wanted)
                 yield from self._new()
-                self._feed(wanted)
-            yield from self._new()
+        finally:
+            self.interrupt()  # where nobody looks at the samples any more
+            run.join()
 
     def parts(self, intake: Intake, gate: Gate, transport: Transport) -> dict[str, Any] | None:
         """Fields of the struct as these three say; None where one of them has to stay in Python."""
