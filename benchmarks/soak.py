@@ -7,7 +7,7 @@ The loop tracks a sinusoidal scan in real time. A row says how many deadlines th
 long a sample took and how late it woke up, and the RMS tracking error over the wire beside that of the same run in
 process: same controller, motion, device and seeds. Beside every run a third process only sleeps at the same rate: what
 is late there is late without us. A missed deadline `beside a stall` is one at whose time the sleeper, too, woke up
-later than a period. After it, for up to a minute, a `spinner` spins in every period for as long as the run's
+later than a period. After it, for as many minutes, a `spinner` spins in every period for as long as the run's
 median sample took, and does nothing else: its misses are those of a machine that takes the core away. Exit code 1 if a
 deadline was missed, a run did not come to its end, or the ratio of the errors is beyond 1.10. With `--realtime`
 controller, device, sleeper and spinner run under SCHED_FIFO with their memory locked, by the settings that users have;
@@ -17,6 +17,9 @@ steps the controller as C. Run it on a machine that does nothing else.
 
     python benchmarks/soak.py --rate 250 --rate 1000 --minutes 2 --transport udp --realtime --faster 10 \\
         --set realtime.backend=c --set controller.controller.horizon=20 --set plausibility.travel=4
+
+`--controller linearised_lstm` takes the shipped LSTM, two layers of 64. It knows one sample time, 0.04 s in the
+device's time: `--rate 1000 --faster 40`, `--rate 250 --faster 10`.
 """
 
 from __future__ import annotations
@@ -39,11 +42,15 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from hystmpc.models.contract.export import ExportBundle, export_onnx
+from hystmpc.models.contract.load import load_onnx
 from hystmpc.models.load import library_file
+from hystmpc.models.motions import probe_commands
+from hystmpc.models.networks.lstm import LstmStep, LstmWeights, lstm_step_graph
 from hystmpc.models.simulator import load_simulator, save_simulator
 from hystmpc.rig.commission.review import compare_with_model, review
 from hystmpc.rig.config import RunSettings
-from hystmpc.studies.control.controllers import CONTROLLERS, NETWORKS
+from hystmpc.studies.control.controllers import CONTROLLERS
 from hystmpc.studies.faults.cases import DEVICE, RUN
 from hystmpc.studies.faults.play import end, start, start_device
 from hystmpc.trials.config import dump_yaml
@@ -79,16 +86,12 @@ class Plan:
 
 
 def configurations(folder: Path, plan: Plan, transport: str) -> tuple[Path, dict[str, Any]]:
-    """The device's file, and the run's settings but for the device's port.
-
-    The model is the shipped Prandtl-Ishlinskii one at the sample time of the loop, which play operators do not mind.
-    """
+    """The device's file, and the run's settings but for the device's port."""
     rate_hz, faster = plan.rate_hz, plan.faster
     plant, scan_hz = {**_PLANT, "lag_s": _LAG_S / faster}, _SCAN_HZ * faster
     limits = {**RUN["limits"], "rate_per_s": faster * RUN["limits"]["rate_per_s"]}
     folder.mkdir(parents=True)
-    model = load_simulator(library_file("pi")).at_sample_time(1 / rate_hz)
-    save_simulator(model, folder / "pi.yaml")
+    model = _network(plan, folder) if CONTROLLERS[plan.controller].model == "lstm" else _plays(plan, folder)
     dds = {"kind": "dds", "domain": _DOMAIN}
     wires = {"udp": {"kind": "udp"}, "dds": dds, IN_PROCESS: {"kind": "simulated", "plant": plant, "seed": 1}}
     device = {**DEVICE, "rate_hz": rate_hz, "limits": limits, "plant": plant, "seed": 1, "log": None}
@@ -105,11 +108,38 @@ def configurations(folder: Path, plan: Plan, transport: str) -> tuple[Path, dict
         "limits": {**limits, "beyond_model": faster > 1},
         "sensor": {**RUN["sensor"], "rate_limit_deg_s": faster * RUN["sensor"]["rate_limit_deg_s"]},
         "transport": wires[transport],
-        "controller": {"model": "pi.yaml", "actuator_lag_s": _LAG_S / faster, "controller": law},
+        "controller": {"model": model, "actuator_lag_s": _LAG_S / faster, "controller": law},
         "realtime": _scheduling(plan, _PRIORITY),
         "reference": {**RUN["reference"], "frequency_hz": scan_hz, "cycles": cycles},
     }
     return folder / "device.yaml", run
+
+
+def _plays(plan: Plan, folder: Path) -> str:
+    """The shipped Prandtl-Ishlinskii model at the sample time of the loop, which play operators do not mind."""
+    save_simulator(load_simulator(library_file("pi")).at_sample_time(1 / plan.rate_hz), folder / "pi.yaml")
+    return "pi.yaml"
+
+
+def _network(plan: Plan, folder: Path) -> str:
+    """The shipped LSTM for the faster device: the same network, its sample time and rates in that device's time.
+
+    Raises:
+        ConfigError: if a sample of the loop is not one of the network.
+    """
+    shipped = load_onnx(library_file("lstm"), "conditioned")
+    known, faster = shipped.metadata, plan.faster
+    if abs(plan.rate_hz * known.dt_s - faster) > 1e-9 * faster:
+        raise ConfigError(
+            f"got {plan.rate_hz:g} Hz and a device {faster:g} times as fast, expected --faster "
+            f"{plan.rate_hz * known.dt_s:g}: the network knows one sample time"
+        )
+    rates = {name: faster * getattr(known, name) for name in ("command_rate", "trained_rate")}
+    metadata = known.model_copy(update={"dt_s": 1 / plan.rate_hz, **rates})
+    weights = LstmWeights.from_arrays(shipped.initializers)
+    bundle = ExportBundle(lstm_step_graph(weights), metadata, LstmStep(weights), probe_commands(metadata))
+    export_onnx(bundle, folder / "lstm.onnx")
+    return "lstm.onnx"
 
 
 def _scheduling(plan: Plan, priority: int) -> dict[str, Any]:
@@ -150,7 +180,7 @@ def stolen_s() -> float:
 
 def spun(plan: Plan, busy_s: float) -> Floor:
     """The bare loop alone, busy for so long in every period."""
-    seconds = min(max(15.0 * plan.minutes, 2.0), 60.0)
+    seconds = max(60.0 * plan.minutes, 2.0)
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "spun.npy"
         words = _bare(plan, file, seconds, "--busy", busy_s)
@@ -210,6 +240,8 @@ def _measured(folder: Path, transport: str, rate_hz: float, ended: str, taken_s:
         beside_stall=int(np.count_nonzero(beside)),
         taken_s=taken_s,
         refused=tuple(timing["notes"]),
+        in_c=timing["outcome"]["in_c"],
+        left_c=timing["outcome"]["left_c"],
     )
 
 
@@ -233,7 +265,7 @@ def main() -> int:
     parser.add_argument("--rate", type=float, action="append", help="samples a second; may be repeated")
     parser.add_argument("--minutes", type=float, action="append", help="of tracking, one for each rate or one for all")
     parser.add_argument("--transport", choices=WIRES, action="append", help="may be repeated; both where left out")
-    usable = [name for name, one in CONTROLLERS.items() if one.predictive and one.model not in NETWORKS]
+    usable = [name for name, one in CONTROLLERS.items() if one.predictive and one.model not in ("hb2", "oracle")]
     parser.add_argument("--controller", choices=usable, default="linearised_backlash", help="of the control study")
     parser.add_argument("--realtime", action="store_true", help="under SCHED_FIFO, memory locked")
     parser.add_argument("--blocks", type=_blocks, default=(), help="move_blocking of the controller: 1,1,2,4")

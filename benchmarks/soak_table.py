@@ -28,6 +28,8 @@ class Soaked:
         beside_stall: missed samples at whose time the sleeper was late, too.
         taken_s: processor time that a host took from this machine meanwhile [s]; NaN where that is not told.
         refused: what of the run's scheduling the system did not permit.
+        in_c: samples that were taken whole in C.
+        left_c: how often Python had to go on, by why.
     """
 
     transport: str
@@ -44,6 +46,8 @@ class Soaked:
     beside_stall: int
     taken_s: float
     refused: tuple[str, ...]
+    in_c: int
+    left_c: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,8 @@ def _figures(row: Row) -> dict[str, str]:
     one, sleeper, spinner = row.wire, row.wire.floor, row.spinner
     return {
         "samples": str(one.samples),
+        "... taken in C": str(one.in_c),
+        "... left to Python": ", ".join(f"{count} {reason}" for reason, count in one.left_c.items()) or "-",
         "missed (bar 0)": str(one.missed),
         "... beside a stall": str(one.beside_stall),
         "taken by the host, s": f"{one.taken_s:.2f}",

@@ -25,7 +25,7 @@ from ..transports.transport import Transport
 _SIZES = {"READINGS": 4, "SAMPLES": 256, "REFERENCES": 4096, "RECENT": 128}
 # By the names ASKED ... UNSENT of loop.c.
 _REASONS = (
-    "no time",
+    "not begun",
     "asked",
     "the loop stood still",
     "Python did not keep up",
@@ -89,7 +89,7 @@ class CompiledLoop:
             numbers: fields of the struct.
         """
         view = self.view
-        view.written = view.read = view.asked = view.late = view.skipped = view.unread = 0
+        view.written = view.read = view.asked = view.late = view.skipped = view.unread = view.reason = 0
         self._put(numbers)
 
     def samples(

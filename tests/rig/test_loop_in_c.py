@@ -215,7 +215,7 @@ def spoiler(share: float) -> Spoil:
             [encode(Datagram(m.kind, m.session, m.sequence, m.stamp_ns - 10**9, m.value, m.held))],
             [encode(Datagram(m.kind, m.session, m.sequence, m.stamp_ns, m.value, m.held + 4.0))],
             [encode(Datagram(Kind.COMMAND, m.session, m.sequence, m.stamp_ns, m.value, m.held))],
-            [good[:20] + bytes([good[20] ^ 8]) + good[21:]],
+            [good[:25] + bytes([good[25] ^ 8]) + good[26:]],
             [good[:43]],
             [good + b"\0" * 20],
             [old[0], good],
