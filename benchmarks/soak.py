@@ -69,7 +69,7 @@ _PLANT = {
     "mismatch": {"prandtl_ishlinskii.alpha": 1.2},
 }
 _BESIDE_S = 0.02  # between a miss and a stall that explains it
-_PRIORITY, _DEVICE_PRIORITY = 80, 70  # of SCHED_FIFO: controller and sleeper alike, the device after them
+_PRIORITY, _DEVICE_PRIORITY = 80, 80  # of SCHED_FIFO: the device is no less than what looks at the samples
 
 
 @dataclass(frozen=True)
