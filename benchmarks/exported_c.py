@@ -54,7 +54,8 @@ def _say(name: str, found: Compared, times: Mat, export: ControllerExport) -> No
     median, p99, p999 = np.quantile(least, [0.5, 0.99, 0.999])
     print(
         f"{name}: {steps} steps, difference up to {found.greatest:.2g} mm, "
-        f"99 % within {np.quantile(off, 0.99):.2g} mm, median {np.median(off):.2g} mm, {int(np.sum(off > 1e-6))} steps over 1e-6 mm; "
+        f"99 % within {np.quantile(off, 0.99):.2g} mm, median {np.median(off):.2g} mm, "
+        f"{int(np.sum(off > 1e-6))} steps over 1e-6 mm; "
         f"{export.memory_bytes} bytes, {export.remembered_bytes} remembered; {dict(found.sources)}\n"
         f"    Python {python_us:.0f} us; C through ctypes {c_us:.1f} us, ratio {python_us / c_us:.1f}; "
         f"in a C program {program_us:.1f} us, ratio {python_us / program_us:.1f}\n"
