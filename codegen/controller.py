@@ -22,6 +22,7 @@ from .problem import Problem, problem_of
 from .steps import (
     INEXACT,
     functions_used,
+    inverted_source,
     model_source,
     model_warm_up,
     network_warm_up,
@@ -215,7 +216,9 @@ def _initialiser(value: Any) -> str:
 
 def _models(problem: Problem) -> str:
     rest = problem.rest
-    sources = [model_source(name, step) for name, step in problem.steps.items()]
+    sources = [
+        (inverted_source if name == "middle" else model_source)(name, step) for name, step in problem.steps.items()
+    ]
     if problem.network is not None:
         sources.append(problem.network.source())
     warm_up = model_warm_up(rest.warmup) if problem.network is None else network_warm_up(rest.warmup, rest.beside)

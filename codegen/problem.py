@@ -288,6 +288,7 @@ def _program_sizes(settings: LinearisedMpcSettings, horizon: int, dt: float) -> 
     return {
         "blocks": 0 if blocks is None else count,
         "soft": int(soft),
+        "qp_moves": count,
         "qp_size": count + slack,
         "qp_rows": 2 * count + between + slack,
     }

@@ -123,11 +123,23 @@ def model_source(name: str, step: Step) -> str:
     )
 
 
-def step_source(name: str, step: Step) -> str:
+def inverted_source(name: str, step: Step) -> str:
+    """C of what is inverted sample by sample: its step, and `slope_<name>(x, u, theta, d)` with d theta / d u alone."""
+    return "\n".join(
+        [
+            step_source(name, step, "HYSTMPC_LOCAL"),
+            f"HYSTMPC_LOCAL void slope_{name}(const real *x, real u, real *theta, real *d) {{",
+            *_body(_tangent(step.function), ("*theta", *[None] * 4, "*d"), _known(step)),
+            "}\n",
+        ]
+    )
+
+
+def step_source(name: str, step: Step, linkage: str = "static") -> str:
     """C of a chain's step alone, `step_<name>(x, u, theta, next)`; numbers as `model_source` has them."""
     return "\n".join(
         [
-            f"static void step_{name}(const real *x, real u, real *theta, real *next) {{",
+            f"{linkage} void step_{name}(const real *x, real u, real *theta, real *next) {{",
             *_body(step.function, ("*theta", "next"), _known(step)),
             "}\n",
         ]
@@ -190,8 +202,8 @@ def _tangent(function: Any) -> Any:
     return dense("tangent", arguments, [theta, following, *slopes])
 
 
-def _body(function: Any, outputs: Sequence[str], known: Mapping[int, Vec]) -> list[str]:
-    """Statements with single assignments; an argument that is not read is said to be so."""
+def _body(function: Any, outputs: Sequence[str | None], known: Mapping[int, Vec]) -> list[str]:
+    """Statements with single assignments; an argument that is not read is said to be so. An output None is left out."""
     lines = _used(list(_statements(function, outputs, known)))
     text = "\n".join(lines)
     unread = [name for name in ("x", "u") if (f" {name}[" if name == "x" else " = u;") not in text]
@@ -211,11 +223,13 @@ def _used(lines: Sequence[str]) -> list[str]:
     return kept[::-1]
 
 
-def _statements(function: Any, outputs: Sequence[str], known: Mapping[int, Vec]) -> Iterator[str]:
+def _statements(function: Any, outputs: Sequence[str | None], known: Mapping[int, Vec]) -> Iterator[str]:
     where: dict[int, str | float] = {}
     for count, step in enumerate(instructions(function)):
         if step.name == "output":
             out = outputs[step.out[0]]
+            if out is None:
+                continue
             yield f"    {out if out.startswith('*') else f'{out}[{step.out[1]}]'} = {_text(where[step.args[0]])};"
             continue
         value = _value(step, where, known)

@@ -9,24 +9,33 @@ static const real radii[HYSTMPC_PLAYS] = HYSTMPC_RADII;
 static const real zones[HYSTMPC_ZONES] = HYSTMPC_ZONE_STARTS;
 static const real creeps[HYSTMPC_CREEPS] = HYSTMPC_CREEP_SHARES;
 
-/* Memory (travel, plays, slow followers) one sample later under the delayed command x. */
-HYSTMPC_LOCAL void advance_memory(real *memory, real x, real share) {
-    memory[0] += share * (x - memory[0]);
-    const real v = memory[0];
-    for (int i = 0; i < PLAYS; i++) memory[1 + i] = least(most(memory[1 + i], v - radii[i]), v + radii[i]);
-    for (int j = 0; j < CREEPS; j++) memory[1 + PLAYS + j] += creeps[j] * (v - memory[1 + PLAYS + j]);
+/* Memories (travel, plays, slow followers) one sample later under the delayed command x. So many stand abreast, number
+ * beside number; each has its own share of the way that the travel goes in a sample. */
+HYSTMPC_LOCAL void advance_memory(real *memory, int abreast, real x, const real *shares) {
+    for (int n = 0; n < abreast; n++) {
+        memory[n] += shares[n] * (x - memory[n]);
+        const real v = memory[n];
+        real *play = memory + abreast + n, *creep = play + PLAYS * abreast;
+        for (int i = 0; i < PLAYS; i++)
+            play[i * abreast] = least(most(play[i * abreast], v - radii[i]), v + radii[i]);
+        for (int j = 0; j < CREEPS; j++) creep[j * abreast] += creeps[j] * (v - creep[j * abreast]);
+    }
 }
 
-/* Features of a memory; `before` is the travel one sample ago, v0 and side where the device started. */
-HYSTMPC_LOCAL void features(const real *memory, real before, real v0, real side, real *out) {
-    const real v = memory[0];
-    int at = 0;
-    out[at++] = v - v0;
-    for (int i = 0; i < PLAYS; i++) out[at++] = memory[1 + i] - v0 - side * radii[i];
-    for (int i = 0; i < ZONES; i++) out[at++] = most(v - zones[i], R(0.0)) - most(v0 - zones[i], R(0.0));
-    for (int i = PLAYS - WEIGHTED; i < PLAYS; i++) out[at++] = (memory[1 + i] - v) * v - side * radii[i] * v0;
-    for (int j = 0; j < CREEPS; j++) out[at++] = v - memory[1 + PLAYS + j];
-    out[at] = (v - before) * HYSTMPC_PACE * HYSTMPC_RATE_S;
+/* Features of memories; `before` is the travel one sample ago, v0 and side where the device started. */
+HYSTMPC_LOCAL void features(const real *memory, const real *before, int abreast, real v0, real side, real *out) {
+    for (int n = 0; n < abreast; n++) {
+        const real v = memory[n], *play = memory + abreast + n, *creep = play + PLAYS * abreast;
+        int at = n;
+        out[at] = v - v0;
+        for (int i = 0; i < PLAYS; i++) out[at += abreast] = play[i * abreast] - v0 - side * radii[i];
+        for (int i = 0; i < ZONES; i++)
+            out[at += abreast] = most(v - zones[i], R(0.0)) - most(v0 - zones[i], R(0.0));
+        for (int i = PLAYS - WEIGHTED; i < PLAYS; i++)
+            out[at += abreast] = (play[i * abreast] - v) * v - side * radii[i] * v0;
+        for (int j = 0; j < CREEPS; j++) out[at += abreast] = v - creep[j * abreast];
+        out[at + abreast] = (v - before[n]) * HYSTMPC_PACE * HYSTMPC_RATE_S;
+    }
 }
 
 static real share_of_range(real u) { return (u - HYSTMPC_RANGE_LOW) / HYSTMPC_RANGE_SPAN; }
@@ -42,8 +51,8 @@ HYSTMPC_LOCAL void add_learned(const hystmpc_state *s, const real *commands, int
     copy(s->memory, now, HYSTMPC_MEMORY);
     for (int k = 0; k < samples; k++) {
         const real before = now[0];
-        advance_memory(now, acting_command(s, commands, k), s->share);
-        features(now, before, s->start[0], s->start[1], f);
+        advance_memory(now, 1, acting_command(s, commands, k), &s->share);
+        features(now, &before, 1, s->start[0], s->start[1], f);
         real total = s->weights[0] * (angles[k] - s->start[2]);
         for (int i = 0; i < HYSTMPC_WEIGHTS - 1; i++) total += s->weights[1 + i] * f[i];
         angles[k] += total;
@@ -103,7 +112,7 @@ HYSTMPC_LOCAL void add_slopes(hystmpc_work *w, const hystmpc_state *s, const rea
     for (int i = 0; i <= HYSTMPC_MEMORY; i++) fill(by[i], R(0.0), H);
     for (int k = 0; k < H; k++) {
         copy(now, before, HYSTMPC_MEMORY);
-        advance_memory(now, acting_command(s, commands, k), s->share);
+        advance_memory(now, 1, acting_command(s, commands, k), &s->share);
         advance_slopes(by, before, now, k - s->delay, s->share);
         slopes_by_memory(now, s->weights, slopes);
         for (int j = 0; j <= k; j++) {

@@ -23,13 +23,22 @@ static const real motion_variance[HYSTMPC_MOTIONS] = HYSTMPC_MOTION_VARIANCES; /
 static const real by_sensor[HYSTMPC_SENSORS] = HYSTMPC_BY_SENSOR;
 static const real by_model[HYSTMPC_DRIFTS * HYSTMPC_MOTIONS] = HYSTMPC_BY_MODEL;
 
+/* total = sum of a term by i in eight parts, every eighth term in one, as Python adds. */
+#define SUM_IN_PARTS(total, count, term)                                  \
+    {                                                                     \
+        real part[8] = {R(0.0)};                                          \
+        const int whole = (count) - (count) % 8;                          \
+        for (int first = 0; first < whole; first += 8)                    \
+            for (int i = first; i < first + 8; i++) part[i - first] += (term); \
+        total = (part[0] + part[4]) + (part[2] + part[6]);                \
+        total += (part[1] + part[5]) + (part[3] + part[7]);               \
+        for (int i = whole; i < (count); i++) total += (term);            \
+    }
+
 /* Variance of the mixture of all filters about its mean. */
 static real mixed_variance(real bank[3][HYSTMPC_FILTERS], real mean) {
-    real total = R(0.0);
-    for (int i = 0; i < M; i++) {
-        const real off = bank[0][i] - mean;
-        total += bank[2][i] * (bank[1][i] + off * off);
-    }
+    real total;
+    SUM_IN_PARTS(total, M, bank[2][i] * (bank[1][i] + (bank[0][i] - mean) * (bank[0][i] - mean)))
     return total;
 }
 
@@ -48,32 +57,34 @@ static void bank_init(hystmpc_estimate *e, real disturbance) {
  * then all weights mixed with their prior, since how wrong the model is may change. */
 HYSTMPC_LOCAL void bank_correct(real bank[3][HYSTMPC_FILTERS], real offset, real *mean, real *variance) {
     enum { INNER = DRIFTS * MOTIONS };
-    real total = R(0.0);
+    real total, off;
     for (int j = 0; j < SENSORS; j++) {
         const real noise = sensor_variance[j];
         for (int i = j * INNER; i < (j + 1) * INNER; i++) {
             const real before = bank[1][i], spread = before + noise, error = offset - bank[0][i];
-            real odd = R(1.0) + error * error / (R(5.0) * spread);
+            const real by_spread = R(1.0) / spread;
+            real odd = R(1.0) + error * error * by_spread * R(0.2);
             odd *= odd;
-            const real gain = least(before / spread, HYSTMPC_MOST_GAIN), rest = R(1.0) - gain;
+            const real gain = least(before * by_spread, HYSTMPC_MOST_GAIN), rest = R(1.0) - gain;
             bank[0][i] = clamp(bank[0][i] + gain * error, -HYSTMPC_DISTURBANCE_LIMIT, HYSTMPC_DISTURBANCE_LIMIT);
             bank[1][i] = rest * rest * before + gain * gain * noise;
             bank[2][i] = bank[2][i] / (root(spread) * odd * odd);
-            total += bank[2][i];
         }
     }
-    *mean = bank[0][0];
+    SUM_IN_PARTS(total, M, bank[2][i])
+    const real kept = (R(1.0) - HYSTMPC_SWITCHING) / total;
     for (int j = 0; j < SENSORS; j++) {
-        real share = R(0.0);
-        for (int i = j * INNER; i < (j + 1) * INNER; i++) share += bank[2][i];
+        real share;
+        SUM_IN_PARTS(share, INNER, bank[2][j * INNER + i])
         share = HYSTMPC_SWITCHING *
                 ((R(1.0) - HYSTMPC_SENSOR_SHARE) * share / total + HYSTMPC_SENSOR_SHARE * by_sensor[j]);
         for (int i = 0; i < INNER; i++) {
             const int k = j * INNER + i;
-            bank[2][k] = (R(1.0) - HYSTMPC_SWITCHING) * bank[2][k] / total + share * by_model[i];
-            *mean += bank[2][k] * (bank[0][k] - bank[0][0]);
+            bank[2][k] = kept * bank[2][k] + share * by_model[i];
         }
     }
+    SUM_IN_PARTS(off, M, bank[2][i] * (bank[0][i] - bank[0][0]))
+    *mean = bank[0][0] + off;
     *variance = mixed_variance(bank, *mean);
 }
 

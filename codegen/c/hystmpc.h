@@ -92,12 +92,12 @@ typedef struct {
 #if HYSTMPC_LEARNS
 /* Kalman filters of the learned weights, one for each drive of a grid, and what their forecasts are worth. */
 typedef struct {
-    hystmpc_real history[HYSTMPC_HISTORY][HYSTMPC_LAGS][HYSTMPC_MEMORY];
+    hystmpc_real history[HYSTMPC_HISTORY][HYSTMPC_MEMORY][HYSTMPC_LAGS];
     hystmpc_real queue[HYSTMPC_DELAYS];
     hystmpc_real start[3];
-    hystmpc_real z[HYSTMPC_DRIVES][HYSTMPC_UNKNOWNS];
-    hystmpc_real covariance[HYSTMPC_DRIVES][HYSTMPC_UNKNOWNS][HYSTMPC_UNKNOWNS];
-    hystmpc_real frozen[HYSTMPC_DRIVES][HYSTMPC_UNKNOWNS];
+    hystmpc_real z[HYSTMPC_DELAYS][HYSTMPC_UNKNOWNS][HYSTMPC_LAGS];
+    hystmpc_real covariance[HYSTMPC_DELAYS][HYSTMPC_TRIANGLE][HYSTMPC_LAGS]; /* lower triangles, row by row */
+    hystmpc_real frozen[HYSTMPC_DELAYS][HYSTMPC_UNKNOWNS][HYSTMPC_LAGS];
     hystmpc_real references[2];
     hystmpc_real sums[HYSTMPC_DRIVES + 2];
     hystmpc_real scores[HYSTMPC_DRIVES + 2];
@@ -130,12 +130,15 @@ typedef struct {
     hystmpc_real plans[HYSTMPC_CANDIDATES][HYSTMPC_HORIZON];
     hystmpc_real angles[HYSTMPC_CANDIDATES][HYSTMPC_HORIZON];
     hystmpc_real jacobian[HYSTMPC_HORIZON][HYSTMPC_HORIZON];
-    hystmpc_real rows[HYSTMPC_QP_ROWS][HYSTMPC_QP_SIZE];   /* of the program, then in its metric */
-    hystmpc_real hessian[HYSTMPC_QP_SIZE][HYSTMPC_QP_SIZE];
-    hystmpc_real factor[HYSTMPC_QP_SIZE][HYSTMPC_QP_SIZE]; /* of the active rows */
-    hystmpc_real gradient[HYSTMPC_QP_SIZE];
+    hystmpc_real columns[HYSTMPC_QP_MOVES][HYSTMPC_QP_ROWS]; /* of the program's rows, then in its metric */
+    hystmpc_real hessian[HYSTMPC_QP_MOVES][HYSTMPC_QP_MOVES];
+    hystmpc_real factor[HYSTMPC_QP_SIZE][HYSTMPC_QP_SIZE];   /* of the active rows */
+    hystmpc_real active[HYSTMPC_QP_SIZE][HYSTMPC_QP_MOVES];
+    hystmpc_real gradient[HYSTMPC_QP_MOVES];
     hystmpc_real lower[HYSTMPC_QP_ROWS];
     hystmpc_real upper[HYSTMPC_QP_ROWS];
+    hystmpc_real soft[HYSTMPC_QP_ROWS];       /* squared length that a row has by its own variable */
+    int first[HYSTMPC_QP_MOVES];              /* row of each column that is not zero */
     hystmpc_real by_move[HYSTMPC_HORIZON][HYSTMPC_HORIZON];
     hystmpc_real normal[HYSTMPC_HORIZON][HYSTMPC_HORIZON];
     hystmpc_real moving[2][HYSTMPC_CHAIN + 9][HYSTMPC_HORIZON];

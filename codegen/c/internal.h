@@ -37,8 +37,12 @@ HYSTMPC_LOCAL real clamp(real x, real low, real high);
 HYSTMPC_LOCAL real absolute(real x);
 HYSTMPC_LOCAL real root(real x);
 HYSTMPC_LOCAL int finite(real x);
+HYSTMPC_LOCAL int all_finite(const real *x, int count);
 HYSTMPC_LOCAL void copy(const real *from, real *to, int count);
 HYSTMPC_LOCAL void fill(real *to, real value, int count);
+HYSTMPC_LOCAL int factorise(real *p, int width, int count);
+HYSTMPC_LOCAL void solve_upper(const real *g, int width, int count, real *x);
+HYSTMPC_LOCAL void solve_lower(const real *g, int width, int count, real *x);
 
 /* model.c: one step of a model, its tangent, and loops around them. */
 typedef struct {
@@ -52,7 +56,6 @@ typedef struct {
 #if !HYSTMPC_UNITS
 extern const model hystmpc_whole; /* command to angle */
 #endif
-extern const model hystmpc_middle; /* the operators that are inverted sample by sample */
 #if HYSTMPC_FRONT
 extern const model hystmpc_front; /* dynamics of the command */
 #endif
@@ -63,6 +66,9 @@ extern const model hystmpc_back; /* dynamics of the angle */
 extern const float hystmpc_weights[], hystmpc_head[];
 #endif
 #endif
+/* The operators that are inverted sample by sample: their step, and the angle with its derivative by the command. */
+HYSTMPC_LOCAL void step_middle(const real *x, real u, real *theta, real *next);
+HYSTMPC_LOCAL void slope_middle(const real *x, real u, real *theta, real *d);
 HYSTMPC_LOCAL void hystmpc_rest(real y, real u, real *x); /* the model's state at rest, by the rule of its file */
 
 #if HYSTMPC_FRONT || !HYSTMPC_UNITS
@@ -167,8 +173,8 @@ HYSTMPC_LOCAL real learning_added(const hystmpc_learning *l, real angle, int bac
 HYSTMPC_LOCAL void learning_state(const hystmpc_learning *l, hystmpc_state *s);
 
 /* basis.c */
-HYSTMPC_LOCAL void advance_memory(real *memory, real x, real share);
-HYSTMPC_LOCAL void features(const real *memory, real before, real v0, real side, real *out);
+HYSTMPC_LOCAL void advance_memory(real *memory, int abreast, real x, const real *shares);
+HYSTMPC_LOCAL void features(const real *memory, const real *before, int abreast, real v0, real side, real *out);
 HYSTMPC_LOCAL void add_learned(const hystmpc_state *s, const real *commands, int samples, real *angles);
 HYSTMPC_LOCAL void add_slopes(hystmpc_work *w, const hystmpc_state *s, const real *commands);
 #endif

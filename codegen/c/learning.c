@@ -3,7 +3,14 @@
 
 #if HYSTMPC_LEARNS
 
-enum { K = HYSTMPC_UNKNOWNS, DRIVES = HYSTMPC_DRIVES, MODEL_ALONE = HYSTMPC_DRIVES, LAST_ANGLE = HYSTMPC_DRIVES + 1 };
+enum {
+    K = HYSTMPC_UNKNOWNS,
+    DELAYS = HYSTMPC_DELAYS,
+    LAGS = HYSTMPC_LAGS, /* of a delay, side by side: each operation is one on a vector of all of them */
+    DRIVES = HYSTMPC_DRIVES,
+    MODEL_ALONE = HYSTMPC_DRIVES,
+    LAST_ANGLE = HYSTMPC_DRIVES + 1
+};
 
 static const real lags[HYSTMPC_LAGS] = HYSTMPC_LAG_SHARES;
 static const real prior[HYSTMPC_UNKNOWNS] = HYSTMPC_PRIOR;
@@ -11,30 +18,35 @@ static const real growth[HYSTMPC_UNKNOWNS] = HYSTMPC_GROWTH;
 static const real walk[HYSTMPC_UNKNOWNS] = HYSTMPC_WALK;
 static const real resting[HYSTMPC_PLAYS] = HYSTMPC_RADII;
 
+/* The covariance of one lag before anything has been learned. */
+static void start_covariance(real (*p)[HYSTMPC_LAGS], int lag) {
+    for (int a = 0, at = 0; a < K; a++)
+        for (int b = 0; b <= a; b++, at++) p[at][lag] = a == b ? prior[a] : R(0.0);
+}
+
+/* Forecasts start from the present weights. */
+static void freeze(hystmpc_learning *l) {
+    for (int delay = 0; delay < DELAYS; delay++)
+        for (int a = 0; a < K; a++) copy(l->z[delay][a], l->frozen[delay][a], LAGS);
+}
+
 /* At rest under the command u, the model at `angle` and the measurement at `y`. */
 HYSTMPC_LOCAL void learning_init(hystmpc_learning *l, real angle, real u, real y) {
     const real v = (u - HYSTMPC_RANGE_LOW) / HYSTMPC_RANGE_SPAN;
     const real side = v < R(0.5) ? R(1.0) : R(-1.0); /* a device near one end of its command has come from the other */
     for (int t = 0; t < HYSTMPC_HISTORY; t++) {
-        for (int lag = 0; lag < HYSTMPC_LAGS; lag++) {
-            real *memory = l->history[t][lag];
-            fill(memory, v, HYSTMPC_MEMORY);
-            for (int i = 0; i < HYSTMPC_PLAYS; i++) memory[1 + i] = v + side * resting[i];
-        }
+        for (int i = 0; i < HYSTMPC_MEMORY; i++) fill(l->history[t][i], v, LAGS);
+        for (int i = 0; i < HYSTMPC_PLAYS; i++) fill(l->history[t][1 + i], v + side * resting[i], LAGS);
     }
     fill(l->queue, v, HYSTMPC_DELAYS);
     l->start[0] = v;
     l->start[1] = side;
     l->start[2] = angle;
-    for (int n = 0; n < DRIVES; n++) {
-        fill(l->z[n], R(0.0), K);
-        l->z[n][0] = y - angle;
-        copy(l->z[n], l->frozen[n], K);
-        for (int a = 0; a < K; a++) {
-            fill(l->covariance[n][a], R(0.0), K);
-            l->covariance[n][a][a] = prior[a];
-        }
+    for (int delay = 0; delay < DELAYS; delay++) {
+        for (int a = 0; a < K; a++) fill(l->z[delay][a], a ? R(0.0) : y - angle, LAGS);
+        for (int lag = 0; lag < LAGS; lag++) start_covariance(l->covariance[delay], lag);
     }
+    freeze(l);
     l->references[0] = y - angle;
     l->references[1] = y;
     fill(l->sums, R(0.0), DRIVES + 2);
@@ -58,36 +70,49 @@ HYSTMPC_LOCAL real learning_reach(const hystmpc_learning *l) {
 HYSTMPC_LOCAL void learning_advance(hystmpc_learning *l, real u) {
     const real x = (u - HYSTMPC_RANGE_LOW) / HYSTMPC_RANGE_SPAN;
     for (int t = HYSTMPC_HISTORY - 1; t > 0; t--)
-        for (int lag = 0; lag < HYSTMPC_LAGS; lag++) copy(l->history[t - 1][lag], l->history[t][lag], HYSTMPC_MEMORY);
-    for (int lag = 0; lag < HYSTMPC_LAGS; lag++) advance_memory(l->history[0][lag], x, lags[lag]);
+        for (int i = 0; i < HYSTMPC_MEMORY; i++) copy(l->history[t - 1][i], l->history[t][i], LAGS);
+    advance_memory(l->history[0][0], LAGS, x, lags);
     for (int k = HYSTMPC_DELAYS - 1; k > 0; k--) l->queue[k] = l->queue[k - 1];
     l->queue[0] = x;
 }
 
-/* One measurement for one drive. `still`: the command rests; no weight can have changed then, and a large error is a
- * jump of the offset. */
-static void correct_filter(real *z, real (*p)[HYSTMPC_UNKNOWNS], const real *h, real error, int still) {
-    real spread[HYSTMPC_UNKNOWNS] = {R(0.0)}, variance = HYSTMPC_LEARNING_NOISE;
-    for (int b = 0; b < K; b++)
-        for (int a = 0; a < K; a++) spread[a] += p[b][a] * h[b];
-    for (int a = 0; a < K; a++) variance += h[a] * spread[a];
-    if (!(HYSTMPC_LEARNING_NOISE <= variance && finite(variance) && finite(error))) {
-        for (int a = 0; a < K; a++) { /* rounding has eaten the covariance */
-            fill(p[a], R(0.0), K);
-            p[a][a] = prior[a];
+/* One measurement for all lags of a delay. Of each covariance the lower triangle is stored, row by row. `still`: the
+ * command rests; no weight can have changed then, and a large error is a jump of the offset. */
+static void correct_filters(real (*z)[HYSTMPC_LAGS], real (*p)[HYSTMPC_LAGS], real (*h)[HYSTMPC_LAGS], const real *error,
+                            int still) {
+    real spread[HYSTMPC_UNKNOWNS][HYSTMPC_LAGS], variance[HYSTMPC_LAGS], shrunk[HYSTMPC_LAGS];
+    int usable[HYSTMPC_LAGS];
+    for (int a = 0, at = 0; a < K; a++, at++) {
+        real own[HYSTMPC_LAGS] = {R(0.0)};
+        for (int b = 0; b < a; b++, at++) {
+            for (int i = 0; i < LAGS; i++) {
+                own[i] += p[at][i] * h[b][i];
+                spread[b][i] += p[at][i] * h[a][i];
+            }
         }
-        return;
+        for (int i = 0; i < LAGS; i++) spread[a][i] = own[i] + p[at][i] * h[a][i];
     }
-    if (still && error * error > HYSTMPC_SURPRISE * variance) {
-        p[0][0] += error * error;
-        spread[0] += error * error;
-        variance += error * error;
+    fill(variance, HYSTMPC_LEARNING_NOISE, LAGS);
+    for (int a = 0; a < K; a++)
+        for (int i = 0; i < LAGS; i++) variance[i] += h[a][i] * spread[a][i];
+    for (int i = 0; i < LAGS; i++) {
+        const real square = error[i] * error[i];
+        usable[i] = HYSTMPC_LEARNING_NOISE <= variance[i] && finite(variance[i]) && finite(error[i]);
+        const real jump = still && square > HYSTMPC_SURPRISE * variance[i] ? square : R(0.0);
+        p[0][i] += jump;
+        spread[0][i] += jump;
+        shrunk[i] = R(1.0) / root(variance[i] + jump);
     }
-    for (int a = 0; a < K; a++) {
-        const real share = spread[a] / variance;
-        z[a] += share * error;
-        for (int b = 0; b < K; b++) p[a][b] -= share * spread[b];
+    for (int a = 0, at = 0; a < K; a++) {
+        for (int i = 0; i < LAGS; i++) {
+            spread[a][i] *= shrunk[i];
+            z[a][i] = usable[i] ? z[a][i] + spread[a][i] * (shrunk[i] * error[i]) : z[a][i];
+        }
+        for (int b = 0; b <= a; b++, at++)
+            for (int i = 0; i < LAGS; i++) p[at][i] -= spread[a][i] * spread[b][i];
     }
+    for (int i = 0; i < LAGS; i++)
+        if (!usable[i]) start_covariance(p, i); /* rounding has eaten the covariance */
 }
 
 /* What a block of forecasts says: the scores, the drive that is used, how far it acts. */
@@ -110,22 +135,29 @@ static void judge(hystmpc_learning *l, const real *means) {
 /* With a measurement used: `angle` is the model's at that instant, `disturbance` its own before this measurement. */
 HYSTMPC_LOCAL void learning_correct(hystmpc_learning *l, real y, real angle, real disturbance) {
     const real travel = absolute(l->history[HYSTMPC_DELAY][0][0] - l->history[HYSTMPC_DELAY + 1][0][0]);
-    real h[HYSTMPC_UNKNOWNS];
-    for (int n = 0; n < DRIVES; n++) {
-        const int lag = n / HYSTMPC_DELAYS, at = n % HYSTMPC_DELAYS + HYSTMPC_DELAY;
-        features(l->history[at][lag], l->history[at + 1][lag][0], l->start[0], l->start[1], h + 2);
-        h[0] = R(1.0);
-        h[1] = angle - l->start[2];
-        real error = y - angle, forecast = y - angle;
+    for (int delay = 0; delay < DELAYS; delay++) {
+        real(*z)[HYSTMPC_LAGS] = l->z[delay], (*p)[HYSTMPC_LAGS] = l->covariance[delay];
+        real h[HYSTMPC_UNKNOWNS][HYSTMPC_LAGS], error[HYSTMPC_LAGS], forecast[HYSTMPC_LAGS];
+        const int at = delay + HYSTMPC_DELAY;
+        features(l->history[at][0], l->history[at + 1][0], LAGS, l->start[0], l->start[1], h[2]);
+        fill(h[0], R(1.0), LAGS);
+        fill(h[1], angle - l->start[2], LAGS);
+        fill(error, y - angle, LAGS);
+        fill(forecast, y - angle, LAGS);
         for (int a = 0; a < K; a++) {
-            error -= h[a] * l->z[n][a];
-            forecast -= h[a] * l->frozen[n][a];
+            for (int i = 0; i < LAGS; i++) {
+                error[i] -= h[a][i] * z[a][i];
+                forecast[i] -= h[a][i] * l->frozen[delay][a][i];
+            }
         }
-        l->sums[n] += forecast * forecast;
-        correct_filter(l->z[n], l->covariance[n], h, error, travel == R(0.0));
+        for (int lag = 0; lag < LAGS; lag++) l->sums[lag * DELAYS + delay] += forecast[lag] * forecast[lag];
+        correct_filters(z, p, h, error, travel == R(0.0));
         for (int a = 0; a < K; a++) {
-            const real now = l->covariance[n][a][a], grown = now + growth[a] + walk[a] * travel;
-            l->covariance[n][a][a] = least(grown, most(prior[a], now));
+            real *own = p[a * (a + 3) / 2];
+            for (int i = 0; i < LAGS; i++) {
+                const real grown = own[i] + growth[a] + walk[a] * travel;
+                own[i] = least(grown, most(prior[a], own[i]));
+            }
         }
     }
     const real own = y - angle - l->references[0], none = y - l->references[1];
@@ -138,32 +170,38 @@ HYSTMPC_LOCAL void learning_correct(hystmpc_learning *l, real y, real angle, rea
     judge(l, means);
     fill(l->sums, R(0.0), DRIVES + 2);
     l->count = 0;
-    for (int n = 0; n < DRIVES; n++) copy(l->z[n], l->frozen[n], K);
+    freeze(l);
     l->references[0] = disturbance;
     l->references[1] = y;
+}
+
+/* The memory behind one lag, so many samples ago. */
+static void memory_of(const hystmpc_learning *l, int at, int lag, real *memory) {
+    for (int i = 0; i < HYSTMPC_MEMORY; i++) memory[i] = l->history[at][i][lag];
 }
 
 /* What the learned part adds to the model's angle, whose features are `back` samples old. */
 HYSTMPC_LOCAL real learning_added(const hystmpc_learning *l, real angle, int back) {
     if (l->share == R(0.0)) return R(0.0);
-    const int lag = l->best / HYSTMPC_DELAYS, at = l->best % HYSTMPC_DELAYS + back;
-    const real *weights = l->z[l->best] + 1;
-    real f[HYSTMPC_WEIGHTS], total = R(0.0);
-    features(l->history[at][lag], l->history[at + 1][lag][0], l->start[0], l->start[1], f);
-    for (int i = 0; i < HYSTMPC_WEIGHTS - 1; i++) total += l->share * weights[1 + i] * f[i];
-    return l->share * weights[0] * (angle - l->start[2]) + total;
+    const int lag = l->best / DELAYS, delay = l->best % DELAYS, at = delay + back;
+    real memory[HYSTMPC_MEMORY], f[HYSTMPC_WEIGHTS], total = R(0.0);
+    memory_of(l, at, lag, memory);
+    features(memory, &l->history[at + 1][0][lag], 1, l->start[0], l->start[1], f);
+    for (int i = 0; i < HYSTMPC_WEIGHTS - 1; i++) total += l->share * l->z[delay][2 + i][lag] * f[i];
+    return l->share * l->z[delay][1][lag] * (angle - l->start[2]) + total;
 }
 
 /* The learned part of the state that predictions start from. */
 HYSTMPC_LOCAL void learning_state(const hystmpc_learning *l, hystmpc_state *s) {
-    s->delay = l->best % HYSTMPC_DELAYS;
-    s->share = lags[l->best / HYSTMPC_DELAYS];
-    copy(l->history[s->delay][l->best / HYSTMPC_DELAYS], s->memory, HYSTMPC_MEMORY);
+    const int lag = l->best / DELAYS;
+    s->delay = l->best % DELAYS;
+    s->share = lags[lag];
+    memory_of(l, s->delay, lag, s->memory);
     copy(l->queue, s->queue, HYSTMPC_DELAYS);
     copy(l->start, s->start, 3);
     s->acts = 0;
     for (int i = 0; i < HYSTMPC_WEIGHTS; i++) {
-        s->weights[i] = l->share * l->z[l->best][1 + i];
+        s->weights[i] = l->share * l->z[s->delay][1 + i][lag];
         if (s->weights[i] != R(0.0)) s->acts = 1;
     }
 }

@@ -8,6 +8,12 @@ HYSTMPC_LOCAL real clamp(real x, real low, real high) { return least(most(x, low
 HYSTMPC_LOCAL real absolute(real x) { return x < R(0.0) ? -x : x; }
 HYSTMPC_LOCAL int finite(real x) { return x - x == R(0.0); }
 
+HYSTMPC_LOCAL int all_finite(const real *x, int count) {
+    int found = 1;
+    for (int i = 0; i < count; i++) found &= finite(x[i]);
+    return found;
+}
+
 HYSTMPC_LOCAL real root(real x) {
     return MATH(sqrt)(x);
 }
@@ -18,6 +24,36 @@ HYSTMPC_LOCAL void copy(const real *from, real *to, int count) {
 
 HYSTMPC_LOCAL void fill(real *to, real value, int count) {
     for (int i = 0; i < count; i++) to[i] = value;
+}
+
+/* P = G'G in place, G lower triangular and its diagonal stored as its inverse; 0 where P is not positive definite. Of P,
+ * whose rows are `width` numbers apart, the lower triangle is read. All inner loops run along rows. */
+HYSTMPC_LOCAL int factorise(real *p, int width, int count) {
+    for (int j = count - 1; j >= 0; j--) {
+        real *row = p + j * width;
+        if (!(row[j] > R(0.0))) return 0;
+        row[j] = R(1.0) / root(row[j]);
+        for (int k = 0; k < j; k++) row[k] *= row[j];
+        for (int i = 0; i < j; i++)
+            for (int k = 0; k <= i; k++) p[i * width + k] -= row[i] * row[k];
+    }
+    return 1;
+}
+
+/* x <- G'^-1 x. */
+HYSTMPC_LOCAL void solve_upper(const real *g, int width, int count, real *x) {
+    for (int j = count - 1; j >= 0; j--) {
+        x[j] *= g[j * width + j];
+        for (int k = 0; k < j; k++) x[k] -= g[j * width + k] * x[j];
+    }
+}
+
+/* x <- G^-1 x. */
+HYSTMPC_LOCAL void solve_lower(const real *g, int width, int count, real *x) {
+    for (int k = 0; k < count; k++) {
+        x[k] *= g[k * width + k];
+        for (int i = k + 1; i < count; i++) x[i] -= g[i * width + k] * x[k];
+    }
 }
 
 #if HYSTMPC_FRONT || !HYSTMPC_UNITS
@@ -66,22 +102,29 @@ HYSTMPC_LOCAL void linearise_plan(hystmpc_work *w, const model *m, const real *x
 #endif
 
 /* Command that brings the next angle of what is inverted to `wanted`: bracketed Newton on the exact derivative. On a
- * flat branch that already shows it, the command nearest to `last`. */
+ * flat branch that already shows it, the command nearest to `last`. Where Newton points outside, the end of the range is
+ * looked at once: an angle that it does not reach needs no halving. */
 HYSTMPC_LOCAL real command_for(const real *x, real wanted, real last) {
-    const model *m = &hystmpc_middle;
-    real theta, next[HYSTMPC_CHAIN], a[HYSTMPC_CHAIN * HYSTMPC_CHAIN], b[HYSTMPC_CHAIN], c[HYSTMPC_CHAIN], d;
-    real low = HYSTMPC_INVERSE_LOW, high = HYSTMPC_INVERSE_HIGH, u = clamp(last, low, high);
+    real theta, d, low = HYSTMPC_INVERSE_LOW, high = HYSTMPC_INVERSE_HIGH, u = clamp(last, low, high);
     const real tolerance = HYSTMPC_MISS * most(R(1.0), absolute(wanted));
+    int looked[2] = {0, 0};
     for (int round = 0; round < 200; round++) {
-        m->tangent(x, u, &theta, next, a, b, c, &d);
+        slope_middle(x, u, &theta, &d);
         const real miss = wanted - theta;
+        const int up = miss > R(0.0);
         if (absolute(miss) <= tolerance) break;
-        if (miss > R(0.0)) low = u;
+        if (up) low = u;
         else high = u;
         if (high - low <= HYSTMPC_NARROW * most(R(1.0), absolute(high))) break;
-        /* At an end of the range that is the answer, Newton points outside: the end itself is tried before halving. */
-        const real newton = d > R(0.0) ? u + miss / d : high + R(1.0);
-        u = low < newton && newton < high ? newton : R(0.5) * (low + high);
+        const real newton = d > R(0.0) ? u + miss / d : high + R(1.0), end = up ? high : low;
+        u = R(0.5) * (low + high);
+        if (low < newton && newton < high) {
+            u = newton;
+        } else if (!looked[up] && end == (up ? HYSTMPC_INVERSE_HIGH : HYSTMPC_INVERSE_LOW)) {
+            looked[up] = 1;
+            slope_middle(x, end, &theta, &d);
+            if (up ? wanted - theta >= -tolerance : wanted - theta <= tolerance) return end;
+        }
     }
     return u;
 }
@@ -107,8 +150,8 @@ HYSTMPC_LOCAL void linearise_model(hystmpc_work *w, const real *x, const real *c
 
 HYSTMPC_LOCAL void middle_step(real *x, real u) {
     real angle, next[HYSTMPC_CHAIN];
-    hystmpc_middle.step(x, u, &angle, next);
-    copy(next, x, hystmpc_middle.size);
+    step_middle(x, u, &angle, next);
+    copy(next, x, HYSTMPC_BESIDE);
 }
 
 HYSTMPC_LOCAL real middle_command(const real *x, real wanted, real last) { return command_for(x, wanted, last); }
@@ -128,31 +171,25 @@ HYSTMPC_LOCAL int first_acting(const hystmpc_work *w) {
     return H;
 }
 
-/* The minimum with the moves of a side (-1, 1) at that bound and the others free, by Cholesky's factors. */
+/* The minimum with the moves of a side (-1, 1) at that bound and the others free, by Cholesky's factors of the latter. */
 static void free_optimum(hystmpc_work *w, const real *linear, const int *side, real reach, real *wanted) {
-    for (int i = 0; i < H; i++) {
-        real total = linear[i];
-        for (int k = 0; k < H; k++) total -= w->normal[i][k] * (real)side[k] * reach;
-        for (int j = 0; j <= i; j++) {
-            real part = R(0.0);
-            if (!side[i] && !side[j]) {
-                part = w->normal[i][j];
-                for (int k = 0; k < j; k++) part -= w->jacobian[i][k] * w->jacobian[j][k];
-            }
-            if (i != j) {
-                w->jacobian[i][j] = part / w->jacobian[j][j];
-                total -= w->jacobian[i][j] * wanted[j];
-            } else {
-                w->jacobian[i][i] = side[i] ? R(1.0) : root(part);
-            }
-        }
-        wanted[i] = side[i] ? (real)side[i] * reach : total / w->jacobian[i][i];
+    real *g = w->jacobian[0], x[HYSTMPC_HORIZON];
+    int free[HYSTMPC_HORIZON], count = 0;
+    copy(linear, wanted, H);
+    for (int k = 0; k < H; k++) {
+        if (!side[k]) free[count++] = k;
+        else
+            for (int i = 0; i < H; i++) wanted[i] -= w->normal[k][i] * ((real)side[k] * reach);
     }
-    for (int i = H - 1; i >= 0; i--) {
-        if (side[i]) continue;
-        for (int k = i + 1; k < H; k++) wanted[i] -= w->jacobian[k][i] * wanted[k];
-        wanted[i] /= w->jacobian[i][i];
+    for (int a = 0; a < count; a++) {
+        x[a] = wanted[free[a]];
+        for (int b = 0; b <= a; b++) g[a * H + b] = w->normal[free[a]][free[b]];
     }
+    (void)factorise(g, H, count); /* positive definite */
+    solve_upper(g, H, count, x);
+    solve_lower(g, H, count, x);
+    for (int k = 0; k < H; k++) wanted[k] = (real)side[k] * reach;
+    for (int a = 0; a < count; a++) wanted[free[a]] = x[a];
 }
 
 /* Share of the way from `moves` to `wanted` where the first free move meets a bound, and which; -1: none. */
@@ -224,25 +261,26 @@ HYSTMPC_LOCAL void fit_drive(hystmpc_work *w, const model *m, const real *x, con
                 w->by_move[k][j] = sum;
             }
         }
-        for (int i = 0; i < H; i++) {
-            linear[i] = R(0.0);
-            for (int k = 0; k < H; k++) linear[i] += w->by_move[k][i] * (wanted[k] - outputs[k]);
-            for (int j = 0; j < H; j++) {
-                real sum = R(0.0);
-                for (int k = i > j ? i : j; k < H; k++) sum += w->by_move[k][i] * w->by_move[k][j];
-                w->normal[i][j] = sum;
+        fill(linear, R(0.0), H);
+        for (int i = 0; i < H; i++) fill(w->normal[i], R(0.0), H);
+        for (int k = 0; k < H; k++) {
+            const real *by = w->by_move[k];
+            for (int i = 0; i <= k; i++) {
+                linear[i] += by[i] * (wanted[k] - outputs[k]);
+                for (int j = 0; j <= i; j++) w->normal[i][j] += by[i] * by[j];
             }
         }
-        for (int i = 0; i < H; i++) {
+        for (int i = 0; i < H; i++)
+            for (int j = 0; j < i; j++) w->normal[j][i] = w->normal[i][j];
+        for (int i = 0; i < H; i++)
             for (int j = 0; j < H; j++) linear[i] += w->normal[i][j] * moves[j];
-        }
         for (int i = 0; i < H; i++) w->normal[i][i] += R(1e-3);
         copy(moves, found, H);
         lead_moves(w, linear, least(reach, R(1e9)), found);
         real u = u_last;
         for (int k = 0; k < H; k++) {
             promised[k] = outputs[k];
-            for (int j = 0; j < H; j++) promised[k] += w->by_move[k][j] * (found[j] - moves[j]);
+            for (int j = 0; j <= k; j++) promised[k] += w->by_move[k][j] * (found[j] - moves[j]);
         }
         for (int k = 0; k < H; k++) {
             moves[k] = found[k];

@@ -351,7 +351,7 @@ HYSTMPC_LOCAL real network_step(real *state, real u) {
 HYSTMPC_LOCAL void middle_step(real *x, real u) {
     real next[HYSTMPC_CHAIN], *beside = x + NET + 1;
     x[NET] = network_step(x, u);
-    hystmpc_middle.step(beside, u, x + NET + 1 + HYSTMPC_BESIDE, next);
+    step_middle(beside, u, x + NET + 1 + HYSTMPC_BESIDE, next);
     copy(next, beside, HYSTMPC_BESIDE);
 }
 

@@ -77,26 +77,20 @@ static void search(hystmpc_work *w, const problem *p, const real *step, const re
 
 /* Sequential-quadratic-programming iterations, guarded by the nonlinear cost; HYSTMPC_OK or why there is none. */
 HYSTMPC_LOCAL int improve(hystmpc_work *w, const problem *p, plan *best) {
-    real primal[HYSTMPC_QP_SIZE], step[HYSTMPC_HORIZON], promising[HYSTMPC_HORIZON];
+    real primal[HYSTMPC_QP_MOVES], step[HYSTMPC_HORIZON], promising[HYSTMPC_HORIZON];
     int rounds = HYSTMPC_ITERATIONS;
 #if HYSTMPC_LEARNS
     if (p->state->acts && rounds < 2) rounds = 2; /* candidates that follow the model's inverse are far off then */
 #endif
     for (int round = 0; round < rounds; round++) {
-        real sum = R(0.0);
         state_linearise(w, p->state, best->commands);
         for (int k = 0; k < H; k++)
-            for (int j = 0; j <= k; j++) sum += w->jacobian[k][j];
-        if (!finite(sum)) return HYSTMPC_NO_PLAN;
+            if (!all_finite(w->jacobian[k], k + 1)) return HYSTMPC_NO_PLAN;
         real(*const jacobian)[HYSTMPC_HORIZON] = w->normal; /* building the program may use up the other */
         for (int k = 0; k < H; k++) copy(w->jacobian[k], jacobian[k], H);
         build_program(w, p, best);
-        sum = R(0.0);
-        for (int i = 0; i < HYSTMPC_QP_SIZE; i++) {
-            sum += w->gradient[i];
-            for (int j = 0; j <= i; j++) sum += w->hessian[i][j];
-        }
-        if (!finite(sum)) return HYSTMPC_NO_PLAN;
+        for (int i = 0; i < HYSTMPC_QP_MOVES; i++)
+            if (!finite(w->gradient[i]) || !all_finite(w->hessian[i], HYSTMPC_QP_MOVES)) return HYSTMPC_NO_PLAN;
         if (!solve_program(w, primal)) return HYSTMPC_NO_SOLUTION;
         deviation(primal, step);
         for (int k = 0; k < H; k++) step[k] += best->commands[k];

@@ -3,33 +3,45 @@
 
 static const real tracking[HYSTMPC_HORIZON] = HYSTMPC_TRACKING;
 
-enum { MOVES = HYSTMPC_BLOCKS > 0 ? HYSTMPC_BLOCKS : HYSTMPC_HORIZON };
+enum { MOVES = HYSTMPC_QP_MOVES };
 
-/* Soft angle limits: a free variable s a sample, with a <= theta_p + J v + s <= b at the cost w_s s^2. */
-#if HYSTMPC_SOFT
-static void soften(hystmpc_work *w, const problem *p, const plan *around, int first_row) {
-    for (int k = 0; k < H; k++) {
-        real *row = w->rows[first_row + k];
-        row[MOVES + k] = R(1.0);
-        w->hessian[MOVES + k][MOVES + k] = R(2.0) * HYSTMPC_SOFT_WEIGHT;
-        w->lower[first_row + k] = p->low - around->angles[k];
-        w->upper[first_row + k] = p->high - around->angles[k];
-    }
-}
-#endif
-
-/* All of the program zero, the first rows those of the identity. */
+/* All of the program zero. */
 static void clear(hystmpc_work *w) {
-    for (int i = 0; i < HYSTMPC_QP_SIZE; i++) {
-        fill(w->hessian[i], R(0.0), HYSTMPC_QP_SIZE);
-        w->gradient[i] = R(0.0);
-    }
-    for (int i = 0; i < HYSTMPC_QP_ROWS; i++) fill(w->rows[i], R(0.0), HYSTMPC_QP_SIZE);
-    for (int i = 0; i < MOVES; i++) w->rows[i][i] = R(1.0);
     for (int i = 0; i < MOVES; i++) {
-        w->rows[MOVES + i][i] = R(1.0);
-        if (i) w->rows[MOVES + i][i - 1] = R(-1.0);
+        fill(w->hessian[i], R(0.0), MOVES);
+        fill(w->columns[i], R(0.0), HYSTMPC_QP_ROWS);
     }
+    fill(w->soft, R(0.0), HYSTMPC_QP_ROWS);
+}
+
+/* Soft limits of the angle of sample k, which depends on the first `count` unknowns: a variable s of its own, with
+ * a <= theta_p + J v + s <= b at the cost w_s s^2. Answers the row behind. */
+static int soften(hystmpc_work *w, const problem *p, const plan *around, int k, int count, int row) {
+#if HYSTMPC_SOFT
+    for (int j = 0; j < count; j++) w->columns[j][row] = w->jacobian[k][j];
+    w->soft[row] = R(0.5) / HYSTMPC_SOFT_WEIGHT;
+    w->lower[row] = p->low - around->angles[k];
+    w->upper[row] = p->high - around->angles[k];
+    return row + 1;
+#else
+    (void)w, (void)p, (void)around, (void)k, (void)count;
+    return row;
+#endif
+}
+
+/* The command of sample k within the box, and the move from unknown i - 1 to unknown i within its bounds. */
+static int bound_command(hystmpc_work *w, const plan *around, int k, int row) {
+    w->lower[row] = HYSTMPC_LOWER - around->commands[k];
+    w->upper[row] = HYSTMPC_UPPER - around->commands[k];
+    return row + 1;
+}
+
+static int bound_move(hystmpc_work *w, int i, real low, real high, int row) {
+    w->columns[i][row] = R(1.0);
+    if (i) w->columns[i - 1][row] = R(-1.0);
+    w->lower[row] = low;
+    w->upper[row] = high;
+    return row + 1;
 }
 
 #if HYSTMPC_BLOCKS
@@ -54,7 +66,7 @@ static void block_columns(hystmpc_work *w) {
 
 /* In the deviations w at the ends of blocks, v = M w: the move of v is one number a block, so is its rate limit. */
 HYSTMPC_LOCAL void build_program(hystmpc_work *w, const problem *p, const plan *around) {
-    real moves[HYSTMPC_HORIZON];
+    real moves[HYSTMPC_HORIZON], least_move[HYSTMPC_BLOCKS], greatest_move[HYSTMPC_BLOCKS];
     clear(w);
     block_columns(w);
     for (int k = 0; k < H; k++) moves[k] = around->commands[k] - (k ? around->commands[k - 1] : p->u_last);
@@ -80,26 +92,16 @@ HYSTMPC_LOCAL void build_program(hystmpc_work *w, const problem *p, const plan *
             fastest = most(fastest, moves[k]);
         }
         const real length = (real)(ends[b] + 1 - starts[b]);
-        w->lower[b] = HYSTMPC_LOWER - around->commands[ends[b]];
-        w->upper[b] = HYSTMPC_UPPER - around->commands[ends[b]];
-        w->lower[MOVES + b] = length * least(-HYSTMPC_REACH - slowest, R(0.0));
-        w->upper[MOVES + b] = length * most(HYSTMPC_REACH - fastest, R(0.0));
+        least_move[b] = length * least(-HYSTMPC_REACH - slowest, R(0.0));
+        greatest_move[b] = length * most(HYSTMPC_REACH - fastest, R(0.0));
     }
-    int row = 2 * MOVES, b = 0;
-    for (int k = 0; k < H; k++) { /* the box between the ends of blocks */
-        if (b < MOVES && k == ends[b]) {
-            b++;
-            continue;
-        }
-        copy(blocking[k], w->rows[row], MOVES);
-        w->lower[row] = HYSTMPC_LOWER - around->commands[k];
-        w->upper[row] = HYSTMPC_UPPER - around->commands[k];
-        row++;
+    for (int k = 0, b = 0, row = 0; k < H; k++) { /* b: the block of sample k, the last one behind all blocks */
+        if (b + 1 < MOVES && k == starts[b + 1]) b++;
+        if (k == starts[b]) row = bound_move(w, b, least_move[b], greatest_move[b], row);
+        for (int i = b ? b - 1 : 0; i <= b; i++) w->columns[i][row] = blocking[k][i];
+        row = bound_command(w, around, k, row);
+        row = soften(w, p, around, k, b + 1, row);
     }
-#if HYSTMPC_SOFT
-    for (int k = 0; k < H; k++) copy(w->jacobian[k], w->rows[row + k], MOVES);
-    soften(w, p, around, row);
-#endif
 }
 
 HYSTMPC_LOCAL void deviation(const real *primal, real *commands) {
@@ -116,6 +118,7 @@ HYSTMPC_LOCAL void deviation(const real *primal, real *commands) {
 HYSTMPC_LOCAL void build_program(hystmpc_work *w, const problem *p, const plan *around) {
     const real rate = R(2.0) * HYSTMPC_RATE_WEIGHT, effort = R(2.0) * HYSTMPC_EFFORT_WEIGHT;
     real moves[HYSTMPC_HORIZON];
+    int row = 0;
     clear(w);
     for (int k = 0; k < H; k++) moves[k] = around->commands[k] - (k ? around->commands[k - 1] : p->u_last);
     for (int i = 0; i < H; i++) {
@@ -129,15 +132,11 @@ HYSTMPC_LOCAL void build_program(hystmpc_work *w, const problem *p, const plan *
         w->hessian[i][i] += effort + (i + 1 < H ? R(2.0) * rate : rate);
         if (i) w->hessian[i][i - 1] -= rate;
         w->gradient[i] = total;
-        w->lower[i] = HYSTMPC_LOWER - around->commands[i];
-        w->upper[i] = HYSTMPC_UPPER - around->commands[i];
-        w->lower[H + i] = -HYSTMPC_REACH - moves[i];
-        w->upper[H + i] = HYSTMPC_REACH - moves[i];
+        w->columns[i][row] = R(1.0);
+        row = bound_command(w, around, i, row);
+        row = bound_move(w, i, -HYSTMPC_REACH - moves[i], HYSTMPC_REACH - moves[i], row);
+        row = soften(w, p, around, i, i + 1, row);
     }
-#if HYSTMPC_SOFT
-    for (int k = 0; k < H; k++) copy(w->jacobian[k], w->rows[2 * H + k], H);
-    soften(w, p, around, 2 * H);
-#endif
 }
 
 HYSTMPC_LOCAL void deviation(const real *primal, real *commands) { copy(primal, commands, H); }

@@ -1,47 +1,17 @@
-/* min 1/2 z'Pz + q'z  s.t.  lower <= A z <= upper, P positive definite: a dual active-set method.
+/* min 1/2 z'Pz + q'z + w |s|^2  s.t.  lower <= A z + s <= upper, P positive definite: a dual active-set method.
  *
- * In the metric of P the program is the point nearest to the origin within half-spaces: with P = LL', w = L'z + L^-1 q
- * and rows L^-1 a of unit length. From the origin on, the row that is violated most is made active, and rows whose
- * multiplier would change its sign are dropped on the way (Goldfarb and Idnani, Mathematical Programming 27, 1983).
- * Every step raises the dual cost, so that it ends after finitely many. */
+ * There is an s for each row of soft limits, and none for the others. In the metric of P and w the program is the point
+ * nearest to the origin within half-spaces: with P = G'G, x = G z + G'^-1 q and rows G'^-1 a of unit length. From the
+ * origin on, the row that is violated most is made active, and rows whose multiplier would change its sign are dropped on
+ * the way (Goldfarb and Idnani, Mathematical Programming 27, 1983). Every step raises the dual cost, so that it ends
+ * after finitely many.
+ *
+ * Rows stand in the order of the samples that they bound, so that column k of A begins with zeros. G is lower
+ * triangular, and so the columns of A G^-1 begin with the same zeros. They are stored as columns: an operation on all
+ * rows is one on vectors. */
 #include "internal.h"
 
-enum { N = HYSTMPC_QP_SIZE, ROWS = HYSTMPC_QP_ROWS };
-
-/* P = LL' in place; 0 where P is not positive definite. */
-static int factorise(real (*p)[HYSTMPC_QP_SIZE]) {
-    for (int j = 0; j < N; j++) {
-        for (int i = j; i < N; i++) {
-            real sum = p[i][j];
-            for (int k = 0; k < j; k++) sum -= p[i][k] * p[j][k];
-            if (i == j) {
-                if (!(sum > R(0.0))) return 0;
-                p[j][j] = root(sum);
-            } else {
-                p[i][j] = sum / p[j][j];
-            }
-        }
-    }
-    return 1;
-}
-
-/* x <- L^-1 x, from the first entry on that is not zero. */
-static void forward(real (*l)[HYSTMPC_QP_SIZE], real *x) {
-    int first = 0;
-    while (first < N && x[first] == R(0.0)) first++;
-    for (int i = first; i < N; i++) {
-        real sum = x[i];
-        for (int k = first; k < i; k++) sum -= l[i][k] * x[k];
-        x[i] = sum / l[i][i];
-    }
-}
-
-static void backward(real (*l)[HYSTMPC_QP_SIZE], real *x) {
-    for (int i = N - 1; i >= 0; i--) {
-        x[i] /= l[i][i];
-        for (int k = 0; k < i; k++) x[k] -= l[i][k] * x[i];
-    }
-}
+enum { N = HYSTMPC_QP_MOVES, ROWS = HYSTMPC_QP_ROWS, MOST_ACTIVE = HYSTMPC_QP_SIZE };
 
 static real dot(const real *a, const real *b) {
     real sum = R(0.0);
@@ -49,69 +19,73 @@ static real dot(const real *a, const real *b) {
     return sum;
 }
 
+/* Active rows, turned so that each says: row x <= bound. */
 typedef struct {
     int count;
-    int row[HYSTMPC_QP_SIZE];
+    int index[HYSTMPC_QP_SIZE];
     real side[HYSTMPC_QP_SIZE];       /* 1 at the upper bound, -1 at the lower one */
+    real bound[HYSTMPC_QP_SIZE];
     real multiplier[HYSTMPC_QP_SIZE]; /* not negative */
 } active;
 
-/* Rows of the factor of the active rows' products, from `first` on. */
-static void factor_rows(hystmpc_work *w, const active *set, int first) {
-    for (int i = first; i < set->count; i++) {
-        for (int j = 0; j <= i; j++) {
-            real sum = set->side[i] * set->side[j] * dot(w->rows[set->row[i]], w->rows[set->row[j]]);
-            for (int k = 0; k < j; k++) sum -= w->factor[i][k] * w->factor[j][k];
-            w->factor[i][j] = i == j ? root(most(sum, R(0.0))) : sum / w->factor[j][j];
-        }
-    }
-}
-
-/* x <- (N'N)^-1 x with N the active rows; `half` keeps the forward half. */
-static void solve_active(hystmpc_work *w, const active *set, real *x, real *half) {
+/* x <- (N N')^-1 x with N the active rows and N N' = LL', the inverse of L's diagonal stored; `half` keeps L^-1 x. */
+static void solve_active(const hystmpc_work *w, const active *set, real *x, real *half) {
     for (int i = 0; i < set->count; i++) {
-        for (int k = 0; k < i; k++) x[i] -= w->factor[i][k] * x[k];
-        x[i] /= w->factor[i][i];
+        x[i] *= w->factor[i][i];
         half[i] = x[i];
+        for (int k = i + 1; k < set->count; k++) x[k] -= w->factor[k][i] * x[i];
     }
     for (int i = set->count - 1; i >= 0; i--) {
-        for (int k = i + 1; k < set->count; k++) x[i] -= w->factor[k][i] * x[k];
-        x[i] /= w->factor[i][i];
+        x[i] *= w->factor[i][i];
+        for (int k = 0; k < i; k++) x[k] -= w->factor[i][k] * x[i];
     }
 }
 
+/* Without one of the active rows: rotations make L a triangle again. */
 static void drop(hystmpc_work *w, active *set, int which) {
+    real(*l)[HYSTMPC_QP_SIZE] = w->factor;
     set->count--;
     for (int i = which; i < set->count; i++) {
-        set->row[i] = set->row[i + 1];
+        set->index[i] = set->index[i + 1];
         set->side[i] = set->side[i + 1];
+        set->bound[i] = set->bound[i + 1];
         set->multiplier[i] = set->multiplier[i + 1];
+        copy(w->active[i + 1], w->active[i], N);
+        copy(l[i + 1], l[i], i + 2);
     }
-    factor_rows(w, set, which);
+    for (int j = which; j < set->count; j++) {
+        const real a = l[j][j], b = R(1.0) / l[j][j + 1], by_length = R(1.0) / root(a * a + b * b);
+        const real c = a * by_length, s = b * by_length;
+        l[j][j] = by_length;
+        for (int i = j + 1; i < set->count; i++) {
+            const real left = l[i][j], right = l[i][j + 1];
+            l[i][j] = c * left + s * right;
+            l[i][j + 1] = c * right - s * left;
+        }
+    }
 }
 
 /* The point of least distance on the active rows, from their multipliers. */
 static void point_of(const hystmpc_work *w, const active *set, real *point) {
     fill(point, R(0.0), N);
-    for (int i = 0; i < set->count; i++) {
-        const real factor = set->side[i] * set->multiplier[i];
-        for (int k = 0; k < N; k++) point[k] -= factor * w->rows[set->row[i]][k];
-    }
+    for (int i = 0; i < set->count; i++)
+        for (int k = 0; k < N; k++) point[k] -= set->multiplier[i] * w->active[i][k];
 }
 
 /* Make row p active, at the bound of `side`; 0 where no point fulfils it beside the others. */
 static int activate(hystmpc_work *w, active *set, real *point, int p, real side) {
     const real bound = side > R(0.0) ? w->upper[p] : -w->lower[p];
-    real own = R(0.0), answer[HYSTMPC_QP_SIZE], half[HYSTMPC_QP_SIZE];
-    for (int round = 0; round <= N + 1; round++) {
+    real own = R(0.0), row[HYSTMPC_QP_MOVES], along[HYSTMPC_QP_SIZE], answer[HYSTMPC_QP_SIZE], half[HYSTMPC_QP_SIZE];
+    for (int k = 0; k < N; k++) row[k] = side * w->columns[k][p];
+    for (int i = 0; i < set->count; i++) along[i] = dot(w->active[i], row);
+    for (int round = 0; round <= MOST_ACTIVE + 1; round++) {
         real length = R(1.0), step = INFINITE;
         int blocking = -1;
-        for (int i = 0; i < set->count; i++)
-            answer[i] = side * set->side[i] * dot(w->rows[set->row[i]], w->rows[p]);
+        copy(along, answer, set->count);
         solve_active(w, set, answer, half);
         for (int i = 0; i < set->count; i++) length -= half[i] * half[i];
-        const int free = set->count < N && length > HYSTMPC_DEPENDENT;
-        if (free) step = (side * dot(w->rows[p], point) - bound) / length;
+        const int free = set->count < MOST_ACTIVE && length > HYSTMPC_DEPENDENT;
+        if (free) step = (dot(row, point) - own * w->soft[p] - bound) / length;
         for (int i = 0; i < set->count; i++) {
             if (answer[i] > R(0.0) && set->multiplier[i] < step * answer[i]) {
                 step = set->multiplier[i] / answer[i];
@@ -122,72 +96,97 @@ static int activate(hystmpc_work *w, active *set, real *point, int p, real side)
         own += step;
         for (int i = 0; i < set->count; i++) set->multiplier[i] -= step * answer[i];
         if (blocking < 0) {
-            set->row[set->count] = p;
-            set->side[set->count] = side;
-            set->multiplier[set->count] = own;
-            set->count++;
-            factor_rows(w, set, set->count - 1);
+            const int last = set->count++;
+            set->index[last] = p;
+            set->side[last] = side;
+            set->bound[last] = bound;
+            set->multiplier[last] = own;
+            copy(row, w->active[last], N);
+            copy(half, w->factor[last], last);
+            w->factor[last][last] = R(1.0) / root(length);
             point_of(w, set, point);
             return 1;
         }
         drop(w, set, blocking);
+        for (int i = blocking; i < set->count; i++) along[i] = along[i + 1];
         point_of(w, set, point);
-        for (int k = 0; k < N; k++) point[k] -= side * own * w->rows[p][k];
+        for (int k = 0; k < N; k++) point[k] -= own * row[k];
     }
     return 0;
 }
 
-/* Rows of the program in its metric, of unit length; those without length bound nothing. */
+/* Rows of the program in its metric, of unit length; those without length bound nothing. `soft` becomes the share of s in
+ * a row's squared length. */
 static void scale_rows(hystmpc_work *w, const real *shift) {
-    for (int r = 0; r < ROWS; r++) {
-        forward(w->hessian, w->rows[r]);
-        const real length = root(dot(w->rows[r], w->rows[r])), offset = dot(w->rows[r], shift);
-        if (!(length > R(0.0))) {
-            w->lower[r] = -INFINITE;
-            w->upper[r] = INFINITE;
-            continue;
+    real length[HYSTMPC_QP_ROWS], offset[HYSTMPC_QP_ROWS];
+    copy(w->soft, length, ROWS);
+    fill(offset, R(0.0), ROWS);
+    for (int j = N - 1; j >= 0; j--) {
+        real *column = w->columns[j];
+        const int first = w->first[j];
+        for (int r = first; r < ROWS; r++) {
+            column[r] *= w->hessian[j][j];
+            length[r] += column[r] * column[r];
+            offset[r] += column[r] * shift[j];
         }
-        for (int k = 0; k < N; k++) w->rows[r][k] /= length;
-        w->lower[r] = (w->lower[r] + offset) / length;
-        w->upper[r] = (w->upper[r] + offset) / length;
+        for (int k = 0; k < j; k++)
+            for (int r = first; r < ROWS; r++) w->columns[k][r] -= w->hessian[j][k] * column[r];
     }
+    for (int r = 0; r < ROWS; r++) {
+        const int bounds = length[r] > R(0.0);
+        const real by_length = bounds ? R(1.0) / root(length[r]) : R(0.0);
+        w->soft[r] *= by_length * by_length;
+        w->lower[r] = bounds ? (w->lower[r] + offset[r]) * by_length : -INFINITE;
+        w->upper[r] = bounds ? (w->upper[r] + offset[r]) * by_length : INFINITE;
+        length[r] = by_length;
+    }
+    for (int j = 0; j < N; j++)
+        for (int r = w->first[j]; r < ROWS; r++) w->columns[j][r] *= length[r];
+}
+
+/* The row that is violated most, and on which side; -1 where none is. */
+static int most_violated(const hystmpc_work *w, const active *set, const real *point, real *side) {
+    real at[HYSTMPC_QP_ROWS], over[HYSTMPC_QP_ROWS], violation = HYSTMPC_VIOLATION;
+    int worst = -1;
+    fill(at, R(0.0), ROWS);
+    for (int j = 0; j < N; j++)
+        for (int r = w->first[j]; r < ROWS; r++) at[r] += w->columns[j][r] * point[j];
+    for (int i = 0; i < set->count; i++)
+        at[set->index[i]] -= set->side[i] * set->multiplier[i] * w->soft[set->index[i]];
+    for (int r = 0; r < ROWS; r++) over[r] = most(at[r] - w->upper[r], w->lower[r] - at[r]);
+    for (int r = 0; r < ROWS; r++) {
+        if (over[r] > violation) {
+            violation = over[r];
+            worst = r;
+        }
+    }
+    *side = worst >= 0 && at[worst] > w->upper[worst] ? R(1.0) : R(-1.0);
+    return worst;
 }
 
 /* The program in the work space; 0 where it has no solution. Its data are overwritten. */
 HYSTMPC_LOCAL int solve_program(hystmpc_work *w, real *primal) {
-    active set = {0, {0}, {R(0.0)}, {R(0.0)}};
-    real shift[HYSTMPC_QP_SIZE], point[HYSTMPC_QP_SIZE], exact[HYSTMPC_QP_SIZE], half[HYSTMPC_QP_SIZE];
-    if (!factorise(w->hessian)) return 0;
+    active set;
+    real shift[HYSTMPC_QP_MOVES], point[HYSTMPC_QP_MOVES], half[HYSTMPC_QP_SIZE], side;
+    if (!factorise(w->hessian[0], N, N)) return 0;
     copy(w->gradient, shift, N);
-    forward(w->hessian, shift);
+    solve_upper(w->hessian[0], N, N, shift);
+    for (int j = 0, r = 0; j < N; j++) {
+        while (r < ROWS && w->columns[j][r] == R(0.0)) r++;
+        w->first[j] = r;
+    }
     scale_rows(w, shift);
+    set.count = 0;
     fill(point, R(0.0), N);
     for (int change = 0;; change++) {
-        int worst = -1;
-        real violation = HYSTMPC_VIOLATION, side = R(1.0);
-        for (int r = 0; r < ROWS; r++) {
-            const real at = dot(w->rows[r], point);
-            if (at - w->upper[r] > violation) {
-                violation = at - w->upper[r];
-                worst = r;
-                side = R(1.0);
-            } else if (w->lower[r] - at > violation) {
-                violation = w->lower[r] - at;
-                worst = r;
-                side = R(-1.0);
-            }
-        }
+        const int worst = most_violated(w, &set, point, &side);
         if (worst < 0) break;
         if (change == HYSTMPC_CHANGES || !activate(w, &set, point, worst, side)) return 0;
     }
-    for (int i = 0; i < set.count; i++) /* the multipliers once more, without what has been rounded on the way */
-        exact[i] = set.side[i] > R(0.0) ? -w->upper[set.row[i]] : w->lower[set.row[i]];
-    solve_active(w, &set, exact, half);
-    copy(exact, set.multiplier, set.count);
+    for (int i = 0; i < set.count; i++) set.multiplier[i] = -set.bound[i];
+    solve_active(w, &set, set.multiplier, half); /* once more, without what has been rounded on the way */
     point_of(w, &set, point);
     for (int k = 0; k < N; k++) primal[k] = point[k] - shift[k];
-    backward(w->hessian, primal);
-    for (int k = 0; k < N; k++)
-        if (!finite(primal[k])) return 0;
-    return 1;
+    solve_lower(w->hessian[0], N, N, primal);
+    return all_finite(primal, N);
 }

@@ -158,7 +158,7 @@ HYSTMPC_LOCAL void state_advance(hystmpc_state *s, real u) {
     copy(next, s->model, S);
 #if HYSTMPC_LEARNS
     const real x = (u - HYSTMPC_RANGE_LOW) / HYSTMPC_RANGE_SPAN;
-    advance_memory(s->memory, s->delay > 0 ? s->queue[s->delay - 1] : x, s->share);
+    advance_memory(s->memory, 1, s->delay > 0 ? s->queue[s->delay - 1] : x, &s->share);
     for (int k = HYSTMPC_DELAYS - 1; k > 0; k--) s->queue[k] = s->queue[k - 1];
     s->queue[0] = x;
 #endif

@@ -150,6 +150,7 @@ class FilterBank:
             "drives": DRIVES,
             "lags": LAGS_S.size,
             "unknowns": _SIZE,
+            "triangle": _SIZE * (_SIZE + 1) // 2,
             "history": DELAYS + 1 + self._delay,
             "block": self._block,
             "lag_shares": self.lags,
@@ -361,9 +362,11 @@ def correct_filter(z: Any, p: Any, h: Any, error: float, noise: float, prior: An
         jump = error * error
         spread[0] += jump
         variance += jump
+    shrunk = 1.0 / math.sqrt(variance)
     for a in range(_SIZE):
-        share = spread[a] / variance
-        z[a] += share * error
+        spread[a] *= shrunk  # twice the same factor: the covariance stays symmetric to the last bit
+        z[a] += spread[a] * (shrunk * error)
+    for a in range(_SIZE):
         for b in range(_SIZE):
-            after[a, b] = p[a, b] - share * spread[b]
-    after[0, 0] = p[0, 0] + jump - spread[0] / variance * spread[0]
+            after[a, b] = p[a, b] - spread[a] * spread[b]
+    after[0, 0] = p[0, 0] + jump - spread[0] * spread[0]
