@@ -21,7 +21,7 @@ from hystmpc.trials.config import Settings
 # MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT of <sys/mman.h>: without the last one, a new thread waits for its whole stack.
 _LOCK = 7
 
-_SWITCH_S = 0.0002  # how long the recorder's thread may keep the interpreter while the loop wants it
+_SWITCH_S = 0.00005  # how long another thread may keep the interpreter while the loop wants it
 
 _BOOT: int | None = getattr(time, "CLOCK_BOOTTIME", None)  # Linux
 
