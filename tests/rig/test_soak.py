@@ -67,7 +67,7 @@ def test_a_soak_of_seconds(tmp_path: Path) -> None:
         assert run["execution"]["median_s"] <= run["execution"]["p99_s"] <= run["execution"]["greatest_s"]
         assert 0.5 * run["samples"] < run["floor"]["wake_ups"] < 1.5 * run["samples"]
     assert row["ratio"] == pytest.approx(row["wire"]["tracking_deg"] / row["in_process"]["tracking_deg"])
-    assert 0 <= row["spinner"]["late"] <= row["spinner"]["wake_ups"] <= 51
+    assert 0 <= row["spinner"]["late"] <= row["spinner"]["wake_ups"] <= 76
     assert "move_blocking" in (tmp_path / "runs" / "udp-25hz" / "run.yaml").read_text(encoding="utf-8")
     assert (done.returncode == 0) == row["passed"] == (row["wire"]["missed"] == 0 and row["ratio"] <= 1.1)
     assert "udp 25 Hz" in done.stdout
