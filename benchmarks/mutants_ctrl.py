@@ -125,7 +125,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "min(bank[0, i] + gain * error, limit)",
     ),
     _noise("the innovation has the wrong sign", "bank[0, i] + gain * error", "bank[0, i] - gain * error"),
-    _noise("the gain of a bank is not bounded", "min(before * by_spread, most)", "before * by_spread"),
+    _noise("the gain of a bank is not bounded", "min(before * by_spread, most)", "before / spread"),
     _noise("weights may die", "share * by_model[i]", "0.0"),
     _noise("a given sigma is not kept", "if given is not None:", "if given is not None and known < 0.0:"),
     _noise("a spike says as much as it likes", "_FREEDOM = 7.0", "_FREEDOM = 1e9"),

@@ -23,7 +23,6 @@ static real dot(const real *a, const real *b) {
 typedef struct {
     int count;
     int index[HYSTMPC_QP_SIZE];
-    real side[HYSTMPC_QP_SIZE];       /* 1 at the upper bound, -1 at the lower one */
     real bound[HYSTMPC_QP_SIZE];
     real multiplier[HYSTMPC_QP_SIZE]; /* not negative */
 } active;
@@ -47,7 +46,6 @@ static void drop(hystmpc_work *w, active *set, int which) {
     set->count--;
     for (int i = which; i < set->count; i++) {
         set->index[i] = set->index[i + 1];
-        set->side[i] = set->side[i + 1];
         set->bound[i] = set->bound[i + 1];
         set->multiplier[i] = set->multiplier[i + 1];
         copy(w->active[i + 1], w->active[i], N);
@@ -98,7 +96,6 @@ static int activate(hystmpc_work *w, active *set, real *point, int p, real side)
         if (blocking < 0) {
             const int last = set->count++;
             set->index[last] = p;
-            set->side[last] = side;
             set->bound[last] = bound;
             set->multiplier[last] = own;
             copy(row, w->active[last], N);
@@ -144,16 +141,15 @@ static void scale_rows(hystmpc_work *w, const real *shift) {
         for (int r = w->first[j]; r < ROWS; r++) w->columns[j][r] *= length[r];
 }
 
-/* The row that is violated most, and on which side; -1 where none is. */
+/* The row that is violated most, and its side: 1 at the upper bound, -1 at the lower one; -1 where no row is. */
 static int most_violated(const hystmpc_work *w, const active *set, const real *point, real *side) {
     real at[HYSTMPC_QP_ROWS], over[HYSTMPC_QP_ROWS], violation = HYSTMPC_VIOLATION;
     int worst = -1;
     fill(at, R(0.0), ROWS);
     for (int j = 0; j < N; j++)
         for (int r = w->first[j]; r < ROWS; r++) at[r] += w->columns[j][r] * point[j];
-    for (int i = 0; i < set->count; i++)
-        at[set->index[i]] -= set->side[i] * set->multiplier[i] * w->soft[set->index[i]];
     for (int r = 0; r < ROWS; r++) over[r] = most(at[r] - w->upper[r], w->lower[r] - at[r]);
+    for (int i = 0; i < set->count; i++) over[set->index[i]] = R(0.0); /* what an active row is off is rounding */
     for (int r = 0; r < ROWS; r++) {
         if (over[r] > violation) {
             violation = over[r];
