@@ -209,13 +209,13 @@ def spoiler(share: float) -> Spoil:
         if drawn.random() >= share or m.sequence < 100:
             return [good]
         ways: list[list[bytes]] = [
+            [good[:25] + bytes([good[25] ^ 8]) + good[26:]],
             [encode(Datagram(m.kind, m.session, m.sequence, m.stamp_ns, math.nan, m.held))],
             [encode(Datagram(m.kind, m.session, m.sequence, m.stamp_ns, 170.0, m.held))],
             [encode(Datagram(m.kind, m.session, m.sequence, m.stamp_ns, m.value + 40.0, m.held))],
             [encode(Datagram(m.kind, m.session, m.sequence, m.stamp_ns - 10**9, m.value, m.held))],
             [encode(Datagram(m.kind, m.session, m.sequence, m.stamp_ns, m.value, m.held + 4.0))],
             [encode(Datagram(Kind.COMMAND, m.session, m.sequence, m.stamp_ns, m.value, m.held))],
-            [good[:25] + bytes([good[25] ^ 8]) + good[26:]],
             [good[:43]],
             [good + b"\0" * 20],
             [old[0], good],
