@@ -145,13 +145,13 @@ def _loop(
     gate = Gate(limits, dt_s)
     if not contact.tells:
         gate.anchor(contact.held)
-    anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), silence_s)
+    anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), silence_s, safe, sensor.dead_after_s)
     with control as notes:
         for text in notes:
             note(text)
         watch = None
         if sensor.kind != "none":
-            watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg)
+            watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg, settings.closed_loop)
         intake = Intake(sensor, clock.now_ns(), watch)
         loop = ControlLoop(
             clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, settings.sensor.dead_after_s

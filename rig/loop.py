@@ -209,7 +209,9 @@ class ControlLoop:
             return self._wait(woke, deadline, seen, stop)
         skipped = self._skipped + (self._waited if self._commands else 0)
         velocity = self._gate.velocity
-        now = PhaseInput(seen.angle_deg, self._gate.last, self._late, skipped, seen.held, velocity, seen.frames)
+        now = PhaseInput(
+            seen.angle_deg, self._gate.last, self._late, skipped, seen.held, velocity, seen.frames, seen.shown_deg
+        )
         if self._waited and isinstance(self._phase, SafeStop):
             self._phase.begin(now, Past([], []))  # the way out starts where the device was found
         self._waited = 0
