@@ -126,6 +126,11 @@ class ControlLoop:
         self._cause, self._stop_s, self._safe_s, self._confirmed = "", math.nan, math.nan, False
 
     @property
+    def cause(self) -> str:
+        """Why it stops, or has stopped; empty while it does not."""
+        return self._cause
+
+    @property
     def lost(self) -> int:
         """Measurements that were sent and never came."""
         return self._intake.lost
