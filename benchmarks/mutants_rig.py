@@ -28,7 +28,7 @@ _topics = mutated_file("rig", "transports/topics.py", "test_sessions.py", "test_
 _server = mutated_file("rig", "device/server.py", "test_sessions.py")
 _latch = mutated_file("rig", "safety/stop.py", "test_parts.py", "test_bench.py")
 _bench = mutated_file("rig", "bench.py", "test_bench.py")
-_connect = mutated_file("rig", "bench.py", "test_bench.py")
+_connect = mutated_file("rig", "contact.py", "test_bench.py")
 _host = mutated_file("rig", "recording/recorder_process.py", "test_recording_faults.py")
 _controls = mutated_file("rig", "live/controls.py", "test_live_control.py")
 _desk = mutated_file("rig", "live/desk.py", "test_live_control.py")
@@ -297,12 +297,12 @@ MUTANTS: tuple[Mutant, ...] = (
     _loop("goodbye is always said", "stop(goodbye=self._confirmed)", "stop(goodbye=True)"),
     _loop(
         "a phase that raises is held",
-        '                self._halt(f"{type(error).__name__}: {text}", now)\n                continue',
-        '                return Decision(now.held, "hold", text)',
+        "                self._halt(_said(error), now)\n                continue",
+        '                return Decision(now.held, "hold", _said(error))',
     ),
     _loop(
         "the fault of a phase is ignored",
-        "if not decision.fault or isinstance(self._phase, SafeStop):",
+        "if not wrong or isinstance(self._phase, SafeStop):",
         "if decision is not None:",
     ),
     _loop("a dead sensor is ignored", "stop = self._flag.cause or seen.dead", "stop = self._flag.cause"),
@@ -365,7 +365,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _plausibility(
         "the estimator's own limit does not count", "min(settings.model_error_deg, 0.99 * limit_deg)", "30.5"
     ),
-    _tracking("the model is not watched", "self._watch.judge(command.disturbance)", '""'),
+    _tracking("the model is not watched", "watch.judge(command.disturbance)", '""'),
     _intake(
         "the command held by a device that listens to another counts",
         "self._held = reading.held if reading.listens else math.nan",
@@ -437,7 +437,9 @@ MUTANTS: tuple[Mutant, ...] = (
     _connect(
         "a device beyond the limits is accepted", "if not low - slack <= held <= high + slack:", "if held < -1e9:"
     ),
-    _connect("a device of another controller is accepted", "seen += listens and (inside", "seen += (inside"),
+    _connect(
+        "a device of another controller is accepted", "self._seen += self._listens and (inside", "self._seen += (inside"
+    ),
     _connect(
         "another start command is accepted",
         "if wanted is not None and abs(held - wanted)",
