@@ -15,7 +15,6 @@ _S = 1e-9
 _SMOOTH_S = 0.2  # time constant over which noise of the angle is averaged
 _ONWARD_SHARE, _REVERSED_SHARE = 0.3, 0.5  # of the command's range: travel without motion, where nothing is said
 _ANGLE_SHARE = 0.025  # of the sensor's plausible range
-_OPPOSED_SHARE = 0.5  # of `travel`: for so long an angle may go against the command
 
 
 class PlausibilitySettings(Settings):
@@ -68,8 +67,9 @@ class MotionWatch:
         dv/dt = (u - v) / travel_s
 
     Since the angle has last moved by `moves_deg`, v has a least and a greatest value; a distance between them of
-    `travel` is implausible, and so is one of v in the direction of that motion. A motion of the angle against that of v
-    adds to the opposed travel, one along with it ends it; half of `travel` is implausible.
+    `travel` is implausible. So is one of v beyond the farthest u that led there, in the direction of that motion: no
+    play is left then. A motion of the angle against that of v adds to the opposed travel, one along with it ends it; it
+    may not be `travel` either.
 
     Args:
         command_range: greatest less least command of the limits [mm or bar].
@@ -83,12 +83,15 @@ class MotionWatch:
         self._on, self._lag_s = settings.watch_motion, settings.travel_s
         self._travel, self._onward = settings.travel_of(command_range), settings.travel_of(command_range, True)
         self._moves = settings.moves_of(angle_range_deg)
-        self._opposes = _OPPOSED_SHARE * self._travel if rises and settings.watch_direction else math.inf
+        self._opposes = self._travel if rises and settings.watch_direction else math.inf
+        self._gain = math.inf if rises else 0.0  # its sign is that of the angle's change by the command, as far as seen
         self._smooth = self._lagged = math.nan
         self._seen_ns = 0
-        self._low = self._high = self._least = self._most = math.nan
-        self._from_deg = self._from = math.nan  # angle and lagged command at the last motion
-        self._direction, self._opposed = 0, 0.0  # of that motion: sign of the lagged command's travel
+        self._low = self._high = self._least = self._most = math.nan  # of angle and v since the last motion
+        self._from_deg = self._from = math.nan  # angle and v at that motion
+        self._lowest = self._highest = math.nan  # of u since then
+        self._direction, self._engaged = 0, math.nan  # of that motion, and the farthest u that led there
+        self._opposed = 0.0
 
     def judge(self, angle_deg: float, command: float, now_ns: int) -> str:
         """Why the run has to stop, empty while it has not."""
@@ -98,8 +101,9 @@ class MotionWatch:
         self._smooth = _followed(self._smooth, angle_deg, elapsed_s / _SMOOTH_S)
         self._lagged = _followed(self._lagged, command, elapsed_s / self._lag_s)
         angle, lagged = self._smooth, self._lagged
+        self._lowest, self._highest = min(command, self._lowest), max(command, self._highest)
         if not max(self._high, angle) - min(self._low, angle) < self._moves:  # also true at first, where it is NaN
-            return self._moved(angle, lagged)
+            return self._moved(angle, command, lagged)
         self._low, self._high = min(self._low, angle), max(self._high, angle)
         self._least, self._most = min(self._least, lagged), max(self._most, lagged)
         if not self._on or (self._most - self._least < self._travel and self._onward_travel < self._onward):
@@ -112,13 +116,13 @@ class MotionWatch:
 
     @property
     def _onward_travel(self) -> float:
-        """How far the lagged command has gone on in the direction of the last motion."""
-        beyond = self._most - self._from if self._direction > 0 else self._from - self._least
+        """How far v has gone on in the direction of the last motion, where no play is left."""
+        beyond = self._most - self._engaged if self._direction > 0 else self._engaged - self._least
         return beyond if self._direction else 0.0
 
     @property
     def still(self) -> float:
-        """How far the lagged command has travelled since the angle has last moved; 0 before the first angle."""
+        """How far v has travelled since the angle has last moved; 0 before the first angle."""
         travelled = self._most - self._least
         return 0.0 if math.isnan(travelled) else travelled
 
@@ -138,20 +142,29 @@ class MotionWatch:
             "watched_ns": self._seen_ns,
         }
 
-    def _moved(self, angle: float, lagged: float) -> str:
-        """The angle has moved: in the direction of the lagged command, or against it."""
+    def _moved(self, angle: float, command: float, lagged: float) -> str:
+        """The angle has moved: in the direction of the command, or against it."""
         turned, travelled = angle - self._from_deg, lagged - self._from
-        self._opposed = self._opposed + abs(travelled) if turned * travelled < 0 else 0.0
-        self._direction = (travelled > 0) - (travelled < 0)
+        change = 0.0 if math.isnan(turned) else turned * travelled
+        self._opposed = self._opposed + abs(travelled) if change < 0 else 0.0
+        self._gain += change
+        self._engage(turned * self._gain if self._gain else 0.0)
         self._low = self._high = self._from_deg = angle
         self._least = self._most = self._from = lagged
+        self._lowest = self._highest = command
         if self._opposed < self._opposes:
             return ""
         return (
             f"implausible: the angle went by {turned:.2f} deg against the command, which travelled "
-            f"{self._opposed:.4g}; "
-            "does the angle fall as the command rises? (wire.angle_sign, plausibility.watch_direction)"
+            f"{self._opposed:.4g}; does the angle fall as the command rises? (wire.angle_sign, "
+            "plausibility.watch_direction)"
         )
+
+    def _engage(self, rise: float) -> None:
+        """Take the direction of a motion of the device's input, and the farthest command in it; `rise` has its sign."""
+        before, self._direction = self._direction, 1 if rise > 0 else -1 if rise < 0 else 0
+        farther, command = (max, self._highest) if rise > 0 else (min, self._lowest)
+        self._engaged = farther(self._engaged, command) if self._direction == before else command
 
 
 def _followed(lagged: float, value: float, share: float) -> float:
