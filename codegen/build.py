@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import os
 import shutil
 import tempfile
 from functools import cache
@@ -35,9 +36,10 @@ def controller_library(export: ControllerExport, beside: str = "") -> Path:
     text = export.header, export.source, beside
     if text not in _made:
         library = _compiled(export, beside)
-        path = _folder() / f"hystmpc_controller_{len(_made)}.so"
-        path.write_bytes(library)
-        _made[text] = path
+        handle, name = tempfile.mkstemp(prefix="hystmpc_controller_", suffix=".so", dir=_folder())
+        with os.fdopen(handle, "wb") as file:  # a new one each time: a file that is loaded is never written again
+            file.write(library)
+        _made[text] = Path(name)
     return _made[text]
 
 

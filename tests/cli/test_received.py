@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +15,20 @@ import pytest
 import hystmpc
 from hystmpc.commissioning.config import load_commission
 from hystmpc.ctrl.config import parse_controller
+from hystmpc.ctrl.from_outside import GROUP
 from hystmpc.ctrl.planner.tip_controller import TipController
+from hystmpc.gap.tracking.measured import measured_runs
 from hystmpc.investigation.config import load_investigation
+from hystmpc.rig.commission.review_page import review_run
 from hystmpc.rig.config import RunSettings, load_record, load_run
 from hystmpc.sim.config import load_simulation
+from hystmpc.sim.results import load_results
 from hystmpc.sim.sweep.store import table_of
 from hystmpc.sim.tuning.settings import load_tuning
 from hystmpc.trials import from_outside
 from hystmpc.trials.config import dump_yaml, read_yaml
-from hystmpc.trials.errors import ConfigError
-from hystmpc.trials.from_outside import ALLOWED, allow_python, only_reads
+from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.from_outside import ALLOWED, allow_python, class_named, given_by, only_reads
 from hystmpc.trials.run_folder import RunFolder
 
 from ..sim.small import SCAN, study_data
@@ -154,6 +159,30 @@ def test_what_is_a_programs_own_does_not_open_the_gate_for_files(lab: Path) -> N
         RunSettings.parse(RUN | {"transport": OWN_BUS}, "given.yaml")
 
 
+def test_data_within_a_files_data_are_the_files(lab: Path) -> None:
+    with given_by("given.yaml"), pytest.raises(ConfigError, match="would run"):
+        parse_controller(OWN_LAW)
+
+
+def test_the_one_import_asks_for_itself(lab: Path) -> None:
+    """However a name has come to it."""
+    with pytest.raises(ConfigError, match="would run"):
+        class_named("planted:Settings", "controller", GROUP, object)
+    with only_reads(), pytest.raises(ConfigError, match="not imported"):
+        class_named("planted:Settings", "controller", GROUP, object)
+    assert ran(lab) == []
+
+
+def test_a_class_finds_what_is_installed_before_what_lies_beside_it(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "colorsys", raising=False)
+    (lab / "colorsys.py").write_text(PLANTED)
+    (lab / "planted.py").write_text(PLANTED + "import colorsys, beside\n" + LAW)
+    (lab / "beside.py").write_text(PLANTED)
+    assert parse_controller(OWN_LAW).resolved()
+    assert ran(lab) == ["planted", "beside"]
+    del sys.modules["beside"]
+
+
 def run_folder(path: Path, settings: dict[str, Any]) -> Path:
     """As `run` and `record` leave it."""
     folder = RunFolder.create(path, settings)
@@ -184,6 +213,15 @@ def test_a_report_imports_nothing(
     assert code == 0, err
     assert (lab / "given" / "report.html").exists()
     assert ran(lab / "given") == []
+
+
+@pytest.mark.parametrize("read", [review_run, measured_runs, load_results])
+def test_a_reader_in_a_program_imports_nothing(read: Any, lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(ALLOWED, "all")
+    folder = run_folder(lab / "given", STUDY if read is load_results else NAMED["run, law"][1])
+    with suppress(LogError, ConfigError):
+        read(folder)
+    assert ran(lab) == []
 
 
 def test_a_reader_knows_limits_and_sensor_of_a_class_that_it_does_not_import(lab: Path) -> None:
@@ -271,3 +309,34 @@ def test_a_yes_reaches_the_workers_and_does_not_open_a_table(shadowed: Path) -> 
     again = program(shadowed, "simulate", "--row", "out", identity)  # a folder that one was given
     assert again.returncode == 2
     assert "would run" in again.stderr
+
+
+NOTES = ["# my settings\n", '{"a": 1}', "[" * 2000, "\xff"]
+
+
+@pytest.mark.parametrize("text", NOTES, ids=["text", "json", "deep", "latin"])
+def test_a_file_that_a_bench_names_is_neither_replaced_nor_removed(
+    text: str, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a latch, which a stop writes and `--reset` removes; and as the log of a simulated device."""
+    mine = lab / "mine.txt"
+    mine.write_bytes(text.encode("latin-1"))
+    (lab / "run.yaml").write_text(dump_yaml(RUN | {"latch_file": "../" + lab.name + "/mine.txt"}))
+    device = {"rate_hz": 25, "command_unit": "mm", "plant": {"device": "tendon"}, "log": "mine.txt"}
+    device |= {"limits": BENCH["limits"]}
+    link = {"kind": "udp", "bind_port": 0}
+    (lab / "device.yaml").write_text(dump_yaml(device | {"link": link}))
+    for arguments in (["run", "run.yaml", "--out", "out", "--reset"], ["device", "device.yaml", "--seconds", 0.1]):
+        code, _, err = run(capsys, *arguments)
+        assert code == 2
+        assert "mine.txt" in err
+        assert "another kind of file" in err or "cannot be written" in err
+    assert mine.read_bytes() == text.encode("latin-1")
+
+
+def test_a_latch_that_is_one_or_empty_or_new_is_taken(lab: Path) -> None:
+    (lab / "run.yaml").write_text(dump_yaml(RUN))
+    for text in (None, "", '{"cause": "SIGTERM", "since": "now", "pid": 1}'):
+        if text is not None:
+            (lab / "latch.json").write_text(text)
+        assert load_run(lab / "run.yaml").latch_file == lab / "latch.json"
