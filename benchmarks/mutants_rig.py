@@ -37,7 +37,7 @@ _asked_flag = mutated_file("rig", "safety/stop.py", "test_live_control.py")
 _asked_bench = mutated_file("rig", "bench.py", "test_live_control.py")
 _asked_phase = mutated_file("rig", "commission/phases.py", "test_live_control.py")
 _targets = mutated_file("rig", "commission/experiment.py", "test_live_control.py")
-_page = mutated_file("rig", "live/page.py", "test_live_control.py", "test_live.py")
+_page = mutated_file("rig", "live/server.py", "test_live_control.py", "test_live.py")
 _compiled = mutated_file("rig", "compiled/controller.py", "test_backends.py")
 _taken = mutated_file("rig", "compiled/loop.c", "test_loop_in_c.py")
 _watched = mutated_file("rig", "compiled/loop.py", "test_loop_in_c.py")
@@ -471,7 +471,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _controls("a foreign name is ours", "return name.lower() in self._names", "return True"),
     _controls(
         "an e-stop waits for other requests",
-        '        if action == "estop":\n            return _answer(self._ask(action, 0.0))\n',
+        '        if self.is_estop(path):\n            return _answer(self._ask("estop", 0.0))\n',
         "",
     ),
     _desk("an e-stop ends the run regularly", "            self.flag.set(E_STOP)\n", "            self.flag.end()\n"),
@@ -510,11 +510,11 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _targets("a target before the hand-over is taken", "            if not self._tracks:", "            if False:"),
     _targets("the run ends at a target", "t >= reference.duration_s and not self._stays", "t >= reference.duration_s"),
+    _page("there are streams without end", "if len(self._server.streams) >= _MOST_STREAMS:", "if False:"),
     _page(
-        "viewers keep requests out",
-        "        if not self._page.streams.acquire(blocking=False):",
-        "        if self._page.streams is None:",
+        "requests are taken by a page that only shows",
+        'elif method != "POST" or server.controls is None:',
+        "elif False:",
     ),
-    _page("requests are taken by a page that only shows", "        if controls is None:\n", "        if False:\n"),
     _at_bench("held is always claimed", "    if outcome.confirmed:", "    if outcome:"),
 )

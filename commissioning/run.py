@@ -17,6 +17,7 @@ from hystmpc.rig.recording.recorder_process import Views
 from hystmpc.sim.jobs.runner import alone_in
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
+from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
@@ -217,6 +218,7 @@ def commission_logs(
         return _reported(known, root, words, 0.0, None, None)
 
 
+@only_reads()
 def report_again(folder: Path | str) -> Commissioned:
     """Write the report of a complete commissioning again from what its stages have left; no device is opened.
 

@@ -72,6 +72,11 @@ class GuardedController(Generic[M]):
         """The law inside."""
         return self._law
 
+    @property
+    def limits(self) -> CommandLimits:
+        """Of every command."""
+        return self._limits
+
     def with_law(self, law: Law[N]) -> GuardedController[N]:
         """The same estimator, fallbacks and limits around another law, such as one that wraps its own."""
         return GuardedController(law, self._observer, self._fallback, self._limits, self._dt, self._max_missing)

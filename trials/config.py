@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar, Union, get_args, get
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from .errors import ConfigError, did_you_mean
+from .from_outside import MEMORY, given_by
 from .yaml_ import Location, MisplacedError, YamlError, format_yaml, parse_yaml, place_in
 
 LARGEST_FILE = 4_000_000  # bytes of a configuration
@@ -53,18 +54,20 @@ class Settings(BaseModel):
         return data
 
     @classmethod
-    def parse(cls, data: Any, where: str | Callable[[Location], str] = "<memory>") -> Self:
+    def parse(cls, data: Any, where: str | Callable[[Location], str] = MEMORY) -> Self:
         """Validate plain data.
 
         Args:
             data: mappings, lists and scalars.
-            where: the source's name, or a function that tells it for the keys and indices of an entry.
+            where: the source's name, or a function that tells it for the keys and indices of an entry; left out, they
+                are the program's own, and may name classes of it.
 
         Raises:
             ConfigError: one line with the first offending key, what was got and what was expected.
         """
         try:
-            return cls.model_validate(data)
+            with given_by(where):
+                return cls.model_validate(data)
         except ValidationError as error:
             first = error.errors()[0]
             cause = first.get("ctx", {}).get("error")
