@@ -22,6 +22,26 @@ Port = Annotated[int, Field(ge=0, le=65535)]
 _ROUNDING = 1e-9  # relative; a limit that was written with fewer digits
 
 
+def number_of(value: object) -> float | None:
+    """`value` as a number; None where it is none, such as a text, a truth value, a list or nothing at all."""
+    if isinstance(value, str | bytes | bytearray | bool | np.bool_ | complex | np.complexfloating):
+        return None
+    try:
+        return float(value)  # type: ignore[arg-type]  # anything may come from outside
+    except Exception:  # noqa: BLE001 - what `__float__` of anything raises
+        return None
+
+
+def numbers_of(values: object) -> Vec:
+    """`values` as an array of numbers; without dimensions and not-a-number where they are none, such as ragged lists."""
+    try:
+        array = np.asarray(values)
+        usable = array.dtype.kind in "iufO"
+        return array.astype(np.float64) if usable else np.array(math.nan)
+    except Exception:  # noqa: BLE001 - what `__array__` or `__float__` of anything raises
+        return np.array(math.nan)
+
+
 @dataclass(frozen=True)
 class CommandLimits:
     """Box and rate limits of a command: lower <= u_k <= upper, |u_k - u_{k-1}| <= rate * dt.
@@ -40,7 +60,7 @@ class CommandLimits:
 
     def __post_init__(self) -> None:
         values = (self.lower, self.upper, self.rate)
-        if not all(math.isfinite(v) for v in values) or self.lower >= self.upper or self.rate <= 0:
+        if not all(v is not None and math.isfinite(v) for v in map(number_of, values)) or self.lower >= self.upper or self.rate <= 0:
             raise ControllerError(
                 f"command limits: got lower {self.lower}, upper {self.upper}, rate {self.rate}, "
                 "expected finite lower < upper and rate > 0"

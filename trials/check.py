@@ -79,6 +79,7 @@ class CheckReport:
         return Report(self.source, (Table(("", "topic", "finding"), rows),), self.preset).fragment()
 
 
+@in_a_line
 def check(log: Log, preset: Layout = "auto", sampled_hz: float | None = None) -> CheckReport:
     """Look at time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 

@@ -30,6 +30,7 @@ OPENERS: dict[str, Callable[[Path], Source]] = {".mcap": open_mcap, ".db3": open
 """Formats of named signals by the ending of the file; every other ending is delimited text."""
 
 
+@in_a_line
 def read_trials(
     logs: Log | Iterable[Log],
     preset: Layout = "auto",
