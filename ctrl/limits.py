@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hystmpc.trials.config import Settings
-from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
 # Bounded numbers of all settings of controllers and benches.
@@ -33,7 +33,7 @@ def number_of(value: object) -> float | None:
 
 
 def numbers_of(values: object) -> Vec:
-    """`values` as an array of numbers; without dimensions and not-a-number where they are none, such as ragged lists."""
+    """`values` as an array of numbers; a single not-a-number where they are none, such as ragged lists."""
     try:
         array = np.asarray(values)
         usable = array.dtype.kind in "iufO"
@@ -59,10 +59,12 @@ class CommandLimits:
     rate: float
 
     def __post_init__(self) -> None:
-        values = (self.lower, self.upper, self.rate)
-        if not all(v is not None and math.isfinite(v) for v in map(number_of, values)) or self.lower >= self.upper or self.rate <= 0:
+        values = [number_of(v) for v in (self.lower, self.upper, self.rate)]
+        known = all(v is not None and math.isfinite(v) for v in values)
+        if not known or self.lower >= self.upper or self.rate <= 0:
             raise ControllerError(
-                f"command limits: got lower {self.lower}, upper {self.upper}, rate {self.rate}, "
+                f"command limits: got lower {shown(self.lower, 50)}, upper {shown(self.upper, 50)}, "
+                f"rate {shown(self.rate, 50)}, "
                 "expected finite lower < upper and rate > 0"
             )
 

@@ -12,7 +12,6 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _LONGEST = 300  # characters of a line of error
-_LONGEST_VALUE = 100  # of a value in it
 
 
 class HystmpcError(Exception):
@@ -55,14 +54,14 @@ class GapError(HystmpcError):
     """Recorded trials cannot be compared with a simulator: nothing recorded, another unit, sign or device."""
 
 
-def shown(value: object) -> str:
-    """A value as an error shows it: on one line, its middle left out where it is long."""
+def shown(value: object, longest: int = 100) -> str:
+    """A value as an error shows it: on one line, its middle left out where it has more characters than `longest`."""
     try:
         text = " ".join(repr(value).split())
     except Exception as error:  # noqa: BLE001 - such as an integer of more digits than Python writes
         return f"a {type(value).__name__} that cannot be written ({type(error).__name__})"
-    half = _LONGEST_VALUE // 2
-    return text if len(text) <= _LONGEST_VALUE else f"{text[:half]} ... {text[-half:]}"
+    half = longest // 2
+    return text if len(text) <= longest else f"{text[:half]} ... {text[-half:]}"
 
 
 def in_a_line(function: Callable[P, R]) -> Callable[P, R]:

@@ -149,7 +149,7 @@ def holding(control: GuardedState[Any] | None, held: float) -> GuardedState[Any]
 
 
 def skipped(memory: Snapshot, controller: PlannersController, cause: str) -> Snapshot:
-    """One sample later in which nothing was sent: the device holds what it held, in a stop that goes on elsewhere too."""
+    """One sample later in which nothing was sent: the device holds what it held, in a stop with a ramp too."""
     control, held = memory.control, memory.command.u
     if control is None:
         return memory

@@ -139,8 +139,8 @@ def waypoint_request(
     usable = np.all(np.abs(found) <= ANGLE_BOUND_DEG) and np.all((pauses >= 0) & (pauses < math.inf))
     if found.ndim != 1 or not found.size or found.shape != pauses.shape or not usable:
         raise ControllerError(
-            f"waypoints: got angles {shown(angles_deg)} deg and holds {shown(holds_s)} s, expected as many of one as of the other, finite "
-            f"angles within {ANGLE_BOUND_DEG:.0f} deg and holds >= 0"
+            f"waypoints: got angles {shown(angles_deg, 60)} deg and holds {shown(holds_s, 60)} s, "
+            f"expected as many of one as of the other, finite angles within {ANGLE_BOUND_DEG:.0f} deg and holds >= 0"
         )
 
     angles, holds = found.tolist(), pauses.tolist()

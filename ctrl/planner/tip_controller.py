@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
 from ..command import Command
@@ -156,11 +156,13 @@ class TipController:
             control: the controller's state after it; None where more are to come.
         """
         u = require_within(getattr(command, "u", None), self._assembly.limits, "took: got command")
-        whole = int(require_number(steps, "took: steps"))
+        whole = require_number(steps, "took: steps")
+        if not (whole >= 0 and whole < math.inf and whole == int(whole)):
+            raise ControllerError(f"took: got {shown(steps)} steps, expected a whole number")
         with self._lock:
             memory = self._memory
             after = holding(memory.control if control is None else control, u)
-            self._memory = replace(memory, steps=memory.steps + whole, control=after, command=command, sent=True)
+            self._memory = replace(memory, steps=memory.steps + int(whole), control=after, command=command, sent=True)
 
     def measure(self, theta_deg: float, taken_at_s: float) -> None:
         """Use a frame of an intermittent sensor, taken in the past; between frames `step` gets NaN.

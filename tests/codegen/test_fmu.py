@@ -236,7 +236,7 @@ def test_a_device_that_overflows_is_an_error_and_keeps_its_state(folder: Path) -
 )
 def test_a_run_that_has_no_time_is_refused(folder: Path, start: float, stop: float | None, line: str) -> None:
     made = Instance(folder)
-    with pytest.raises(Exception, match="SetupExperiment|EnterInitializationMode"):
+    with pytest.raises(Exception, match=r"SetupExperiment|EnterInitializationMode"):
         made.start(start, stop)
     assert made.lines == [line]
 
