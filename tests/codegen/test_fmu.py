@@ -208,6 +208,7 @@ def test_any_step_is_taken_or_refused_in_a_line_and_the_angle_stays_finite(
             assert len(made.lines) == told + 1
         else:
             assert np.isfinite(command)
+            assert abs(later) <= 0.5 * DT
             assert made.get(TIME) == pytest.approx(before[0] + DT)
             assert len(made.lines) == told
         assert np.isfinite(made.get(OUTPUT))

@@ -111,6 +111,15 @@ def test_a_refused_start_stops_a_controller_that_runs(made: Library) -> None:
         assert {(SOURCES[command.source], command.u) for command in stopped} == {("stop", last)}
 
 
+def test_counts_of_samples_do_not_run_over(made: Library) -> None:
+    """At 1 kHz an int is full after 24 days without a sensor."""
+    kind = export_controller(LIMITED, folder=EXAMPLES).structs["hystmpc_controller"]
+    assert made.init(START_DEG, START) == 0
+    made.stop()
+    kind.from_buffer(made.memory).estimate.missing = 999_999_999  # type: ignore[attr-defined]  # a ctypes struct
+    assert [made.step(math.nan).missing for _ in range(3)] == [1_000_000_000] * 3
+
+
 def test_who_looked_on_goes_on_from_what_the_other_sent(made: Library) -> None:
     """The plan of before is not taken up again, though there is no time for another."""
     assert made.init(START_DEG, START) == 0
