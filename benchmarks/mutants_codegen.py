@@ -37,7 +37,9 @@ MUTANTS: tuple[Mutant, ...] = (
         "answer.u = c->estimate.command;",
     ),
     _controller(
-        "any memory but zero has been started", "return c->started == HYSTMPC_MARK;", "return c->started != 0;"
+        "any memory but zero has been started",
+        "return c->estimate.started == HYSTMPC_MARK;",
+        "return c->estimate.started != 0;",
     ),
     _controller("a plan of before another sent is taken up", "    forget(c);\n    advance", "    advance"),
     _controller(

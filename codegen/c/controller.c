@@ -3,10 +3,7 @@
 
 unsigned long hystmpc_memory_bytes(void) { return (unsigned long)sizeof(hystmpc_controller); }
 
-/* No init leaves this in memory by chance. */
-enum { HYSTMPC_MARK = 0x48595354 };
-
-static int started(const hystmpc_controller *c) { return c->started == HYSTMPC_MARK; }
+static int started(const hystmpc_controller *c) { return c->estimate.started == HYSTMPC_MARK; }
 
 /* A command from outside within the limits on value; `otherwise` where it is no number. */
 static real within_range(real u, real otherwise) {
@@ -40,7 +37,6 @@ int hystmpc_init(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real com
     forget(c);
     c->due = c->target = angle_deg;
     c->failures = c->stopped = c->hurried = 0;
-    c->started = HYSTMPC_MARK;
     return answer;
 }
 

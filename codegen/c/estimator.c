@@ -122,6 +122,7 @@ HYSTMPC_LOCAL int estimate_init(hystmpc_estimate *e, real y, real u) {
     if (!model_advance(x, u, &angle, next)) return HYSTMPC_NOT_AT_REST;
     if (!(absolute(y - angle) <= HYSTMPC_REST_TOLERANCE)) return HYSTMPC_NOT_AT_REST;
     copy(next, e->model, S); /* nothing is written before the start is accepted */
+    e->started = HYSTMPC_MARK;
     e->command = u;
     for (int k = 0; k < HYSTMPC_UNDER_WAY; k++) {
         e->angles[k] = angle;

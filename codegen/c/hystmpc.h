@@ -93,6 +93,7 @@ typedef struct {
     int responsive[HYSTMPC_UNDER_WAY];        /* whether each angle answers to the command */
     int missing;
     int stalled;                              /* samples since the model was last advanced */
+    int started;                              /* HYSTMPC_MARK once hystmpc_init has accepted a start */
 } hystmpc_estimate;
 
 #if HYSTMPC_LEARNS
@@ -175,7 +176,6 @@ typedef struct {
     int failures;
     int stopped;
     int hurried;                              /* whether the next step makes no plan */
-    int started;                              /* HYSTMPC_MARK once hystmpc_init has accepted a start */
     hystmpc_work work;
 } hystmpc_controller;
 
