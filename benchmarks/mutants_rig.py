@@ -125,7 +125,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _in_c("the hurry of a sample lasts", "    c->hurried = 0;\n    answer.missing", "    answer.missing"),
     _in_c(
         "the C looks on and forgets what was sent",
-        "    advance(c, command);\n",
+        "    advance(c, within_range(command, c->estimate.command));\n",
         "    advance(c, c->estimate.command);\n",
     ),
     _intake(
