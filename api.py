@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from hystmpc.trials.errors import ControllerError, FitError
+from hystmpc.trials.errors import ControllerError, FitError, in_a_line
 from hystmpc.trials.read import Layout, Log, read_trials
 from hystmpc.trials.trial import Trial, at_rate
 from hystmpc.trials.types import Progress
@@ -144,6 +144,7 @@ Model: TypeAlias = "Fit | Simulator | LoadedModel | Path | str"
 """A model: a fit, a simulator, an opened model, a model file, or `builtin:NAME`."""
 
 
+@in_a_line
 def load_model(path: Path | str, start: Start = "initial") -> LoadedModel:
     """Open a model file.
 
@@ -159,6 +160,7 @@ def load_model(path: Path | str, start: Start = "initial") -> LoadedModel:
     return open_file(path, start)
 
 
+@in_a_line
 def load_simulator(path: Path | str) -> Simulator:
     """Open a simulator, the readable form of an operator-based model.
 
@@ -174,6 +176,7 @@ def load_simulator(path: Path | str) -> Simulator:
     return open_file(model_path(str(path)))
 
 
+@in_a_line
 def fit(
     kind: str,
     trials: Logs,
@@ -250,6 +253,7 @@ def fit(
     return Fit(kind, chosen.fit(used, request, told), tuple(used))
 
 
+@in_a_line
 def evaluate(
     model: Model,
     trials: Logs,
@@ -282,6 +286,7 @@ def evaluate(
     return Evaluation(tuple(runs))
 
 
+@in_a_line
 def export(model: Fit | Simulator | Path | str, path: Path | str) -> EquivalenceReport:
     """Write a model as an ONNX file of one stateful step, after a numeric comparison with its reference.
 
@@ -304,6 +309,7 @@ def export(model: Fit | Simulator | Path | str, path: Path | str) -> Equivalence
     return export_simulator(load_simulator(model) if isinstance(model, Path | str) else model, path)
 
 
+@in_a_line
 def diagnose(
     trials: Logs,
     simulator: Model,
@@ -360,6 +366,7 @@ def diagnose(
     return evidence.diagnosis
 
 
+@in_a_line
 def commission(
     config: Settings | None,
     out: Path | str,
@@ -410,6 +417,7 @@ def commission(
     return commission_device(settings, opened_device(settings, folder), out, progress)
 
 
+@in_a_line
 def investigate(
     config: Settings,
     out: Path | str,
@@ -456,6 +464,7 @@ def investigate(
     return investigate_device(settings, opened_device(settings, folder), out, progress)
 
 
+@in_a_line
 def simulate(
     config: Settings | SimulationConfig,
     out: Path | str | None = None,
@@ -484,6 +493,7 @@ def simulate(
     return compare(config, out, progress)
 
 
+@in_a_line
 def tune(
     config: Settings,
     out: Path | str,
@@ -517,6 +527,7 @@ def tune(
     return run_tuning(settings, out, backend_for(jobs), storage, progress)
 
 
+@in_a_line
 def build_controller(
     controller: str | Mapping[str, Any] | AnyControllerSettings,
     model: Model,

@@ -31,12 +31,20 @@ from typing import Literal
 from rich.console import Console
 from rich.table import Table
 
+import mutants_codegen  # isort: skip
 import mutants_commissioning  # isort: skip
 import mutants_ctrl  # isort: skip
+import mutants_given  # isort: skip
 import mutants_rig  # isort: skip
 from mutant import Mutant  # isort: skip
 
-MUTANTS: tuple[Mutant, ...] = mutants_ctrl.MUTANTS + mutants_rig.MUTANTS + mutants_commissioning.MUTANTS
+MUTANTS: tuple[Mutant, ...] = (
+    mutants_ctrl.MUTANTS
+    + mutants_rig.MUTANTS
+    + mutants_commissioning.MUTANTS
+    + mutants_codegen.MUTANTS
+    + mutants_given.MUTANTS
+)
 ROOT = Path(__file__).resolve().parent.parent
 LEAST_SHARE = 0.95
 _LEFT_OUT = (

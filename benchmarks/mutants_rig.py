@@ -28,7 +28,7 @@ _topics = mutated_file("rig", "transports/topics.py", "test_sessions.py", "test_
 _server = mutated_file("rig", "device/server.py", "test_sessions.py")
 _latch = mutated_file("rig", "safety/stop.py", "test_parts.py", "test_bench.py")
 _bench = mutated_file("rig", "bench.py", "test_bench.py")
-_connect = mutated_file("rig", "bench.py", "test_bench.py")
+_connect = mutated_file("rig", "contact.py", "test_bench.py")
 _host = mutated_file("rig", "recording/recorder_process.py", "test_recording_faults.py")
 _controls = mutated_file("rig", "live/controls.py", "test_live_control.py")
 _desk = mutated_file("rig", "live/desk.py", "test_live_control.py")
@@ -37,7 +37,7 @@ _asked_flag = mutated_file("rig", "safety/stop.py", "test_live_control.py")
 _asked_bench = mutated_file("rig", "bench.py", "test_live_control.py")
 _asked_phase = mutated_file("rig", "commission/phases.py", "test_live_control.py")
 _targets = mutated_file("rig", "commission/experiment.py", "test_live_control.py")
-_page = mutated_file("rig", "live/page.py", "test_live_control.py", "test_live.py")
+_page = mutated_file("rig", "live/server.py", "test_live_control.py", "test_live.py")
 _compiled = mutated_file("rig", "compiled/controller.py", "test_backends.py")
 _taken = mutated_file("rig", "compiled/loop.c", "test_loop_in_c.py")
 _watched = mutated_file("rig", "compiled/loop.py", "test_loop_in_c.py")
@@ -125,7 +125,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _in_c("the hurry of a sample lasts", "    c->hurried = 0;\n    answer.missing", "    answer.missing"),
     _in_c(
         "the C looks on and forgets what was sent",
-        "    advance(c, command);\n",
+        "    advance(c, within_range(command, c->estimate.command));\n",
         "    advance(c, c->estimate.command);\n",
     ),
     _intake(
@@ -297,12 +297,12 @@ MUTANTS: tuple[Mutant, ...] = (
     _loop("goodbye is always said", "stop(goodbye=self._confirmed)", "stop(goodbye=True)"),
     _loop(
         "a phase that raises is held",
-        '                self._halt(f"{type(error).__name__}: {text}", now)\n                continue',
-        '                return Decision(now.held, "hold", text)',
+        "                self._halt(_said(error), now)\n                continue",
+        '                return Decision(now.held, "hold", _said(error))',
     ),
     _loop(
         "the fault of a phase is ignored",
-        "if not decision.fault or isinstance(self._phase, SafeStop):",
+        "if not wrong or isinstance(self._phase, SafeStop):",
         "if decision is not None:",
     ),
     _loop("a dead sensor is ignored", "stop = self._flag.cause or seen.dead", "stop = self._flag.cause"),
@@ -365,7 +365,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _plausibility(
         "the estimator's own limit does not count", "min(settings.model_error_deg, 0.99 * limit_deg)", "30.5"
     ),
-    _tracking("the model is not watched", "self._watch.judge(command.disturbance)", '""'),
+    _tracking("the model is not watched", "watch.judge(command.disturbance)", '""'),
     _intake(
         "the command held by a device that listens to another counts",
         "self._held = reading.held if reading.listens else math.nan",
@@ -437,7 +437,9 @@ MUTANTS: tuple[Mutant, ...] = (
     _connect(
         "a device beyond the limits is accepted", "if not low - slack <= held <= high + slack:", "if held < -1e9:"
     ),
-    _connect("a device of another controller is accepted", "seen += listens and (inside", "seen += (inside"),
+    _connect(
+        "a device of another controller is accepted", "self._seen += self._listens and (inside", "self._seen += (inside"
+    ),
     _connect(
         "another start command is accepted",
         "if wanted is not None and abs(held - wanted)",
@@ -469,7 +471,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _controls("a foreign name is ours", "return name.lower() in self._names", "return True"),
     _controls(
         "an e-stop waits for other requests",
-        '        if action == "estop":\n            return _answer(self._ask(action, 0.0))\n',
+        '        if self.is_estop(path):\n            return _answer(self._ask("estop", 0.0))\n',
         "",
     ),
     _desk("an e-stop ends the run regularly", "            self.flag.set(E_STOP)\n", "            self.flag.end()\n"),
@@ -508,11 +510,11 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _targets("a target before the hand-over is taken", "            if not self._tracks:", "            if False:"),
     _targets("the run ends at a target", "t >= reference.duration_s and not self._stays", "t >= reference.duration_s"),
+    _page("there are streams without end", "if len(self._server.streams) >= _MOST_STREAMS:", "if False:"),
     _page(
-        "viewers keep requests out",
-        "        if not self._page.streams.acquire(blocking=False):",
-        "        if self._page.streams is None:",
+        "requests are taken by a page that only shows",
+        'elif method != "POST" or server.controls is None:',
+        "elif False:",
     ),
-    _page("requests are taken by a page that only shows", "        if controls is None:\n", "        if False:\n"),
     _at_bench("held is always claimed", "    if outcome.confirmed:", "    if outcome:"),
 )

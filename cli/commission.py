@@ -12,6 +12,7 @@ from hystmpc.trials.types import Progress
 
 from .at_bench import InTerminal, OnPage, Overrides, Reset, stages_kept, tell
 from .console import INTERRUPTED, bar, errors, out, table
+from .options import AllowPython, heard
 
 if TYPE_CHECKING:
     from hystmpc.commissioning.config import CommissionSettings
@@ -31,6 +32,7 @@ def commission(
     reset: Reset = False,
     live: InTerminal = False,
     page: OnPage = False,
+    allow: AllowPython = False,
 ) -> None:
     """Find safe range and rate, record, identify, make a controller, verify it, report.
 
@@ -39,6 +41,7 @@ def commission(
     """
     from hystmpc.commissioning.config import load_commission
 
+    heard(allow)
     _check(config, logs, overrides, folder, dry_run)
     settings = None if config is None else load_commission(config, overrides or ())
     if settings is not None and not logs:

@@ -14,6 +14,7 @@ from hystmpc.trials.types import Progress
 
 from .at_bench import InTerminal, OnPage, Overrides, Reset, stages_kept, tell
 from .console import INTERRUPTED, bar, errors, out, table
+from .options import AllowPython, heard
 
 if TYPE_CHECKING:
     from hystmpc.investigation.config import InvestigateSettings
@@ -33,6 +34,7 @@ def investigate(
     reset: Reset = False,
     live: InTerminal = False,
     page: OnPage = False,
+    allow: AllowPython = False,
 ) -> None:
     """Find out why a simulator and its device differ: record, diagnose, record what decides most.
 
@@ -41,6 +43,7 @@ def investigate(
     """
     from hystmpc.investigation.config import load_investigation, located_investigation
 
+    heard(allow)
     _check(folder, dry_run)
     settings = located_investigation(load_investigation(config, overrides or ()), config.parent, model, minutes)
     if not as_json:

@@ -18,6 +18,7 @@ from hystmpc.trials.check import Severity, check, gaps_said, require_seconds
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError, ModelError
 from hystmpc.trials.files import require_writable
+from hystmpc.trials.from_outside import allow_python
 from hystmpc.trials.layouts import PRESETS
 from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.run_folder import require_vacant
@@ -44,9 +45,19 @@ SampledHz = Annotated[
 Sim = Annotated[
     Path | None, typer.Option("--sim", help="Simulator: .yaml of `fit`, an exported .onnx model, or builtin:NAME.")
 ]
+AllowPython = Annotated[
+    bool,
+    typer.Option("--allow-python", help="Import classes that the file names as python: MODULE:CLASS; you trust it."),
+]
 SkipFirstFlexure = Annotated[
     bool, typer.Option("--skip-first-flexure", help="Count each trial only from the command's first reversal on.")
 ]
+
+
+def heard(allow: bool) -> None:
+    """Say yes to the classes that files name, where `--allow-python` is given."""
+    if allow:
+        allow_python()
 
 
 def processes(jobs: int | None) -> int:

@@ -11,6 +11,7 @@ from hystmpc.rig.config import load_record
 
 from .at_bench import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell, views_of
 from .console import out
+from .options import AllowPython, heard
 
 
 def record(
@@ -20,6 +21,7 @@ def record(
     reset: Reset = False,
     live: InTerminal = False,
     page: OnPage = False,
+    allow: AllowPython = False,
 ) -> None:
     """Play every excitation and write trials that `check`, `fit` and `diagnose` read. Exit code 3 after a stop."""
     from hystmpc.commissioning.plants import plants_in
@@ -27,6 +29,7 @@ def record(
     from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.recording.recording import RecordingMeta
 
+    heard(allow)
     settings = load_record(config, overrides or ())
     begin(settings, folder, reset)
     meta = RecordingMeta(settings.command_unit, stages=("execution",))

@@ -11,6 +11,7 @@ import typer
 from hystmpc.trials.config import read_yaml
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.figure_folder import figures_to
+from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.run_folder import RunFolder
 
 from .console import out
@@ -36,7 +37,7 @@ def report(
     error fell, and with a diagnosis how far it was expected to fall on this reference.
     """
     check_figures(figures)
-    with figures_to(figures):
+    with figures_to(figures), only_reads():
         _report(run, before, diagnosis)
 
 

@@ -11,6 +11,7 @@ from hystmpc.rig.config import load_run
 
 from .at_bench import Folder, InTerminal, OnPage, Overrides, Reset, begin, end, finish, recording_in, tell, views_of
 from .console import out
+from .options import AllowPython, heard
 
 
 def run(
@@ -20,6 +21,7 @@ def run(
     reset: Reset = False,
     live: InTerminal = False,
     page: OnPage = False,
+    allow: AllowPython = False,
 ) -> None:
     """Prepare the device, track the reference, return to the safe command; exit code 3 after a safe stop."""
     from hystmpc.commissioning.plants import plants_in
@@ -27,6 +29,7 @@ def run(
     from hystmpc.rig.live.desk import Desk
     from hystmpc.rig.recording.recording import RecordingMeta
 
+    heard(allow)
     settings = load_run(config, overrides or ())
     begin(settings, folder, reset)
     model = settings.controller.model

@@ -18,7 +18,7 @@ from hystmpc.trials.run_folder import require_resumable, require_vacant
 from hystmpc.trials.types import Progress
 
 from .console import INTERRUPTED, bar, errors, out, table
-from .options import processes
+from .options import AllowPython, heard, processes
 
 DIFFERENT = 1
 
@@ -42,11 +42,13 @@ def simulate(
     row: Annotated[
         tuple[Path, str] | None, typer.Option(metavar="DIR ID", help="Make one row of a sweep again and compare.")
     ] = None,
+    allow: AllowPython = False,
 ) -> None:
     """Simulate the closed loop; write a run folder and its report.
 
     Ctrl-C keeps the finished runs.
     """
+    heard(allow)
     _check(config, sweep, row, folder)
     _check_use(sweep, config, {"--jobs": jobs, "--cluster": cluster}, {"--controller": controllers or None})
     if row is not None:

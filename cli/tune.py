@@ -10,7 +10,7 @@ import typer
 from hystmpc.trials.run_folder import require_resumable
 
 from .console import INTERRUPTED, bar, errors, out, table
-from .options import processes
+from .options import AllowPython, heard, processes
 
 _COLUMNS = ("settings", "objective", "mean error", "worst plant", "travel", "violations")
 
@@ -26,6 +26,7 @@ def tune(
     storage: Annotated[
         str | None, typer.Option(help="Where trials are kept, such as postgresql://host/db; several machines share it.")
     ] = None,
+    allow: AllowPython = False,
 ) -> None:
     """Search the settings of a controller on simulated plants.
 
@@ -35,6 +36,7 @@ def tune(
     from hystmpc.sim.tuning.run import run_tuning
     from hystmpc.sim.tuning.settings import load_tuning
 
+    heard(allow)
     workers = processes(jobs)
     settings = load_tuning(config, overrides or [])
     require_resumable(folder)

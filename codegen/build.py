@@ -1,16 +1,15 @@
-"""An exported controller as a shared library for this machine, kept in the user's cache."""
+"""An exported controller as a shared library for this machine and this process."""
 
 from __future__ import annotations
 
-import hashlib
-import sys
+import atexit
+import os
+import shutil
+import tempfile
+from functools import cache
 from pathlib import Path
 
-from llvmlite.binding import get_host_cpu_name  # type: ignore[import-untyped]
-
-from hystmpc.models.kernels.numba_ import cache_folder
 from hystmpc.trials.errors import ExportError
-from hystmpc.trials.files import write_atomically
 
 from .compiler import EXPECTED, compiler, shared_library
 from .controller import ControllerExport
@@ -18,20 +17,38 @@ from .controller import ControllerExport
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fPIC")
 """For speed on this machine. With `-ffp-contract=off` of `shared_library` they leave every number as it is."""
 
+_made: dict[tuple[str, str, str], Path] = {}
+
 
 def controller_library(export: ControllerExport, beside: str = "") -> Path:
-    """The compiled controller; the same source is compiled once for a user and a kind of processor.
+    """The compiled controller, in a folder that is this process's own and ends with it.
+
+    No library that an earlier program has left is ever loaded: what moves a device was compiled by the process that
+    moves it.
 
     Args:
         beside: a file of C that is compiled with it; it finds the header as hystmpc.h.
 
     Raises:
         ExportError: if there is no compiler, or it fails; with the first thing that it says.
+        OSError: if there is no place for a temporary file.
     """
-    kind = (*FLAGS, sys.platform, get_host_cpu_name(), export.header, export.source, beside)
-    digest = hashlib.sha256("\n".join(kind).encode()).hexdigest()[:24]
-    path = cache_folder() / f"hystmpc_controller_{digest}.so"
-    return path if path.is_file() else write_atomically(path, _compiled(export, beside))
+    text = export.header, export.source, beside
+    if text not in _made:
+        library = _compiled(export, beside)
+        handle, name = tempfile.mkstemp(prefix="hystmpc_controller_", suffix=".so", dir=_folder())
+        with os.fdopen(handle, "wb") as file:  # a new one each time: a file that is loaded is never written again
+            file.write(library)
+        _made[text] = Path(name)
+    return _made[text]
+
+
+@cache
+def _folder() -> Path:
+    """A new folder that no other user may enter."""
+    folder = tempfile.mkdtemp(prefix="hystmpc-controller-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def _compiled(export: ControllerExport, beside: str) -> bytes:

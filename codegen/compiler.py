@@ -38,7 +38,7 @@ def zig(*arguments: str) -> tuple[str, ...] | None:
     """Command of the compiler of the package `ziglang`, None where that is not installed."""
     if importlib.util.find_spec("ziglang") is None:
         return None
-    return (sys.executable, "-m", "ziglang", "cc", *arguments)
+    return (sys.executable, "-P", "-m", "ziglang", "cc", *arguments)  # nothing of a working folder is imported
 
 
 def shared_library(command: Sequence[str], flags: Sequence[str], sources: Mapping[str, str], *mains: str) -> bytes:

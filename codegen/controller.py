@@ -57,6 +57,7 @@ _TOLERANCES: Mapping[bool, Mapping[str, float]] = {
         "violation": 1e-6,
         "rounding": 1e-9,
         "grain": 1e-7,
+        "least_weight": 1e-300,
     },
     True: {
         "miss": 1e-6,
@@ -67,6 +68,7 @@ _TOLERANCES: Mapping[bool, Mapping[str, float]] = {
         "violation": 1e-5,
         "rounding": 1e-5,
         "grain": 1e-5,
+        "least_weight": 1e-30,
         "edge": 1e-6,
     },
 }

@@ -1,4 +1,4 @@
-"""A phase that stops the run where the tip leaves the angles that the user allows."""
+"""A phase that stops the run where the tip leaves the angles that the user allows, or those that the sensor shows."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import final
 import numpy as np
 
 from hystmpc.rig.commission.phases import Decision, Past, Phase, PhaseInput
+from hystmpc.rig.safety.intake import SensorSettings
 
 MEDIAN = 3
 """Angles whose median is believed: one outlier is no angle."""
@@ -22,16 +23,19 @@ BESIDE = 0.02
 class Bounded(Phase):
     """Another phase, stopped safely where the median of the last three angles passes the limits by 2 % of them.
 
-    The command's range is found at rest; a device that overshoots in a fast motion goes farther.
+    The command's range is found at rest; a device that overshoots in a fast motion goes farther. Angles count as they
+    are shown, also beyond the sensor's range and faster than plausible: those are beyond the limits, not missing.
 
     Args:
         phase: what is done.
-        angle_limits: where the tip may go [deg].
+        angle_limits: where the tip may go [deg]; None for the range of the sensor.
+        sensor: that shows the angle.
     """
 
-    def __init__(self, phase: Phase, angle_limits: tuple[float, float]) -> None:
+    def __init__(self, phase: Phase, angle_limits: tuple[float, float] | None, sensor: SensorSettings) -> None:
         self.name, self._phase = phase.name, phase
-        low, high = angle_limits
+        self._which = "commission.angle_limits_deg" if angle_limits else "the range of the sensor"
+        low, high = angle_limits or (sensor.lower_deg, sensor.upper_deg)
         more = BESIDE * (high - low)
         self._low, self._high = low - more, high + more
         self._recent: deque[float] = deque(maxlen=MEDIAN)
@@ -44,14 +48,15 @@ class Bounded(Phase):
     def step(self, now: PhaseInput) -> Decision:
         """What the phase decides; a fault beyond the limits."""
         decision = self._phase.step(now)
-        if math.isfinite(now.angle_deg):
-            self._recent.append(now.angle_deg)
+        keep_shown(self._recent, now)
         angle = float(np.median(self._recent)) if len(self._recent) == MEDIAN else math.nan
         if math.isnan(angle) or self._low <= angle <= self._high:
             return decision
-        return replace(decision, u=now.held, fault=f"the angle is {angle:.2f} deg, beyond commission.angle_limits_deg")
+        return replace(decision, u=now.held, fault=f"the angle is {angle:.2f} deg, beyond {self._which}")
 
 
-def bounded(phase: Phase, angle_limits: tuple[float, float] | None) -> Phase:
-    """The phase within the limits, or as it is where there are none."""
-    return phase if angle_limits is None else Bounded(phase, angle_limits)
+def keep_shown(recent: deque[float], now: PhaseInput) -> None:
+    """Keep the angle that is shown in this sample, where one is."""
+    shown = now.angle_deg if math.isfinite(now.angle_deg) else now.shown_deg
+    if math.isfinite(shown):
+        recent.append(shown)

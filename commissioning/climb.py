@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
 
 from hystmpc.rig.commission.phases import Decision, Past, Phase, PhaseInput
 from hystmpc.rig.config import BenchSettings
+from hystmpc.rig.safety.plausibility import MotionWatch
 from hystmpc.rig.safety.ramp import stop_commands, way_commands
 from hystmpc.trials.types import Vec
 
-from .bounded import BESIDE, MEDIAN
+from .bounded import BESIDE, MEDIAN, keep_shown
 
 HOLD_S = 0.6
-"""Rest at every step of the climb [s]."""
+"""Rest at every step of the climb, at least [s]."""
+
+_SETTLES_S, _SETTLED = (
+    2.5,
+    0.1,
+)  # longest further rest [s], until a fifth of a second moves the tip by so little of the step
+_WINDOW_S = 0.2
 
 _CAUTION = 1.5  # times the steepest slope seen is what the next step is taken to do
 _LEAST_STEP = 0.25  # of a step: less is not worth going
-_STILL = 0.6  # of the travel that the watch on motion allows
-_MOVES, _TRAVEL = 0.025, 0.3  # of sensor's and command's range: what that watch takes where nothing is said
+_STILL, _LONGEST_STEP = 0.45, 0.7  # of the travel that the watch on motion allows
 _DASH_SHARE, _DASH_S = 0.5, 0.6  # of the range, and of a second at the greatest rate
 _FOLLOWS = 2  # samples that the device may need longer than the command for the same way
 _CAREFUL = 0.9  # of the rate at which a device that does not follow has moved
@@ -37,12 +43,14 @@ class Climbed:
         angle_deg: at that command [deg], NaN if it never left the start.
         start_deg: at the start [deg].
         why: what ended the climb.
+        still: longest travel of the command, there and back, in which the tip did not move.
     """
 
     end: float
     angle_deg: float
     start_deg: float
     why: str
+    still: float = 0.0
 
 
 @final
@@ -51,8 +59,9 @@ class Climb(Phase):
 
     A step is taken only with a usable angle. The first one is a quarter; each is made smaller where the steepest slope
     seen so far, times 1.5, would lead beyond the limits. An angle beyond them on the way turns the motion back at once;
-    the farthest command counts that was rested at before. A tip that has moved and then stays for six tenths of
+    the farthest command counts that was rested at before. A tip that has moved and then stays for 45 % of
     the travel that the watch on motion allows (`plausibility.travel`) ends the climb where it was seen to move last.
+    A step is judged when the tip has come to rest: a device that lags gets the time for it.
 
     Args:
         bench: rate, ramps and hard limits.
@@ -76,10 +85,14 @@ class Climb(Phase):
         self._slope = 0.0
         self._back = self._stirred = False
         watch, sensor = bench.plausibility, bench.sensor
-        self._moves = watch.moves_deg or _MOVES * (sensor.upper_deg - sensor.lower_deg)
-        span = bench.limits.upper - bench.limits.lower
-        self._travel = (watch.travel or _TRAVEL * span) if watch.watch_motion else math.inf
-        self.found = Climbed(math.nan, math.nan, math.nan, "it was not finished")
+        span, range_deg = bench.limits.upper - bench.limits.lower, sensor.upper_deg - sensor.lower_deg
+        self._moves = watch.moves_of(range_deg)
+        self._travel = watch.travel_of(span, onward=True) if watch.watch_motion else math.inf
+        self._watch, self._still = MotionWatch(watch, span, range_deg), 0.0
+        window = max(round(_WINDOW_S / bench.dt_s), 1)
+        self._settling: deque[float] = deque(maxlen=2 * window)
+        self._samples = self._waited = 0
+        self._found = Climbed(math.nan, math.nan, math.nan, "it was not finished")
 
     def begin(self, now: PhaseInput, past: Past) -> None:
         """Rest first, for an angle to compare with."""
@@ -89,8 +102,11 @@ class Climb(Phase):
 
     def step(self, now: PhaseInput) -> Decision:
         """The next command of the present step; a new step, or the way back, where it is over."""
-        if math.isfinite(now.angle_deg):
-            self._recent.append(now.angle_deg)
+        keep_shown(self._recent, now)
+        self._settling.append(now.angle_deg)
+        self._samples += 1
+        self._watch.judge(now.angle_deg, now.held, round(1e9 * self._samples * self._bench.dt_s))
+        self._still = max(self._still, self._watch.still)
         angle = float(np.median(self._recent)) if self._recent else math.nan
         if not self._back and math.isfinite(self._start_deg) and not self._limits[0] <= angle <= self._limits[1]:
             self._turn(now, f"the angle reached {angle:.2f} deg")
@@ -99,10 +115,27 @@ class Climb(Phase):
         u = self._plan.popleft() if self._plan else now.held
         return Decision(u, self.name, finished=self._back and not self._plan)
 
+    @property
+    def found(self) -> Climbed:
+        """How far it went."""
+        return replace(self._found, still=self._still)
+
+    def _settles(self, angle: float) -> bool:
+        """Whether the tip is still on its way from where it rested last, and there is time for it."""
+        if math.isnan(self._start_deg):
+            return False
+        half = len(self._settling) // 2
+        before, after = np.split(np.array(self._settling)[-2 * half :], 2)
+        moves_deg, moved_deg = abs(np.mean(after) - np.mean(before)), abs(angle - self._at_deg)
+        self._waited += 1
+        moves = moved_deg > self._moves and moves_deg > _SETTLED * moved_deg
+        return moves and self._waited * self._bench.dt_s < _SETTLES_S
+
     def _rested(self, now: PhaseInput, angle: float) -> None:
         """Judge the step that is over and plan the next one; without an angle, wait."""
-        if not math.isfinite(now.angle_deg) or len(self._recent) < MEDIAN:
+        if not math.isfinite(now.angle_deg) or len(self._recent) < MEDIAN or self._settles(angle):
             return None
+        self._waited = 0
         if math.isnan(self._start_deg):
             self._start_deg = angle
             if self._widen:
@@ -137,6 +170,8 @@ class Climb(Phase):
         if self._at == self._start:
             return _LEAST_STEP * whole  # nothing is known of the slope yet
         step = whole if abs(left) > 1.2 * abs(whole) else left
+        longest = max(_LONGEST_STEP * self._travel, _LEAST_STEP * abs(whole))
+        step = math.copysign(min(abs(step), longest), step)
         move = _CAUTION * self._slope * step
         room = max(self._limits[1] - angle if move > 0 else angle - self._limits[0], 0.0)
         if abs(move) > room:
@@ -146,7 +181,7 @@ class Climb(Phase):
     def _turn(self, now: PhaseInput, why: str) -> None:
         """Back to where it began; what was found is said."""
         self._back = True
-        self.found = Climbed(self._at, self._at_deg, self._start_deg, why)
+        self._found = Climbed(self._at, self._at_deg, self._start_deg, why)
         bench = self._bench
         back = stop_commands(now.held, now.velocity, self._start, bench.ramps, bench.overshoot, bench.dt_s)
         self._plan = deque([*back.tolist(), *self._way(self._start, self._start)])

@@ -14,6 +14,7 @@ from hystmpc.trajectories.config import Motion, SampledSettings
 from hystmpc.trials.config import Settings, load_settings
 
 MOST_MINUTES = 5.0
+_STILL_MARGIN, _MOST_TRAVEL = 1.5, 0.9  # of the travel seen without motion, and of the range
 _MARGIN = 0.05  # of the sensor's range: how far from its ends the tip is kept where nothing else is said
 
 
@@ -99,21 +100,29 @@ def located_commission(settings: C, folder: Path) -> C:
     return settings.model_copy(update=changes)
 
 
-def narrowed(settings: BenchSettings, lower: float, upper: float, rate_per_s: Positive) -> BenchSettings:
-    """The bench with narrower limits of the command; what follows from the range of the limits stays as it was.
+def narrowed(
+    settings: BenchSettings, lower: float, upper: float, rate_per_s: Positive, still: float = 0.0
+) -> BenchSettings:
+    """The bench with narrower limits of the command.
 
-    How far the command may travel without a motion of the tip, and how far a stop may go on, are numbers of the device.
+    How far a stop may go on stays as it was. The travel without a motion of the tip that is implausible is never more
+    than nine tenths of the narrower range, since over all of it the tip was seen to move:
+
+        travel = min(0.9 range, plausibility.travel, or where that is not given max(range / 2, 1.5 still))
+
+    Args:
+        still: longest travel in which the tip was seen not to move.
 
     Raises:
         ConfigError: if the safe command lies outside.
     """
     plain = {name: getattr(settings, name) for name in BenchSettings.model_fields}
-    span = settings.limits.upper - settings.limits.lower
-    watch, ramps = settings.plausibility, settings.ramps
+    watch, ramps, span = settings.plausibility, settings.ramps, upper - lower
+    travel = min(watch.travel or max(watch.travel_of(span), _STILL_MARGIN * still), _MOST_TRAVEL * span)
     changes: dict[str, Any] = {
         "limits": {"lower": lower, "upper": upper, "rate_per_s": rate_per_s},
         "ramps": ramps.model_copy(update={"velocity_per_s": min(ramps.velocity_per_s, rate_per_s)}),
-        "plausibility": watch.model_copy(update={"travel": watch.travel or 0.3 * span}),
+        "plausibility": watch.model_copy(update={"travel": travel}),
         "stop_overshoot": settings.overshoot,
     }
     return BenchSettings.parse(plain | changes, f"{settings.name}: narrowed limits")

@@ -32,7 +32,7 @@ from hystmpc.trials.files import write_atomically
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .bounded import bounded
+from .bounded import Bounded
 
 TIME_FILE = "device_time.json"
 _SEEDS = 100_003
@@ -207,7 +207,7 @@ class BenchDevice(Device):
 
     def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
         recorded = Recorded(name.rpartition("/")[2], commands, bench.dt_s)
-        self._perform(name, bounded(recorded, self._angle_limits), bench)
+        self._perform(name, Bounded(recorded, self._angle_limits, bench.sensor), bench)
         trial = recorded.trial(bench.command_unit)
         if trial is None:
             raise LogError(f"{name}: got no angle, expected a recording")
@@ -217,7 +217,7 @@ class BenchDevice(Device):
         plain = {key: getattr(bench, key) for key in BenchSettings.model_fields} | {"limits": bench.limits.model_dump()}
         run = RunSettings.parse(plain | {"controller": tip, "reference": reference.model_dump()}, name)
         phase = tracking_phase(run, beside=self.in_real_time)
-        samples = self._perform(name, bounded(phase, self._angle_limits), bench)
+        samples = self._perform(name, Bounded(phase, self._angle_limits, bench.sensor), bench)
         return track_of(samples, reference.build().duration_s, bench.dt_s)
 
     def _perform(self, name: str, phase: Phase, bench: BenchSettings) -> tuple[Sample, ...]:

@@ -17,11 +17,12 @@ from hystmpc.rig.recording.recorder_process import Views
 from hystmpc.sim.jobs.runner import alone_in
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError
+from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.read import expand_logs, read_trials
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Progress
 
-from .bounded import bounded
+from .bounded import Bounded
 from .climb import Climb, Climbed, dash
 from .config import CommissionBlock, CommissionSettings, narrowed
 from .controller import TIP_FILE, ControllerMade, fresh_references, make_controllers
@@ -62,6 +63,7 @@ class Ranged:
         rate_per_s: greatest change of the command.
         low_deg, high_deg: angles at rest within the range [deg].
         words: how they were found.
+        still: longest travel of the command in which the tip did not move.
     """
 
     lower: float
@@ -70,6 +72,7 @@ class Ranged:
     low_deg: Figure
     high_deg: Figure
     words: str
+    still: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -215,6 +218,7 @@ def commission_logs(
         return _reported(known, root, words, 0.0, None, None)
 
 
+@only_reads()
 def report_again(folder: Path | str) -> Commissioned:
     """Write the report of a complete commissioning again from what its stages have left; no device is opened.
 
@@ -268,7 +272,7 @@ def _on_device(
     in_time = 1.0 if device.in_real_time else 0.0
     bar(0.0, "range")
     ranged, store = store.complete(RANGE, Ranged, lambda folder: _ranged(settings, device))
-    bench = narrowed(settings, ranged.lower, ranged.upper, ranged.rate_per_s)
+    bench = narrowed(settings, ranged.lower, ranged.upper, ranged.rate_per_s, ranged.still)
     bar.before_s += in_time * (planned.range_s + planned.prepare_s)
     seconds = in_time * (planned.record_s + planned.prepare_s)
 
@@ -341,16 +345,17 @@ def _ranged(settings: CommissionSettings, device: Device) -> Ranged:
             "range: the angle falls as the command rises, expected it to rise; set wire.angle_sign: -1 (and "
             "wire.angle_offset_deg)"
         )
-    within = narrowed(settings, lower, upper, limits.rate_per_s)
+    still = max(c.still for c in found.values())
+    within = narrowed(settings, lower, upper, limits.rate_per_s, still)
     rate, said = _dashed(within, first.end, device, block.angle_limits_deg)
-    return Ranged(lower, upper, rate, low_deg, high_deg, f"{words}; {said}")
+    return Ranged(lower, upper, rate, low_deg, high_deg, f"{words}; {said}", still)
 
 
 def _dashed(
     bench: BenchSettings, end: float, device: Device, angle_limits: tuple[float, float] | None
 ) -> tuple[float, str]:
     phase = dash(bench, end)
-    device.explore(f"{RANGE}/dash", bounded(phase, angle_limits), bench)
+    device.explore(f"{RANGE}/dash", Bounded(phase, angle_limits, bench.sensor), bench)
     rate, limit = float(f"{phase.rate_per_s:.4g}"), bench.limits.rate_per_s
     rate = min(rate, limit)
     if not phase.tells:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, get_args
 from pydantic import BeforeValidator, Field
 
 from hystmpc.trials.errors import ConfigError, did_you_mean
-from hystmpc.trials.from_outside import with_kind
+from hystmpc.trials.from_outside import MEMORY, given_by, with_kind
 
 from .feedback.inverse_settings import InverseControllerSettings, InversePidControllerSettings
 from .feedback.pid import PidControllerSettings
@@ -34,7 +34,7 @@ _read = with_kind(CONTROLLERS, GROUP)
 ControllerSettings = Annotated[AnyControllerSettings, Field(discriminator="kind"), BeforeValidator(_read)]
 
 
-def parse_controller(data: Any, where: str = "<memory>") -> AnyControllerSettings:
+def parse_controller(data: Any, where: str = MEMORY) -> AnyControllerSettings:
     """Validate a mapping with the key `kind`, or `python` for a class from outside the package.
 
     Raises:
@@ -43,7 +43,8 @@ def parse_controller(data: Any, where: str = "<memory>") -> AnyControllerSetting
     if not isinstance(data, dict):
         raise ConfigError(f"{where}: expected a mapping with the key 'kind', {did_you_mean('', CONTROLLERS)}")
     try:
-        data = _read(data)
+        with given_by(where):
+            data = _read(data)
     except ValueError as error:
         raise ConfigError(f"{where}: {error}") from None
     return _KINDS[data["kind"]].parse(data, where)

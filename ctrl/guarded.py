@@ -17,7 +17,7 @@ from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, usable_ang
 from .fallback import FallbackChain, FallbackState, Level, attempt
 from .frozen import replace
 from .law import Law, Proposal
-from .limits import CommandLimits
+from .limits import CommandLimits, numbers_of
 
 _ROUNDING = 1e-6  # of a sample
 
@@ -71,6 +71,11 @@ class GuardedController(Generic[M]):
     def law(self) -> Law[M]:
         """The law inside."""
         return self._law
+
+    @property
+    def limits(self) -> CommandLimits:
+        """Of every command."""
+        return self._limits
 
     def with_law(self, law: Law[N]) -> GuardedController[N]:
         """The same estimator, fallbacks and limits around another law, such as one that wraps its own."""
@@ -275,10 +280,7 @@ def usable_reference(reference: object, horizon: int) -> Vec:
     Raises:
         UnusableReferenceError: if it is not a vector of numbers, is too short, or holds a NaN or an absurd angle.
     """
-    try:
-        wanted = np.asarray(reference, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise UnusableReferenceError(f"reference: got {type(reference).__name__}, expected numbers") from None
+    wanted = numbers_of(reference)
     if wanted.ndim != 1 or wanted.shape[0] < horizon:
         raise UnusableReferenceError(f"reference: got shape {wanted.shape}, expected ({horizon},)")
     wanted = wanted[:horizon]

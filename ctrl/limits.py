@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hystmpc.trials.config import Settings
-from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
 # Bounded numbers of all settings of controllers and benches.
@@ -20,6 +20,26 @@ Count = Annotated[int, Field(ge=1)]
 Port = Annotated[int, Field(ge=0, le=65535)]
 
 _ROUNDING = 1e-9  # relative; a limit that was written with fewer digits
+
+
+def number_of(value: object) -> float | None:
+    """`value` as a number; None where it is none, such as a text, a truth value, a list or nothing at all."""
+    if isinstance(value, str | bytes | bytearray | bool | np.bool_ | complex | np.complexfloating):
+        return None
+    try:
+        return float(value)  # type: ignore[arg-type]  # anything may come from outside
+    except Exception:  # noqa: BLE001 - what `__float__` of anything raises
+        return None
+
+
+def numbers_of(values: object) -> Vec:
+    """`values` as an array of numbers; a single not-a-number where they are none, such as ragged lists."""
+    try:
+        array = np.asarray(values)
+        usable = array.dtype.kind in "iufO"
+        return array.astype(np.float64) if usable else np.array(math.nan)
+    except Exception:  # noqa: BLE001 - what `__array__` or `__float__` of anything raises
+        return np.array(math.nan)
 
 
 @dataclass(frozen=True)
@@ -39,10 +59,12 @@ class CommandLimits:
     rate: float
 
     def __post_init__(self) -> None:
-        values = (self.lower, self.upper, self.rate)
-        if not all(math.isfinite(v) for v in values) or self.lower >= self.upper or self.rate <= 0:
+        values = [number_of(v) for v in (self.lower, self.upper, self.rate)]
+        known = all(v is not None and math.isfinite(v) for v in values)
+        if not known or self.lower >= self.upper or self.rate <= 0:
             raise ControllerError(
-                f"command limits: got lower {self.lower}, upper {self.upper}, rate {self.rate}, "
+                f"command limits: got lower {shown(self.lower, 50)}, upper {shown(self.upper, 50)}, "
+                f"rate {shown(self.rate, 50)}, "
                 "expected finite lower < upper and rate > 0"
             )
 

@@ -19,7 +19,7 @@ from hystmpc.gap.next.motion_search import SearchSettings, information_bits, sea
 from hystmpc.gap.next.open_hypotheses import Question
 from hystmpc.models.simulator import Simulator
 from hystmpc.rig.config import BenchSettings
-from hystmpc.rig.safety.plausibility import TRAVEL_SHARE, MotionWatch
+from hystmpc.rig.safety.plausibility import MotionWatch
 from hystmpc.trials.csv_files import read_csv
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.types import Vec
@@ -229,7 +229,7 @@ def allowed(settings: InvestigateSettings) -> Callable[[Option], bool]:
         settings.sensor.upper_deg - settings.sensor.lower_deg,
     )
     watch = settings.plausibility
-    careful = watch.model_copy(update={"travel": _CAREFUL * (watch.travel or TRAVEL_SHARE * span)})
+    careful = watch.model_copy(update={"travel": _CAREFUL * watch.travel_of(span, onward=True)})
 
     def judged(option: Option) -> bool:
         expected = np.median(option.angles, axis=0)

@@ -7,14 +7,15 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from hystmpc.trials.errors import ConfigError, TrajectoryError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.types import Vec
 
 from .commission.phases import AwaitStart, Phase, SafeStop
 from .config import BenchSettings
+from .contact import DeviceContact, FirstContact
 from .histogram import Timings
 from .live.desk import Desk
 from .loop import ControlLoop, RunOutcome
@@ -29,10 +30,6 @@ from .transports.from_outside import PythonSettings
 from .transports.transport import Conversion, PlantFactory, RunContext, Transport
 
 _PAUSE_NS = 1_000_000
-
-_GREET_NS = 100_000_000
-
-_ENOUGH = 3  # plausible angles before anything is believed
 
 Note = Callable[[str], None]
 
@@ -128,16 +125,45 @@ def _loop(
     note: Note,
     control: AbstractContextManager[list[str]],
 ) -> BenchResult:
-    ramps, dt_s, safe, sensor = settings.ramps, settings.dt_s, settings.safe_command, settings.sensor
-    limits, overshoot = settings.limits.build(), settings.overshoot
+    with control as notes:
+        for text in notes:
+            note(text)
+        loop = control_loop(settings, transport, clock, contact, flag, samples)
+        outcome = loop.run(work, contact.newest.received_ns + round(0.5e9 * settings.dt_s))
+    return BenchResult(outcome, loop.timings, dict(transport.counters), loop.lost, tuple(notes))
+
+
+def control_loop(
+    settings: BenchSettings,
+    transport: Transport,
+    clock: Clock,
+    contact: DeviceContact,
+    flag: StopFlag,
+    samples: Sink,
+    *,
+    safe: float | None = None,
+    stays: Callable[[], bool] = lambda: False,
+    closed_loop: bool = False,
+) -> ControlLoop:
+    """The one loop through which whatever moves a device goes: intake, plausibility and gate as the settings say.
+
+    Args:
+        safe: where a stop leads, in place of the bench's `safe_command`; NaN stays where it is, see `SafeStop`.
+        stays: whether the safe command is to be sent on and on once it is held.
+        closed_loop: whether a controller moves the device by its angle, also where the settings do not say so.
+    """
+    ramps, dt_s, sensor = settings.ramps, settings.dt_s, settings.sensor
+    limits, safe = settings.limits.build(), settings.safe_command if safe is None else safe
     span = limits.upper - limits.lower
     tolerance, silence_s = sensor.held_tolerance or _TOLERANCE * span, max(sensor.dead_after_s, sensor.silence_s)
 
-    way = partial(stop_commands, safe=safe, ramps=ramps, overshoot=overshoot, dt_s=dt_s)
+    def way(held: float, velocity: float) -> Vec:
+        return stop_commands(held, velocity, held if math.isnan(safe) else safe, ramps, settings.overshoot, dt_s)
 
     def to_safe(cause: str) -> SafeStop:
         flag.end()  # whoever asks for something else from now on is told so
-        return SafeStop(way, safe, tolerance, cause, patience=max(_REPEATS, round(_PATIENCE_S / dt_s)))
+        patience = max(_REPEATS, round(_PATIENCE_S / dt_s))
+        return SafeStop(way, safe, tolerance, cause, patience=patience, stays=stays)
 
     for velocity in (0.0, ramps.velocity_per_s, limits.rate):  # each way out has been gone once before it is in a hurry
         with suppress(TrajectoryError):
@@ -145,19 +171,15 @@ def _loop(
     gate = Gate(limits, dt_s)
     if not contact.tells:
         gate.anchor(contact.held)
-    anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), silence_s)
-    with control as notes:
-        for text in notes:
-            note(text)
-        watch = None
-        if sensor.kind != "none":
-            watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg)
-        intake = Intake(sensor, clock.now_ns(), watch)
-        loop = ControlLoop(
-            clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, settings.sensor.dead_after_s
-        )
-        outcome = loop.run(work, contact.received_ns + round(0.5e9 * dt_s))
-    return BenchResult(outcome, loop.timings, dict(transport.counters), intake.lost, tuple(notes))
+    anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), silence_s, safe, sensor.dead_after_s)
+    watch = None
+    if sensor.kind != "none":
+        rises = settings.closed_loop or closed_loop
+        watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg, rises)
+    intake = Intake(sensor, contact.newest.received_ns, watch)
+    with suppress(Exception):  # what nobody can judge is judged in the loop, which stops then
+        intake.judge([contact.newest], contact.newest.received_ns, math.nan)
+    return ControlLoop(clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, sensor.dead_after_s)
 
 
 def _opened(latch: Latch, sink: Callable[[], Sink]) -> Sink:
@@ -203,15 +225,6 @@ def reset_latch(settings: BenchSettings) -> None:
         latch.release()
 
 
-@dataclass(frozen=True)
-class DeviceContact:
-    """What is known of a device that has answered."""
-
-    held: float  # the command that it holds, as it says or as `start_command` does
-    tells: bool  # whether it says so itself
-    received_ns: int  # monotonic time at which its last angle came [ns]; the loop keeps half a sample's distance
-
-
 def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, flag: StopFlag) -> DeviceContact:
     """Wait until the device answers and listens to this controller; it is not moved.
 
@@ -220,60 +233,17 @@ def first_contact(settings: BenchSettings, transport: Transport, clock: Clock, f
             `start_command` disagree, neither tells what is held, that is beyond the limits, or a signal has ended the
             wait.
     """
-    sensor, held, seen, angle, received = settings.sensor, math.nan, 0, math.nan, clock.now_ns()
-    plausible = sensor.kind == "none"
-    enough = 1 if settings.transport.in_process else _ENOUGH
-    deadline = clock.now_ns() + round(1e9 * settings.connect_timeout_s)
-    listens, greeted = True, 0
-    while seen < enough or not plausible:
+    contact, deadline = FirstContact(settings, transport), clock.now_ns() + round(1e9 * settings.connect_timeout_s)
+    while True:
         if flag.cause:
             raise ConfigError(f"{settings.name}: {flag.cause} before the device answered; nothing was sent")
         if clock.now_ns() > deadline:
-            if not listens:
-                raise ConfigError(
-                    f"{settings.name}: the device listens to another controller, expected that one to have ended"
-                )
-            got = "no angle" if math.isnan(angle) else f"angle {angle:.3f} deg"
-            wanted = f"expected one within {sensor.lower_deg} to {sensor.upper_deg} deg"
-            if sensor.kind == "none":
-                got, wanted = "nothing", "expected to be told what it holds"
-            rejected = "".join(f"; {cause}, {n} times" for cause, n in transport.counters.items())
-            raise ConfigError(
-                f"{settings.name}: got {got} from {settings.transport.place} within {settings.connect_timeout_s:g} s"
-                f"{rejected}, {wanted}; is the device on?"
-            )
+            raise ConfigError(contact.missing())
         try:
             reading = transport.read()
         except Exception:  # noqa: BLE001 - nobody listens yet, or a driver fails: both show as silence
             reading = None
         if reading is None:
             clock.wait_until(clock.now_ns() + _PAUSE_NS)
-            continue
-        held, received, listens = reading.held, reading.received_ns, reading.listens
-        angle = reading.angle_deg if sensor.kind == "continuous" or math.isfinite(reading.angle_deg) else angle
-        if not listens and received - greeted > _GREET_NS:
-            greeted = received
-            with suppress(Exception):
-                transport.greet()
-        inside = sensor.lower_deg <= angle <= sensor.upper_deg
-        plausible = plausible or inside
-        seen += listens and (inside or sensor.kind != "continuous")
-    return DeviceContact(_start(settings, held), math.isfinite(held), received)
-
-
-def _start(settings: BenchSettings, held: float) -> float:
-    wanted = settings.start_command
-    if not math.isfinite(held):
-        if wanted is None:
-            raise ConfigError(f"{settings.name}: the device does not tell its command, expected the key start_command")
-        return wanted
-    if wanted is not None and abs(held - wanted) > 1e-3 * (settings.limits.upper - settings.limits.lower):
-        raise ConfigError(f"{settings.name}: the device holds command {held:.6g}, expected start_command {wanted:.6g}")
-    low, high = settings.limits.lower, settings.limits.upper
-    slack = 1e-9 * (high - low)  # of a conversion of units
-    if not low - slack <= held <= high + slack:
-        raise ConfigError(
-            f"start: the device holds command {held:.6g}, expected one within {low} to {high}; move it there by hand "
-            "or correct the limits"
-        )
-    return min(max(held, low), high)
+        elif found := contact.judge(reading):
+            return found

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
@@ -15,6 +16,7 @@ from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.models.load import model_path
 from hystmpc.trajectories.config import Motion, SampledSettings
 from hystmpc.trials.config import Settings, load_settings
+from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.from_outside import with_kind
 
 from .commission.excitation import Excitation, MotionFileSettings
@@ -70,6 +72,8 @@ class BenchSettings(Settings):
         connect_timeout_s: how long to wait for the first angle.
         latch_file: where a stop is remembered; by name of the device in the user's state folder where left out.
     """
+
+    closed_loop: ClassVar[bool] = False  # whether a controller moves the device by its angle
 
     name: Name
     rate_hz: float = Field(ge=1, le=1000)
@@ -156,6 +160,8 @@ class RunSettings(BenchSettings):
         live: the local page.
     """
 
+    closed_loop: ClassVar[bool] = True
+
     limits: ModelledLimitsSettings  # pyright: ignore[reportIncompatibleVariableOverride]  # settings are frozen
     controller: TipSettings
     reference: Motion
@@ -237,13 +243,31 @@ def load_record(path: Path | str, overrides: Iterable[str] = ()) -> RecordSettin
 
 
 def located(settings: BenchSettings, folder: Path) -> dict[str, Any]:
-    """The settings of every bench that name files, with file names that start at `folder`."""
+    """The settings of every bench that name files, with file names that start at `folder`.
+
+    Raises:
+        ConfigError: if the latch's file is another kind of file, which a stop would replace and `--reset` remove.
+    """
     changes: dict[str, Any] = {"transport": settings.transport.resolved(folder)}
     if settings.latch_file is not None:
-        changes["latch_file"] = folder / settings.latch_file
+        changes["latch_file"] = place = folder / settings.latch_file
+        if not _may_latch(place):
+            raise ConfigError(f"latch_file: {place} is another kind of file, expected a latch or a new file")
     return changes
 
 
 def _file(text: str, folder: Path) -> str:
     path = model_path(text, folder)
     return text if text.startswith("builtin:") else str(path)
+
+
+def _may_latch(file: Path) -> bool:
+    """Whether a file may be a latch's: it is one, it is empty, or nothing is there."""
+    try:
+        text = file.read_text(encoding="utf-8")
+        found = json.loads(text) if text.strip() else {"cause": ""}
+    except FileNotFoundError:
+        return True
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(found, dict) and "cause" in found

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, final
 
 from .commission.phases import REMEMBERED, AwaitStart, Decision, Past, Phase, PhaseInput, SafeStop, place_frames
 from .histogram import Timings
+from .reader import Reader
 from .realtime import Clock
 from .recording.sample import Sample, Sink
 from .safety.gate import Anchor, Gate
@@ -50,8 +51,8 @@ class RunOutcome:
 
 
 _S = 1e-9
-_READINGS = 64  # taken at most in one sample; a flood must not cost the deadline
-_PILED_UP = 100_000
+_PILED_UP = 25  # times 4096 readings
+_SLOW_NS = 1_000_000_000  # longest time for which the wire may take longer than the samples
 _CALM = 5  # samples without a fault before others are taken in C
 
 
@@ -72,10 +73,15 @@ ToSafe = Callable[[str], SafeStop]
 class ControlLoop:
     """Waits for a deadline, reads, decides, limits, writes, hands the sample on; never raises, never logs.
 
+    `run` waits by its clock. A caller that has a clock of its own, such as a timer, calls `begin` once, then in each
+    period `sample(due())`, and `outcome` in the end; a period that it misses is to the loop a sample that ended late.
+
     A sample is missed when its command leaves after its end; the next one starts at once and answers without a plan.
     Samples that have passed wholly are skipped and told to the phase. The loop stops safely on a signal or e-stop, a
-    dead sensor, a fault of a phase, anything raised, and after standing still for longer than `stall_s`, or where no
-    command has left for that long. A run ends without a cause only where the safe command has been sent.
+    dead sensor, a fault of a phase, a device that listens no more, and after standing still for longer than `stall_s`,
+    or where no command has left, or the wire has been slower than the samples, for that long. Whatever is raised by
+    any part, an angle's judgement included, is the cause of a safe stop and is in the log. A run ends without a cause
+    only where the safe command has been sent.
 
     Nothing is sent while it is not known what the device holds, see `Anchor`. The transport says goodbye only where the
     device has said that it holds the safe command.
@@ -101,13 +107,16 @@ class ControlLoop:
         self._clock, self._transport, self._intake, self._gate = clock, transport, intake, gate
         self._anchor, self._sink, self._to_safe, self._flag = anchor, sink, to_safe, flag
         self._dt_ns, self._stall_ns = round(1e9 * dt_s), round(1e9 * stall_s)
+        self._reader = Reader(transport, clock, self._dt_ns)
         self.timings = Timings(dt_s)
         self.faults: Counter[str] = Counter()
         self._phase: Phase | None = None
         self._rest: deque[Phase] = deque()
         self._past_u: deque[float] = deque(maxlen=REMEMBERED)
         self._past_y: deque[float] = deque(maxlen=REMEMBERED)
-        self._start_ns = self._woke_ns = self._boot_ns = 0
+        self._start_ns = self._woke_ns = self._boot_ns = self._deadline_ns = 0
+        self._wire_ns = self._slow_ns = 0  # spent in calls of the transport: in this sample, and in those too slow
+        self._failing_ns: int | None = None  # since when every sample has failed
         self._sequence = self._skipped = self._waited = self._commands = self._unsent = self._refused = 0
         self._late = False
         self._calm = 0  # samples in a row without a fault
@@ -116,6 +125,16 @@ class ControlLoop:
         self._newest: Reading | None = None
         self._cause, self._stop_s, self._safe_s, self._confirmed = "", math.nan, math.nan, False
 
+    @property
+    def cause(self) -> str:
+        """Why it stops, or has stopped; empty while it does not."""
+        return self._cause
+
+    @property
+    def lost(self) -> int:
+        """Measurements that were sent and never came."""
+        return self._intake.lost
+
     def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> RunOutcome:
         """Go through the phases and lead the device to the safe command; whatever happens, the transport is closed.
 
@@ -123,22 +142,54 @@ class ControlLoop:
             phases: what to do.
             beat_ns: monotonic time from which all deadlines are whole samples away [ns].
         """
-        self._rest = deque(phases)
-        self._drain()
-        now = self._clock.now_ns()
-        deadline = now + self._dt_ns + (beat_ns - now) % self._dt_ns
-        self._start_ns = self._woke_ns = deadline - self._dt_ns
-        self._boot_ns = self._clock.boot_ns()
+        self.begin(phases, beat_ns)
         going = True
         while going:
-            deadline = self._taken_in_c(deadline)
-            self._clock.wait_until(deadline)
-            going = self._sample(deadline)
-            deadline = self._next(deadline)
+            deadline = self.due()
+            try:
+                deadline = self._taken_in_c(deadline)
+                self._clock.wait_until(deadline)
+            except Exception as error:  # noqa: BLE001 - as in a sample
+                self._flag.set(_said(error))
+            going = self.sample(deadline)
         try:
             self._transport.stop(goodbye=self._confirmed)
         except Exception:  # noqa: BLE001 - the run is over; there is nobody left to tell
             self._unsent += 1
+        return self.outcome()
+
+    def begin(self, phases: Sequence[Phase], beat_ns: int = 0) -> None:
+        """Be ready for the first sample; arguments as of `run`."""
+        self._rest = deque(phases)
+        self._drain()
+        now = self._clock.now_ns()
+        self._deadline_ns = now + (beat_ns - now) % self._dt_ns
+        self._start_ns = self._woke_ns = self._deadline_ns
+        self._boot_ns = self._clock.boot_ns()
+
+    def due(self) -> int:
+        """Monotonic time of the next sample [ns]; samples that have passed wholly are skipped."""
+        deadline = self._deadline_ns + self._dt_ns
+        try:
+            behind = self._clock.now_ns() - deadline
+        except Exception as error:  # noqa: BLE001 - as in a sample
+            self._flag.set(_said(error))
+            return deadline
+        self._skip(max(0, behind // self._dt_ns))
+        return deadline + self._skipped * self._dt_ns
+
+    def sample(self, deadline: int) -> bool:
+        """One sample, due at monotonic time `deadline` [ns]; False after the last one."""
+        self._deadline_ns, self._wire_ns = deadline, 0
+        try:
+            going = self._sample(deadline)
+        except Exception as error:  # noqa: BLE001 - whatever is broken, the next samples lead to the safe command
+            return self._failed(_said(error), deadline)
+        self._failing_ns = None
+        return going
+
+    def outcome(self) -> RunOutcome:
+        """What there is to say of the run so far."""
         counts = self._gate.clipped, self._unsent, self._refused
         in_c = self._in_c, dict(self._left_c)
         return RunOutcome(
@@ -164,7 +215,7 @@ class ControlLoop:
                 if decision.finished:
                     self._finished()
         except Exception as error:  # noqa: BLE001 - the loop must end at rest, from what the device says that it holds
-            self._flag.set(f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")
+            self._flag.set(_said(error))
             self._anchor.not_sent(self._clock.boot_ns())
         finally:
             taken.close()  # the loop in C has ended then
@@ -176,7 +227,7 @@ class ControlLoop:
 
     def _book(self, done: Any, raw: Sequence[tuple[bytes, int]], decision: Decision) -> None:
         """A sample that was taken in C, by the rules of those that are taken here; what they find ends it there."""
-        self._in_c += 1
+        self._in_c, self._wire_ns = self._in_c + 1, 0
         self._skip(done.skipped)
         readings = (self._transport.reading(*one) for one in raw)
         seen = self._intake.judge([reading for reading in readings if reading], done.woke_ns, self._gate.last)
@@ -197,19 +248,20 @@ class ControlLoop:
         self._conclude(times, seen, decision, self._gate.last, faults)
 
     def _sample(self, deadline: int) -> bool:
-        """One sample; False after the last one."""
         woke, boot = self._clock.now_ns(), self._clock.boot_ns()
         if boot - self._boot_ns > self._stall_ns + self._dt_ns:
             self._flag.set(f"the loop stood still for {_S * (boot - self._boot_ns):.2f} s")
         self._boot_ns = boot
-        seen = self._look(woke)
+        seen = self._look()
         stop = self._flag.cause or seen.dead
-        sure = self._anchor.judge(seen, boot)
+        sure = self._anchor.judge(seen, self._clock.boot_ns())
         if not sure:
             return self._wait(woke, deadline, seen, stop)
         skipped = self._skipped + (self._waited if self._commands else 0)
         velocity = self._gate.velocity
-        now = PhaseInput(seen.angle_deg, self._gate.last, self._late, skipped, seen.held, velocity, seen.frames)
+        now = PhaseInput(
+            seen.angle_deg, self._gate.last, self._late, skipped, seen.held, velocity, seen.frames, seen.shown_deg
+        )
         if self._waited and isinstance(self._phase, SafeStop):
             self._phase.begin(now, Past([], []))  # the way out starts where the device was found
         self._waited = 0
@@ -250,20 +302,46 @@ class ControlLoop:
         held = seen.held if math.isfinite(seen.held) else self._gate.last
         if math.isfinite(held):
             self._remember(held, seen)
+        began = self._clock.now_ns()
         try:
             self._transport.greet()
         except Exception:  # noqa: BLE001 - as a command that did not leave
             self._unsent += 1
+        self._wire_ns += self._clock.now_ns() - began
         decision = Decision(held, "wait", over or "nothing is sent until it is known what the device holds")
         faults = (*seen.faults, "held-unknown") if self._commands else seen.faults
         self._conclude(self._times(woke, deadline), seen, decision, held, faults)
         self._waited += 1
-        if not over:
-            return True
+        return not (over and self._given_up(over, stop))
+
+    def _given_up(self, over: str, stop: str) -> bool:
+        """Always True: nothing more is sent, for the cause of a stop and for what has hindered it."""
         if not self._cause:
             self._cause, self._stop_s = stop or over, _S * (self._clock.now_ns() - self._start_ns)
         if over not in self._cause:
             self._cause = f"{self._cause}; {over}"
+        return True
+
+    def _failed(self, cause: str, deadline: int) -> bool:
+        """A sample in which a part has failed that nothing goes without: nothing was decided, or it did not leave.
+
+        The next sample stops safely. Where that fails too, for longer than `stall_s`, the device is left to its
+        watchdog: False.
+        """
+        self._flag.set(cause)
+        try:
+            self._anchor.not_sent(self._clock.boot_ns())  # it may have left, and not be in the books
+            times = self._times(max(self._woke_ns, deadline), deadline)
+            self._failing_ns = times.done if self._failing_ns is None else self._failing_ns
+            seen = Seen(math.nan, ("sample-failed",), "")
+            self._conclude(times, seen, Decision(self._gate.last, "wait", cause), self._gate.last, seen.faults)
+            if times.done - self._failing_ns <= self._stall_ns:
+                return True
+        except Exception:  # noqa: BLE001 - the clock itself, or the book-keeping
+            self.faults["sample-failed"] += 1
+            if self.faults["sample-failed"] * self._dt_ns <= self._stall_ns:
+                return True
+        self._cause = self._cause or cause
         return False
 
     def _remember(self, held: float, seen: Seen) -> None:
@@ -286,6 +364,8 @@ class ControlLoop:
         self.timings.missed += self._late
         if self._late:
             faults = (*faults, "deadline-missed")
+        if self._is_slow(times):
+            faults = (*faults, "wire-slow")
         self.faults.update(faults)
         self._calm = 0 if faults else self._calm + 1
         if math.isfinite(u):  # before the first contact there is nothing to record
@@ -293,31 +373,50 @@ class ControlLoop:
         self._woke_ns = times.woke
         self._sequence += 1
 
-    def _drain(self) -> None:
-        """Throw away what has piled up before the first sample, all but the newest: it is old."""
-        try:
-            for _ in range(_PILED_UP):
-                reading = self._transport.read()
-                if reading is None:
-                    return
-                self._newest = reading
-        except Exception:  # noqa: BLE001 - the first sample will see it again
-            return
+    def _is_slow(self, times: Times) -> bool:
+        """Whether the wire took longer than a sample; asks for a stop where it does so for most of the time."""
+        slow, took = self._wire_ns > self._dt_ns, times.done - times.woke
+        most = min(self._stall_ns, _SLOW_NS)
+        self._slow_ns = max(0, self._slow_ns + (min(took, most // 3) if slow else -max(took, self._dt_ns)))
+        if self._slow_ns > most:
+            self._flag.set(f"the wire is too slow: {_S * self._wire_ns:.3f} s in a sample of {_S * self._dt_ns:g} s")
+        return slow
 
-    def _look(self, woke: int) -> Seen:
-        """What has arrived, judged; a transport that fails shows as a missing angle."""
-        readings: list[Reading] = []
-        if self._newest is not None:
-            readings.append(self._newest)
-            self._newest = None
-        fault = ""
+    def _drain(self) -> None:
+        """Judge what has piled up before the first sample, all but the newest; for `stall_s` at most.
+
+        What cannot be read meanwhile is old when it is read, and is judged by its age.
+        """
         try:
-            while len(readings) < _READINGS and (reading := self._transport.read()) is not None:
-                readings.append(reading)
-        except Exception as error:  # noqa: BLE001 - a device's driver may raise anything
-            fault = f"transport-{type(error).__name__}"
-        seen = self._intake.judge(readings, woke, self._gate.last)
-        return replace(seen, faults=(*seen.faults, fault)) if fault else seen
+            until = self._clock.now_ns() + self._stall_ns
+            for _ in range(_PILED_UP):
+                left = until - self._clock.now_ns()
+                readings = [] if left < 0 else self._reader.within(left).readings
+                if not readings:
+                    return
+                *old, newest = readings if self._newest is None else [self._newest, *readings]
+                self._newest = newest
+                self._intake.judge(old, self._clock.now_ns(), math.nan)
+        except Exception as error:  # noqa: BLE001 - as in a sample
+            self._flag.set(_said(error))
+
+    def _look(self) -> Seen:
+        """What has arrived, judged; a transport that fails shows as a missing angle, a judgement that does stops."""
+        taken = self._reader.take(spared=bool(self._cause) and self._gate.anchored)
+        self._wire_ns += taken.took_ns
+        readings = taken.readings if self._newest is None else [self._newest, *taken.readings]
+        self._newest = None
+        faults = (taken.fault,) if taken.fault else ()
+        try:
+            unheard = bool(readings) and not readings[-1].listens
+            seen = self._intake.judge(readings, self._clock.now_ns(), self._gate.last)
+        except Exception as error:  # noqa: BLE001 - a reading may hold anything
+            self._flag.set(f"a reading cannot be judged: {_said(error)}")
+            return Seen(math.nan, ("not-judged", *faults), "")
+        if unheard and self._commands and self._gate.anchored:
+            self._flag.set("the device listens to this controller no more: its watchdog has acted, or another has it")
+            return replace(seen, follows=False, faults=(*seen.faults, "not-heard", *faults))
+        return replace(seen, faults=(*seen.faults, *faults)) if faults else seen
 
     def _decide(self, now: PhaseInput) -> Decision:
         """What the present phase wants; the stop's way out where it fails."""
@@ -328,13 +427,13 @@ class ControlLoop:
                     phase.begin(now, Past(list(self._past_u), list(self._past_y)))
                     self._phase = phase
                 decision = self._phase.step(now)
+                wrong, _ = decision.fault, float(decision.u)
             except Exception as error:  # noqa: BLE001 - phases run foreign code; the loop must end at rest
-                text = " ".join(str(error).split())[:200]
-                self._halt(f"{type(error).__name__}: {text}", now)
+                self._halt(_said(error), now)
                 continue
-            if not decision.fault or isinstance(self._phase, SafeStop):
+            if not wrong or isinstance(self._phase, SafeStop):
                 return decision
-            self._halt(decision.fault, now)
+            self._halt(wrong, now)
         return Decision(now.held, "stop", "safe stop: held")  # out of reach: SafeStop never raises
 
     def _halt(self, cause: str, now: PhaseInput) -> None:
@@ -358,12 +457,16 @@ class ControlLoop:
         if not self._anchor.in_time(self._clock.boot_ns()):
             self._unsent += 1
             return False
+        began = self._clock.now_ns()
         try:
             self._transport.write(u)
         except Exception:  # noqa: BLE001 - counted and shown; a dead device ends the run by its silence
+            self._wire_ns += self._clock.now_ns() - began
             self._refused_by_wire(self._clock.boot_ns())
             return False
-        self._left(u, self._clock.now_ns())
+        now = self._clock.now_ns()
+        self._wire_ns += now - began
+        self._left(u, now)
         return True
 
     def _left(self, u: float, at: int) -> None:
@@ -393,13 +496,6 @@ class ControlLoop:
         self.timings.jitter.add(_S * lateness)
         self.timings.execution.add(_S * execution)
 
-    def _next(self, deadline: int) -> int:
-        """The next deadline that has not passed by a whole sample."""
-        deadline += self._dt_ns
-        behind = self._clock.now_ns() - deadline
-        self._skip(max(0, behind // self._dt_ns))
-        return deadline + self._skipped * self._dt_ns
-
     def _skip(self, samples: int) -> None:
         """So many samples have passed wholly."""
         self._skipped = samples
@@ -427,3 +523,8 @@ class ControlLoop:
             sequence=self._sequence,
             taken_s=_S * (woke - self._start_ns) - seen.age_s if math.isfinite(seen.angle_deg) else math.nan,
         )
+
+
+def _said(error: BaseException) -> str:
+    """An error as a cause."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"

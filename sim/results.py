@@ -15,6 +15,7 @@ from hystmpc.ctrl.limits import CommandLimits, LimitsSettings
 from hystmpc.ctrl.loop import LoopLog
 from hystmpc.ctrl.mpc_settings import LinearisedMpcSettings, SamplingMpcSettings
 from hystmpc.trials.errors import ConfigError, LogError
+from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.layouts import CANONICAL
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.types import Vec
@@ -303,6 +304,7 @@ def limits_of(config: SimulationConfig, controller: str) -> CommandLimits:
     return CommandLimits(limits.lower, limits.upper, limits.rate_per_s)
 
 
+@only_reads()
 def load_results(path: Path | str) -> StudyResult:
     """Read the run folder of a study, or of one run of a study; nothing outside the folder is opened.
 

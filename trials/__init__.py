@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from .check import CheckReport, Finding, Severity
     from .csv_files import write_csv
     from .errors import HystmpcError
+    from .from_outside import allow_python
     from .read import read_trials
     from .trial import Trial, Units, resample
 
@@ -20,6 +21,7 @@ __all__ = [
     "Severity",
     "Trial",
     "Units",
+    "allow_python",
     "read_trials",
     "resample",
     "write_csv",
@@ -52,6 +54,7 @@ if not TYPE_CHECKING:  # a type checker knows the names above and no others
         ("hystmpc.trials.check", "CheckReport Finding Severity"),
         ("hystmpc.trials.csv_files", "write_csv"),
         ("hystmpc.trials.errors", "HystmpcError"),
+        ("hystmpc.trials.from_outside", "allow_python"),
         ("hystmpc.trials.read", "read_trials"),
         ("hystmpc.trials.trial", "Trial Units resample"),
     )

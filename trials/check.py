@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .csv_files import Columns, read_columns
-from .errors import LogError
+from .errors import LogError, in_a_line
 from .layouts import CANONICAL, SECONDS, LogMapping, Preset
 from .read import Layout, Log, is_table, read_raw, resolve
 from .segments import Motion, Segments, segment
@@ -79,6 +79,7 @@ class CheckReport:
         return Report(self.source, (Table(("", "topic", "finding"), rows),), self.preset).fragment()
 
 
+@in_a_line
 def check(log: Log, preset: Layout = "auto", sampled_hz: float | None = None) -> CheckReport:
     """Look at time base, jitter, gaps, duplicates, values, units, sign, excitation, segments and first flexure.
 

@@ -9,11 +9,11 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar, Union, get_args, get
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-from .errors import ConfigError, did_you_mean
+from .errors import ConfigError, did_you_mean, shown
+from .from_outside import MEMORY, given_by
 from .yaml_ import Location, MisplacedError, YamlError, format_yaml, parse_yaml, place_in
 
 LARGEST_FILE = 4_000_000  # bytes of a configuration
-_LONGEST_VALUE = 100  # characters of a value in an error
 
 
 class _MisreadError(MisplacedError):
@@ -53,18 +53,20 @@ class Settings(BaseModel):
         return data
 
     @classmethod
-    def parse(cls, data: Any, where: str | Callable[[Location], str] = "<memory>") -> Self:
+    def parse(cls, data: Any, where: str | Callable[[Location], str] = MEMORY) -> Self:
         """Validate plain data.
 
         Args:
             data: mappings, lists and scalars.
-            where: the source's name, or a function that tells it for the keys and indices of an entry.
+            where: the source's name, or a function that tells it for the keys and indices of an entry; left out, they
+                are the program's own, and may name classes of it.
 
         Raises:
             ConfigError: one line with the first offending key, what was got and what was expected.
         """
         try:
-            return cls.model_validate(data)
+            with given_by(where):
+                return cls.model_validate(data)
         except ValidationError as error:
             first = error.errors()[0]
             cause = first.get("ctx", {}).get("error")
@@ -127,16 +129,6 @@ def _items(value: Any, origin: Any, of: tuple[Any, ...]) -> Iterator[tuple[Any, 
 
 
 S = TypeVar("S", bound=Settings)
-
-
-def shown(value: Any) -> str:
-    """A value as an error shows it: on one line, its middle left out where it is long."""
-    try:
-        text = " ".join(repr(value).split())
-    except ValueError:  # an integer of more digits than Python writes
-        return f"a number of type {type(value).__name__} with thousands of digits"
-    half = _LONGEST_VALUE // 2
-    return text if len(text) <= _LONGEST_VALUE else f"{text[:half]} ... {text[-half:]}"
 
 
 def read_yaml(path: Path | str) -> Any:

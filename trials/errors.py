@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import importlib.util
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_LONGEST = 300  # characters of a line of error
 
 
 class HystmpcError(Exception):
@@ -45,6 +52,36 @@ class ControllerError(HystmpcError):
 
 class GapError(HystmpcError):
     """Recorded trials cannot be compared with a simulator: nothing recorded, another unit, sign or device."""
+
+
+def shown(value: object, longest: int = 100) -> str:
+    """A value as an error shows it: on one line, its middle left out where it has more characters than `longest`."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception as error:  # noqa: BLE001 - such as an integer of more digits than Python writes
+        return f"a {type(value).__name__} that cannot be written ({type(error).__name__})"
+    half = longest // 2
+    return text if len(text) <= longest else f"{text[:half]} ... {text[-half:]}"
+
+
+def in_a_line(function: Callable[P, R]) -> Callable[P, R]:
+    """A function of the package's face, where an argument of a wrong type is a `ConfigError` too.
+
+    What Python says of it follows from the error that is raised, as its cause.
+    """
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, OSError) as error:
+            name = function.__name__
+            got = ", ".join([*map(shown, args), *(f"{key}={shown(value)}" for key, value in kwargs.items())])[:120]
+            said = " ".join(f"{type(error).__name__}: {error}".split())
+            line = f"{name}: got ({got}), expected what help(hystmpc.{name}) says: {said}"
+            raise ConfigError(line[:_LONGEST]) from error
+
+    return call
 
 
 def did_you_mean(got: str, available: Iterable[str]) -> str:

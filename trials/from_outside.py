@@ -1,10 +1,19 @@
-"""Classes and objects from outside the package: MODULE:NAME in a file, or an installed package's entry point."""
+"""Classes and objects from outside the package: MODULE:NAME in a file, or an installed package's entry point.
+
+All imports of what a text names are here, behind one gate. It is open for entry points of installed packages, for names
+that a program's own code gives, and for those that somebody has said yes to. While a folder is only read it is shut.
+"""
 
 from __future__ import annotations
 
+import os
+import re
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from importlib import import_module
+from importlib.machinery import PathFinder
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,31 +25,132 @@ T = TypeVar("T")
 MODULE_AND_CLASS = r"^\w+(\.\w+)*:\w+$"
 """What `python: MODULE:CLASS` in a file has to look like."""
 
+MEMORY = "<memory>"
+"""The source of data that a program's own code gives."""
+
+ALLOWED = "HYSTMPC_ALLOW_PYTHON"
+"""Variable of the environment: each MODULE:CLASS that files may name, with spaces between, or `all`."""
+
+_ALL = "all"
+_LONGEST_PLACE = 100  # characters of a file's name in a refusal
+_by_code: ContextVar[bool | None] = ContextVar("by_code", default=None)  # of the data that are read; None outside
+_reading: ContextVar[bool] = ContextVar("reading", default=False)
+
+
+def allow_python(*names: str) -> None:
+    """Say yes to classes that files name as `python: MODULE:CLASS`: their modules may run.
+
+    It holds for this process and for those that it starts from now on.
+
+    Args:
+        names: MODULE:CLASS; any class where left out.
+    """
+    given = os.environ.get(ALLOWED, "").split()
+    os.environ[ALLOWED] = " ".join(dict.fromkeys([*given, *(names or (_ALL,))]))
+
+
+@contextmanager
+def only_reads() -> Iterator[None]:
+    """While a folder is read, as for a report: nothing that it names is imported, whatever has been said yes to."""
+    token = _reading.set(True)
+    try:
+        yield
+    finally:
+        _reading.reset(token)
+
+
+@contextmanager
+def given_by(where: object) -> Iterator[None]:
+    """While data are read that come from `where`: with `MEMORY` the names in them are the program's own.
+
+    Data within data are of the same source.
+    """
+    token = _by_code.set(where == MEMORY if _by_code.get() is None else _by_code.get())
+    try:
+        yield
+    finally:
+        _by_code.reset(token)
+
+
+def is_reading() -> bool:
+    """Whether a folder is only read now, see `only_reads`."""
+    return _reading.get()
+
+
+def refusal(name: str, group: str) -> str:
+    """Why MODULE:NAME may not be imported now, empty where it may be.
+
+    Args:
+        group: of the entry points among which it may be.
+    """
+    if name in installed(group).values():
+        return ""
+    said = os.environ.get(ALLOWED, "").split()
+    if not _reading.get() and (_ALL in said or name in said):
+        return ""
+    if _reading.get():
+        return f"{name} is not imported: a report only reads"
+    place = _place_of(name.partition(":")[0].partition(".")[0])
+    return f"{name} would run {place}, expected a yes if you trust it: --allow-python, in Python allow_python()"
+
+
+def _place_of(module: str) -> str:
+    """Where a module lies; nothing is imported to find out."""
+    if module in sys.builtin_module_names:
+        return "a part of Python"
+    found = None
+    with suppress(ImportError, ValueError, OSError):
+        found = PathFinder.find_spec(module, [*sys.path, str(Path.cwd())])
+    place = "" if found is None else found.origin or next(iter(found.submodule_search_locations or ()), "")
+    if not place:
+        return f"the module {module!r}, which is not found"
+    return place if len(place) <= _LONGEST_PLACE else f"...{place[-_LONGEST_PLACE:]}"
+
+
+@contextmanager
+def working_folder() -> Iterator[None]:
+    """While something of the working folder is imported: the folder is last on the path, and gone from it again.
+
+    A file in it takes the place of no module that is installed.
+    """
+    here = str(Path.cwd())
+    if here in sys.path:
+        yield
+        return
+    sys.path.append(here)
+    try:
+        yield
+    finally:
+        with suppress(ValueError):
+            sys.path.remove(here)
+
 
 def installed(group: str) -> dict[str, str]:
     """MODULE:NAME by the name of each entry point that installed packages have in a group."""
     return {entry.name: entry.value.partition("[")[0].strip() for entry in entry_points(group=group)}
 
 
-def object_named(name: str, what: str, fits: Callable[[Any], bool], wanted: str) -> Any:
+def object_named(name: str, what: str, group: str, fits: Callable[[Any], bool], wanted: str) -> Any:
     """The object MODULE:NAME, of an installed package or of the working folder.
 
     Args:
         name: module and name in it.
         what: the object's place in a sentence, such as `transport`.
+        group: of the entry points among which it may be.
         fits: whether a value of the module is of the right kind.
         wanted: that kind in a sentence, such as `class`.
 
     Raises:
-        ConfigError: if there is no such module or object, the object is of another kind, or the module cannot be
-            imported.
+        ConfigError: if nobody has said yes to it, there is no such module or object, the object is of another kind, or
+            the module cannot be imported.
     """
+    if refused := refusal(name, group):
+        raise ConfigError(f"{what}: {refused}")
     module, _, attribute = name.partition(":")
     here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)  # last: a file of the working folder takes the place of no installed module
     try:
-        found = import_module(module)
+        with working_folder():
+            found = import_module(module)
     except ModuleNotFoundError as error:
         missing = error.name or module
         if f"{module}.".startswith(f"{missing}."):
@@ -60,14 +170,18 @@ def object_named(name: str, what: str, fits: Callable[[Any], bool], wanted: str)
     return value
 
 
-def class_named(name: str, what: str, base: type[T]) -> type[T]:
+def class_named(name: str, what: str, group: str, base: type[T]) -> type[T]:
     """The class MODULE:CLASS; errors as of `object_named`.
 
     Args:
         base: class that it has to derive from.
     """
     wanted = "class" if base is object else f"class derived from {base.__name__}"
-    found: type[T] = object_named(name, what, lambda value: isinstance(value, type) and issubclass(value, base), wanted)
+
+    def fits(value: Any) -> bool:
+        return isinstance(value, type) and issubclass(value, base)
+
+    found: type[T] = object_named(name, what, group, fits, wanted)
     return found
 
 
@@ -85,7 +199,7 @@ def installed_objects(group: str, what: str, kind: type[T], taken: Iterable[str]
     """
     found: dict[str, T] = {}
     for value in installed(group).values():
-        made = object_named(value, what, lambda kept: isinstance(kept, kind), f"{kind.__name__} object")
+        made = object_named(value, what, group, lambda kept: isinstance(kept, kind), f"{kind.__name__} object")
         if made.name in found or made.name in taken:
             raise ConfigError(f"{what} {value}: got the name {made.name!r}, which is taken, expected another")
         found[made.name] = made
@@ -94,6 +208,8 @@ def installed_objects(group: str, what: str, kind: type[T], taken: Iterable[str]
 
 def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:
     """Reads a block with `kind: NAME` or `python: MODULE:CLASS`; the latter becomes `kind: python`.
+
+    A class that may not be imported is refused here, before anything else is done; a reader of a folder lets it be.
 
     Args:
         known: kinds of the package itself, which come before an entry point of the same name.
@@ -105,6 +221,7 @@ def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:
         if not isinstance(data, Mapping):
             return data
         if "python" in data:
+            _judge(data["python"], group)
             return {"kind": "python", **data}
         kind = data.get("kind")
         if kind is None:
@@ -117,3 +234,17 @@ def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:
         return {**data, "kind": "python", "python": others[kind]}
 
     return read
+
+
+def _judge(name: Any, group: str) -> None:
+    """Refuse a class that may not be imported; remember one that the program's own code names.
+
+    Raises:
+        ValueError: if it may not be.
+    """
+    if not isinstance(name, str) or not re.match(MODULE_AND_CLASS, name) or _reading.get():
+        return  # the field itself says what is wrong, or nothing is imported
+    if refused := refusal(name, group):
+        if not _by_code.get():
+            raise ValueError(refused)
+        allow_python(name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,15 @@ from numpy.typing import NDArray
 
 from .errors import LogError, require
 from .layouts import HEADER_TIME, LOG_TIME
+from .mat_bounds import MOST_BYTES, require_bounded
 from .signals import Series, missing, split_path, walk
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _DEEPEST = 8  # structs within structs; deeper is no log
 _MOST_OBJECTS = 20_000  # of an HDF5 file, counted once for every link
+_FILTERS = {1, 2, 3, 4, 5, 6, 32000}  # of the library itself; any other is code that it would look for on this machine
+_MOST_SOFT_LINKS = 16  # that lead to one another
+_LONGEST_TEXT = 10_000  # letters of a text that are read; a text is no signal
 _MOST_COLUMNS = 64  # of a matrix that are listed as signals
 
 
@@ -107,6 +112,7 @@ def open_mat(path: Path | str) -> MatLog:
 def _read_scipy(path: str) -> dict[str, Any]:
     from scipy.io import loadmat
 
+    require_bounded(path)
     # Without a name of its own scipy would add .mat to a path that has another ending.
     found = loadmat(path, appendmat=False, struct_as_record=True, squeeze_me=False, chars_as_strings=True)
     return {name: _plain(value) for name, value in found.items() if not name.startswith("__")}
@@ -132,20 +138,42 @@ def _read_hdf5(path: str) -> dict[str, Any]:
 
     with h5py.File(path, "r") as file:
         tree = _Hdf5Tree(path, file)
-        return {name: tree.read(item) for name, item in file.items() if not name.startswith("#")}
+        return {name: tree.read(tree.item(file, name)) for name in file if not name.startswith("#")}
 
 
 class _Hdf5Tree:
     """The objects of an HDF5 file, whose links may form a loop, or lead to one object so often that a walk never ends.
 
+    Nothing outside the file is opened, whatever the file says.
+
     Raises:
-        LogError: if a group or a cell lies within itself, or there are more objects than in any log.
+        LogError: if a group or a cell lies within itself, there are more objects or bytes than in any log, or data lie
+            outside the file.
     """
 
     def __init__(self, path: str, file: Any) -> None:
         self._path, self._file = path, file
         self._around = [_place(file["/"])]  # the groups and cells that are being read, from the outside in
         self._left = _MOST_OBJECTS
+        self._bytes = MOST_BYTES
+
+    def item(self, group: Any, name: str, left: int = _MOST_SOFT_LINKS) -> Any:
+        """The object behind a link, which stays in the file: h5py alone would follow it into another one."""
+        from h5py import h5l  # pyright: ignore[reportAttributeAccessIssue]  # compiled, without a stub
+
+        links, key = group.id.links, name.encode("utf-8", "surrogateescape")
+        kind = links.get_info(key).type
+        if kind == h5l.TYPE_HARD:
+            return group[name]
+        if kind != h5l.TYPE_SOFT:
+            raise LogError(f"{self._path}: {name!r} is a link out of the file, expected all data inside")
+        if not left:
+            raise LogError(f"{self._path}: {name!r}: too many links that lead to one another")
+        target = links.get_val(key).decode("utf-8", "surrogateescape")
+        found = self._file["/"] if target.startswith("/") else group
+        for part in target.split("/"):
+            found = self.item(found, part, left - 1) if part not in ("", ".") else found
+        return found
 
     def read(self, item: Any) -> Any:
         """Groups as mappings; matrices the way MATLAB shows them, which stores them transposed."""
@@ -153,9 +181,11 @@ class _Hdf5Tree:
 
         self._left -= 1
         if self._left < 0:
-            raise LogError(f"{self._path}: more than {_MOST_OBJECTS} objects, each link counted, expected a log")
-        if not isinstance(item, h5py.Group) and h5py.check_ref_dtype(item.dtype) is None:
-            return _matrix(item)
+            raise self._too_many()
+        if not isinstance(item, h5py.Group):
+            self._require_inside(item)
+            if h5py.check_ref_dtype(item.dtype) is None:
+                return _matrix(item)
         place = _place(item)
         if place in self._around:
             raise LogError(f"{self._path}: {item.name!r} is linked to from within itself, expected no loop")
@@ -164,12 +194,29 @@ class _Hdf5Tree:
         self._around.append(place)
         try:
             if isinstance(item, h5py.Group):
-                return {name: self.read(inner) for name, inner in item.items()}
+                return {name: self.read(self.item(item, name)) for name in item}
+            if (item.size or 0) > self._left:
+                raise self._too_many()
             references = np.asarray(item[()]).reshape(-1)  # a cell, or one field of a struct array
             cells = [self.read(self._file[reference]) for reference in references if reference]
             return cells[0] if len(cells) == 1 else cells
         finally:
             self._around.pop()
+
+    def _too_many(self) -> LogError:
+        return LogError(f"{self._path}: more than {_MOST_OBJECTS} objects, each link counted, expected a log")
+
+    def _require_inside(self, item: Any) -> None:
+        """Refuse data that lie elsewhere, need other code to be read, or would fill the memory."""
+        made = item.id.get_create_plist()
+        if item.external or item.is_virtual:
+            raise LogError(f"{self._path}: the data of {item.name!r} lie in another file, expected all data inside")
+        if others := {made.get_filter(k)[0] for k in range(made.get_nfilters())} - _FILTERS:
+            raise LogError(f"{self._path}: {item.name!r} is packed by filter {min(others)}, expected none or gzip")
+        size, chunk = item.dtype.itemsize, math.prod(item.chunks or ())
+        self._bytes -= size * (item.size or 0)
+        if min(self._bytes, MOST_BYTES - size * chunk) < 0:
+            raise LogError(f"{self._path}: unpacks to more than {MOST_BYTES} bytes at {item.name!r}, expected a log")
 
 
 def _place(item: Any) -> tuple[int, int]:
@@ -184,7 +231,7 @@ def _matrix(item: Any) -> Any:
     if "MATLAB_empty" in item.attrs:
         return np.empty(0)
     if item.attrs.get("MATLAB_class") == b"char":  # stored as the numbers of its letters
-        return "".join(map(chr, np.asarray(item[()]).reshape(-1).tolist()))
+        return "".join(map(chr, np.asarray(item[()]).reshape(-1)[:_LONGEST_TEXT].tolist()))
     return np.asarray(item[()]).T
 
 

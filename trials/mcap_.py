@@ -66,7 +66,7 @@ def _schema(columns: Mapping[str, Any]) -> dict[str, Any]:
 MAGIC = b"\x89MCAP0\r\n"
 _PREFIX = struct.Struct("<BQ")
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 1, 2, 3, 4, 5, 6, 15
-_MOST_BYTES = 1 << 30  # of one chunk, unpacked: a damaged length must not fill the memory
+_MOST_BYTES = 1 << 30  # of all chunks, unpacked: neither a damaged length nor a packed file may fill the memory
 _ID = struct.Struct("<H")
 
 
@@ -82,12 +82,14 @@ class McapRecords:
         path: the file.
         schemas, channels: by their ids, as far as they have been met.
         note: why reading ended before the end of the file; empty if it did not.
+        left: bytes that may still be unpacked.
     """
 
     path: str
     schemas: dict[int, Any] = field(default_factory=dict)
     channels: dict[int, Any] = field(default_factory=dict)
     note: str = ""
+    left: int = field(default_factory=lambda: _MOST_BYTES)
 
     def messages(self) -> Iterator[Any]:
         """Every whole message; `mcap.records.Message`, its channel in `channels`.
@@ -163,34 +165,48 @@ class McapRecords:
 
         try:
             chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-            records = _unpacked(chunk) if whole or chunk.compression == "" else b""
+            records = _unpacked(chunk, self.left) if whole or chunk.compression == "" else b""
         except (McapError, struct.error, ValueError, OverflowError) as error:
             raise _DamagedError(f"chunk that cannot be read ({error or type(error).__name__})") from None
+        self.left -= len(records) if chunk.compression else 0
         if whole and chunk.uncompressed_crc and zlib.crc32(records) != chunk.uncompressed_crc:
             raise _DamagedError("chunk whose checksum is wrong")
         yield from self._walk(records, 0, top=False)
 
 
-def _unpacked(chunk: Any) -> bytes:
+def _unpacked(chunk: Any, most: int) -> bytes:
+    """The records of a chunk, of as many bytes as it says.
+
+    Raises:
+        ValueError: if it cannot be unpacked, or has other bytes.
+    """
     if chunk.compression == "":
         return chunk.data
-    if chunk.uncompressed_size > _MOST_BYTES:
-        raise ValueError(f"{chunk.uncompressed_size} bytes unpacked")
+    size = chunk.uncompressed_size
+    if size > most:
+        raise ValueError(f"more than {_MOST_BYTES} bytes unpacked")
     if chunk.compression == "zstd":
         import zstandard
 
         try:
-            return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+            with zstandard.ZstdDecompressor().stream_reader(chunk.data) as stream:
+                return _whole(stream.read(size + 1), size)
         except zstandard.ZstdError as error:
             raise ValueError(str(error)) from None
     if chunk.compression == "lz4":
         import lz4.frame
 
         try:
-            return lz4.frame.decompress(chunk.data)
+            return _whole(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1), size)
         except RuntimeError as error:
             raise ValueError(str(error)) from None
     raise ValueError(f"compression {chunk.compression!r}")
+
+
+def _whole(found: bytes, size: int) -> bytes:
+    if len(found) != size:
+        raise ValueError(f"unpacks to other than its {size} bytes")
+    return found
 
 
 def open_mcap(path: Path | str) -> MessageLog:

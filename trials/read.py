@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .csv_files import Frame, Table, first_row, frame_table, read_csv, read_lines, read_table, split_lines
-from .errors import ConfigError, LogError
+from .errors import ConfigError, LogError, in_a_line
 from .layouts import LogMapping, Preset, get_preset, is_mapping_file, load_mapping
 from .mat_ import open_mat
 from .mcap_ import open_mcap
@@ -30,6 +30,7 @@ OPENERS: dict[str, Callable[[Path], Source]] = {".mcap": open_mcap, ".db3": open
 """Formats of named signals by the ending of the file; every other ending is delimited text."""
 
 
+@in_a_line
 def read_trials(
     logs: Log | Iterable[Log],
     preset: Layout = "auto",

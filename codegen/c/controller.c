@@ -3,23 +3,40 @@
 
 unsigned long hystmpc_memory_bytes(void) { return (unsigned long)sizeof(hystmpc_controller); }
 
-int hystmpc_init(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command) {
-    int answer;
-#if HYSTMPC_LEARNS
-    answer = estimate_init(&c->plain, angle_deg, command);
-    if (answer != HYSTMPC_STARTED) return answer;
-    c->estimate = c->plain;
-    learning_init(&c->learning, c->plain.angles[0], command, angle_deg);
-#else
-    answer = estimate_init(&c->estimate, angle_deg, command);
-    if (answer != HYSTMPC_STARTED) return answer;
-#endif
+static int started(const hystmpc_controller *c) { return c->estimate.started == HYSTMPC_MARK; }
+
+/* A command from outside within the limits on value; `otherwise` where it is no number. */
+static real within_range(real u, real otherwise) {
+    return clamp(finite(u) ? u : otherwise, HYSTMPC_LOWER, HYSTMPC_UPPER);
+}
+
+/* The law has done nothing yet. */
+static void forget(hystmpc_controller *c) {
     init_predictive(c);
 #if HYSTMPC_HANDS_OVER
     init_handover(c);
 #endif
+    c->planned = 0;
+}
+
+int hystmpc_init(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command) {
+#if HYSTMPC_LEARNS
+    const int answer = estimate_init(&c->plain, angle_deg, command);
+#else
+    const int answer = estimate_init(&c->estimate, angle_deg, command);
+#endif
+    if (answer != HYSTMPC_STARTED) {
+        if (!started(c)) c->estimate.command = within_range(command, HYSTMPC_LOWER);
+        hystmpc_stop(c);
+        return answer;
+    }
+#if HYSTMPC_LEARNS
+    c->estimate = c->plain;
+    learning_init(&c->learning, c->plain.angles[0], command, angle_deg);
+#endif
+    forget(c);
     c->due = c->target = angle_deg;
-    c->planned = c->failures = c->stopped = c->hurried = 0;
+    c->failures = c->stopped = c->hurried = 0;
     return answer;
 }
 
@@ -50,7 +67,7 @@ static void correct(hystmpc_controller *c, real y) {
     const real angle = usable_angle(y), offset = angle - whole->angles[0];
     const real reach = HYSTMPC_OUTLIER + learning_reach(&c->learning);
     if (!(absolute(offset - whole->disturbance) <= HYSTMPC_OUTLIER || absolute(angle - whole->measured) <= reach)) {
-        whole->missing++;
+        whole->missing = later(whole->missing);
         return;
     }
     learning_correct(&c->learning, angle, plain->angles[0], plain->disturbance);
@@ -200,15 +217,30 @@ static void decide(hystmpc_controller *c, const real *reference, proposal *out) 
 }
 
 int hystmpc_look_on(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command) {
+    if (!started(c)) return 1;
     correct(c, angle_deg);
     if (finite(usable_angle(angle_deg))) c->due = angle_deg;
-    advance(c, command);
+    forget(c);
+    advance(c, within_range(command, c->estimate.command));
     return c->estimate.stalled;
+}
+
+/* What stands still where nothing has been started; of that memory nothing but a number is read. */
+static hystmpc_command stand_still(const hystmpc_controller *c) {
+    hystmpc_command answer;
+    answer.u = within_range(c->estimate.command, HYSTMPC_LOWER);
+    answer.predicted_deg = (real)NAN;
+    answer.departure_deg = R(0.0);
+    answer.source = HYSTMPC_STOP;
+    answer.status = HYSTMPC_LATCHED;
+    answer.missing = 0;
+    return answer;
 }
 
 hystmpc_command hystmpc_step(hystmpc_controller *c, hystmpc_real angle_deg, const hystmpc_real *reference) {
     hystmpc_command answer;
     proposal out;
+    if (!started(c)) return stand_still(c);
     correct(c, angle_deg);
     decide(c, reference, &out);
     c->hurried = 0;

@@ -1,6 +1,9 @@
 /* Model state from the commands really sent, output disturbance from the measurements. */
 #include "internal.h"
 
+/* One sample more; a count stays where it is before it runs over. */
+HYSTMPC_LOCAL int later(int samples) { return samples < HYSTMPC_MOST_SAMPLES ? samples + 1 : samples; }
+
 /* The measured angle, or not-a-number where it is missing or absurdly large. */
 HYSTMPC_LOCAL real usable_angle(real y) { return absolute(y) <= HYSTMPC_ANGLE_BOUND ? y : (real)NAN; }
 
@@ -42,12 +45,16 @@ static real mixed_variance(real bank[3][HYSTMPC_FILTERS], real mean) {
     return total;
 }
 
+static void prior_weights(real *weights) {
+    for (int i = 0; i < M; i++) weights[i] = by_sensor[i / (DRIFTS * MOTIONS)] * by_model[i % (DRIFTS * MOTIONS)];
+}
+
 static void bank_init(hystmpc_estimate *e, real disturbance) {
     real total = R(0.0);
+    prior_weights(e->bank[2]);
     for (int i = 0; i < M; i++) {
         e->bank[0][i] = disturbance;
         e->bank[1][i] = HYSTMPC_FIRST_VARIANCE;
-        e->bank[2][i] = by_sensor[i / (DRIFTS * MOTIONS)] * by_model[i % (DRIFTS * MOTIONS)];
         total += e->bank[2][i] * HYSTMPC_FIRST_VARIANCE;
     }
     e->variance = total;
@@ -72,6 +79,10 @@ HYSTMPC_LOCAL void bank_correct(real bank[3][HYSTMPC_FILTERS], real offset, real
         }
     }
     SUM_IN_PARTS(total, M, bank[2][i])
+    if (!(total > HYSTMPC_LEAST_WEIGHT)) { /* none has foretold it at all: as before anything was seen */
+        prior_weights(bank[2]);
+        SUM_IN_PARTS(total, M, bank[2][i])
+    }
     const real kept = (R(1.0) - HYSTMPC_SWITCHING) / total;
     for (int j = 0; j < SENSORS; j++) {
         real share;
@@ -104,12 +115,14 @@ HYSTMPC_LOCAL real bank_advance(real bank[3][HYSTMPC_FILTERS], real travel, real
 
 /* At rest: what the model cannot explain of y is the first disturbance. */
 HYSTMPC_LOCAL int estimate_init(hystmpc_estimate *e, real y, real u) {
-    real x[HYSTMPC_STATES], angle;
+    real x[HYSTMPC_STATES], next[HYSTMPC_STATES], angle;
     if (!finite(usable_angle(y))) return HYSTMPC_BAD_ANGLE;
     if (!(HYSTMPC_LOWER <= u && u <= HYSTMPC_UPPER)) return HYSTMPC_BAD_COMMAND;
     hystmpc_rest(y, u, x);
-    if (!model_advance(x, u, &angle, e->model)) return HYSTMPC_NOT_AT_REST;
+    if (!model_advance(x, u, &angle, next)) return HYSTMPC_NOT_AT_REST;
     if (!(absolute(y - angle) <= HYSTMPC_REST_TOLERANCE)) return HYSTMPC_NOT_AT_REST;
+    copy(next, e->model, S); /* nothing is written before the start is accepted */
+    e->started = HYSTMPC_MARK;
     e->command = u;
     for (int k = 0; k < HYSTMPC_UNDER_WAY; k++) {
         e->angles[k] = angle;
@@ -133,7 +146,7 @@ HYSTMPC_LOCAL int estimate_correct(hystmpc_estimate *e, real y) {
 #if HYSTMPC_SENSES
     const real angle = usable_angle(y), offset = angle - e->angles[0];
     if (!(absolute(offset - e->disturbance) <= HYSTMPC_OUTLIER || absolute(angle - e->measured) <= HYSTMPC_OUTLIER)) {
-        e->missing++;
+        e->missing = later(e->missing);
         return 0;
     }
     e->measured = y;
@@ -153,7 +166,7 @@ HYSTMPC_LOCAL int estimate_advance(hystmpc_estimate *e, real u) {
     const int advanced = model_advance(e->model, u, &angle, next);
     if (advanced) copy(next, e->model, S);
     else angle = before;
-    e->stalled = advanced ? 0 : e->stalled + 1;
+    e->stalled = advanced ? 0 : later(e->stalled);
     for (int k = 0; k < HYSTMPC_DELAY; k++) {
         e->angles[k] = e->angles[k + 1];
         e->responsive[k] = e->responsive[k + 1];

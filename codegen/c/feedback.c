@@ -100,6 +100,7 @@ HYSTMPC_LOCAL void propose_handover(hystmpc_controller *c, const given *g, propo
     if (level == PREDICTIVE) propose_predictive(c, g, out);
     else if (level == INVERSE_PID) propose_inverse_pid(&c->feedback, g, out);
     else out->u = correct_pid(&c->feedback, g->setpoint - g->measured, g, HYSTMPC_LOWER);
+    if (out->status == HYSTMPC_OK && !finite(out->u)) out->status = HYSTMPC_NO_COMMAND;
     if (out->status != HYSTMPC_OK) { /* a failed law remembers nothing */
         c->feedback = before;
         c->holding = holding;

@@ -9,10 +9,15 @@
  *   }
  *
  * A step never fails: it answers any measurement (not-a-number: none) and any reference with a finite command within
- * the limits on value and rate. The struct is the whole memory: a copy of it is a snapshot.
+ * the limits on value and rate. The struct is the whole memory: a copy of it is a snapshot. Memory that no init has
+ * accepted, zeroed or not, is a controller that stands still: every function may be called on it.
  */
 #ifndef HYSTMPC_H
 #define HYSTMPC_H
+
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0) || defined(_M_FP_FAST)
+#error "hystmpc: compiled for finite numbers only, which voids every check for not-a-number: leave out -ffast-math"
+#endif
 
 #include "hystmpc_problem.h"
 
@@ -27,13 +32,13 @@ enum {
     HYSTMPC_SHIFTED_PLAN = 2, /* what is left of the last good plan */
     HYSTMPC_INVERSE = 3,      /* the model's inverse */
     HYSTMPC_HOLD = 4,         /* the last command */
-    HYSTMPC_STOP = 5          /* the safe command, or the last one; latched until hystmpc_init */
+    HYSTMPC_STOP = 5          /* the safe command, or the last one; latched until hystmpc_init accepts a start */
 };
 
 /* Why a better level was not used. */
 enum {
     HYSTMPC_OK = 0,
-    HYSTMPC_LATCHED = 1,       /* the stop is latched */
+    HYSTMPC_LATCHED = 1,       /* the stop is latched, or nothing has been started */
     HYSTMPC_BAD_REFERENCE = 2, /* not finite, or absurdly large */
     HYSTMPC_NO_SENSOR = 3,     /* no usable measurement for too long */
     HYSTMPC_STALE_MODEL = 4,   /* the model could not be advanced */
@@ -53,7 +58,8 @@ enum {
 
 typedef struct {
     hystmpc_real u;             /* command, always finite and within the limits */
-    hystmpc_real predicted_deg; /* angle expected at the end of this sample, disturbance included */
+    hystmpc_real predicted_deg; /* angle expected at the end of this sample, disturbance included; not-a-number
+                                   where nothing has been started */
     hystmpc_real departure_deg; /* by how much the device is off the model as it was given, as estimated */
     int source;                 /* HYSTMPC_MPC ... HYSTMPC_STOP */
     int status;                 /* HYSTMPC_OK ... HYSTMPC_NO_COMMAND */
@@ -87,6 +93,7 @@ typedef struct {
     int responsive[HYSTMPC_UNDER_WAY];        /* whether each angle answers to the command */
     int missing;
     int stalled;                              /* samples since the model was last advanced */
+    int started;                              /* HYSTMPC_MARK once hystmpc_init has accepted a start */
 } hystmpc_estimate;
 
 #if HYSTMPC_LEARNS
@@ -172,7 +179,9 @@ typedef struct {
     hystmpc_work work;
 } hystmpc_controller;
 
-/* At rest at a measured angle [deg] under the command that the device holds. The target is that angle. */
+/* At rest at a measured angle [deg] under the command that the device holds. The target is that angle. A start that is
+ * refused latches the stop: steps go on from the last command sent, or hold that of the refused start, or the admissible
+ * one nearest to it, or the least where it is no number. */
 int hystmpc_init(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command);
 
 /* One sample. `reference` holds the wanted angles [deg] at the ends of this and the next samples,
@@ -183,7 +192,8 @@ hystmpc_command hystmpc_step(hystmpc_controller *c, hystmpc_real angle_deg, cons
 void hystmpc_set_target(hystmpc_controller *c, hystmpc_real angle_deg);
 
 /* One sample in which another has sent `command`: the controller looks on, and knows the hysteresis when it takes over.
- * The command has to be within the limits. Answers for how many samples the model has failed, 0 where it has not. */
+ * The next command is limited from that one: from the nearest within the limits, or from the last where it is no number.
+ * Answers for how many samples the model has failed, 0 where it has not, 1 where nothing has been started. */
 int hystmpc_look_on(hystmpc_controller *c, hystmpc_real angle_deg, hystmpc_real command);
 
 /* The next step makes no plan, and is answered by the fallbacks: for a sample that begins too late. */

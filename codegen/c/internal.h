@@ -154,6 +154,8 @@ HYSTMPC_LOCAL void propose_handover(hystmpc_controller *c, const given *g, propo
 #endif
 
 /* estimator.c */
+enum { HYSTMPC_MARK = 0x48595354 }; /* which nothing else leaves in memory by chance */
+HYSTMPC_LOCAL int later(int samples);
 HYSTMPC_LOCAL real usable_angle(real y);
 HYSTMPC_LOCAL int estimate_init(hystmpc_estimate *e, real y, real u);
 HYSTMPC_LOCAL int estimate_correct(hystmpc_estimate *e, real y);

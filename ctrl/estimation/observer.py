@@ -17,7 +17,7 @@ from hystmpc.trials.types import Vec
 
 from ..command import EMPTY
 from ..frozen import replace
-from ..limits import NotNegative, Positive
+from ..limits import NotNegative, Positive, number_of
 
 ANGLE_BOUND_DEG = 1e4  # far beyond any joint; keeps squares and sums of angles finite
 
@@ -271,7 +271,7 @@ class OutputEstimator(Observer):
         if not (abs(offset - estimate.disturbance) <= far or abs(angle - estimate.measured) <= far):  # or not a number
             return replace(estimate, missing=estimate.missing + 1)
         if not estimate.responsive[0]:
-            return replace(estimate, measured=float(y), missing=0)
+            return replace(estimate, measured=angle, missing=0)
         bank, found, variance = self.bank.correct(estimate.bank, offset)
         earned = estimate.earned
         if self._frames:
@@ -284,7 +284,7 @@ class OutputEstimator(Observer):
             earned=earned,
             disturbance=share * found,
             variance=variance + ((1.0 - share) * found) ** 2,
-            measured=float(y),
+            measured=angle,
             missing=0,
         )
 
@@ -530,8 +530,5 @@ def next_of_model(predictor: Predictor, state: Vec, u: float) -> tuple[float, Ve
 
 def usable_angle(y: object) -> float:
     """The measured angle [deg], or not-a-number where it is missing, not a number or absurdly large."""
-    try:
-        angle = float(y)  # type: ignore[arg-type]  # anything may come from a device; what is no number is caught
-    except (TypeError, ValueError, OverflowError):
-        return math.nan
-    return angle if abs(angle) <= ANGLE_BOUND_DEG else math.nan
+    angle = number_of(y)
+    return angle if angle is not None and abs(angle) <= ANGLE_BOUND_DEG else math.nan

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hystmpc.models.model import Predictor
-from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
 from ..command import Command, Source
@@ -19,7 +18,7 @@ from ..estimation.observer import Estimate, usable_angle
 from ..fallback import attempt
 from ..frozen import replace
 from ..guarded import GuardedState
-from ..limits import CommandLimits
+from ..limits import CommandLimits, number_of, numbers_of
 from .controller import PlannersController
 from .reference import Reference, ReferenceRequest, rest_reference
 from .ruckig_ import Kinematics
@@ -142,6 +141,27 @@ def halted(memory: Snapshot, controller: PlannersController, cause: str = "by st
     return replace(memory, control=control, halted=True)
 
 
+def holding(control: GuardedState[Any] | None, held: float) -> GuardedState[Any] | None:
+    """The controller's state, the device holding the command `held`: the next command is limited from it."""
+    if control is None or control.estimate.command == held:
+        return control
+    return replace(control, estimate=replace(control.estimate, command=held))
+
+
+def skipped(memory: Snapshot, controller: PlannersController, cause: str) -> Snapshot:
+    """One sample later in which nothing was sent: the device holds what it held, in a stop with a ramp too."""
+    control, held = memory.control, memory.command.u
+    if control is None:
+        return memory
+    if memory.stopped:  # a step would answer the next command of the ramp
+        command = replace(memory.command, source=Source.STOP, status=f"stopped: latched {memory.stop_cause}; {cause}")
+    else:
+        command, control = controller.step(control, math.nan, np.empty(0))
+        command = replace(command, status=f"reference: {cause}")
+    command = replace(command, u=held)
+    return replace(memory, steps=memory.steps + 1, control=holding(control, held), command=command)
+
+
 def take_up(memory: Snapshot, present: Snapshot, controller: PlannersController, held: float) -> Snapshot:
     """A restored or replayed memory, with the command that the device holds now; a latched stop stays latched.
 
@@ -150,12 +170,10 @@ def take_up(memory: Snapshot, present: Snapshot, controller: PlannersController,
         present: the memory that it replaces.
         held: the command from which the next one is limited.
     """
-    command, control = memory.command, memory.control
+    command = memory.command
     if command.u != held:
         command = replace(command, u=held, status=f"taken up, the device holds {held:.6g}")
-    if control is not None and control.estimate.command != held:
-        control = replace(control, estimate=replace(control.estimate, command=held))
-    memory = replace(memory, command=command, control=control, sent=present.sent)
+    memory = replace(memory, command=command, control=holding(memory.control, held), sent=present.sent)
     return halted(memory, controller, present.stop_cause) if present.stopped else memory
 
 
@@ -182,9 +200,21 @@ def require_within(command: object, limits: CommandLimits, what: str) -> float:
     Raises:
         ControllerError: if it is none.
     """
-    number = attempt(partial(float, command))[0]  # type: ignore[arg-type]  # anything may come from outside
+    number = number_of(command)
     if number is None or not limits.lower <= number <= limits.upper:
-        raise ControllerError(f"{what} {command!r}, expected {limits.lower} to {limits.upper}")
+        raise ControllerError(f"{what} {shown(command)}, expected {limits.lower} to {limits.upper}")
+    return number
+
+
+def require_number(value: object, what: str) -> float:
+    """`value` as a number; not-a-number where it is that itself.
+
+    Raises:
+        ControllerError: if it is none.
+    """
+    number = number_of(value)
+    if number is None:
+        raise ControllerError(f"{what}: got {shown(value)}, expected a number")
     return number
 
 
@@ -304,7 +334,7 @@ def predicted_angles(
     if estimate is None or not estimate.angles:
         reason = "has not started" if estimate is None else "has no model"
         raise ControllerError(f"predict: the controller {reason}, expected one with a model after its first step")
-    plans = np.atleast_2d(np.asarray(commands, dtype=np.float64))
+    plans = np.atleast_2d(numbers_of(commands))
     moves = np.abs(np.diff(plans, axis=-1, prepend=estimate.command))
     low, high, reach = limits.lower - _ROUNDING, limits.upper + _ROUNDING, limits.rate * predictor.dt * (1 + _ROUNDING)
     if plans.ndim != 2 or not plans.size or not np.all((plans >= low) & (plans <= high) & (moves <= reach + _ROUNDING)):

@@ -10,10 +10,11 @@ from typing import Any, final
 
 import numpy as np
 
-from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
 from ..estimation.observer import ANGLE_BOUND_DEG
+from ..limits import number_of, numbers_of
 from .ruckig_ import Kinematics, Segments, move_to_rest
 from .settings import TargetMotionSettings
 
@@ -134,13 +135,15 @@ def waypoint_request(
     Raises:
         ControllerError: if the counts differ, nothing is given, an angle is not finite or a hold is negative.
     """
-    angles, holds = [float(x) for x in angles_deg], [float(x) for x in holds_s]
-    usable = all(abs(x) <= ANGLE_BOUND_DEG for x in angles) and all(0 <= x < math.inf for x in holds)
-    if not angles or len(angles) != len(holds) or not usable:
+    found, pauses = numbers_of(angles_deg), numbers_of(holds_s)
+    usable = np.all(np.abs(found) <= ANGLE_BOUND_DEG) and np.all((pauses >= 0) & (pauses < math.inf))
+    if found.ndim != 1 or not found.size or found.shape != pauses.shape or not usable:
         raise ControllerError(
-            f"waypoints: got angles {angles} deg and holds {holds} s, expected as many of one as of the other, finite "
-            f"angles within {ANGLE_BOUND_DEG:.0f} deg and holds >= 0"
+            f"waypoints: got angles {shown(angles_deg, 60)} deg and holds {shown(holds_s, 60)} s, "
+            f"expected as many of one as of the other, finite angles within {ANGLE_BOUND_DEG:.0f} deg and holds >= 0"
         )
+
+    angles, holds = found.tolist(), pauses.tolist()
 
     def plan(start: Kinematics, t: float) -> Reference:
         pieces = []
@@ -164,7 +167,10 @@ def given_request(source: Any, dt: float, limits: TargetMotionSettings) -> Refer
     """
     foreign = callable(source)
     if foreign:
-        duration = float(getattr(source, "duration_s", math.inf))
+        said = getattr(source, "duration_s", math.inf)
+        duration = number_of(said)
+        if duration is None or not duration >= 0:
+            raise ControllerError(f"reference: got duration_s {shown(said)}, expected a number of seconds")
         function = _vectorised(source, dt)
     else:
         function, duration = _sampled(source, dt)
@@ -174,10 +180,9 @@ def given_request(source: Any, dt: float, limits: TargetMotionSettings) -> Refer
 
 
 def _sampled(source: Any, dt: float) -> tuple[Callable[[Vec], Vec], float]:
-    try:
-        angles = np.array(source, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ControllerError(f"reference: got {type(source).__name__}, expected a callable or angles (T,)") from None
+    angles = numbers_of(source)
+    if not angles.ndim:
+        raise ControllerError(f"reference: got {shown(source)}, expected a callable or angles (T,)")
     if angles.ndim != 1 or not angles.size or not np.all(np.abs(angles) <= ANGLE_BOUND_DEG):
         raise ControllerError(f"reference: got shape {angles.shape}, expected (T,) finite angles [deg], T >= 1")
     times = dt * np.arange(1, angles.size + 1)
@@ -195,9 +200,9 @@ def _vectorised(source: Callable[..., Any], dt: float) -> Callable[[Vec], Vec]:
         try:
             tried = function(times)
         except Exception as error:  # noqa: BLE001 - a user's function may raise anything
-            reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            reason = f"{type(error).__name__}: {' '.join(str(error).split())}"[:150]
             continue
         if tried.shape == times.shape and np.all(np.abs(tried) <= ANGLE_BOUND_DEG):
             return function
-        reason = f"{tried.shape} {tried}"
+        reason = shown(tried)
     raise ControllerError(f"reference: the callable answers {reason}, expected one finite angle [deg] for each time")

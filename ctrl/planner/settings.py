@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from hystmpc.trials.config import Settings, read_yaml
-from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.errors import ConfigError, shown
 
 from ..config import ControllerSettings
 from ..limits import ModelledLimitsSettings, NotNegative, Positive
@@ -66,6 +66,8 @@ def read_settings(source: Path | str | Mapping[str, Any] | TipSettings) -> tuple
         return source, Path()
     if isinstance(source, Mapping):
         return TipSettings.parse(dict(source)), Path()
+    if not isinstance(source, str | Path):
+        raise ConfigError(f"tip: got {shown(source)}, expected a YAML file, a mapping or TipSettings")
     data = read_yaml(source)
     if not isinstance(data, dict):
         raise ConfigError(f"{source}: got {type(data).__name__}, expected a mapping of settings")

@@ -12,25 +12,29 @@ from typing import TYPE_CHECKING, Any, Self, final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hystmpc.trials.errors import ControllerError
+from hystmpc.trials.errors import ControllerError, shown
 from hystmpc.trials.types import Vec
 
 from ..command import Command
 from ..fallback import attempt
 from ..frozen import replace
 from ..guarded import GuardedState
+from ..limits import numbers_of
 from .memory import (
     Snapshot,
     TipPlan,
     TipState,
     halted,
     held_after_replay,
+    holding,
     initial_snapshot,
     predicted_angles,
     replay_recording,
+    require_number,
     require_usable,
     require_within,
     set_request,
+    skipped,
     start_control,
     take_up,
     tip_plan,
@@ -140,7 +144,8 @@ class TipController:
     def skip(self) -> Command:
         """One sample in which nothing was sent and the device held; the answer says so."""
         with self._lock:
-            return self._answer(math.nan, None, "sample skipped, command held")
+            self._memory = skipped(self._memory, self._controller, "sample skipped, command held")
+            return self._memory.command
 
     def took(self, steps: int, command: Command, control: GuardedState[Any] | None = None) -> None:
         """Samples that the same controller was stepped through elsewhere, such as in C.
@@ -150,10 +155,14 @@ class TipController:
             command: answer of the last of them.
             control: the controller's state after it; None where more are to come.
         """
+        u = require_within(getattr(command, "u", None), self._assembly.limits, "took: got command")
+        whole = require_number(steps, "took: steps")
+        if not (whole >= 0 and whole < math.inf and whole == int(whole)):
+            raise ControllerError(f"took: got {shown(steps)} steps, expected a whole number")
         with self._lock:
             memory = self._memory
-            after = memory.control if control is None else control
-            self._memory = replace(memory, steps=memory.steps + steps, control=after, command=command, sent=True)
+            after = holding(memory.control if control is None else control, u)
+            self._memory = replace(memory, steps=memory.steps + int(whole), control=after, command=command, sent=True)
 
     def measure(self, theta_deg: float, taken_at_s: float) -> None:
         """Use a frame of an intermittent sensor, taken in the past; between frames `step` gets NaN.
@@ -169,12 +178,13 @@ class TipController:
             ControllerError: if the angle or the time cannot be used, or the controller's sensor is not intermittent.
         """
         controller = self._controller
+        angle, taken_s = require_number(theta_deg, "measure: angle"), require_number(taken_at_s, "measure: time")
         with self._lock:
             memory = self._memory
             if memory.control is None:
-                self._memory = start_control(memory, controller, theta_deg)
+                self._memory = start_control(memory, controller, angle)
                 return
-            control = controller.measure(memory.control, theta_deg, memory.steps - taken_at_s / self.dt)
+            control = controller.measure(memory.control, angle, memory.steps - taken_s / self.dt)
             self._memory = replace(memory, control=control)
 
     def _answer(self, measured_theta_deg: float, wanted: Vec | None, fault: str) -> Command:
@@ -200,8 +210,9 @@ class TipController:
         Raises:
             ControllerError: if it is not a finite angle, or the stop is latched.
         """
-        self._request(waypoint_request([theta_deg], [0.0], self._settings.motion))
-        return self.reachable(theta_deg)
+        angle = require_number(theta_deg, "set_target")
+        self._request(waypoint_request([angle], [0.0], self._settings.motion))
+        return self.reachable(angle)
 
     def set_waypoints(self, angles_deg: Sequence[float], holds_s: Sequence[float]) -> None:
         """Move through angles [deg] one after another and rest at each for its hold [s]; then stay at the last.
@@ -247,7 +258,7 @@ class TipController:
 
     def reachable(self, theta_deg: float) -> Reach:
         """Whether the model can be held at `theta_deg` [deg] within command and soft angle limits, and why not."""
-        return self._assembly.workspace.judge(float(theta_deg), self._memory.disturbance_deg)
+        return self._assembly.workspace.judge(require_number(theta_deg, "reachable"), self._memory.disturbance_deg)
 
     def stop(self) -> None:
         """Hold, or ramp to the configured `safe_command`, from the next step on; latched until `reset`."""
@@ -270,7 +281,8 @@ class TipController:
                 held = require_within(command, self._assembly.limits, "reset: got command")
             memory = initial_snapshot(self._origin, held, command is None and self._memory.sent)
             if measured_theta_deg is not None:
-                memory = start_control(memory, self._controller, measured_theta_deg)
+                angle = require_number(measured_theta_deg, "reset: angle")
+                memory = start_control(memory, self._controller, angle)
             self._memory = memory
 
     def replay(self, commands: ArrayLike, angles_deg: ArrayLike, held: float | None = None) -> None:
@@ -287,7 +299,7 @@ class TipController:
             ControllerError: if the lengths differ, no angle is usable, a command is beyond the limits, or the recording
                 ends at another command than this controller sent last.
         """
-        sent, seen = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in (commands, angles_deg))
+        sent, seen = (np.atleast_1d(numbers_of(values)) for values in (commands, angles_deg))
         memory = replay_recording(self._origin, self._controller, sent, seen)  # takes longer than a sample
         said = None if held is None else require_within(held, self._assembly.limits, "replay: got held")
         with self._lock:

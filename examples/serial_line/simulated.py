@@ -45,5 +45,5 @@ def serve(line: LineDevice, goes_on: Callable[[], bool] = lambda: True) -> None:
 
 if __name__ == "__main__":
     with device() as drive:
-        print(f"hystmpc record bench.yaml --set transport.port={drive.port} --out runs/serial")
+        print(f"hystmpc record bench.yaml --allow-python --set transport.port={drive.port} --out runs/serial")
         serve(drive)

@@ -15,6 +15,7 @@ from hystmpc.rig.config import RunSettings
 from hystmpc.sim.results import load_results
 from hystmpc.trajectories.trajectory import Trajectory, steps
 from hystmpc.trials.errors import LogError, ModelError
+from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.run_folder import Column, RunFolder
 from hystmpc.trials.types import Vec
 
@@ -56,6 +57,7 @@ class MeasuredRun:
         return math.sqrt(max(float(np.mean(error**2)) - (self.noise_deg or 0.0) ** 2, 0.0))
 
 
+@only_reads()
 def measured_runs(folder: Path) -> tuple[MeasuredRun, ...]:
     """All runs of a folder of `run` or `simulate`.
 

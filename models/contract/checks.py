@@ -90,6 +90,8 @@ def _check_weights(graph: onnx.GraphProto, where: str) -> None:
     named = [(f"initializer {weight.name!r}", weight) for weight in graph.initializer]
     for index, node in enumerate(graph.node):
         named += [(f"node {node_name(node, index)}", item.t) for item in node.attribute if item.HasField("t")]
+        if any(item.HasField("sparse_tensor") or item.tensors or item.sparse_tensors for item in node.attribute):
+            raise ModelError(f"{where}: node {node_name(node, index)} has sparse or several tensors, expected one")
     for name, weight in named:
         if weight.external_data or weight.data_location == onnx.TensorProto.EXTERNAL:
             raise ModelError(f"{where}: {name} lies outside the file, expected all weights inside")

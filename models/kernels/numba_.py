@@ -7,6 +7,7 @@ import hashlib
 import logging
 import os
 import pickle
+import stat
 import sys
 import tempfile
 from collections.abc import Callable
@@ -76,6 +77,8 @@ class _Cache(FunctionCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
+        if not only_ours(Path(self._cache_path)):
+            raise RuntimeError(f"{self._cache_path}: others may write in it")
         self._base = self._impl.filename_base
         del self._cache_file  # made at the first use, when all that the function calls is defined
 
@@ -180,16 +183,32 @@ _HEADER = "from hystmpc.models.kernels.numba_ import njit\n\n\n"
 
 
 def cache_folder() -> Path:
-    """Folder of generated kernels: HYSTMPC_CACHE_DIR, else the user's cache, else a temporary folder."""
+    """Folder of generated kernels: HYSTMPC_CACHE_DIR, else the user's cache; a new one where others may write in it."""
     chosen = os.environ.get("HYSTMPC_CACHE_DIR")
     folder = Path(chosen) if chosen else Path(platformdirs.user_cache_dir("hystmpc")) / "kernels"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK):
+        if os.access(folder, os.W_OK) and only_ours(folder):
             return folder
     except OSError:
         pass
     return _temporary()
+
+
+def only_ours(folder: Path) -> bool:
+    """Whether nobody but this user, the group of that name and the administrator writes in a folder.
+
+    Compiled code is loaded from where it lies: who can write there decides what runs. A folder that is not there yet
+    will be made by this user.
+    """
+    if sys.platform == "win32":
+        return True  # the user's folders are the user's own there; a mode says nothing
+    try:
+        found = folder.stat()
+    except FileNotFoundError:
+        return True
+    others = found.st_mode & stat.S_IWOTH or (found.st_mode & stat.S_IWGRP and found.st_gid != os.getgid())
+    return found.st_uid in (os.getuid(), 0) and not others
 
 
 def generated_module(source: str) -> ModuleType:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator
 from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any, Protocol, final
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from hystmpc.ctrl.build import modelled_limits
 from hystmpc.ctrl.command import Command, ControlInput, Source, Stopwatch
+from hystmpc.ctrl.config import ControllerSettings
 from hystmpc.ctrl.estimation.observer import EstimatorSettings
 from hystmpc.ctrl.guarded import GuardedController
 from hystmpc.ctrl.law import Law, Proposal
@@ -33,7 +35,7 @@ from ..config import RunSettings
 from ..live.desk import Answer, Desk
 from ..recording.sample import Sink
 from ..safety.intake import SensorSettings
-from ..safety.plausibility import ModelWatch
+from ..safety.plausibility import ModelWatch, PlausibilitySettings
 from ..safety.stop import StopFlag
 from ..transports.transport import PlantFactory, Transport
 from .phases import REMEMBERED, Decision, Past, Phase, PhaseInput
@@ -42,7 +44,9 @@ if TYPE_CHECKING:
     from ..compiled.controller import CompiledController
     from ..compiled.loop import CompiledLoop
 
-_LATE = "late: no time for a plan"
+LATE = "late: no time for a plan"
+"""Why a sample that begins late is answered by the fallbacks."""
+
 _FOR_GOOD = 1 << 62  # steps
 
 # From the measured angle [deg] to the trajectory that starts there.
@@ -114,9 +118,7 @@ def tracking_phase(settings: RunSettings, beside: bool = True, note: Note = lamb
 
     drill = settings.drill
     fails = None if drill is None else (drill.solver_fails_from_s, drill.solver_fails_from_s + drill.solver_fails_for_s)
-    estimator = law.resolved().estimator
-    limit = estimator.disturbance_limit_deg if isinstance(estimator, EstimatorSettings) else math.inf
-    watch = ModelWatch(settings.plausibility, limit, settings.dt_s)
+    watch = model_watch(settings.plausibility, law, settings.dt_s)
     monitor = ChangeMonitor(assembly.predictor.noise, settings.dt_s, assembly.workspace.model)
     return Tracking(tip, law_of_it, lead_in, watch, monitor, fails, settings.sensor, beside, compiled)
 
@@ -286,7 +288,7 @@ class Tracking(Phase):
         with closing(loop.samples(numbers, lambda steps: reference.at(tip.dt * steps), end, flag)) as samples:
             for sample in samples:
                 self._judge(sample.angle_deg, model)
-                command = law.taken(sample, stalled, _LATE)
+                command = law.taken(sample, stalled, LATE)
                 model, stalled = sample.model_deg, sample.stalled
                 tip.took(1 + sample.skipped, command)
                 self._k += 1 + sample.skipped
@@ -347,7 +349,7 @@ class Tracking(Phase):
 
     def _refusal(self, now: PhaseInput) -> str:
         if now.late or now.skipped:
-            return _LATE
+            return LATE
         t = self._k * self._tip.dt
         if self._drill is not None and self._drill[0] <= t < self._drill[1]:
             return "drill: solver made to fail"
@@ -360,19 +362,35 @@ class Tracking(Phase):
         with self._turn:
             over = t >= reference.duration_s and not self._stays
             self._tracks = not over
-        predicted = float(command.predicted[0]) if command.predicted.size else math.nan
-        stages = (*command.timing.stages.items(), ("total", command.timing.total_s))
-        stopped = command.source is Source.STOP
-        return Decision(
-            u=command.u,
-            source=str(command.source),
-            status=command.status + self._changed,
-            reference_deg=due_deg,
-            predicted_deg=predicted,
-            stages_s=stages,
-            finished=over,
-            fault=f"controller {command.status}" if stopped else self._watch.judge(command.disturbance),
-        )
+        return replace(decided(command, due_deg, self._watch, self._changed), finished=over)
+
+
+def decided(command: Command, due_deg: float, watch: ModelWatch, note: str = "") -> Decision:
+    """A controller's command as a phase hands it on; its own stop, and a device off its model, are faults.
+
+    Args:
+        due_deg: wanted angle at the end of the sample [deg].
+        watch: told of the sample.
+        note: follows the status.
+    """
+    predicted = float(command.predicted[0]) if command.predicted.size else math.nan
+    stopped = command.source is Source.STOP
+    return Decision(
+        u=command.u,
+        source=str(command.source),
+        status=command.status + note,
+        reference_deg=due_deg,
+        predicted_deg=predicted,
+        stages_s=(*command.timing.stages.items(), ("total", command.timing.total_s)),
+        fault=f"controller {command.status}" if stopped else watch.judge(command.disturbance),
+    )
+
+
+def model_watch(plausibility: PlausibilitySettings, law: ControllerSettings, dt_s: float) -> ModelWatch:
+    """The watch over a controller's model, within the bound of its own estimator."""
+    estimator = law.resolved().estimator
+    limit = estimator.disturbance_limit_deg if isinstance(estimator, EstimatorSettings) else math.inf
+    return ModelWatch(plausibility, limit, dt_s)
 
 
 def present_angle(tip: TipController) -> float:

@@ -32,6 +32,9 @@ class PhaseInput:
     told: float = math.nan  # the command that the device says it holds, NaN where it does not tell
     velocity: float = 0.0  # of the command between the last two samples; 0 where the device was found at rest [unit/s]
     frames: tuple[SeenFrame, ...] = ()  # of an intermittent sensor, accepted since the last sample
+    shown_deg: float = (
+        math.nan
+    )  # the newest angle that is not stale, also an implausible one; NaN where none came [deg]
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,12 +209,14 @@ class SafeStop(Phase):
     Args:
         commands: held command and its velocity to the commands (N,) to send; where it fails, the safe command itself is
             wanted, and the gate lets the device there as fast as the limits allow.
-        safe: the safe command.
+        safe: the safe command; NaN where there is none: it then rests where it comes to rest, which is never confirmed,
+            so that the device's watchdog stays armed.
         tolerance: how far beside it the device may be, in the command's unit.
         cause: why; empty at the regular end of a run.
         repeats: how often it is sent at the end.
         patience: how often it is sent to a device that does not say that it holds it.
         attempts: how often the way out may begin; a device that follows none of them is left to its watchdog.
+        stays: asked where it could finish; True sends the safe command on.
     """
 
     def __init__(
@@ -223,8 +228,10 @@ class SafeStop(Phase):
         repeats: int = 5,
         patience: int = 25,
         attempts: int = 5,
+        stays: Callable[[], bool] = lambda: False,
     ) -> None:
         self._plan, self._safe, self._tolerance, self.cause = commands, safe, tolerance, cause
+        self._end, self._stays = safe, stays
         self._repeats, self._patience, self._attempts = repeats, patience, attempts
         self.name = "stop" if cause else "return"
         self._status = f"safe stop: {cause}" if cause else "ok"
@@ -240,19 +247,21 @@ class SafeStop(Phase):
             self._commands = self._plan(now.held, now.velocity).tolist()
         except Exception:  # noqa: BLE001 - a stop cannot fail: the gate's limits lead there as well
             self._commands = []
+        if math.isnan(self._safe):
+            self._end = self._commands[-1] if self._commands else now.held
         self._k = self._rested = 0
 
     def step(self, now: PhaseInput) -> Decision:
         """The next command; finished once the safe one is held, or where no attempt is left."""
         if self._attempts < 0:
             return Decision(now.held, self.name, f"{self._status}; given up", finished=True)
-        u = self._commands[self._k] if self._k < len(self._commands) else self._safe
+        u = self._commands[self._k] if self._k < len(self._commands) else self._end
         self._k += 1
-        self._rested += abs(now.held - self._safe) <= 1e-9 * (1 + abs(self._safe))
+        self._rested += abs(now.held - self._end) <= 1e-9 * (1 + abs(self._end))
         self.confirmed = abs(now.told - self._safe) <= self._tolerance
         self.sent = self._k >= len(self._commands) and self._rested >= self._repeats
         there = self.sent and (self.confirmed or self._rested >= self._patience)
-        return Decision(u, self.name, self._status, finished=there)
+        return Decision(u, self.name, self._status, finished=there and not self._stays())
 
 
 class MoveSettings(Settings):

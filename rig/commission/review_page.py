@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import LogError, TrajectoryError
 from hystmpc.trials.figure_data import draw_long
+from hystmpc.trials.from_outside import only_reads
 from hystmpc.trials.report import Heading, KeyValues, Paragraph, Piece, Plot, Report, Table, style
 from hystmpc.trials.run_folder import RunFolder
 from hystmpc.trials.trial import Trial, Units
@@ -23,6 +24,7 @@ from ..recording.report import Log, causes, numbers, timing_table, tracking_figu
 from .review import TRIAL_FILE, Review, ReviewedRun, compare_with_model, review
 
 
+@only_reads()
 def review_run(folder: Path, more: Sequence[Piece] = ()) -> Review:
     """Judge a run folder, write `trial.csv` (for `fit` and `diagnose`) and `report.html`.
 

@@ -27,6 +27,9 @@ from .loop import CompiledLoop
 # In the order of the header's HYSTMPC_MPC ... HYSTMPC_STOP.
 _SOURCES = (Source.MPC, Source.CONTROLLER, Source.SHIFTED_PLAN, Source.INVERSE, Source.HOLD, Source.STOP)
 _FEEDBACK = 1
+_CHECKED, _SAME = 24, 1e-6  # steps in which the C is compared with the Python; by how much they may differ [mm or bar]
+_SWING_DEG = 4.0
+_ODD = {7: np.nan, 8: np.nan, 15: 1e9}  # angles of the check that no device measures [deg]
 
 # By the header's HYSTMPC_OK ... HYSTMPC_NO_TIME; `{...}` are filled in.
 _REASONS = (
@@ -52,7 +55,8 @@ def compiled_controller(
         spin_s: of its loop, as `RealtimeSettings.spin_s`.
 
     Raises:
-        ConfigError: if a part of it has no C, there is no compiler, or the compiler fails.
+        ConfigError: if a part of it has no C, there is no compiler, the compiler fails, or what it made answers
+            otherwise than the Python.
     """
     try:
         export = export_controller(settings)
@@ -61,10 +65,36 @@ def compiled_controller(
             "spin_ns": round(1e9 * spin_s),
             "stop_after": settings.controller.resolved().ladder.stop_after_failures,
         }
-        return CompiledController(controller, export, controller_library(export, beside), fixed)
+        compiled = CompiledController(controller, export, controller_library(export, beside), fixed)
     except (ExportError, OSError) as error:
         said = str(error).removeprefix("export-c: ")
         raise ConfigError(f"realtime.backend c: {said}; backend: python needs nothing") from None
+    if differs := _difference(controller, compiled):
+        raise ConfigError(f"realtime.backend c: {differs}; expected another compiler or CC, or backend: python")
+    return compiled
+
+
+def _difference(python: GuardedController[Any], compiled: CompiledController) -> str:
+    """Where the two differ over some steps from rest, empty where they do not.
+
+    The reference rises and falls, the angle follows as predicted, and some samples have none or one far off.
+    """
+    low = python.limits.lower
+    rest = python.init(0.0, low).estimate.angles[0]
+    states: list[Any] = [controller.init(rest, low) for controller in (python, compiled)]
+    y, preview = rest, np.arange(python.horizon)
+    for k in range(_CHECKED):
+        wanted = rest + _SWING_DEG * (1.0 - np.cos(2.0 * np.pi * (k + preview) / _CHECKED))
+        measured = _ODD.get(k, y)
+        commands = []
+        for j, controller in enumerate((python, compiled)):
+            command, states[j] = controller.step(states[j], measured, wanted)
+            commands.append(command)
+        one, other = commands
+        if not abs(one.u - other.u) <= _SAME or one.source is not other.source:
+            return f"in step {k} of its check it sends {other.u} ({other.source}), Python {one.u} ({one.source})"
+        y = float(one.predicted[0]) if one.predicted.size else y
+    return ""
 
 
 @final

@@ -18,7 +18,9 @@
 
 #define S(ns) (1e-9 * (double)(ns))
 
-enum { DATAGRAM = 44, BODY = 40, HALF = 1 << 30 };
+enum { DATAGRAM = 44, BODY = 40, HALF = 1 << 30, RATE_NS = 20000000 };
+
+#define DRIFT 500e-6 /* of two clocks, see `Intake` */
 
 /* Why the loop has ended: the sample at `deadline_ns` is to be taken by Python. */
 enum {
@@ -56,15 +58,15 @@ typedef struct {
     double dt_s, lower, upper, rate;                                               /* last check before the wire */
     double angle_factor, angle_offset, command_factor;                             /* of the wire's units */
     double angle_low, angle_high, angle_rate, age_limit_s, tolerance, frozen_travel; /* of the sensor; tolerance < 0: none */
-    double travel, travel_at_once, travel_hold_ns, moves, smooth_s;                                                /* motion watch; travel < 0: none */
+    double travel, lag_s, moves, smooth_s;              /* motion watch; travel < 0: none */
     double departure_bound;
     int32_t descriptor, frozen_samples, recent_most, stop_after, departures_most, most_behind;
     uint32_t session, own_session;
     /* What changes; Python sets how it begins, and finds how it ended. */
-    int64_t deadline_ns, boot_ns, accepted_ns, gate_ns, judged_ns, watched_ns, since_ns;
-    double flight_ns, angle, travelled, command;        /* of the intake */
+    int64_t deadline_ns, boot_ns, accepted_ns, rated_ns, heard_ns, gate_ns, judged_ns, watched_ns;
+    double flight_ns, angle, rated, travelled, command; /* of the intake */
     double last;                                        /* of the gate: sent last */
-    double smooth, low, high, least, most;              /* of the motion watch */
+    double smooth, lagged, low, high, least, most;      /* of the motion watch */
     double recent[RECENT];                              /* commands sent lately */
     int64_t steps;                                      /* of the controller's clock */
     int64_t end;                                        /* steps after which the reference is over */
@@ -163,15 +165,15 @@ static int taken(hystmpc_loop *l, const hystmpc_reading *r, int64_t woke_ns, dou
     if (number_at(data + 8, 4) != l->session || ahead == 0 || ahead > HALF) return 0;
     l->sequence += ahead;
     const double flight = (double)(r->received_ns - (int64_t)number_at(data + 16, 8));
-    l->flight_ns = least_of(flight, l->flight_ns);
+    l->flight_ns = least_of(flight, l->flight_ns + DRIFT * most_of((double)(r->received_ns - l->heard_ns), 0.0));
+    l->heard_ns = r->received_ns;
     const double excess = flight - l->flight_ns;
-    if (1e-9 * excess <= l->age_limit_s) l->flight_ns += 0.02 * excess;
     if (!(1e-9 * ((double)(woke_ns - r->received_ns) + excess) <= l->age_limit_s)) return 0;
     const double angle = l->angle_factor * real_at(data + 24) + l->angle_offset;
-    const double elapsed_s = most_of(S(r->received_ns - l->accepted_ns), 1e-3);
+    const double elapsed_s = most_of(S(r->received_ns - l->rated_ns), S(RATE_NS));
     *held = l->command_factor * real_at(data + 32);
     if (!(l->angle_low <= angle && angle <= l->angle_high && plain_number(*held))) return 0;
-    if (!(fabs(angle - l->angle) <= l->angle_rate * elapsed_s) || r->received_ns < l->accepted_ns) return 0;
+    if (!(fabs(angle - l->rated) <= l->angle_rate * elapsed_s) || r->received_ns < l->accepted_ns) return 0;
     if (angle == l->angle) {
         l->repeats++;
         if (l->frozen_samples > 0 && l->repeats >= l->frozen_samples && l->travelled >= l->frozen_travel) return 0;
@@ -181,6 +183,10 @@ static int taken(hystmpc_loop *l, const hystmpc_reading *r, int64_t woke_ns, dou
     }
     l->angle = angle;
     l->accepted_ns = r->received_ns;
+    if (r->received_ns - l->rated_ns >= RATE_NS) {
+        l->rated_ns = r->received_ns;
+        l->rated = angle;
+    }
     return 1;
 }
 
@@ -217,25 +223,27 @@ static int follows(hystmpc_loop *l, double held) {
     return low - l->tolerance <= held && held <= high + l->tolerance;
 }
 
-/* Whether the angle moves as the command does, as `MotionWatch` has it. */
+static double followed(double lagged, double value, double share) {
+    return lagged != lagged ? value : lagged + (1.0 - exp(-share)) * (value - lagged);
+}
+
+/* Whether the angle moves as the command does, as `MotionWatch` has it at its strictest; Python watches its direction. */
 static int moves(hystmpc_loop *l, double angle, int64_t woke_ns) {
+    const double elapsed_s = most_of(S(woke_ns - l->watched_ns), 0.0);
     if (l->travel < 0.0 || angle != angle) return 1;
-    const double share = 1.0 - exp(-S(woke_ns - l->watched_ns) / l->smooth_s);
-    l->smooth = l->smooth != l->smooth ? angle : l->smooth + share * (angle - l->smooth);
+    l->smooth = followed(l->smooth, angle, elapsed_s / l->smooth_s);
+    l->lagged = followed(l->lagged, l->last, elapsed_s / l->lag_s);
     l->watched_ns = woke_ns;
     if (!(most_of(l->high, l->smooth) - least_of(l->low, l->smooth) < l->moves)) {
         l->low = l->high = l->smooth;
-        l->least = l->most = l->last;
-        l->since_ns = 0;
+        l->least = l->most = l->lagged;
         return 1;
     }
     l->low = least_of(l->low, l->smooth);
     l->high = most_of(l->high, l->smooth);
-    l->least = least_of(l->least, l->last);
-    l->most = most_of(l->most, l->last);
-    if (l->most - l->least < l->travel) return 1;
-    if (!l->since_ns) l->since_ns = woke_ns;
-    return l->most - l->least < l->travel_at_once && (double)(woke_ns - l->since_ns) < l->travel_hold_ns;
+    l->least = least_of(l->least, l->lagged);
+    l->most = most_of(l->most, l->lagged);
+    return l->most - l->least < l->travel;
 }
 
 /* The last check before the wire, as `Gate` has it. */

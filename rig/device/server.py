@@ -22,6 +22,8 @@ _MESSAGES = 64  # taken at most in one sample
 
 _AT_REST = 1e-3  # of the range
 
+_HEADER = "monotonic_ns,time_s,received,held,angle_deg\n"  # of the log
+
 
 @dataclass(frozen=True)
 class ServerCounts:
@@ -226,8 +228,14 @@ def _open_log(settings: DeviceSettings) -> TextIO:
     assert settings.log is not None
     try:
         settings.log.parent.mkdir(parents=True, exist_ok=True)
-        log = settings.log.open("a", encoding="utf-8", buffering=1)
-    except OSError as error:
-        raise ConfigError(f"{settings.log}: cannot be written ({error.strerror}), expected a place to log") from None
-    log.write("monotonic_ns,time_s,received,held,angle_deg\n")
+        log = settings.log.open("a+", encoding="utf-8", buffering=1)
+        log.seek(0)
+        begins = log.read(len(_HEADER))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(f"{settings.log}: cannot be written ({reason}), expected a place to log") from None
+    if begins not in ("", _HEADER):
+        log.close()
+        raise ConfigError(f"{settings.log}: is another kind of file, expected a device's log or a new file")
+    log.write(_HEADER)
     return log

@@ -42,8 +42,13 @@ class Controls:
         self._names = {host.lower(), "localhost", socket.gethostname().lower()} - {""}
         self._one = Lock()  # at a time, but for the e-stop, which waits for nobody
 
-    def take(self, path: str, headers: Mapping[str, str], body: bytes) -> tuple[HTTPStatus, str]:
-        """What to answer to a request of this path, headers (any case) and body: a status and one line."""
+    @staticmethod
+    def is_estop(path: str) -> bool:
+        """Whether a path is that of the e-stop."""
+        return _PATHS.get(path) == "estop"
+
+    def refusal(self, path: str, headers: Mapping[str, str], body: bytes) -> tuple[HTTPStatus, str] | None:
+        """Why the run is not asked: a status and one line; None where it is. Waits for nobody."""
         said = {name.lower(): value for name, value in headers.items()}
         action = _PATHS.get(path)
         if not self._is_ours(said.get("host", "")):
@@ -54,13 +59,22 @@ class Controls:
             return HTTPStatus.FORBIDDEN, "wrong token: open the address that the terminal shows"
         if action is None:
             return HTTPStatus.NOT_FOUND, "no such request"
-        if action == "estop":
-            return _answer(self._ask(action, 0.0))
-        value = _angle(body) if action == "target" else 0.0
-        if value is None:
+        if action == "target" and _angle(body) is None:
             return HTTPStatus.BAD_REQUEST, 'expected {"deg": a number}'
+        return None
+
+    def take(self, path: str, headers: Mapping[str, str], body: bytes) -> tuple[HTTPStatus, str]:
+        """What to answer to a request of this path, headers (any case) and body: a status and one line.
+
+        It waits for the run's answer.
+        """
+        if refused := self.refusal(path, headers, body):
+            return refused
+        if self.is_estop(path):
+            return _answer(self._ask("estop", 0.0))
+        value = _angle(body) or 0.0
         with self._one:
-            return _answer(self._ask(action, value))
+            return _answer(self._ask(_PATHS[path], value))
 
     def _is_ours(self, host: str) -> bool:
         """Whether a browser that asks this host asks us for certain: a number, or a name of this machine."""

@@ -168,7 +168,8 @@ class RecorderProcess(Sink):
         self._waiting = SampleQueue(max(round(_QUEUE_S * rate_hz), 10))
         self._feed_s = min(_FEED_S, _BLOCK / rate_hz)
         self._folder = str(order["folder"])
-        command = [sys.executable, "-m", "hystmpc.rig.recording.recorder_process"]
+        # -P: a file of the working folder takes the place of no module
+        command = [sys.executable, "-P", "-m", "hystmpc.rig.recording.recorder_process"]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         assert self._process.stdin is not None
         assert self._process.stdout is not None

@@ -23,6 +23,8 @@ _STILL = 0.25  # of the tolerance: how far it may wander meanwhile
 
 _LONGEST_NS = 60_000_000_000  # how long a device may go on to move by itself
 
+_UNTRUE_NS = 2_000_000_000  # how long it may say that it holds what nothing has led it to
+
 
 @final
 class Gate:
@@ -85,10 +87,14 @@ class Anchor:
     """Anchors the gate on what the device holds, before the first command and after every gap.
 
     A gap is a time without commands that is longer than `gap_s` (a stalled loop, a suspended machine), a command that
-    did not leave, or a device that does not hold what it was sent. In a gap the device's own watchdog may have acted:
-    a limit on the rate then means nothing. After it, nothing is sent until fresh readings tell a held command that
-    stands still, since a device on its way back to rest is left alone. Where nothing is told for `silence_s`, nothing
-    is sent any more, and the device's watchdog is left to act.
+    did not leave, or a device that does not hold what it was sent. After it, nothing is sent until fresh readings tell
+    a held command that stands still, since a device on its way back to rest is left alone. Where nothing is told for
+    `silence_s`, nothing is sent any more, and the device's watchdog is left to act.
+
+    What is told is not always true. Without a command for less than `watchdog_s` nothing can have led the device away
+    from the last command: only that one, give or take `tolerance`, is a place to start from. Later the watchdog of the
+    device may have acted: anything between the last command and the safe one is. A device that says for two seconds
+    that it holds anything else is left alone.
 
     A device that never tells what it holds is taken to hold the last command for `gap_s`, and never longer.
 
@@ -97,15 +103,21 @@ class Anchor:
         tolerance: how far the held command may lie beside the one sent, in the command's unit.
         gap_s: shortest time without commands that counts as a gap [s].
         silence_s: time without a fresh held command after which it is given up [s].
+        safe: the safe command, to which the watchdog of the device may lead; NaN where it may lead anywhere.
+        watchdog_s: longest time without commands after which that watchdog acts [s].
     """
 
-    def __init__(self, gate: Gate, tolerance: float, gap_s: float, silence_s: float) -> None:
-        self._gate, self._tolerance = gate, tolerance
+    def __init__(
+        self, gate: Gate, tolerance: float, gap_s: float, silence_s: float, safe: float, watchdog_s: float
+    ) -> None:
+        self._gate, self._tolerance, self._safe = gate, tolerance, safe
         self._gap_ns, self._silence_ns = round(gap_s / _S), round(silence_s / _S)
+        self._watchdog_ns = round(watchdog_s / _S)
         self._recent: deque[tuple[int, float]] = deque()
         self._tells = False
         self._sent_ns: int | None = None
         self._lost_ns: int | None = None
+        self._untrue_ns: int | None = None
         self._told_ns = self._judged_ns = 0
         self.moved = ""
         self.given_up = ""
@@ -129,7 +141,7 @@ class Anchor:
         if self._gate.anchored:
             return True
         self._lost_ns = boot_ns if self._lost_ns is None else self._lost_ns
-        return self._found(self._at_rest(seen.held, boot_ns)) or self._waits(boot_ns)
+        return self._found(self._at_rest(seen.held, boot_ns), boot_ns) or self._waits(boot_ns)
 
     def in_time(self, boot_ns: int) -> bool:
         """Whether the judgement of this sample still counts; where it does not, nothing may be sent."""
@@ -154,6 +166,7 @@ class Anchor:
     def _lose(self, boot_ns: int) -> None:
         self._gate.lose()
         self._recent.clear()
+        self._untrue_ns = None
         self._lost_ns = self._told_ns = boot_ns
 
     def _at_rest(self, held: float, boot_ns: int) -> float:
@@ -169,8 +182,8 @@ class Anchor:
         still = max(values) - min(values) <= _STILL * self._tolerance
         return held if still and boot_ns - recent[0][0] >= _STILL_NS else math.nan
 
-    def _found(self, held: float) -> bool:
-        if math.isnan(held):
+    def _found(self, held: float, boot_ns: int) -> bool:
+        if math.isnan(held) or not self._credible(held, boot_ns):
             return False
         before = self._gate.last
         if not self._gate.anchor(held):
@@ -178,8 +191,23 @@ class Anchor:
             return False
         if abs(held - before) > self._tolerance:
             self.moved = f"the device does not follow: it holds {held:.4g}, sent was {before:.4g}"
-        self._lost_ns = None
+        self._lost_ns = self._untrue_ns = None
         return True
+
+    def _credible(self, held: float, boot_ns: int) -> bool:
+        """Whether anything can have led the device from the last command to what it says that it holds."""
+        last, sent_ns = self._gate.last, self._sent_ns
+        if sent_ns is None:
+            return True
+        led = self._safe if boot_ns - sent_ns >= self._watchdog_ns else last
+        if math.isnan(led) or min(last, led) - self._tolerance <= held <= max(last, led) + self._tolerance:
+            return True
+        self._untrue_ns = boot_ns if self._untrue_ns is None else self._untrue_ns
+        if boot_ns - self._untrue_ns > _UNTRUE_NS:
+            self.given_up = (
+                f"the device says that it holds {held:.4g}, to which nothing has led it; sent was {last:.4g}"
+            )
+        return False
 
     def _waits(self, boot_ns: int) -> bool:
         """Always False: nothing may be sent now. Gives up once it has lasted too long."""

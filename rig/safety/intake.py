@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, final
 
@@ -18,8 +18,13 @@ from ..transports.sessions import NEW, REPLAYED, Order
 from ..transports.transport import Reading
 from .plausibility import DriveFollowing, MotionWatch
 
+OUTSIDE = "out-of-range"
+
 _S = 1e-9
-_FORGET = 0.02  # share of an excess by which the least time of flight follows upwards: clocks drift apart
+_DRIFT = 500e-6  # of the time passed: how fast the clocks of two machines drift apart at most
+_RATE_S = 0.02  # least time over which the rate of the angle is judged: noise between two readings is no motion
+_MEMORY_S = 10.0  # over which the times without an angle add up
+_NOISY = 5  # turns of the angle while the command rests that show noise, one repetition in each five of them at most
 
 
 class SensorSettings(Settings):
@@ -34,12 +39,14 @@ class SensorSettings(Settings):
         oldest_frame_s: a frame that is older at its use is stale [s]; `age_limit_s` is of all other messages.
         longest_gap_s: time without an accepted frame after which the run is stopped safely [s].
         lower_deg, upper_deg: plausible range; not needed for kind none.
-        rate_limit_deg_s: greatest plausible change, counted from the last accepted angle.
+        rate_limit_deg_s: greatest plausible change, counted from an accepted angle of 20 ms ago or before.
         age_limit_s: an angle that is older at its use is stale.
-        dead_after_s: time without an accepted angle after which the run is stopped safely; for kind none, time without
-            a message of a device that has said what it holds.
-        frozen_samples: an angle repeated to the last bit that often while the command moves means a frozen sensor;
-            null for sensors so coarse that they do that.
+        dead_after_s: time without an accepted angle after which the run is stopped safely; so do twice that time in
+            all during 10 s, or once that time beyond the plausible range. For kind none, time without a message of a
+            device that has said what it holds.
+        frozen_samples: an angle repeated to the last bit that often while the command moves means a frozen sensor, if
+            it has shown noise in every angle before, while the command was at rest. A coarse or noiseless one repeats
+            itself anyway: the watch on motion finds it. Null does not look.
         frozen_travel: how far the command has to travel meanwhile, in its unit.
         held_tolerance: how far what the device says it holds may lie beside all that was sent during `dead_after_s`,
             in the command's unit; null does not look. See `DriveFollowing`.
@@ -116,6 +123,8 @@ class Seen:
         follows: whether the device holds what it was sent lately; True where it does not tell.
         frames: accepted in this sample, in the order of arrival; none of a continuous sensor.
         age_s: of `angle_deg`: 0 of a continuous sensor, which shows the present [s].
+        shown_deg: the newest angle that is not stale, accepted or not; NaN where there is none [deg]. Where the tip may
+            not go is judged by it: an implausible angle may be true.
     """
 
     angle_deg: float
@@ -125,6 +134,60 @@ class Seen:
     follows: bool = True
     frames: tuple[SeenFrame, ...] = ()
     age_s: float = 0.0
+    shown_deg: float = math.nan
+
+
+@final
+class Absences:
+    """Adds up times without an angle: a sensor that comes and goes is no better than one that is dead.
+
+    Two sums over the last 10 s: times in which all readings lay beyond the plausible range, single samples left out;
+    and silences, times since an accepted angle, that are longer than `age_limit_s` while readings come and are
+    rejected, or than half of `longest_s` while none come.
+
+    Args:
+        longest_s: silence that is allowed at once [s]; so much time beyond the range is allowed in all, and twice as
+            much of silences.
+    """
+
+    def __init__(self, age_limit_s: float, longest_s: float) -> None:
+        self._age_limit_s, self._longest_s = age_limit_s, longest_s
+        self._outside: deque[tuple[int, float]] = deque()
+        self._silences: deque[tuple[int, float]] = deque()
+        self._seen_ns: int | None = None
+        self._was_outside, self._added_s = False, 0.0
+
+    def judge(self, readings: int, faults: Sequence[str], silent_s: float, now_ns: int) -> str:
+        """Why the run has to stop, empty while it has not; called once a sample.
+
+        Args:
+            readings: that have come in this sample.
+            faults: of them.
+            silent_s: time since the last accepted angle [s].
+        """
+        elapsed_s = 0.0 if self._seen_ns is None else _S * (now_ns - self._seen_ns)
+        self._seen_ns = now_ns
+        outside = readings > 0 and faults.count(OUTSIDE) == readings
+        out_s = _sum(self._outside, elapsed_s if outside and self._was_outside else 0.0, now_ns)
+        self._was_outside = outside
+        limit_s = self._age_limit_s if readings else 0.5 * self._longest_s
+        new_s = silent_s - self._added_s if silent_s > limit_s else 0.0
+        self._added_s = silent_s if silent_s > limit_s else min(self._added_s, silent_s)
+        silences_s = _sum(self._silences, max(new_s, 0.0), now_ns)
+        if out_s > self._longest_s:
+            return f"sensor out of range for {out_s:.2f} s of the last {_MEMORY_S:g} s"
+        if silences_s > 2.0 * self._longest_s:
+            return f"sensor dead: no plausible angle for {silences_s:.2f} s of the last {_MEMORY_S:g} s"
+        return ""
+
+
+def _sum(times: deque[tuple[int, float]], more_s: float, now_ns: int) -> float:
+    """Sum of the times of the last 10 s, with one more [s]."""
+    if more_s > 0:
+        times.append((now_ns, more_s))
+    while times and times[0][0] < now_ns - _MEMORY_S / _S:
+        times.popleft()
+    return sum(s for _, s in times)
 
 
 @final
@@ -132,8 +195,9 @@ class Intake:
     """Judges readings one after another.
 
     The age of an angle is the time since its receipt plus its excess time of flight: arrival less sender's stamp,
-    less the least such difference seen. That needs no common clock, finds packets that queued on the way, and sees a
-    sender's clock that jumps back as age, which is the safe side.
+    less the least such difference seen, which rises by the drift of two clocks and no faster. That needs no common
+    clock, finds packets that queued on the way and a delay that grows, and sees a sender's clock that jumps back as
+    age, which is the safe side.
 
     The excess of a frame is that over other frames, since a frame is under way for longer than a message that only says
     what the device holds, and its age is `latency_s` more. It is compared with the frame taken before it, and with the
@@ -147,8 +211,14 @@ class Intake:
     def __init__(self, settings: SensorSettings, start_ns: int, watch: MotionWatch | None = None) -> None:
         self._settings, self._order, self._watch = settings, Order(), watch
         self._accepted_ns, self._angle = start_ns, math.nan
-        self._flight_ns: dict[bool, float] = {}
+        self._rated: tuple[int, float] | None = None  # the accepted angle from which the rate counts
+        self._flight_ns: dict[bool, tuple[float, int]] = {}  # least time of flight, and when it was looked at
         self._repeats, self._travel, self._command = 0, 0.0, math.nan
+        self._slope, self._turns = 0.0, 0  # of the angle while the command rests
+        self._equal = self._same = 0  # its repetitions then, up to the last change and since
+        longest_s = settings.silence_s  # a camera shows nothing for longer than an angle may be old
+        self._absences = Absences(settings.age_limit_s if settings.kind == "continuous" else longest_s, longest_s)
+        self._shown_deg = math.nan
         self._followed = DriveFollowing(settings.held_tolerance, settings.dead_after_s)
         self._dead = ""
         self._held = math.nan
@@ -167,7 +237,7 @@ class Intake:
         """
         faults: list[str] = []
         frames: list[SeenFrame] = []
-        angle = self._held = math.nan
+        angle = self._held = self._shown_deg = math.nan
         seen_ns, continuous = now_ns, self._settings.kind == "continuous"
         self._travel += abs(command - self._command) if math.isfinite(command - self._command) else 0.0
         self._command = command
@@ -186,10 +256,13 @@ class Intake:
         follows, stray = self._followed.judge(self._held, command, now_ns)
         if not follows:
             faults.append("not-followed")
-        self._dead = self._dead or stray or self._implausible_motion(angle, seen_ns) or self._silence(now_ns, faults)
+        self._dead = self._dead or stray or self._implausible_motion(angle, seen_ns)
+        self._dead = self._dead or self._silence(now_ns, len(readings), faults)
         self.counts.update(faults)
-        age_s = _S * (now_ns - seen_ns)
-        return Seen(angle, tuple(dict.fromkeys(faults)), self._dead, self._held, follows, tuple(frames), age_s)
+        age_s, shown_deg = _S * (now_ns - seen_ns), self._shown_deg
+        return Seen(
+            angle, tuple(dict.fromkeys(faults)), self._dead, self._held, follows, tuple(frames), age_s, shown_deg
+        )
 
     def numbers(self, dt_s: float, recent: int) -> Mapping[str, Any] | None:
         """What the same judgement in C begins with; None for a sensor or a moment that it does not know.
@@ -198,9 +271,10 @@ class Intake:
             dt_s: sample time [s].
             recent: commands that it has room for.
         """
-        settings, watch = self._settings, self._watch
-        if settings.kind != "continuous" or watch is None or not math.isfinite(self._angle) or not self._flight_ns:
+        settings, watch, rated = self._settings, self._watch, self._rated
+        if settings.kind != "continuous" or watch is None or rated is None:
             return None
+        least_ns, heard_ns = self._flight_ns[False]
         return {
             **self._order.numbers(),
             **watch.numbers(),
@@ -209,11 +283,14 @@ class Intake:
             "angle_high": settings.upper_deg,
             "angle_rate": settings.rate_limit_deg_s,
             "age_limit_s": settings.age_limit_s,
-            "frozen_samples": settings.frozen_samples or 0,
+            "frozen_samples": self._frozen_samples,
             "frozen_travel": settings.frozen_travel,
             "accepted_ns": self._accepted_ns,
             "angle": self._angle,
-            "flight_ns": self._flight_ns[False],
+            "rated_ns": rated[0],
+            "rated": rated[1],
+            "flight_ns": least_ns,
+            "heard_ns": heard_ns,
             "repeats": self._repeats,
             "travelled": self._travel,
             "command": self._command,
@@ -238,8 +315,9 @@ class Intake:
         if not (fresh or frame):
             return "stale", None
         if fresh:
-            self._held = reading.held if reading.listens else math.nan
-            self._tells = self._tells or math.isfinite(reading.held)
+            tells = math.isfinite(reading.held)
+            self._held = reading.held if reading.listens and tells else math.nan
+            self._tells = self._tells or tells
         if frame:
             age_s += settings.latency_s
             taken_ns = now_ns - round(age_s / _S)
@@ -258,35 +336,55 @@ class Intake:
         return self._shown != before
 
     def _age_s(self, reading: Reading, now_ns: int, frame: bool) -> float:
-        flight = float(reading.received_ns - reading.sent_ns)
-        least = self._flight_ns[frame] = min(flight, self._flight_ns.get(frame, flight))
-        excess = flight - least
-        if _S * excess <= self._settings.age_limit_s:
-            self._flight_ns[frame] = least + _FORGET * excess
-        return _S * (now_ns - reading.received_ns + excess)
+        flight, heard_ns = float(reading.received_ns - reading.sent_ns), reading.received_ns
+        before, then_ns = self._flight_ns.get(frame, (flight, heard_ns))
+        least = min(flight, before + _DRIFT * max(heard_ns - then_ns, 0))
+        self._flight_ns[frame] = least, heard_ns
+        return _S * (now_ns - heard_ns + flight - least)
 
     def _implausible(self, reading: Reading, taken_ns: int) -> str:
         settings, angle = self._settings, reading.angle_deg
         if not math.isfinite(angle):
             return "not-a-number"
+        self._shown_deg = angle
         if not settings.lower_deg <= angle <= settings.upper_deg:
-            return "out-of-range"
-        elapsed_s = max(_S * abs(taken_ns - self._accepted_ns), 1e-3)
-        if abs(angle - self._angle) > settings.rate_limit_deg_s * elapsed_s:
-            return "jump"
+            return OUTSIDE
+        if self._rated is not None:
+            elapsed_s = max(_S * abs(taken_ns - self._rated[0]), _RATE_S)
+            if abs(angle - self._rated[1]) > settings.rate_limit_deg_s * elapsed_s:
+                return "jump"
+        if self._travel == 0.0:
+            self._at_rest(angle)
         if angle != self._angle:
             self._repeats, self._travel = 0, 0.0
             return ""
         self._repeats += 1
-        count = settings.frozen_samples
-        frozen = count is not None and self._repeats >= count and self._travel >= settings.frozen_travel
-        return "frozen" if frozen else ""
+        count = self._frozen_samples
+        return "frozen" if count and self._repeats >= count and self._travel >= settings.frozen_travel else ""
+
+    def _at_rest(self, angle: float) -> None:
+        """Count an angle that came while the command rested: noise turns it to and fro, a coarse sensor repeats it."""
+        slope = angle - self._angle
+        if slope == 0.0:
+            self._same += 1
+            return
+        self._equal, self._same = self._equal + self._same, 0
+        self._turns += slope * self._slope < 0.0
+        self._slope = slope
+
+    @property
+    def _frozen_samples(self) -> int:
+        """Repetitions that mean a frozen sensor; 0 for one that has not shown noise in all of its angles."""
+        noisy = self._turns >= _NOISY and self._equal <= self._turns // _NOISY
+        return self._settings.frozen_samples or 0 if noisy else 0
 
     def _accept(self, reading: Reading, taken_ns: int) -> bool:
         """Whether it is the angle taken last; one that was overtaken is no measure for the next."""
         if taken_ns < self._accepted_ns and math.isfinite(self._angle):
             return False
         self._accepted_ns, self._angle = taken_ns, reading.angle_deg
+        if self._rated is None or taken_ns - self._rated[0] >= _RATE_S / _S:
+            self._rated = taken_ns, reading.angle_deg
         return True
 
     def _implausible_motion(self, angle: float, seen_ns: int) -> str:
@@ -303,11 +401,12 @@ class Intake:
         while self._past[0][0] < now_ns - self._settings.oldest_frame_s / _S:
             self._past.popleft()
 
-    def _silence(self, now_ns: int, faults: list[str]) -> str:
+    def _silence(self, now_ns: int, readings: int, faults: list[str]) -> str:
         """Why the run has to stop for want of an angle, or of any word where none is wanted."""
         silent_s, wants_angle = _S * (now_ns - self._accepted_ns), self._settings.kind != "none"
-        if not (silent_s > self._settings.silence_s and (wants_angle or self._tells)):
-            return ""
         if not wants_angle:
-            return f"device silent: no word of what it holds for {silent_s:.2f} s"
-        return f"sensor dead: no plausible angle for {silent_s:.2f} s ({', '.join(sorted(set(faults)))})"
+            silent = self._tells and silent_s > self._settings.silence_s
+            return f"device silent: no word of what it holds for {silent_s:.2f} s" if silent else ""
+        if silent_s > self._settings.silence_s:
+            return f"sensor dead: no plausible angle for {silent_s:.2f} s ({', '.join(sorted(set(faults)))})"
+        return self._absences.judge(readings, faults, silent_s, now_ns)

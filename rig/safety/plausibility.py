@@ -13,75 +13,100 @@ from hystmpc.trials.config import Settings
 
 _S = 1e-9
 _SMOOTH_S = 0.2  # time constant over which noise of the angle is averaged
-TRAVEL_SHARE = 0.3
-"""Of the command's range: travel without motion that is implausible where nothing else is said."""
-
+_ONWARD_SHARE, _REVERSED_SHARE = 0.3, 0.5  # of the command's range: travel without motion, where nothing is said
 _ANGLE_SHARE = 0.025  # of the sensor's plausible range
-_AT_ONCE = 1.5  # times `travel`: no time is given to a command that goes so far
 
 
 class PlausibilitySettings(Settings):
     """Block `plausibility`: how far commanded and measured motion may disagree before the run is stopped safely.
 
     Attributes:
-        travel: the command has to travel this far, in its unit, while the angle stays within `moves_deg`; null takes
-            30 % of the range of `limits`. It has to be wider than the play of the device.
+        travel: the command has to travel this far, in its unit, while the angle stays within `moves_deg`. It has to be
+            wider than the play of the device. Null takes half of the range of `limits`, and 30 % of it for travel in
+            the direction of the last motion, in which no play is left.
         moves_deg: an angle that moves by less than this counts as one that does not move; null takes 2.5 % of the
             sensor's plausible range.
-        travel_s: how long that has to last once the command has travelled so far; longer than the lag of the device.
-            One and a half times the travel is implausible at once.
+        travel_s: the device may lag behind the command by this time constant: only what the command, lagged by it, has
+            travelled counts [s].
         model_error_deg: the estimated disturbance (measured angle less the model's) that counts as a disagreement; or
             the estimator's own limit, where that is lower.
         model_error_s: how long it has to last.
         watch_motion: whether travel without motion stops a run or a recording.
+        watch_direction: whether an angle that falls while the command rises, or the reverse, stops a closed loop.
         watch_model: whether a disagreement with the model stops a run.
     """
 
     travel: Positive | None = None
     moves_deg: Positive | None = None
-    travel_s: Positive = 0.3
+    travel_s: Positive = 0.5
     model_error_deg: Positive = 20.0
     model_error_s: Positive = 1.0
     watch_motion: bool = True
+    watch_direction: bool = True
     watch_model: bool = True
+
+    def travel_of(self, command_range: float, onward: bool = False) -> float:
+        """Travel without motion that is implausible, for a range of the command [mm or bar].
+
+        Args:
+            onward: in the direction of the last motion.
+        """
+        return self.travel or (_ONWARD_SHARE if onward else _REVERSED_SHARE) * command_range
+
+    def moves_of(self, angle_range_deg: float) -> float:
+        """Least change of the angle that counts as motion, for the sensor's plausible range [deg]."""
+        return self.moves_deg or _ANGLE_SHARE * angle_range_deg
 
 
 @final
 class MotionWatch:
-    """Finds commanded travel without angular travel.
+    """Finds commanded travel without angular travel, or with travel in the opposite direction.
 
-    The angle is smoothed over 0.2 s. Since it has last moved by `moves_deg` the command has a least and a greatest
-    value; a distance between them of `travel` or more for `travel_s` is implausible, or of 1.5 `travel` at once.
+    The angle is smoothed over 0.2 s. The command u is followed as a device of the slowest lag allowed would do:
+
+        dv/dt = (u - v) / travel_s
+
+    Since the angle has last moved by `moves_deg`, v has a least and a greatest value; a distance between them of
+    `travel` is implausible. So is one of v beyond the farthest u that led there, in the direction of that motion: no
+    play is left then. A motion of the angle against that of v adds to the opposed travel, one along with it ends it; it
+    may not be `travel` either.
 
     Args:
         command_range: greatest less least command of the limits [mm or bar].
+        angle_range_deg: of the sensor's plausible range [deg].
+        rises: whether the angle has to rise with the command: in a closed loop.
     """
 
-    def __init__(self, settings: PlausibilitySettings, command_range: float, angle_range_deg: float) -> None:
-        self._on, self._hold_ns = settings.watch_motion, settings.travel_s / _S
-        self._travel = settings.travel or TRAVEL_SHARE * command_range
-        self._moves = settings.moves_deg or _ANGLE_SHARE * angle_range_deg
-        self._smooth, self._seen_ns = math.nan, 0
-        self._low = self._high = self._least = self._most = math.nan
-        self._since_ns: int | None = None
+    def __init__(
+        self, settings: PlausibilitySettings, command_range: float, angle_range_deg: float, rises: bool = False
+    ) -> None:
+        self._on, self._lag_s = settings.watch_motion, settings.travel_s
+        self._travel, self._onward = settings.travel_of(command_range), settings.travel_of(command_range, True)
+        self._moves = settings.moves_of(angle_range_deg)
+        self._opposes = self._travel if rises and settings.watch_direction else math.inf
+        self._gain = math.inf if rises else 0.0  # its sign is that of the angle's change by the command, as far as seen
+        self._smooth = self._lagged = math.nan
+        self._seen_ns = 0
+        self._low = self._high = self._least = self._most = math.nan  # of angle and v since the last motion
+        self._from_deg = self._from = math.nan  # angle and v at that motion
+        self._lowest = self._highest = math.nan  # of u since then
+        self._direction, self._engaged = 0, math.nan  # of that motion, and the farthest u that led there
+        self._opposed = 0.0
 
     def judge(self, angle_deg: float, command: float, now_ns: int) -> str:
         """Why the run has to stop, empty while it has not."""
-        if not self._on or math.isnan(command) or math.isnan(angle_deg):
+        if math.isnan(command) or math.isnan(angle_deg):
             return ""
-        angle = self._smoothed(angle_deg, now_ns)
+        elapsed_s, self._seen_ns = _S * max(now_ns - self._seen_ns, 0), now_ns
+        self._smooth = _followed(self._smooth, angle_deg, elapsed_s / _SMOOTH_S)
+        self._lagged = _followed(self._lagged, command, elapsed_s / self._lag_s)
+        angle, lagged = self._smooth, self._lagged
+        self._lowest, self._highest = min(command, self._lowest), max(command, self._highest)
         if not max(self._high, angle) - min(self._low, angle) < self._moves:  # also true at first, where it is NaN
-            self._low = self._high = angle
-            self._least = self._most = command
-            self._since_ns = None
-            return ""
+            return self._moved(angle, command, lagged)
         self._low, self._high = min(self._low, angle), max(self._high, angle)
-        self._least, self._most = min(self._least, command), max(self._most, command)
-        if self._most - self._least < self._travel:
-            return ""
-        self._since_ns = now_ns if self._since_ns is None else self._since_ns
-        at_once = self._most - self._least >= _AT_ONCE * self._travel
-        if now_ns - self._since_ns < self._hold_ns and not at_once:
+        self._least, self._most = min(self._least, lagged), max(self._most, lagged)
+        if not self._on or (self._most - self._least < self._travel and self._onward_travel < self._onward):
             return ""
         return (
             f"implausible: the command went from {self._least:.4g} to {self._most:.4g} and the angle stayed within "
@@ -89,28 +114,62 @@ class MotionWatch:
             f"{self._moves:.3g} deg or more (plausibility.travel, plausibility.moves_deg)"
         )
 
+    @property
+    def _onward_travel(self) -> float:
+        """How far v has gone on in the direction of the last motion, where no play is left."""
+        beyond = self._most - self._engaged if self._direction > 0 else self._engaged - self._least
+        return beyond if self._direction else 0.0
+
+    @property
+    def still(self) -> float:
+        """How far v has travelled since the angle has last moved; 0 before the first angle."""
+        travelled = self._most - self._least
+        return 0.0 if math.isnan(travelled) else travelled
+
     def numbers(self) -> Mapping[str, float]:
-        """What the same rule in C begins with; `travel` -1 does not look, `since_ns` 0 is none."""
+        """What the same rule in C begins with; `travel` -1 does not look, and Python judges every motion again."""
         return {
-            "travel": self._travel if self._on else -1.0,
-            "travel_at_once": _AT_ONCE * self._travel,
-            "travel_hold_ns": self._hold_ns,
+            "travel": min(self._travel, self._onward) if self._on else -1.0,
+            "lag_s": self._lag_s,
             "moves": self._moves,
             "smooth_s": _SMOOTH_S,
             "smooth": self._smooth,
+            "lagged": self._lagged,
             "low": self._low,
             "high": self._high,
             "least": self._least,
             "most": self._most,
             "watched_ns": self._seen_ns,
-            "since_ns": self._since_ns or 0,
         }
 
-    def _smoothed(self, angle: float, now_ns: int) -> float:
-        share = 1.0 - math.exp(-_S * (now_ns - self._seen_ns) / _SMOOTH_S)
-        self._smooth = angle if math.isnan(self._smooth) else self._smooth + share * (angle - self._smooth)
-        self._seen_ns = now_ns
-        return self._smooth
+    def _moved(self, angle: float, command: float, lagged: float) -> str:
+        """The angle has moved: in the direction of the command, or against it."""
+        turned, travelled = angle - self._from_deg, lagged - self._from
+        change = 0.0 if math.isnan(turned) else turned * travelled
+        self._opposed = self._opposed + abs(travelled) if change < 0 else 0.0
+        self._gain += change
+        self._engage(turned * self._gain if self._gain else 0.0)
+        self._low = self._high = self._from_deg = angle
+        self._least = self._most = self._from = lagged
+        self._lowest = self._highest = command
+        if self._opposed < self._opposes:
+            return ""
+        return (
+            f"implausible: the angle went by {turned:.2f} deg against the command, which travelled "
+            f"{self._opposed:.4g}; does the angle fall as the command rises? (wire.angle_sign, "
+            "plausibility.watch_direction)"
+        )
+
+    def _engage(self, rise: float) -> None:
+        """Take the direction of a motion of the device's input, and the farthest command in it; `rise` has its sign."""
+        before, self._direction = self._direction, 1 if rise > 0 else -1 if rise < 0 else 0
+        farther, command = (max, self._highest) if rise > 0 else (min, self._lowest)
+        self._engaged = farther(self._engaged, command) if self._direction == before else command
+
+
+def _followed(lagged: float, value: float, share: float) -> float:
+    """First-order lag behind a value after a time of `share` time constants; the value itself at first."""
+    return value if math.isnan(lagged) else lagged + (1.0 - math.exp(-share)) * (value - lagged)
 
 
 @final
@@ -152,8 +211,9 @@ class ModelWatch:
 class DriveFollowing:
     """Compares what the device says it holds with everything that was sent lately.
 
-    A device follows while what it holds lies within the least and the greatest command of the last `window_s`, give or
-    take `tolerance`: a slow drive or wire is no fault, one that is behind by more than `window_s` is.
+    A device follows while what it holds lies within the least and the greatest command of the last `window_s`, or
+    between them and the commands lagged by `window_s`, give or take `tolerance`. So a drive that is late or lags by as
+    much is no fault, one that is behind by more is. Samples in which it is not told what is held change nothing.
 
     Args:
         tolerance: in the command's unit; None does not look.
@@ -163,6 +223,7 @@ class DriveFollowing:
     def __init__(self, tolerance: float | None, window_s: float) -> None:
         self._tolerance, self._window_ns = tolerance, round(1e9 * window_s)
         self._sent: deque[tuple[int, float]] = deque()
+        self._lagged = math.nan
         self._off_ns: int | None = None
 
     def recent(self, dt_s: float, most: int) -> Mapping[str, Any]:
@@ -184,13 +245,9 @@ class DriveFollowing:
         """Whether the device follows, and why the run has to stop, empty while it has not."""
         if math.isnan(sent):
             return True, ""
-        window = self._sent
-        window.append((now_ns, sent))
-        while len(window) > 1 and window[1][0] <= now_ns - self._window_ns:
-            window.popleft()  # the one that was in force when the window begins stays
+        low, high = self._allowed(sent, now_ns)
         if self._tolerance is None or math.isnan(held):
             return True, ""
-        low, high = min(u for _, u in window), max(u for _, u in window)
         if low - self._tolerance <= held <= high + self._tolerance:
             self._off_ns = None
             return True, ""
@@ -202,3 +259,13 @@ class DriveFollowing:
             f"the device does not follow: it holds {held:.4g}, sent were {low:.4g} to {high:.4g}, for "
             f"{_S * since_ns:.2f} s; do commands reach it?"
         )
+
+    def _allowed(self, sent: float, now_ns: int) -> tuple[float, float]:
+        """Least and greatest command that a device may hold now."""
+        window, elapsed_ns = self._sent, now_ns - self._sent[-1][0] if self._sent else 0
+        self._lagged = _followed(self._lagged, sent, elapsed_ns / self._window_ns)
+        window.append((now_ns, sent))
+        while len(window) > 1 and window[1][0] <= now_ns - self._window_ns:
+            window.popleft()  # the one that was in force when the window begins stays
+        commands = [self._lagged, *(u for _, u in window)]
+        return min(commands), max(commands)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
 from hystmpc.trials.errors import ConfigError, did_you_mean
-from hystmpc.trials.from_outside import MODULE_AND_CLASS, class_named
+from hystmpc.trials.from_outside import MODULE_AND_CLASS, class_named, working_folder
 
 from .guarded import GuardedTransport, lacking, lacks
 from .transport import RunContext, Transport, TransportBase
@@ -57,19 +57,24 @@ class PythonSettings(TransportBase):
 
     def _make(self) -> Callable[[], Any]:
         """Makes the transport; class, methods and arguments are checked already."""
-        found, arguments = class_named(self.python, "transport", object), dict(self.model_extra or {})
+
+        def made() -> Any:
+            with working_folder():  # a class may import more when it is made
+                return found(**arguments)
+
+        found, arguments = class_named(self.python, "transport", GROUP, object), dict(self.model_extra or {})
         if missing := lacking(found):
             raise ConfigError(f"transport {self.python}: {lacks(missing)}")
         try:
             signature = inspect.signature(found)
         except ValueError:  # compiled, without one
-            return lambda: found(**arguments)
+            return made
         try:
             signature.bind(**arguments)
         except TypeError as error:
             expected = _expected(arguments, list(signature.parameters))
             raise ConfigError(f"transport {self.python}: {error}, {expected}") from None
-        return lambda: found(**arguments)
+        return made
 
 
 def _expected(arguments: Mapping[str, Any], taken: list[str]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, Self, final
 
@@ -81,10 +81,14 @@ class TopicTransport(Transport):
     """Reads the angle's topic, writes the command's.
 
     Plain Float64 carries neither sequence nor session: a restarted device is not noticed.
+
+    Args:
+        now_ns: monotonic clock [ns].
     """
 
-    def __init__(self, wire: TopicWire, conversion: Conversion) -> None:
+    def __init__(self, wire: TopicWire, conversion: Conversion, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._wire: TopicWire | None = wire
+        self._now = now_ns
         self._conversion, self._listens = conversion, listening(wire.session)
         self._device_has_sessions = False
         self._counters: Counter[str] = Counter()
@@ -97,7 +101,7 @@ class TopicTransport(Transport):
         message = None if self._wire is None else self._wire.read()
         if message is None:
             return None
-        now, angle = time.monotonic_ns(), self._conversion.angle_deg(message.data)
+        now, angle = self._now(), self._conversion.angle_deg(message.data)
         self._device_has_sessions = message.note.startswith(_LISTENS)
         listens = not self._device_has_sessions or message.note == self._listens
         held = self._conversion.command(message.held)

@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from itertools import chain, islice
 from multiprocessing.process import BaseProcess
 from typing import TypeVar, final
@@ -97,6 +98,10 @@ class Processes(Backend):
         Raises:
             BrokenProcessPool: if a worker died.
         """
+        with _safe_path():
+            yield from self._asked(function, items, pending)
+
+    def _asked(self, function: Callable[[T], R], items: Iterator[T], pending: dict[Future[R], T]) -> Iterator[R]:
         ours = set(multiprocessing.active_children())
         # Not forked: torch's and numba's threads do not survive a fork.
         context = multiprocessing.get_context("spawn")
@@ -116,6 +121,21 @@ class Processes(Backend):
             _end(set(multiprocessing.active_children()) - ours)
             raise
         pool.shutdown()
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """While workers are started: a file of the working folder takes the place of no module in them.
+
+    A worker is a Python of its own with a command for it to read, which would look into the working folder first.
+    """
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = before or "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop("PYTHONSAFEPATH", None)
 
 
 def _submitted(pool: ProcessPoolExecutor, function: Callable[[T], R], item: T) -> Future[R]:

@@ -16,7 +16,7 @@ import pytest
 
 from hystmpc.codegen import ControllerExport, export_controller
 
-PROGRAM = Path(__file__).with_name("sanitized.c")
+PROGRAM = "sanitized.c"
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")
 OPERATORS = ("-O1",)
@@ -45,13 +45,15 @@ def compile_c(arguments: Sequence[str], folder: Path, language: str = "cc") -> N
     assert tried([*known[0], *arguments], folder) == ""
 
 
-def run_sanitized(export: ControllerExport, folder: Path, steps: int = 3000) -> None:
+def run_sanitized(
+    export: ControllerExport, folder: Path, steps: int = 3000, program: str = PROGRAM, more: Sequence[str] = ()
+) -> None:
     """Steps under the sanitizers; where that for addresses has no library, undefined behaviour alone, which traps."""
     export.write(folder)
-    (folder / "main.c").write_text(PROGRAM.read_text(encoding="utf-8"), encoding="utf-8")
+    shutil.copy(Path(__file__).with_name(program), folder / "main.c")
     both = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     traps = ["-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
-    build = [*STRICT, f"-DSTEPS={steps}", "-O1", "-g", "-o", "run", "main.c", "hystmpc.c", "-lm"]
+    build = [*STRICT, f"-DSTEPS={steps}", *more, "-O1", "-g", "-o", "run", "main.c", "hystmpc.c", "-lm"]
     if not compilers() or tried([*compilers()[0], *both, *build], folder):
         compile_c([*traps, *build], folder)
     done = subprocess.run([folder / "run"], capture_output=True, text=True, timeout=120)
@@ -59,7 +61,7 @@ def run_sanitized(export: ControllerExport, folder: Path, steps: int = 3000) -> 
 
 
 class Library:
-    """A compiled controller: `init`, `step`, `set_target` and `stop` on memory of its own."""
+    """A compiled controller: the functions of its header on memory of its own."""
 
     def __init__(
         self, export: ControllerExport, folder: Path, single: bool = False, options: Sequence[str] | None = None
@@ -79,6 +81,8 @@ class Library:
         self._library.hystmpc_init.argtypes = [ctypes.c_void_p, real, real]
         self._library.hystmpc_set_target.argtypes = [ctypes.c_void_p, real]
         self._library.hystmpc_stop.argtypes = [ctypes.c_void_p]
+        self._library.hystmpc_hurry.argtypes = [ctypes.c_void_p]
+        self._library.hystmpc_look_on.argtypes = [ctypes.c_void_p, real, real]
         self._library.hystmpc_step.argtypes = [ctypes.c_void_p, real, ctypes.c_void_p]
         self._library.hystmpc_step.restype = Command
         self._library.hystmpc_memory_bytes.restype = ctypes.c_ulong
@@ -98,6 +102,12 @@ class Library:
 
     def set_target(self, angle: float) -> None:
         self._library.hystmpc_set_target(self.memory, angle)
+
+    def look_on(self, angle: float, command: float) -> int:
+        return int(self._library.hystmpc_look_on(self.memory, angle, command))
+
+    def hurry(self) -> None:
+        self._library.hystmpc_hurry(self.memory)
 
     def stop(self) -> None:
         self._library.hystmpc_stop(self.memory)

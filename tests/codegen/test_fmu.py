@@ -177,6 +177,94 @@ def test_a_wrong_step_is_refused_and_changes_nothing(folder: Path, wrong: float)
     np.testing.assert_array_equal(made.run(commands, DT), other.run(commands, DT))
 
 
+@pytest.mark.parametrize("length", [1e300, -1e300, 1.7e308, 1e9, 10_000_001 * DT])
+def test_a_step_that_would_last_for_ever_is_an_error_at_once(folder: Path, length: float) -> None:
+    made, other = started(folder), started(folder)
+    with pytest.raises(Exception, match="DoStep"):
+        made.step(0.0, length)
+    (line,) = made.lines
+    assert line.startswith(f"step: got {length:.9g} s, expected ")
+    commands = np.full(5, 3.0)
+    np.testing.assert_array_equal(made.run(commands, DT), other.run(commands, DT))
+
+
+ODD = st.sampled_from([np.nan, np.inf, -np.inf, 0.0, -0.0, -DT, 5e-324, 1e-300, 1e9, 1e300, 1.7e308, 0.5 * DT])
+
+
+@given(calls=st.lists(st.tuples(ODD | st.just(DT), ODD | st.just(0.0), ODD | st.floats(0.0, 6.0)), max_size=15))
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_any_step_is_taken_or_refused_in_a_line_and_the_angle_stays_finite(
+    folder: Path, calls: list[tuple[float, float, float]]
+) -> None:
+    """Lengths, starts and commands of any kind; what is refused changes nothing."""
+    made = started(folder)
+    for length, later, command in calls:
+        before, told = (made.get(TIME), made.get(OUTPUT)), len(made.lines)
+        try:
+            made.set(COMMAND, command)
+            made.step(made.get(TIME) + later, length)
+        except Exception:  # noqa: BLE001 - as fmpy raises
+            assert (made.get(TIME), made.get(OUTPUT)) == before
+            assert len(made.lines) == told + 1
+        else:
+            assert np.isfinite(command)
+            assert abs(later) <= 0.5 * DT
+            assert made.get(TIME) == pytest.approx(before[0] + DT)
+            assert len(made.lines) == told
+        assert np.isfinite(made.get(OUTPUT))
+    made.set(COMMAND, 3.0)
+    assert np.isfinite(made.run(np.full(3, 3.0), DT)).all()
+
+
+def test_a_device_that_overflows_is_an_error_and_keeps_its_state(folder: Path) -> None:
+    made, other = started(folder), started(folder)
+    made.set(COMMAND, 1.7e308)
+    with pytest.raises(Exception, match="DoStep"):
+        made.step(0.0, 3 * DT)
+    assert made.lines == ["step: the device does not answer this command with finite numbers"]
+    commands = np.full(5, 3.0)
+    np.testing.assert_array_equal(made.run(commands, DT), other.run(commands, DT))
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "line"),
+    [
+        (np.nan, None, "the start time is no number, or too large to count samples from"),
+        (1e300, None, "the start time is no number, or too large to count samples from"),
+        (0.0, np.nan, "the stop time is no number, or before the start"),
+        (5.0, 1.0, "the stop time is no number, or before the start"),
+    ],
+)
+def test_a_run_that_has_no_time_is_refused(folder: Path, start: float, stop: float | None, line: str) -> None:
+    made = Instance(folder)
+    with pytest.raises(Exception, match=r"SetupExperiment|EnterInitializationMode"):
+        made.start(start, stop)
+    assert made.lines == [line]
+
+
+def test_bytes_that_count_too_many_samples_end_in_a_line(folder: Path) -> None:
+    """The state behind the token ends with the number of samples and the stage."""
+    made = started(folder)
+    raw = made.packed()
+    made.unpack(raw[:-16] + (2**63 - 1).to_bytes(8, "little") + raw[-8:])
+    with pytest.raises(Exception, match="DoStep"):
+        made.step(made.get(TIME), DT)
+    assert made.lines[-1].startswith(f"step: got {DT:.9g} s, expected at most 10000000 samples")
+
+
+@versions
+@pytest.mark.parametrize("compiler", compilers(), ids=lambda command: Path(command[-1]).name)
+def test_sources_are_not_compiled_for_finite_numbers_only(
+    version: FmuVersion, compiler: list[str], tmp_path: Path
+) -> None:
+    plant = plant_of("pi")
+    for path, content in export_fmu(plant.simulator, plant.rest, version=version, platforms=()).files.items():
+        (tmp_path / Path(path).name).write_bytes(content)
+    for options in ("-ffast-math", "-ffinite-math-only"):
+        said = tried([*compiler, "-std=c99", options, "-c", "fmu.c", "-o", "made.o"], tmp_path)
+        assert "which voids every check for not-a-number: leave out -ffast-math" in said
+
+
 @given(parts=st.lists(st.integers(1, 5), min_size=1, max_size=10), start=st.floats(-100.0, 1e4))
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 def test_a_step_of_many_samples_is_as_many_steps(folder: Path, parts: list[int], start: float) -> None:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from hystmpc.commissioning.config import CommissionSettings, narrowed
 from hystmpc.commissioning.motions import Reached, budget, prepare_seconds, recordings, references
+from hystmpc.rig.safety.plausibility import PlausibilitySettings
 from hystmpc.trials.errors import ConfigError
 
 from .small import BENCH
@@ -102,12 +103,31 @@ def test_references_stay_within_the_reached_angles_and_speed(
         assert np.abs(np.diff(angles)).max() / 0.01 <= 0.36 * speed + 1e-6
 
 
+@given(
+    span=st.floats(1.0, 6.0),
+    still=st.floats(0.0, 6.0),
+    travel=st.one_of(st.none(), st.floats(0.1, 6.0)),
+)
+def test_a_tip_that_stays_over_all_of_a_narrower_range_is_found(
+    span: float, still: float, travel: float | None
+) -> None:
+    """Whatever was set for the whole range; and the longest travel that was seen without motion is no fault."""
+    whole = bench(0.0, 6.0, 10.0, 0.0)
+    whole = whole.model_copy(update={"plausibility": PlausibilitySettings(travel=travel)})
+    found = narrowed(whole, 0.0, span, 1.5, min(still, span)).plausibility.travel
+    assert found is not None
+    assert found <= 0.9 * span + 1e-9
+    if travel is None:
+        assert found >= min(still, 0.9 * span) - 1e-9
+    else:
+        assert found == pytest.approx(min(travel, 0.9 * span))
+
+
 def test_narrower_limits_leave_what_the_device_is_as_it_was() -> None:
     whole = bench(0.0, 6.0, 10.0, 0.0)
     narrow = narrowed(whole, 0.0, 2.0, 1.5)
     assert narrow.limits.build() == type(narrow.limits)(lower=0, upper=2, rate_per_s=1.5).build()
     assert narrow.overshoot == whole.overshoot
-    assert narrow.plausibility.travel == pytest.approx(1.8)
     assert narrow.ramps.velocity_per_s == 1.5
     with pytest.raises(ConfigError, match="safe_command"):
         narrowed(whole, 1.0, 2.0, 1.5)

@@ -105,6 +105,33 @@ def test_a_skipped_sample_is_a_hold_in_the_middle_of_a_motion_too() -> None:
     assert tip.step(plant.apply(held)).u > held
 
 
+@pytest.mark.parametrize("kind", CONTROLLERS)
+@pytest.mark.parametrize("safe", [None, 0.0, 5.0])
+def test_a_skipped_sample_is_a_hold_in_a_latched_stop_too(kind: str, safe: float | None) -> None:
+    """The ramp to the safe command goes on from what the device holds, however many samples were skipped."""
+    tip, plant = controller_for(kind=kind, ladder={"safe_command": safe}), plant_for()
+    tip.set_target(60.0)
+    y = run(tip, plant, plant.reset(), 20)
+    tip.stop()
+    held = tip.step(y).u
+    for _ in range(5):
+        skipped = tip.skip()
+        assert (skipped.u, skipped.source) == (held, Source.STOP)
+        assert skipped.status == "stopped: latched by stop(); sample skipped, command held"
+    assert tip.state().time_s == pytest.approx(26 * DT)
+    assert abs(tip.step(y).u - held) <= LIMITS.rate * DT * (1 + 1e-12)
+    assert tip.state().stopped
+
+
+def test_a_sample_skipped_before_the_start_is_no_command() -> None:
+    """So that a recording may still end at what the device really holds."""
+    tip = controller_for()
+    assert tip.skip().u == 0.0
+    assert not tip.snapshot().sent
+    tip.replay([1.0], [42.0])
+    assert tip.state().command == 1.0
+
+
 def test_waypoints_and_previews_are_followed_to_their_end() -> None:
     tip, plant = controller_for(), plant_for()
     y = plant.reset()

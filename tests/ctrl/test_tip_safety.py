@@ -170,7 +170,10 @@ def test_a_reset_goes_on_from_the_command_sent_last() -> None:
 
 calls = st.one_of(
     st.tuples(st.just("target"), st.floats(20.0, 90.0)),
-    st.tuples(st.just("step"), st.one_of(st.just(math.nan), st.floats(20.0, 90.0))),
+    *2 * [st.tuples(st.just("step"), st.one_of(st.just(math.nan), st.floats(20.0, 90.0)))],
+    st.tuples(st.just("skip"), st.integers(1, 5)),
+    st.tuples(st.just("took"), st.floats(-1.0, 1.0)),
+    st.tuples(st.just("measure"), st.tuples(st.floats(20.0, 90.0), st.floats(0.0, 5.0))),
     st.tuples(st.just("stop"), st.none()),
     st.tuples(st.just("reset"), st.one_of(st.none(), st.floats(25.0, 35.0))),
     st.tuples(st.just("keep"), st.none()),
@@ -179,11 +182,24 @@ calls = st.one_of(
 )
 
 
-@settings(max_examples=80, deadline=None)
-@given(st.lists(calls, min_size=5, max_size=40))
-def test_no_order_of_calls_jumps_or_releases_a_stop(todo: list[tuple[str, Any]]) -> None:
+KINDS: list[tuple[str, dict[str, Any]]] = [
+    *((kind, {"samples": 32} if kind == "sampling_mpc" else {}) for kind in CONTROLLERS),
+    ("linearised_mpc", {"estimator": {"sensor": "intermittent"}}),
+    ("pid", {"estimator": {"sensor": "intermittent"}}),
+    ("linearised_mpc", {"estimator": {"delay_samples": 2}}),
+]
+
+
+@pytest.mark.parametrize(("kind", "options"), KINDS, ids=lambda value: value if isinstance(value, str) else "")
+@pytest.mark.parametrize("safe", [None, 0.0, 4.0])
+@settings(max_examples=12, deadline=None)
+@given(todo=st.lists(calls, min_size=5, max_size=40))
+def test_no_order_of_calls_jumps_or_releases_a_stop(  # noqa: C901 - a branch a call
+    kind: str, options: dict[str, Any], safe: float | None, todo: list[tuple[str, Any]]
+) -> None:
     """The command moves by at most one step's worth from the one sent last; a stop ends with a reset and not before."""
-    tip, u, latched = controller_for(kind="inverse_pid"), 0.0, False
+    ladder = {"safe_command": safe, "stop_after_failures": 4, "max_missing_samples": 2}
+    tip, u, latched = controller_for(kind=kind, ladder=ladder, **options), 0.0, False
     kept = [tip.snapshot()]
     for name, value in todo:
         if name == "step":
@@ -191,7 +207,16 @@ def test_no_order_of_calls_jumps_or_releases_a_stop(todo: list[tuple[str, Any]])
             assert abs(command.u - u) <= STEP
             assert LIMITS.lower <= command.u <= LIMITS.upper
             assert not latched or command.source in (Source.STOP, Source.HOLD)
-            u = command.u
+            u, latched = command.u, tip.state().stopped
+        elif name == "skip":  # the device holds what it was sent, however long
+            for _ in range(value):
+                assert tip.skip().u == u
+        elif name == "took":  # a step that was taken elsewhere, in the place of this one
+            u = min(max(u + value * STEP, LIMITS.lower), LIMITS.upper)
+            tip.took(1, Command(u, Source.MPC))
+        elif name == "measure":
+            with suppress(ControllerError):  # a sensor that has no frames, or none so old
+                tip.measure(value[0], tip.state().time_s - value[1] * DT)
         elif name == "stop":
             tip.stop()
             latched = True

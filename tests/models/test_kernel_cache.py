@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.models.kernels import numba_
-from hystmpc.models.kernels.numba_ import generated_module, njit
+from hystmpc.models.kernels.numba_ import cache_folder, generated_module, njit, only_ours
 
 from ..conftest import ROOT
 
@@ -246,6 +246,54 @@ def test_a_damaged_generated_module_is_written_anew(
     damage(tmp_path / f"{name}.py")
     monkeypatch.delitem(sys.modules, name)
     assert damage.__name__ == generated_module(text).NAME
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="modes are those of POSIX")
+@pytest.mark.parametrize(
+    ("mode", "group", "trusted"),
+    [
+        (0o700, 0, True),
+        (0o755, 0, True),
+        (0o775, 0, True),
+        (0o775, 1, False),
+        (0o777, 0, False),
+        (0o1777, 0, False),
+        (0o702, 0, False),
+    ],
+)
+def test_a_folder_that_others_may_write_in_holds_no_compiled_code(
+    mode: int,
+    group: int,
+    trusted: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    folder.chmod(mode)
+    monkeypatch.setattr(os, "getgid", lambda: folder.stat().st_gid + group)
+    monkeypatch.setenv("HYSTMPC_CACHE_DIR", str(folder))
+    assert (cache_folder() == folder) is trusted
+    assert only_ours(cache_folder())
+    assert only_ours(folder / "not there yet")
+    numba_._told.clear()
+    monkeypatch.setattr(numba_.FunctionCache, "__init__", lambda self, function: setattr(self, "_cache_path", folder))
+    if not trusted:
+        with caplog.at_level(logging.WARNING):
+            assert njit(cache=True)(lambda x: 2.0 * x)(3.0) == 6.0
+        assert ["others may write in it" in record.message for record in caplog.records] == [True]
+
+
+def test_a_folder_of_another_user_holds_no_compiled_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("resource", reason="users are those of POSIX")
+    found = tmp_path.stat()
+
+    class Another:
+        st_mode, st_uid, st_gid = found.st_mode, found.st_uid + 5, found.st_gid
+
+    monkeypatch.setattr(Path, "stat", lambda self: Another)
+    assert not only_ours(tmp_path)
 
 
 def test_every_kernel_goes_through_the_checked_cache() -> None:

@@ -173,7 +173,7 @@ class Rig:
             self.gate.anchor(self.held)
         watch = MotionWatch(self.plausibility, LIMITS.upper - LIMITS.lower, SENSOR.upper_deg - SENSOR.lower_deg)
         self.intake = Intake(self.sensor, self.clock.ns, watch)
-        self.anchor = Anchor(self.gate, 0.1, 3 * DT, 0.5)
+        self.anchor = Anchor(self.gate, 0.1, 3 * DT, 0.5, self.safe, 0.5)
 
     def run(self, phases: Sequence[Phase]) -> RunOutcome:
         def to_safe(cause: str) -> SafeStop:

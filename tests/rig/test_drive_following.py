@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -48,6 +49,29 @@ def test_a_moment_of_not_following_is_forgotten() -> None:
     held[20:28] = held[40:48] = [0.0] * 8
     assert [follows for follows, _ in judged(held, sent)].count(False) == 16
     assert not any(cause for _, cause in judged(held, sent))
+
+
+@given(lag_s=st.floats(0.01, 0.5), rate=st.floats(0.5, 12.0), seed=st.integers(0, 1000))
+def test_a_drive_that_lags_by_less_than_the_window_follows(lag_s: float, rate: float, seed: int) -> None:
+    """It says where it is: behind every ramp, and for a while after its end."""
+    random, sent = np.random.default_rng(seed), [0.0]
+    while len(sent) < 400:
+        target = random.uniform(0.0, 6.0)
+        steps = max(math.ceil(abs(target - sent[-1]) / (0.04 * rate)), 1)
+        sent += np.linspace(sent[-1], target, steps + 1)[1:].tolist() + [target] * int(random.integers(0, 40))
+    held = [0.0]
+    for u in sent[1:]:
+        held.append(held[-1] + (1.0 - math.exp(-0.04 / lag_s)) * (u - held[-1]))
+    assert all(follows and not dead for follows, dead in judged(held, sent))
+
+
+@pytest.mark.parametrize("told", [1, 2, 5])
+def test_samples_in_which_nothing_is_told_forgive_nothing(told: int) -> None:
+    """A device off what it was sent that tells in every fifth sample alone is found as soon as any."""
+    sent = [min(0.2 * k, 6.0) for k in range(80)]
+    held = [0.0 if k % told == 0 else math.nan for k in range(80)]
+    dead = next(k for k, (_, cause) in enumerate(judged(held, sent)) if cause)
+    assert dead <= 2 * WINDOW + 3 + told
 
 
 @pytest.mark.parametrize(("held", "tolerance"), [(math.nan, 0.1), (0.0, None)])

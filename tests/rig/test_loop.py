@@ -131,8 +131,8 @@ def test_a_dead_or_implausible_sensor_stops_safely(bad: float | None) -> None:
 def test_a_frozen_sensor_is_found_while_the_command_moves_and_not_in_a_hold() -> None:
     rest = CommandMotion("rest", lambda u: way_commands(u, [u], [4.0], RAMPS, DT))
     assert Rig(lambda k, u: 30.0).run([rest]).cause == ""
-    rig = Rig(lambda k, u: 30.0)
-    outcome = rig.run([travel(hold_s=5.0)])
+    rig = Rig(lambda k, u: 30.0 + (0.01 * math.sin(37.1 * k**2) if k < 60 else 0.0))
+    outcome = rig.run([rest, travel(hold_s=5.0)])
     assert "frozen" in outcome.cause
     assert rig.transport.sent[-1] == 0.0
 

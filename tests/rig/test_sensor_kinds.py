@@ -58,7 +58,7 @@ def test_a_frame_is_as_old_as_its_latency_its_excess_and_its_wait(excess_ms: flo
     if abs(age_s - 1.0) > 1e-6:
         assert (seen.faults == ("stale",)) == (age_s > 1.0)
     if not seen.faults:
-        assert (seen.angle_deg, seen.age_s) == (31.0, pytest.approx(age_s))
+        assert (seen.angle_deg, seen.age_s) == (31.0, pytest.approx(age_s, abs=1e-3))  # clocks drift apart
 
 
 def test_between_frames_nothing_is_missing_and_the_device_says_what_it_holds() -> None:
@@ -85,16 +85,19 @@ def test_an_overtaken_frame_is_used_and_is_no_measure_for_the_next() -> None:
 def test_the_rate_counts_the_time_between_two_frames(angle: float, later_ms: int) -> None:
     judge = camera(rate_limit_deg_s=100.0)
     seen = judge.judge([frame(2, angle, later_ms, 10_000 + later_ms)], NOW + later_ms * MS, 1.0)
-    if abs(abs(angle - 30.0) - 0.1 * later_ms) > 1e-6:
-        assert (seen.faults == ("jump",)) == (abs(angle - 30.0) > 0.1 * later_ms)
+    if abs(abs(angle - 30.0) - 0.1 * max(later_ms, 20.0)) > 1e-6:
+        assert (seen.faults == ("jump",)) == (abs(angle - 30.0) > 0.1 * max(later_ms, 20.0))
 
 
 def test_repeated_frames_while_the_command_moves_are_a_frozen_sensor() -> None:
+    """Of a sensor that has not repeated itself before: 30 frames that differ."""
     judge, faults = camera(frozen_samples=3), []
-    for k in range(2, 7):
+    for k in range(2, 32):
+        judge.judge([frame(k, 30.0 + 0.01 * (k % 3), 200.0 * k, 10_000 + 200.0 * k)], NOW + 200 * k * MS, 0.0)
+    for k in range(32, 38):
         shown = frame(k, 30.0, 200.0 * k, 10_000 + 200.0 * k, held=math.nan)
         faults.append(judge.judge([shown], NOW + 200 * k * MS, k).faults)
-    assert faults == [(), (), ("frozen",), ("frozen",), ("frozen",)]
+    assert faults == [(), (), (), ("frozen",), ("frozen",), ("frozen",)]
 
 
 def test_a_gap_stops_the_run_when_it_is_longer_than_the_longest() -> None:

@@ -49,6 +49,7 @@ def compiled(folder: Path) -> ctypes.CDLL:
         "chain": (whole, [manager, whole]),
         "target": (whole, [manager, number]),
         "update": (ctypes.c_long, [manager]),
+        "update_after": (ctypes.c_long, [manager, number]),
         **{name: (whole, [manager]) for name in ("configure", "activate", "deactivate", "cleanup", "stop")},
     }
     for name, (answer, arguments) in calls.items():
@@ -101,8 +102,9 @@ class Manager:
     def target(self, angle_deg: float) -> None:
         assert self.call("target", math.radians(angle_deg)) == 1
 
-    def step(self, angle_deg: float) -> float:
+    def step(self, angle_deg: float, period_s: float | None = None) -> float:
         """One period: measure, update, and the command then [mm]."""
         self.call("measure", math.radians(angle_deg))
-        assert self.call("update") == 0, "an update took memory, or failed"
+        done = self.call("update") if period_s is None else self.call("update_after", period_s)
+        assert done == 0, "an update took memory, or failed"
         return self.held_mm

@@ -85,6 +85,7 @@ def test_another_update_rate_is_refused(library: ctypes.CDLL, rate_hz: int) -> N
         ({"angle_unit": "grad"}, "expected rad or deg"),
         ({"command_scale": 0.0}, "command_scale of 0"),
         ({"command_scale": math.nan}, "command_scale of 0 or no number"),
+        ({"least_angle": 1.0, "greatest_angle": 1.0}, "least_angle that is not below"),
     ],
 )
 def test_parameters_that_make_no_sense_are_refused(
@@ -159,6 +160,109 @@ def test_any_input_is_answered_within_the_limits(library: ctypes.CDLL, inputs: l
         assert LOWER - ROUNDING <= command <= UPPER + ROUNDING
         assert abs(command - last) <= REACH + ROUNDING
         last = command
+
+
+ANGLES = st.one_of(ANYTHING, st.floats(0.5, 1.4))
+HELD = st.one_of(ANYTHING, st.floats(LOWER / 1000.0, UPPER / 1000.0))
+PERIODS = st.one_of(ANYTHING, st.floats(0.0, 0.5), *3 * [st.just(0.04)])
+EVENTS = st.lists(
+    st.tuples(ANGLES, st.none() | HELD, PERIODS, st.sampled_from(["", "", "", "", "stop", "again"])),
+    min_size=1,
+    max_size=30,
+)
+
+
+@given(EVENTS)
+def test_commands_start_from_what_stands_at_the_interface(
+    library: ctypes.CDLL, events: list[tuple[float, float | None, float, str]]
+) -> None:
+    """Pauses, another writer, numbers that are none, stops and activations: each command is near what was found."""
+    manager = Manager(library)
+    assert manager.start(START_DEG, START_MM) == SUCCESS
+    for angle, other, period, event in events:
+        manager.call("measure", angle)
+        if other is not None:
+            manager.call("hold", other)
+        if event == "again":
+            assert manager.call("deactivate") == SUCCESS
+            if manager.call("activate") != SUCCESS:
+                manager.hold(START_DEG, START_MM)
+                assert manager.call("activate") == SUCCESS
+        elif event:
+            manager.call(event)
+        found = manager.held_mm
+        known = LOWER - ROUNDING <= found <= UPPER + ROUNDING
+        assert manager.call("update_after", period) == (0 if known or 0.0 < period < 0.02 else -1)
+        if not known:
+            assert manager.held_mm == found or math.isnan(found)
+            continue
+        assert LOWER - ROUNDING <= manager.held_mm <= UPPER + ROUNDING
+        assert abs(manager.held_mm - found) <= REACH + ROUNDING
+
+
+def test_another_writer_is_found_and_gone_on_from(running: Manager) -> None:
+    """In the sample in which it is found nothing is sent, as by the gate of a run."""
+    running.target(80.0)
+    for _ in range(3):
+        running.step(START_DEG)
+    running.call("hold", 0.0005)
+    assert running.step(START_DEG) == pytest.approx(0.5)
+    assert running.step(START_DEG) == pytest.approx(0.5 + REACH)
+
+
+@pytest.mark.parametrize(("pause_s", "moves"), [(0.04, True), (0.1, True), (0.16, False), (3.0, False), (1e9, False)])
+def test_after_a_pause_nothing_is_sent_at_once(running: Manager, pause_s: float, moves: bool) -> None:
+    running.target(80.0)
+    last = [running.step(START_DEG) for _ in range(3)][-1]
+    assert running.step(START_DEG, pause_s) == pytest.approx(last + REACH if moves else last)
+    assert running.step(START_DEG) > last
+
+
+def test_updates_that_come_too_fast_make_no_command_until_a_sample_has_passed(running: Manager) -> None:
+    running.target(80.0)
+    last = [running.step(START_DEG) for _ in range(3)][-1]
+    assert [running.step(START_DEG, 0.006) for _ in range(3)] == pytest.approx([last] * 3)
+    assert running.step(START_DEG, 0.006) == pytest.approx(last + REACH)
+
+
+@pytest.mark.parametrize("odd", [math.nan, math.inf, -0.001, 0.007])
+def test_nothing_is_written_where_it_is_not_known_what_the_drive_holds(running: Manager, odd: float) -> None:
+    running.target(80.0)
+    running.step(START_DEG)
+    running.call("hold", odd)
+    assert [running.call("update") for _ in range(2)] == [-1, -1]
+    assert running.held_mm == pytest.approx(1000.0 * odd, nan_ok=True)
+    assert running.call("deactivate") == SUCCESS
+    assert running.held_mm == pytest.approx(1000.0 * odd, nan_ok=True)
+    assert running.call("activate") == ERROR
+    running.call("hold", 0.001)
+    assert running.call("activate") == SUCCESS
+    assert abs(running.step(START_DEG) - 1.0) <= REACH + ROUNDING
+
+
+def test_a_deactivation_starts_from_what_another_has_written(running: Manager) -> None:
+    running.target(80.0)
+    running.step(START_DEG)
+    running.call("hold", 0.005)
+    assert running.call("deactivate") == SUCCESS
+    assert running.held_mm == pytest.approx(5.0 - REACH)
+
+
+def test_an_angle_beyond_the_sensor_is_none(library: ctypes.CDLL) -> None:
+    manager = Manager(library, angle_unit="deg", least_angle=20.0, greatest_angle=60.0)
+    manager.call("hold", START_MM / 1000.0)
+    assert manager.call("configure") == SUCCESS
+    manager.call("measure", 60.1)
+    assert manager.call("activate") == ERROR
+    assert "no usable number" in manager.said
+    manager.call("measure", START_DEG)
+    assert manager.call("activate") == SUCCESS
+    plain = Manager(library)
+    assert plain.start(START_DEG, START_MM) == SUCCESS
+    for _ in range(30):
+        manager.call("measure", 19.9)
+        assert manager.call("update") == 0
+        assert manager.held_mm == pytest.approx(plain.step(math.nan), abs=1e-9)
 
 
 def test_a_stop_ramps_to_the_safe_command_and_an_activation_releases_it(running: Manager) -> None:

@@ -26,6 +26,7 @@ from hystmpc.sim.config import load_simulation
 from hystmpc.testing import ControllerContract, EffectContract
 from hystmpc.testing.new import write_template
 from hystmpc.trials.errors import ConfigError
+from hystmpc.trials.from_outside import ALLOWED
 
 LAWS = [name for name in dir(ControllerContract) if name.startswith("test_")]
 EFFECT_LAWS = [name for name in dir(EffectContract) if name.startswith("test_")]
@@ -38,6 +39,7 @@ JUMPS = {"sensor": 1.0, "rate_dependence": 0.3}  # it rounds; in a hold its deri
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A working folder with the templates of all kinds; modules imported from it are forgotten behind it."""
     before = set(sys.modules)
+    monkeypatch.setenv(ALLOWED, "all")
     monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path / "controller"), str(tmp_path / "effect")])
     for kind in ("controller", "effect"):
         write_template(kind, tmp_path / kind)

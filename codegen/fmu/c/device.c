@@ -1,4 +1,8 @@
 /* A device at its sample time: state, one step, save and restore; the same for every version of the standard. */
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0) || defined(_M_FP_FAST)
+#error "hystmpc: compiled for finite numbers only, which voids every check for not-a-number: leave out -ffast-math"
+#endif
+
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -8,6 +12,7 @@
 enum { TIME = 0, COMMAND = 1, OUTPUT = 2 };             /* value references, as in modelDescription.xml */
 enum { DONE = 0, REFUSED = 2, FAILED = 3 };             /* OK, Discard and Error of the standard */
 enum { MADE = 0, STARTING = 1, RUNNING = 2, ENDED = 3 }; /* what an instance has been told */
+enum { MOST_SAMPLES = 10000000 };                       /* of one step: a few seconds of work */
 
 /* The whole memory of an instance: a copy of it is a snapshot. */
 typedef struct {
@@ -24,6 +29,8 @@ static int tell(const struct instance *d, int status, const char *line);
 
 /* A state as bytes: the token says whose it is. */
 enum { TOKEN_BYTES = sizeof HYSTMPC_TOKEN, STATE_BYTES = sizeof HYSTMPC_TOKEN + sizeof(device_state) };
+
+static int plain_number(double x) { return x - x == 0.0; }
 
 static double device_time(const device_state *s) {
     return s->start_s + (double)s->samples * HYSTMPC_SAMPLE_S;
@@ -54,7 +61,7 @@ static int device_set(const struct instance *d, device_state *s, const unsigned 
                       const double *values) {
     for (size_t i = 0; i < count; i++) {
         if (which[i] != COMMAND) return tell(d, FAILED, "set: only value reference 1, the command, can be set");
-        if (!(values[i] - values[i] == 0.0)) return tell(d, REFUSED, "set: the command is not a finite number");
+        if (!plain_number(values[i])) return tell(d, REFUSED, "set: the command is not a finite number");
         s->command = values[i];
     }
     return DONE;
@@ -63,7 +70,9 @@ static int device_set(const struct instance *d, device_state *s, const unsigned 
 /* The start of a run. */
 static int device_start(const struct instance *d, device_state *s, double start_s, double stop_s) {
     if (s->stage != MADE) return tell(d, FAILED, "the start time can be set only before the initialisation");
-    if (!(start_s - start_s == 0.0)) return tell(d, FAILED, "the start time is not a finite number");
+    if (!(fabs(start_s + HYSTMPC_SAMPLE_S - start_s - HYSTMPC_SAMPLE_S) <= 1e-3 * HYSTMPC_SAMPLE_S))
+        return tell(d, FAILED, "the start time is no number, or too large to count samples from");
+    if (!(stop_s >= start_s)) return tell(d, FAILED, "the stop time is no number, or before the start");
     s->start_s = start_s;
     s->stop_s = stop_s;
     return DONE;
@@ -76,15 +85,31 @@ static int device_enter(const struct instance *d, device_state *s, int from, int
     return DONE;
 }
 
-/* Whole samples with the command held; the state is kept where the step is refused. */
+/* One sample with the command held; 0 where the device does not answer with finite numbers. */
+static int device_advance(device_state *s) {
+    double next[HYSTMPC_STATES], sum = 0.0;
+    step_device(s->x, s->command, &s->output, next);
+    for (int i = 0; i < HYSTMPC_STATES; i++) sum += fabs(next[i]);
+    memcpy(s->x, next, sizeof next);
+    s->samples++;
+    return plain_number(sum) && plain_number(s->output);
+}
+
+/* Whole samples; the state is kept where the step is refused or fails. */
 static int device_step(const struct instance *d, device_state *s, double at_s, double length_s) {
     char line[200];
     const double samples = length_s / HYSTMPC_SAMPLE_S, whole = floor(samples + 0.5), now_s = device_time(s);
+    const device_state before = *s;
     if (s->stage != RUNNING) return tell(d, FAILED, "step: the instance is not initialised, or is terminated");
     if (!(whole >= 1.0 && fabs(samples - whole) <= 1e-6)) {
         snprintf(line, sizeof line, "step: got %.9g s, expected a whole multiple of the sample time %.9g s", length_s,
                  HYSTMPC_SAMPLE_S);
-        return tell(d, REFUSED, line);
+        return tell(d, length_s > 0.0 && plain_number(length_s) ? REFUSED : FAILED, line);
+    }
+    if (!(whole <= MOST_SAMPLES && s->samples >= 0 && s->samples <= INT64_MAX - MOST_SAMPLES)) {
+        snprintf(line, sizeof line, "step: got %.9g s, expected at most %d samples of %.9g s", length_s, MOST_SAMPLES,
+                 HYSTMPC_SAMPLE_S);
+        return tell(d, FAILED, line);
     }
     if (!(fabs(at_s - now_s) <= 0.5 * HYSTMPC_SAMPLE_S)) {
         snprintf(line, sizeof line, "step: got time %.9g s, expected %.9g s, where the last step ended", at_s, now_s);
@@ -95,11 +120,10 @@ static int device_step(const struct instance *d, device_state *s, double at_s, d
                  s->stop_s);
         return tell(d, FAILED, line);
     }
-    for (double k = 0.0; k < whole; k += 1.0) {
-        double next[HYSTMPC_STATES];
-        step_device(s->x, s->command, &s->output, next);
-        memcpy(s->x, next, sizeof next);
-        s->samples++;
+    for (int k = 0; k < (int)whole; k++) {
+        if (device_advance(s)) continue;
+        *s = before;
+        return tell(d, FAILED, "step: the device does not answer this command with finite numbers");
     }
     return DONE;
 }

@@ -1,52 +1,47 @@
-"""One sample after another: judge what has come, step the controller, send. No ROS in here."""
+"""The loop of `hystmpc run`, one sample after another by somebody else's clock. No ROS in here."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from typing import final
 
-from hystmpc.ctrl import TipController
-from hystmpc.rig import Reading, Transport
-from hystmpc.rig.safety.intake import Intake, Seen, SensorSettings
-from hystmpc.trials.errors import ControllerError
-
-_CONTACTS = 3  # plausible angles, with a command that stands still, before anything is sent
-_SAME = 1e-6  # two commands that are one [mm or bar]
-_REST = 2  # equal commands of a stop: it has come to its end
+from hystmpc.rig import Transport
+from hystmpc.rig.bench import control_loop
+from hystmpc.rig.commission.steering import Steering
+from hystmpc.rig.config import BenchSettings
+from hystmpc.rig.contact import FirstContact
+from hystmpc.rig.loop import ControlLoop
+from hystmpc.rig.reader import Reader
+from hystmpc.rig.realtime import Clock
+from hystmpc.rig.recording.sample import Sample
+from hystmpc.rig.safety.stop import StopFlag
+from hystmpc.trials.errors import HystmpcError
 
 
 @final
 class Planner:
-    """A controller at a device: it waits for contact, runs, and stays stopped after a fault.
+    """A controller at a device: it waits for contact, goes through the loop, and stays stopped after any fault.
 
-    Before contact nothing is sent but greetings. A device that no longer listens, a restarted one and a dead sensor
-    latch the stop; `reset` begins anew with waiting for contact.
+    Contact, gate, anchor, intake, plausibility and safe stop are those of `hystmpc run`. Before contact nothing is sent
+    but greetings. A stop leads to the safe command, which is sent on and on until `leave`, or stays where there is
+    none; it is latched until `reset`, which begins anew with waiting for contact.
 
     Args:
-        start_command: what the device holds, where it does not tell; NaN where it tells [mm or bar].
-        safe_command: where a stop leads; NaN where it stays [mm or bar].
-        clock: monotonic time now [ns].
+        settings: of the bench; `safe_command` and limits are those of the controller.
     """
 
-    def __init__(
-        self,
-        tip: TipController,
-        transport: Transport,
-        sensor: SensorSettings,
-        start_command: float,
-        safe_command: float,
-        clock: Callable[[], int],
-    ) -> None:
-        self.tip, self.status = tip, ""
-        self._transport, self._sensor, self._clock = transport, sensor, clock
-        self._start_command, self._safe_command = start_command, safe_command
+    def __init__(self, settings: BenchSettings, steering: Steering, transport: Transport, clock: Clock) -> None:
+        self.tip, self._steering = steering.tip, steering
+        self._settings, self._transport, self._clock = settings, transport, clock
+        self._leaves = False
+        steering.watch(settings.plausibility)
         self._wait()
 
     def _wait(self) -> None:
-        self._intake = Intake(self._sensor, self._clock())
-        self._running, self._contacts, self._resting = False, 0, 0
-        self._held = self._told = self._sent = math.nan
+        self._flag, self._loop = StopFlag(), None
+        self._contact = FirstContact(self._settings, self._transport)
+        self._reader = Reader(self._transport, self._clock, round(1e9 * self._settings.dt_s))
+        self._newest: Sample | None = None
+        self._over = False
         self.status = "waits for the device"
 
     def reset(self) -> None:
@@ -54,74 +49,60 @@ class Planner:
         self.tip.reset()
         self._wait()
 
+    def stop(self, cause: str) -> None:
+        """Stop safely, and latch it."""
+        self.tip.stop()
+        self._flag.set(cause)
+
+    def leave(self, cause: str) -> None:
+        """Stop safely; nothing is sent any more once the safe command is held."""
+        self._leaves = True
+        self.stop(cause)
+
     def sample(self) -> None:
-        """One sample; called once in `tip.dt` seconds."""
-        readings: list[Reading] = []
-        while (reading := self._transport.read()) is not None:
-            readings.append(reading)
-        seen = self._intake.judge(readings, self._clock(), self._sent)
-        if readings and not readings[-1].listens:
-            self._not_heard()
-        elif self._running:
-            self._step(seen)
-        else:
-            self._contact(seen)
+        """One sample; called once in `tip.dt` seconds. A call that comes late is a sample that ended late."""
+        loop: ControlLoop | None = self._loop
+        if loop is None:
+            self._look_for_it()
+        elif not self._over:
+            self._over = not loop.sample(loop.due())
+            if cause := self._flag.cause or loop.cause:
+                self.tip.stop()
+                self.status = cause if self._over else f"safe stop: {cause}"
 
     @property
-    def at_rest(self) -> bool:
-        """Whether there is nothing to move any more: it never ran, or the stop has come to its end."""
-        return not self._running or self._resting >= _REST
+    def over(self) -> bool:
+        """Whether nothing is sent: there was no contact yet, or the stop has come to its end."""
+        return self._loop is None or self._over
 
     @property
-    def running(self) -> bool:
-        """Whether commands are sent."""
-        return self._running
+    def newest(self) -> Sample | None:
+        """The last sample of the loop, None before the first."""
+        return self._newest
+
+    def put(self, sample: Sample) -> None:
+        """Keep a sample of the loop."""
+        self._newest, self.status = sample, sample.status
 
     def close(self) -> None:
         """Leave; goodbye is said to a device that has told that it holds the safe command."""
-        rests = self._running and self.at_rest
-        self._transport.stop(goodbye=rests and abs(self._told - self._safe_command) <= _SAME)
+        self._transport.stop(goodbye=self._over and self._loop is not None and self._loop.outcome().confirmed)
 
-    def _not_heard(self) -> None:
-        """The device takes no commands of this session: ask for it, and stop what was under way."""
-        self._contacts = 0
-        if self._running:
-            self._running = False
-            self.tip.stop()
-            self.status = "the device listens no more: the stop is latched"
-        if not self.tip.state().stopped:
-            self._transport.greet()
-
-    def _contact(self, seen: Seen) -> None:
-        if seen.dead:  # before the first command a silence is none
-            self._intake, self._contacts = Intake(self._sensor, self._clock()), 0
+    def _look_for_it(self) -> None:
+        for reading in self._reader.take().readings:
+            if self.tip.state().stopped:
+                continue
+            try:
+                contact = self._contact.judge(reading)
+                if contact is None:
+                    continue
+                safe = self._steering.safe_command
+                parts = self._settings, self._transport, self._clock, contact, self._flag, self
+                loop = control_loop(*parts, safe=safe, stays=lambda: not self._leaves, closed_loop=True)
+                loop.begin([self._steering])
+            except HystmpcError as error:
+                self._wait()
+                self.status = f"cannot start: {error}"
+                return
+            self._loop, self.status = loop, "the device answers"
             return
-        if math.isnan(seen.angle_deg) or seen.faults or self.tip.state().stopped:
-            return
-        held = self._start_command if math.isnan(seen.held) else seen.held
-        if math.isnan(held):
-            self.status = "the device does not tell what it holds: start_command has to"
-            return
-        self._contacts = self._contacts + 1 if abs(held - self._held) <= _SAME else 1
-        self._held = held
-        if self._contacts < _CONTACTS:
-            return
-        try:
-            self.tip.reset(seen.angle_deg, held)
-        except ControllerError as error:
-            self._contacts, self.status = 0, f"cannot start: {error}"
-            return
-        self._running, self._sent = True, held
-        self._step(seen)
-
-    def _step(self, seen: Seen) -> None:
-        if seen.dead and not self.tip.state().stopped:
-            self.tip.stop()
-        if math.isfinite(seen.held):
-            self._told = seen.held
-        command = self.tip.step(seen.angle_deg)
-        stopped = self.tip.state().stopped
-        self._resting = self._resting + 1 if stopped and abs(command.u - self._sent) <= _SAME else 0
-        self._sent = command.u
-        self._transport.write(command.u)
-        self.status = seen.dead or command.status

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import signal
 import time
+from collections.abc import Mapping
 from typing import Any, final
 
 import rclpy
@@ -17,11 +18,10 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from hystmpc.ctrl import TipController
-from hystmpc.ctrl.config import sensor_fault
-from hystmpc.ctrl.planner.settings import read_settings
-from hystmpc.rig.safety.intake import SensorSettings
-from hystmpc.rig.transports.dds import DdsSettings
+from hystmpc.rig.commission.steering import Steering
+from hystmpc.rig.config import BenchSettings
+from hystmpc.rig.realtime import Clock, MonotonicClock
+from hystmpc.rig.transports.dds_topics import DdsTopics
 from hystmpc.rig.transports.topics import TopicTransport, stamp
 from hystmpc.rig.transports.transport import Conversion
 from hystmpc.trials.errors import ConfigError, HystmpcError
@@ -43,39 +43,86 @@ PARAMETERS: dict[str, Any] = {
     "rate_limit_deg_s": 500.0,
     "age_limit_s": 0.1,
     "dead_after_s": 0.5,
-    "start_command": math.nan,  # what the device holds, where it does not tell
+    "frozen_samples": 10,
+    "frozen_travel": 0.3,
+    "held_tolerance": 0.1,
+    "start_command": math.nan,  # what the device holds, where it does not tell; not a number: it tells
+    "travel": math.nan,  # plausibility; not a number: from the limits and the range of the sensor
+    "moves_deg": math.nan,
+    "travel_s": 0.5,
+    "model_error_deg": 20.0,
+    "model_error_s": 1.0,
+    "watch_motion": True,
+    "watch_direction": True,
+    "watch_model": True,
+    "velocity_per_s": 2.0,  # ramps: the way to the safe command
+    "acceleration_per_s2": 10.0,
+    "jerk_per_s3": 100.0,
+    "brake_per_s2": math.nan,
+    "stop_overshoot": math.nan,
 }
+_BLOCKS = {
+    "sensor": (
+        ("lower_deg", "upper_deg", "rate_limit_deg_s", "age_limit_s", "dead_after_s")
+        + ("frozen_samples", "frozen_travel", "held_tolerance")
+    ),
+    "plausibility": (
+        ("travel", "moves_deg", "travel_s", "model_error_deg", "model_error_s")
+        + ("watch_motion", "watch_direction", "watch_model")
+    ),
+    "ramps": ("velocity_per_s", "acceleration_per_s2", "jerk_per_s3", "brake_per_s2"),
+    "transport": ("angle_topic", "command_topic", "message"),
+}
+
+
+def bench(given: Mapping[str, Any], steering: Steering) -> BenchSettings:
+    """The parameters as the bench of a run.
+
+    Raises:
+        ConfigError: if they make no sense.
+    """
+    known = {name: None if value != value else value for name, value in given.items()}
+    blocks: dict[str, dict[str, Any]] = {
+        block: {name: known[name] for name in names} for block, names in _BLOCKS.items()
+    }
+    blocks["transport"] |= {"kind": "dds", "qos": {name: known[name] for name in ("reliability", "depth")}}
+    limits, safe = steering.limits, steering.safe_command
+    return BenchSettings.parse(
+        {
+            "name": "tip_planner",
+            "rate_hz": 1.0 / steering.tip.dt,
+            "command_unit": steering.unit,
+            "limits": {"lower": limits.lower, "upper": limits.upper, "rate_per_s": limits.rate},
+            "safe_command": limits.lower if math.isnan(safe) else safe,  # the planner knows that there is none
+            "start_command": known["start_command"],
+            "stop_overshoot": known["stop_overshoot"],
+            **blocks,
+        },
+        "parameters",
+    )
 
 
 @final
 class TipPlanner(Node):
-    """Steps a controller at its sample time.
+    """Takes the samples of a run at the controller's sample time.
 
     Raises:
         HystmpcError: if a parameter or the controller's file cannot be used; one line.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock | None = None) -> None:
         super().__init__("tip_planner")
+        clock = clock or MonotonicClock()
         given = {name: self.declare_parameter(name, value).value for name, value in PARAMETERS.items()}
         if not given["config"]:
             raise ConfigError("got no parameter config, expected the file of a controller, such as tip.yaml")
-        settings, _ = read_settings(given["config"])
-        if fault := sensor_fault(settings.controller, "continuous"):
-            raise ConfigError(f"{given['config']}: controller.{fault}")
-        sensor = ("lower_deg", "upper_deg", "rate_limit_deg_s", "age_limit_s", "dead_after_s")
-        topics = {name: given[name] for name in ("angle_topic", "command_topic", "message")}
-        qos = {name: given[name] for name in ("reliability", "depth")}
-        wire = RosWire(self, DdsSettings.parse({"kind": "dds", **topics, "qos": qos}, "parameters"))
-        tip, safe = TipController.from_config(given["config"]), settings.controller.resolved().ladder.safe_command
-        self.planner = Planner(
-            tip,
-            TopicTransport(wire, Conversion(1.0, 0.0, 1.0)),
-            SensorSettings.parse({name: given[name] for name in sensor}, "parameters"),
-            float(given["start_command"]),
-            math.nan if safe is None else safe,
-            time.monotonic_ns,
-        )
+        steering = Steering(given["config"])
+        settings = bench(given, steering)
+        assert isinstance(settings.transport, DdsTopics)
+        wire = RosWire(self, settings.transport, clock.now_ns)
+        transport = TopicTransport(wire, Conversion(1.0, 0.0, 1.0), clock.now_ns)
+        self.planner = Planner(settings, steering, transport, clock)
+        tip = steering.tip
         self._said = ""
         self._states = self.create_publisher(TipState, "~/state", 10)
         self.create_subscription(Float64, "~/target", self._target, 10)
@@ -95,20 +142,24 @@ class TipPlanner(Node):
 
     def retire(self) -> None:
         """Go to the safe command, for ten seconds at most, and leave."""
-        self.planner.tip.stop()
+        self.planner.leave("the node ends")
         end = time.monotonic() + _END_S
-        while not self.planner.at_rest and time.monotonic() < end:
+        while not self.planner.over and time.monotonic() < end:
             rclpy.spin_once(self, timeout_sec=self.planner.tip.dt)
         self.planner.close()
 
     def _state(self) -> TipState:
-        state, message = self.planner.tip.state(), TipState()
+        state, sample, message = self.planner.tip.state(), self.planner.newest, TipState()
         sec, nanosec = stamp(time.time_ns())
         message.header.stamp = Time(sec=sec, nanosec=nanosec)
         message.measured_deg, message.reference_deg = state.measured_deg, state.reference_deg
-        message.error_deg = state.reference_deg - state.measured_deg
-        message.departure_deg, message.command = state.disturbance_deg, state.command
-        message.source, message.status = str(state.source), self.planner.status
+        message.command, message.source = state.command, str(state.source)
+        if sample is not None:  # what has left, which on the way to the safe command is not the controller's
+            message.command, message.source = sample.command, sample.source
+            if math.isfinite(sample.measured_deg):
+                message.measured_deg = sample.measured_deg
+        message.error_deg = message.reference_deg - message.measured_deg
+        message.departure_deg, message.status = state.disturbance_deg, self.planner.status
         message.settled, message.stopped = state.settled, state.stopped
         return message
 
@@ -138,7 +189,7 @@ class TipPlanner(Node):
         return response
 
     def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.planner.tip.stop()
+        self.planner.stop("the service stop")
         response.success, response.message = True, "the stop is latched; the service reset releases it"
         return response
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, final
 
 from builtin_interfaces.msg import Time
@@ -24,12 +25,15 @@ class RosWire:
     """A publisher of commands and a subscription of angles; the settings are those of the transport `dds`.
 
     A plain Float64 carries no stamp: its age counts from its receipt.
+
+    Args:
+        now_ns: monotonic clock [ns].
     """
 
-    def __init__(self, node: Node, topics: DdsTopics) -> None:
+    def __init__(self, node: Node, topics: DdsTopics, now_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._stamped, qos = topics.message == "float64_stamped", profile(topics)
         kind: Any = Float64Stamped if self._stamped else Float64
-        self._node, self._sequence, self._taken = node, 0, 0
+        self._node, self._sequence, self._taken, self._now = node, 0, 0, now_ns
         self._come: deque[TopicMessage] = deque(maxlen=topics.qos.depth)
         self._publisher = node.create_publisher(kind, topics.command_topic, qos)
         self._subscription = node.create_subscription(kind, topics.angle_topic, self._receive, qos)
@@ -59,9 +63,7 @@ class RosWire:
     def _receive(self, message: Any) -> None:
         self._taken += 1
         plain = not self._stamped
-        self._come.append(
-            TopicMessage(message.data, self._taken, time.monotonic_ns()) if plain else TopicMessage.of(message)
-        )
+        self._come.append(TopicMessage(message.data, self._taken, self._now()) if plain else TopicMessage.of(message))
 
 
 def profile(topics: DdsTopics) -> QoSProfile:

@@ -92,11 +92,12 @@ int chain(Manager * m, int chained) { return m->controller->set_chained_mode(cha
 void refer(Manager * m, double angle) { static_cast<void>(m->references.at(0).set_value(angle)); }
 
 // One period; how often memory was taken in it, or -1 where the update failed.
-long update(Manager * m) {
+long update_after(Manager * m, double period_s) {
     const long before = taken;
-    const auto answer = m->controller->update({}, {});
+    const auto answer = m->controller->update({}, {period_s});
     return answer == controller_interface::return_type::OK ? taken - before : -1;
 }
+long update(Manager * m) { return update_after(m, 1.0 / m->controller->get_update_rate()); }
 
 int target(Manager * m, double angle) {
     const auto subscription = m->controller->get_node()->target.lock();

@@ -17,8 +17,10 @@
 namespace hystmpc_control {
 
 // One tip angle, driven by one command. The wanted angle comes from the topic ~/target, or from a controller before
-// this one by the reference interface. An update takes no memory, waits for nothing, and always writes a finite command
-// within the limits that were exported.
+// this one by the reference interface. An update takes no memory and waits for nothing. What it writes is a finite command
+// within the limits that were exported, on rate from what stands at the command interface. It writes nothing where another
+// has written there, or after a pause, and goes on from there in the next one; and nothing where that is no admissible
+// command.
 class HystmpcController final : public controller_interface::ChainableControllerInterface {
 public:
     controller_interface::CallbackReturn on_init() override;
@@ -43,7 +45,11 @@ protected:
 private:
     controller_interface::CallbackReturn refused(const std::string & why) const;
     double measured_deg() const;
+    double told_command() const;
     double held_command() const;
+    double samples_since_the_last(double period_s);
+    static bool same(double one, double other);
+    static bool admissible(double command);
     void write(double command);
 
     std::unique_ptr<hystmpc_controller> controller_;
@@ -51,6 +57,9 @@ private:
     double to_deg_ = 1.0;         // of a unit of the state interface
     double command_scale_ = 1.0;  // units of the command interface in one mm or bar
     double start_command_ = 0.0;  // where the command interface has no number yet; not-a-number for none [mm or bar]
+    double least_angle_ = 0.0, greatest_angle_ = 0.0;  // of the sensor, in the state's unit; not-a-number for none
+    double sent_ = 0.0;    // last command written, or found there [mm or bar]; not-a-number where it is not known
+    double waited_ = 0.0;  // since the last command [samples]; not-a-number before the first update
     bool deactivate_at_once_ = false;
 
     std::atomic<double> target_{0.0};  // last message, in the state's unit; not-a-number before the first

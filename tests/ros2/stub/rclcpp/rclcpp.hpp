@@ -8,7 +8,10 @@
 namespace rclcpp {
 
 struct Time {};
-struct Duration {};
+struct Duration {
+    double length_s = 0.0;
+    double seconds() const { return length_s; }
+};
 struct SystemDefaultsQoS {};
 struct Logger {
     std::string * said;
