@@ -21,6 +21,17 @@ _WHOLE_EVERY = 5  # healthy devices, of which one is commissioned to the end
 
 
 _STEEPER: tuple[tuple[Mover, int], ...] = (("commission", 2), ("commission", 4), ("investigate", 1))
+_OVER_UDP = (
+    "lag 0.05 s, stuck",
+    "0.05 s a second later, 1000 Hz",
+    "out of range in turns at 2 Hz",
+    "false held, burst of 5.5",
+    "false held, constant of 2",
+    "talks and does not listen",
+    "watchdog acts after 3 s",
+    "healthy: lag 0.2 s",
+    "healthy: 1 kHz, noise 0.15 deg",
+)
 _UNTOLD: Mapping[str, Any] = {"start_command": 0.0}
 
 
@@ -58,8 +69,10 @@ class DevicePlay:
     @property
     def name(self) -> str:
         """As tables show it."""
-        law = f" ({self.how.law}{', c' if self.how.backend == 'c' else ''})" if self.mover in ("run", "ros2") else ""
-        return f"{self.case.name}{law}"
+        if self.mover not in ("run", "ros2"):
+            return self.case.name
+        more = [self.how.law] + ["c"] * (self.how.backend == "c") + ["udp"] * self.how.udp
+        return f"{self.case.name} ({', '.join(more)})"
 
 
 def _with(kind: FaultKind, at_s: float = 3.0, **more: float) -> tuple[DeviceFault, ...]:
@@ -178,8 +191,7 @@ def _healthy(random: np.random.Generator) -> Iterator[DeviceCase]:
     for lag_s in (0.2, 0.4):
         yield _well(f"lag {lag_s:g} s, fast ramps", Body(lag_s=lag_s), _FAST)
     for share in (0.1, 0.25, 0.4):
-        body = Body(backlash_mm=share * 6.0, weights=(10.0,))
-        yield _well(f"play of {100 * share:.0f} %", body, _of_play(share))
+        yield _well(f"play of {100 * share:.0f} %", Body(backlash_mm=share * 6.0, weights=(10.0,)))
     yield _well("wide loop", Body(spacing_mm=0.5))
     for quantum in (0.1, 0.5, 1.0):
         yield _well(f"quantised by {quantum:g} deg", Body(), noise_deg=0.05 * quantum, quantum_deg=quantum)
@@ -198,11 +210,6 @@ def _healthy(random: np.random.Generator) -> Iterator[DeviceCase]:
     yield _well(f"lag {lag:.2f} s, noise {noise:.2f} deg, creep", mixed, noise_deg=noise, stream_hz=200.0)
 
 
-def _of_play(share: float) -> dict[str, Any]:
-    """What the documentation asks for where the play is wider than the watch on motion takes for granted."""
-    return {"plausibility": {"travel": 6.0 * (share + 0.1)}} if share > 0.2 else {}
-
-
 def _well(name: str, body: Body, bench: Mapping[str, Any] | None = None, **more: float) -> DeviceCase:
     return DeviceCase(DeviceSpec(f"healthy: {name}", body, **more), healthy=True, bench=bench or {})  # type: ignore[arg-type]
 
@@ -216,7 +223,7 @@ def device_cases() -> tuple[DeviceCase, ...]:
 
 
 def device_plays(cases: tuple[DeviceCase, ...], movers: tuple[Mover, ...] = MOVERS) -> tuple[DevicePlay, ...]:
-    """Every device with every mover that is meant for it; a run with each law in turn, and at times in C."""
+    """Every device with every mover that is meant for it; a run with each law in turn, at times in C, some over UDP."""
     found = []
     for case in cases:
         k = case.device.seed
@@ -225,5 +232,8 @@ def device_plays(cases: tuple[DeviceCase, ...], movers: tuple[Mover, ...] = MOVE
             in_c = mover == "run" and law == LAW[0] and k % _C_EVERY < len(LAW)
             backend = "c" if in_c else "python"
             whole = case.healthy and k % _WHOLE_EVERY == 0
-            found.append(DevicePlay(case, mover, How(law, backend, case.bench, whole)))  # type: ignore[arg-type]
+            found.append(DevicePlay(case, mover, How(law, backend, bench=case.bench, whole=whole)))  # type: ignore[arg-type]
+    if "run" in movers:
+        in_c = How(LAW[0], "c", udp=True)
+        found += [DevicePlay(case, "run", replace(in_c, bench=case.bench)) for case in cases if case.name in _OVER_UDP]
     return tuple(found)

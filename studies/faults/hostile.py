@@ -155,12 +155,12 @@ class DeviceState:
     open: bool = False
     began_ns: list[int | None] = field(default_factory=list)
     frozen_deg: float = math.nan
-    done: set[int] = field(default_factory=set)
+    done: set[str] = field(default_factory=set)
 
 
 @dataclass(frozen=True, slots=True)
-class _Reading:
-    """One reading on its way; times of the device."""
+class DeviceReading:
+    """One reading on its way; times of the device [ns]."""
 
     taken_ns: int
     arrives_ns: int
@@ -183,7 +183,7 @@ class HostileDevice:
         self.spec, self.rows = spec, list[Row]()
         self.state = DeviceState(at_rest(spec.body, SAFE), began_ns=[None] * len(spec.faults))
         self._random = np.random.default_rng([spec.seed, 7])
-        self._wire = deque[_Reading]()
+        self._wire = deque[DeviceReading]()
         self._period_ns = round(_NS / spec.stream_hz)
 
     def began_s(self, kind: FaultKind) -> float:
@@ -194,12 +194,16 @@ class HostileDevice:
         return math.nan
 
     def connect(self, clock: Clock) -> Connection:
-        """A wire to it, on somebody's clock; what was on the way to those before is lost."""
+        """A wire to it, on somebody's clock."""
+        self.begin()
+        return Connection(self, clock)
+
+    def begin(self) -> None:
+        """Somebody connects; what was on the way to those before is lost, and a greeting is wanted."""
         state = self.state
         self.advance(state.ns + _BETWEEN_NS)
         self._wire.clear()
         state.motion, state.open, state.deaf = state.motion + 1, True, True
-        return Connection(self, clock)
 
     def leave(self, goodbye: bool) -> None:
         """A controller has gone; its goodbye lets the watchdog rest where the drive does."""
@@ -264,7 +268,7 @@ class HostileDevice:
         """A controller asks to be listened to."""
         self.state.deaf = False
 
-    def due(self) -> _Reading | None:
+    def due(self) -> DeviceReading | None:
         """The oldest reading that has arrived; one of this moment where `read` always has something."""
         if self.active("reads_slowly") is not None:
             self._wire.clear()
@@ -278,9 +282,9 @@ class HostileDevice:
     def once(self, kind: FaultKind) -> float:
         """How long a fault that happens once takes [s]; 0 where it has not come or is over."""
         fault = self.active(kind)
-        if fault is None or id(fault) in self.state.done:
+        if fault is None or fault.kind in self.state.done:
             return 0.0
-        self.state.done.add(id(fault))
+        self.state.done.add(fault.kind)
         return fault.size
 
     def _step(self, dt_s: float) -> None:
@@ -329,7 +333,7 @@ class HostileDevice:
         if len(self._wire) < _SOCKET or flight > spec.flight_s:
             arrives, listens = state.ns + round(flight * _NS), not (state.deaf and spec.sessions)
             self._wire.append(
-                _Reading(state.ns, arrives, state.shown_deg, state.told, state.sequence, state.session, listens)
+                DeviceReading(state.ns, arrives, state.shown_deg, state.told, state.sequence, state.session, listens)
             )
 
     def _measured(self) -> float:

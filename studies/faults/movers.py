@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, final
@@ -22,15 +23,18 @@ from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.investigation.config import InvestigateSettings, located_investigation
 from hystmpc.investigation.run import investigate_device
 from hystmpc.rig.commission.phases import Phase
+from hystmpc.rig.commission.steering import Steering
 from hystmpc.rig.config import BenchSettings, RunSettings
 from hystmpc.rig.safety.ramp import way_commands
 from hystmpc.rig.transports.transport import Conversion, RunContext
 from hystmpc.trajectories.config import MotionSettings
+from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
 from .hostile import SAFE, EndlessError, HostileDevice, HostileSettings
+from .over_udp import served
 from .truth import Asked, Ending, Mover
 
 LAW: tuple[str, ...] = ("linearised_mpc", "pid", "inverse")
@@ -67,8 +71,10 @@ _COMMISSION: Mapping[str, Any] = {
     "angle_limits_deg": ANGLE_LIMITS_DEG,
 }
 _INVESTIGATE: Mapping[str, Any] = {"model": "builtin:tendon-catheter", "minutes": 1.5, "longest_motion_s": 8.0}
+_UDP_CYCLES = 4
+_GRACE = 2.0  # samples: jitter at either end
 _ROS_S = 25.0
-_ROS_TARGETS_DEG = (45.0, 60.0, 40.0, 65.0, 50.0)
+_ROS_TARGETS_DEG = (45.0, 60.0, 40.0, 65.0, 50.0, 70.0, 45.0, 55.0, 40.0)
 _ROS_STAYS_S = 2.5  # at each of them
 _LATCH = "latched.json"
 
@@ -80,6 +86,7 @@ class How:
     Attributes:
         law: kind of the controller of `run` and `ros2`.
         backend: what steps it in `run`.
+        udp: whether `run` goes over a real wire, in real time: whole samples are taken in C there.
         bench: changes of the bench file, nested.
         whole: whether a commissioning goes on to the end; else, and with an investigation, it ends after its first
             recordings, since nothing new moves the device afterwards but what `run` does.
@@ -87,6 +94,7 @@ class How:
 
     law: str = "linearised_mpc"
     backend: Literal["python", "c"] = "python"
+    udp: bool = False
     bench: Mapping[str, Any] | None = None
     whole: bool = False
 
@@ -102,7 +110,13 @@ def use(mover: Mover, device: HostileDevice, folder: Path, how: How = How()) -> 
         ConfigError: if the mover is not there: the ROS 2 node's files are no part of an installed package.
     """
     settings = _bench(device, folder, how)
-    ending = _ended(_MOVERS[mover](settings, folder, how), folder)
+    if how.udp:
+        with served(device) as port:
+            settings["transport"] = {"kind": "udp", "port": port}
+            ending = _ended(_MOVERS[mover](settings, folder, how), folder)
+        ending = replace(ending, in_c=_in_c(folder))
+    else:
+        ending = _ended(_MOVERS[mover](settings, folder, how), folder)
     if ending.how != "raised":
         device.settle(_SETTLE_S)
     limits, sensor = settings["limits"], settings["sensor"]
@@ -117,8 +131,15 @@ def use(mover: Mover, device: HostileDevice, folder: Path, how: How = How()) -> 
         bench.overshoot,
         (sensor["lower_deg"], sensor["upper_deg"]),
         angles,
+        _GRACE * bench.dt_s if how.udp else 0.0,
     )
     return asked, ending
+
+
+def _in_c(folder: Path) -> int:
+    """Samples of a run that were taken whole in C."""
+    files = sorted(folder.rglob("timing.json"))
+    return int(json.loads(files[-1].read_text(encoding="utf-8"))["outcome"]["in_c"]) if files else 0
 
 
 def _bench(device: HostileDevice, folder: Path, how: How) -> dict[str, Any]:
@@ -154,7 +175,8 @@ Move = Callable[[], str]
 def _run(settings: dict[str, Any], folder: Path, how: How) -> Move:
     bench = BenchSettings.parse(settings)
     tip = TipSettings.parse({"model": "builtin:pi", "controller": {"kind": how.law}})
-    motion = RunSettings.parse({**settings, "controller": tip, "reference": dict(_REFERENCE)}).reference
+    wanted = {**_REFERENCE, "cycles": _UDP_CYCLES} if how.udp else _REFERENCE
+    motion = RunSettings.parse({**settings, "controller": tip, "reference": dict(wanted)}).reference
     opened = BenchDevice(bench, plants_in(Path(), bench.command_unit), folder)
 
     def move() -> str:
@@ -264,44 +286,43 @@ def _planner() -> ModuleType:
 
 
 def _ros2(settings: dict[str, Any], folder: Path, how: How) -> Move:
-    del folder
-    bench = BenchSettings.parse(settings)
-    ladder = {"ladder": {"safe_command": SAFE}}
-    tip = TipController.from_config({"model": "builtin:pi", "controller": {"kind": how.law, **ladder}})
-    clock = SimulatedClock()
+    bench = BenchSettings.parse({**settings, "realtime": {"backend": "python"}})
+    config = folder / "tip.yaml"
+    ladder = {"safe_command": SAFE}
+    config.write_text(dump_yaml({"model": "builtin:pi", "controller": {"kind": how.law, "ladder": ladder}}))
+    clock, steering = SimulatedClock(), Steering(config)
     plants = plants_in(Path(), bench.command_unit)
     transport = bench.transport.open(RunContext(Conversion(1.0, 0.0, 1.0), bench.dt_s, clock.now_ns, plants))
-    start = math.nan if bench.start_command is None else bench.start_command
-    planner = _planner().Planner(tip, transport, bench.sensor, start, SAFE, clock.now_ns)
+    node = _planner().Planner(bench, steering, transport, clock)
+    return lambda: _steered(node, steering.tip, clock, bench.dt_s)
 
-    def move() -> str:
-        start, dt_ns, stopped_at = clock.now_ns(), round(1e9 * bench.dt_s), 0
-        deadline, said, next_target = start, "", 0
-        while clock.now_ns() - start < 1e9 * _ROS_S:
-            deadline = max(deadline + dt_ns, clock.now_ns())
-            clock.wait_until(deadline)
-            planner.sample()
-            since_s = 1e-9 * (clock.now_ns() - start)
-            if tip.state().stopped:
-                said = said or planner.status
-                stopped_at = stopped_at or clock.now_ns()
-                if planner.at_rest or clock.now_ns() - stopped_at > 5e9:
-                    break
-            elif planner.running and since_s >= _ROS_STAYS_S * next_target:
-                tip.set_target(_ROS_TARGETS_DEG[next_target % len(_ROS_TARGETS_DEG)])
-                next_target += 1
-        if not said:
-            tip.stop()
-            for _ in range(round(5.0 / bench.dt_s)):
-                deadline = max(deadline + dt_ns, clock.now_ns())
-                clock.wait_until(deadline)
-                planner.sample()
-                if planner.at_rest:
-                    break
-        planner.close()
-        return said
 
-    return move
+def _steered(node: Any, tip: TipController, clock: SimulatedClock, dt_s: float) -> str:
+    """The node for as long as it is given targets, or until it has stopped; why it has, empty where it has not."""
+    targets, said = list(_ROS_TARGETS_DEG), ""
+    for k in range(round(_ROS_S / dt_s)):
+        _turn(node, clock, dt_s)
+        if tip.state().stopped:
+            said = str(node.status)
+            break
+        if not node.over and k * dt_s >= _ROS_STAYS_S * (len(_ROS_TARGETS_DEG) - len(targets)) and targets:
+            tip.set_target(targets.pop(0))
+    for _ in range(round(_ROS_STAYS_S / dt_s)):  # a stop is on its way
+        _turn(node, clock, dt_s)
+    node.leave("the node is ended")
+    for _ in range(round(_ROS_STAYS_S / dt_s)):
+        _turn(node, clock, dt_s)
+        if node.over:
+            break
+    node.close()
+    return said
+
+
+def _turn(node: Any, clock: SimulatedClock, dt_s: float) -> None:
+    """One sample of a timer that calls late where the node has taken longer."""
+    period = round(1e9 * dt_s)
+    clock.wait_until(clock.now_ns() // period * period + period)
+    node.sample()
 
 
 _MOVERS: Mapping[Mover, Callable[[dict[str, Any], Path, How], Move]] = {

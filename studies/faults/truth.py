@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hystmpc.commissioning.bounded import BESIDE, MEDIAN
-from hystmpc.rig.safety.plausibility import TRAVEL_SHARE
+from hystmpc.rig.safety.plausibility import PlausibilitySettings
 from hystmpc.trials.types import Vec
 
 from .hostile import SAFE, DeviceFault, FaultKind, HostileDevice, Row
@@ -23,7 +23,7 @@ NOTICE_S = 1.5
 """Greatest time from the moment at which a fault shows to the last motion away from the safe command [s]."""
 
 _CLOSE = 1e-6
-_AT_ONCE, _LASTS_S = 1.5, 0.3  # of the travel, and the time that it has to last, as `plausibility` says
+_WATCH = PlausibilitySettings()
 _DASH = 1  # motion of a commissioning from which on the narrowed range holds
 _AGE_S = 0.1  # `sensor.age_limit_s`
 _FOLLOWS_S, _FOLLOWS_MM = 0.5, 0.1  # `sensor.dead_after_s`, `sensor.held_tolerance`
@@ -44,6 +44,7 @@ class Asked:
         overshoot: how far a stop may go on [mm].
         sensor_deg: range of plausible angles [deg].
         angle_limits_deg: where the tip may go; None where the mover knows none [deg].
+        grace_s: by which commands may come earlier than they were sent, on a clock that is not computed [s].
     """
 
     mover: Mover
@@ -54,6 +55,7 @@ class Asked:
     overshoot: float
     sensor_deg: tuple[float, float]
     angle_limits_deg: tuple[float, float] | None = None
+    grace_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -64,11 +66,13 @@ class Ending:
         how: it came to its end, was stopped, ended early or refused with a reason, or raised what is no error of ours.
         words: the cause, in the words of the program.
         latched: whether the stop is latched.
+        in_c: samples that were taken whole in C; -1 where none had to be.
     """
 
     how: Literal["ended", "stopped", "early", "refused", "raised"]
     words: str = ""
     latched: bool = False
+    in_c: int = -1
 
 
 @dataclass(frozen=True)
@@ -138,21 +142,26 @@ class Truth:
 def beyond(truth: Truth) -> int:
     """Commands beyond the value limits, or farther from what the device held than the rate allows in the time since.
 
-    A device that does not take what it is sent is judged by the command before, too.
+    A device that does not take what it is sent is judged by the command before, too. One that says something false
+    after a silence in which its watchdog may have acted is believed, where that lies on the watchdog's way.
     """
     asked, at = truth.asked, truth.commands
     span = asked.upper - asked.lower
     slack = _CLOSE * span
     u, t = truth.received[at], truth.t[at]
     count = int(np.count_nonzero(~((u >= asked.lower - slack) & (u <= asked.upper + slack))))
-    takes = not any(fault.kind in ("deaf", "wanders") for fault in truth.device.spec.faults)
-    for k in range(at.size):
-        same = k > 0 and truth.motion[at[k]] == truth.motion[at[k - 1]]
-        elapsed = min(max(t[k] - t[k - 1], 0.1 * asked.dt_s), asked.dt_s) if same else asked.dt_s
-        step = abs(u[k] - truth.before[at[k]])
-        if same and not takes:
-            step = min(step, abs(u[k] - u[k - 1]))
-        count += bool(step > asked.rate_per_s * elapsed + slack)
+    kinds = {fault.kind for fault in truth.device.spec.faults}
+    for k, row in enumerate(at):
+        since = t[k] - t[k - 1] if k and truth.motion[row] == truth.motion[at[k - 1]] else math.nan
+        before, told = truth.before[row], truth.told[row]
+        origins = [before]
+        if math.isfinite(since) and kinds & {"deaf", "wanders"}:
+            origins.append(u[k - 1])
+        if since > truth.device.spec.watchdog_s and "held" in kinds and min(SAFE, before) <= told <= max(SAFE, before):
+            origins.append(told)
+        elapsed = asked.dt_s if math.isnan(since) else min(max(since, 0.1 * asked.dt_s), asked.dt_s)
+        step = min(abs(u[k] - origin) for origin in origins)
+        count += bool(step > asked.rate_per_s * (elapsed + asked.grace_s) + slack)
     return count
 
 
@@ -235,23 +244,27 @@ def _first(truth: Truth, where: NDArray[np.bool_]) -> float:
 
 
 def _stands(truth: Truth, fault: DeviceFault) -> float:
-    """Once the command has gone through the travel that `plausibility` allows, in one motion, since the tip stood."""
+    """Once the command, lagged as `plausibility.travel_s` allows, went through its `travel` since the tip stood."""
     began, asked = _began(truth, fault), truth.asked
     for motion in np.unique(truth.motion[(truth.t >= began) & (truth.motion >= 0)]):
         rows = np.flatnonzero((truth.t >= began) & (truth.motion == motion))
         narrowed = asked.mover == "commission" and motion >= _DASH
         before = truth.held[truth.t < began]
         span = float(np.ptp(before)) if narrowed and before.size else asked.upper - asked.lower
-        held, t = truth.held[rows], truth.t[rows]
-        gone = np.maximum.accumulate(held) - np.minimum.accumulate(held)
-        far = np.flatnonzero(gone >= TRAVEL_SHARE * span)
+        followed = _lagged(truth.held[rows], truth.t[rows])
+        gone = np.maximum.accumulate(followed) - np.minimum.accumulate(followed)
+        far = np.flatnonzero(gone >= _WATCH.travel_of(span))
         if far.size:
-            at_once = np.flatnonzero(gone >= _AT_ONCE * TRAVEL_SHARE * span)
-            by_then = float(t[far[0]]) + _LASTS_S
-            when = min(by_then, float(t[at_once[0]])) if at_once.size else by_then
-            if when <= t[-1]:
-                return when
+            return float(truth.t[rows[far[0]]])
     return math.nan
+
+
+def _lagged(held: Vec, t: Vec) -> Vec:
+    """The command as the slowest device that `plausibility.travel_s` allows would follow it."""
+    found = held.copy()
+    for k in range(1, held.size):
+        found[k] = found[k - 1] + (held[k] - found[k - 1]) * -math.expm1(-(t[k] - t[k - 1]) / _WATCH.travel_s)
+    return found
 
 
 def _leaves(truth: Truth, fault: DeviceFault) -> float:
@@ -302,11 +315,12 @@ def _awake(truth: Truth, fault: DeviceFault) -> float:
 
 
 def _against(truth: Truth) -> float:
-    """Once the command has gone up by the travel that `plausibility` allows, and the tip down by 2.5 % of the range."""
+    """Once the command, lagged, has gone up by `plausibility.travel`, and the tip down by 2.5 % of the range."""
     asked = truth.asked
     used = truth.motion >= 0
     low, high = asked.sensor_deg
-    up = truth.held - np.minimum.accumulate(truth.held) >= TRAVEL_SHARE * (asked.upper - asked.lower)
+    held = _lagged(truth.held, truth.t)
+    up = held - np.minimum.accumulate(held) >= _WATCH.travel_of(asked.upper - asked.lower)
     down = np.maximum.accumulate(truth.angle) - truth.angle >= _AGAINST * (high - low)
     return _first(truth, used & up & down)
 
@@ -357,6 +371,7 @@ def judged(name: str, device: HostileDevice, asked: Asked, ending: Ending, healt
         f"nothing sent for {silent_s(truth):.1f} s" if slow else "": slow and silent_s(truth) > NOTICE_S,
         f"left at {truth.held[-1]:.2f} mm": abs(float(truth.held[-1]) - SAFE) > _STILL_MM and not wanders,
         f"nothing was sent: {ending.words[:160]}": at.size == 0,
+        "no sample was taken in C": ending.in_c == 0,
         "stopped without a cause": ending.how != "ended" and not ending.words,
         "stopped, and not latched": ending.how == "stopped" and not ending.latched,
     }

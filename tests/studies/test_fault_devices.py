@@ -296,7 +296,8 @@ def test_a_watch_that_sees_nothing_is_found(tmp_path: Path, monkeypatch: pytest.
 
 def test_angle_limits_that_nobody_looks_at_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bounded.Bounded, "step", lambda self, now: self._phase.step(now))
-    verdict = play("investigate", DeviceSpec("steep", Body(gain=6.0)), tmp_path, bench={"sensor": {"upper_deg": 400.0}})
+    spec = DeviceSpec("steeper", faults=(DeviceFault("steepens", 0.0, 2, size=3.0),))
+    verdict = play("commission", spec, tmp_path, bench={"sensor": {"upper_deg": 400.0}})
     assert verdict.past_deg > 0
 
 
