@@ -31,6 +31,7 @@ from typing import Literal
 from rich.console import Console
 from rich.table import Table
 
+import mutants_belief  # isort: skip
 import mutants_codegen  # isort: skip
 import mutants_commissioning  # isort: skip
 import mutants_ctrl  # isort: skip
@@ -42,6 +43,7 @@ MUTANTS: tuple[Mutant, ...] = (
     mutants_ctrl.MUTANTS
     + mutants_rig.MUTANTS
     + mutants_commissioning.MUTANTS
+    + mutants_belief.MUTANTS
     + mutants_codegen.MUTANTS
     + mutants_given.MUTANTS
 )

@@ -36,8 +36,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "if math.isnan(angle) or self._low <= angle <= self._high:",
         "if self._low < self._high:",
     ),
-    _device("a recording has no angle limits", "bounded(recorded, self._angle_limits)", "recorded"),
-    _device("a tracked reference has no angle limits", "bounded(phase, self._angle_limits)", "phase"),
+    _device("a recording has no angle limits", "Bounded(recorded, self._angle_limits, bench.sensor)", "recorded"),
+    _device("a tracked reference has no angle limits", "Bounded(phase, self._angle_limits, bench.sensor)", "phase"),
     _stopped("a stop counts as an end", "if result.outcome.cause:", "if not kept.samples:"),
     _config(
         "the range found does not bind",
