@@ -119,8 +119,6 @@ MUTANTS: tuple[Mutant, ...] = (
         "os.access(folder, os.W_OK) and only_ours(folder)",
         "os.access(folder, os.W_OK)",
     ),
-    _kernels("a group may write", "found.st_gid != os.getgid()", "False"),
-    _kernels(
-        "another user's folder is ours", "return found.st_uid in (os.getuid(), 0) and not others", "return not others"
-    ),
+    _kernels("a group may write", "umask & (stat.S_IWGRP | stat.S_IWOTH)", "umask & stat.S_IWOTH"),
+    _kernels("another user's folder is ours", "return found.st_uid in (os.getuid(), 0) and not", "return not"),
 )
