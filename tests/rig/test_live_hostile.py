@@ -134,6 +134,7 @@ BODIES = {
     "": 400,
     "\u0665".encode().decode("latin-1"): 400,
     "1e3": 400,
+    "\xb2": 400,  # a digit to Python, and no number
     str(MOST_BYTES + 1): 413,
     "9" * 400: 413,
     "18446744073709551615": 413,
