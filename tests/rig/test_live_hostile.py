@@ -162,6 +162,11 @@ def test_a_request_that_two_readers_would_read_otherwise_is_refused(lines: str, 
     assert said(served, lines) == status
 
 
+def test_a_head_is_kept_up_to_a_length(served: Served) -> None:
+    with served.connected(b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * (server._LARGEST_HEAD // 6 + 1)) as client:
+        assert b" 431 " in client.recv(100)
+
+
 def said(served: Served, lines: str) -> int:
     """The status of an e-stop with the token and further lines in its head; no body follows."""
     token = urlsplit(served.page.address).fragment
