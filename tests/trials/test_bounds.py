@@ -203,6 +203,7 @@ def test_cells_that_a_file_has_no_room_for_are_refused(
     refused(lambda: open_mat(version_5(tmp_path / "log.mat", made, packed=packed)), expected)
 
 
+@pytest.mark.filterwarnings("ignore:Duplicate variable name")
 def test_a_packed_file_that_fills_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mat_bounds, "MOST_BYTES", 1_000_000)
     parts = [matrix(6, (10_000, 1), element(9, bytes(80_000))) for _ in range(12)]
