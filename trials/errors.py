@@ -67,7 +67,10 @@ def shown(value: object, longest: int = 100) -> str:
 def in_a_line(function: Callable[P, R]) -> Callable[P, R]:
     """A function of the package's face, where an argument of a wrong type is a `ConfigError` too.
 
-    What Python says of it follows from the error that is raised, as its cause.
+    What Python says of it is in the line, and the cause of the error.
+
+    Raises:
+        ConfigError: by the function made of it, for what Python raises on a wrong type, key, number or file.
     """
 
     @functools.wraps(function)
