@@ -78,7 +78,7 @@ def in_a_line(function: Callable[P, R]) -> Callable[P, R]:
         try:
             return function(*args, **kwargs)
         except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, OSError) as error:
-            name = function.__name__
+            name = function.__qualname__
             got = ", ".join([*map(shown, args), *(f"{key}={shown(value)}" for key, value in kwargs.items())])[:120]
             said = " ".join(f"{type(error).__name__}: {error}".split())
             line = f"{name}: got ({got}), expected what help(hystmpc.{name}) says: {said}"

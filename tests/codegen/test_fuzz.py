@@ -111,6 +111,18 @@ def test_a_refused_start_stops_a_controller_that_runs(made: Library) -> None:
         assert {(SOURCES[command.source], command.u) for command in stopped} == {("stop", last)}
 
 
+def test_without_a_sensor_it_holds_and_then_stops(made: Library) -> None:
+    """25 samples are bridged, and 25 failures in a row latch the stop, as in Python."""
+    assert made.init(START_DEG, START) == 0
+    made.set_target(75.0)
+    sent = [made.step(math.nan) for _ in range(55)]
+    assert {SOURCES[command.source] for command in sent[:25]} == {"mpc"}
+    assert {(SOURCES[command.source], command.status) for command in sent[25:49]} == {("hold", 3)}
+    assert {SOURCES[command.source] for command in sent[49:]} == {"stop"}
+    assert {command.u for command in sent[24:]} == {sent[24].u}
+    assert SOURCES[made.step(START_DEG).source] == "stop"
+
+
 def test_counts_of_samples_do_not_run_over(made: Library) -> None:
     """At 1 kHz an int is full after 24 days without a sensor."""
     kind = export_controller(LIMITED, folder=EXAMPLES).structs["hystmpc_controller"]
