@@ -101,7 +101,7 @@ def test_the_next_command_starts_at_the_last_one_sent(
 
 
 def test_a_refused_start_stops_a_controller_that_runs(made: Library) -> None:
-    for angle, held, answer in ((math.nan, START, 1), (START_DEG, UPPER + 1.0, 2), (170.0, START, 3)):
+    for angle, held, answer in ((math.nan, START, 1), (1e5, START, 1), (START_DEG, UPPER + 1.0, 2), (170.0, START, 3)):
         assert made.init(START_DEG, START) == 0
         made.set_target(60.0)
         last = [made.step(START_DEG).u for _ in range(4)][-1]
