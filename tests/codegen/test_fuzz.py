@@ -129,6 +129,22 @@ def test_without_a_sensor_it_holds_and_then_stops(made: Library) -> None:
     assert SOURCES[made.step(START_DEG).source] == "stop"
 
 
+@pytest.mark.parametrize(("target", "end"), [(150.0, UPPER), (-150.0, LOWER)])
+def test_an_inverse_beyond_the_limits_ends_on_them(made: Library, target: float, end: float) -> None:
+    """The model's own range is wider: 0 to 6 mm."""
+    assert made.init(START_DEG, START) == 0
+    made.set_target(target)
+    last = START
+    for _ in range(24):
+        made.hurry()
+        answer = made.step(START_DEG)
+        assert SOURCES[answer.source] == "inverse"
+        assert LOWER <= answer.u <= UPPER
+        assert abs(answer.u - last) <= REACH + 1e-12
+        last = answer.u
+    assert last == end
+
+
 def test_a_sensor_that_walks_away_leaves_a_finite_state(tmp_path: Path) -> None:
     """In single precision no filter of the noise foretells an error of thousands of degrees: all weights are zero."""
     walked = library(FUZZED["single-one-filter"][0], tmp_path, single=True)
