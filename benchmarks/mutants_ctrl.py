@@ -70,8 +70,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _guarded(
         "a start beyond the limits is accepted",
-        "if not (math.isfinite(usable_angle(y)) and low <= u <= high):",
-        "if not math.isfinite(usable_angle(y)):",
+        "if not (math.isfinite(angle) and held is not None and low <= held <= high):",
+        "if not math.isfinite(angle) or held is None:",
     ),
     _guarded(
         "a stop that is asked for is forgotten", "fallback=self._fallback.halt(cause))", "fallback=state.fallback)"
