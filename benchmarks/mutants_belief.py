@@ -135,7 +135,9 @@ MUTANTS: tuple[Mutant, ...] = (
         "max(watch.travel_of(span), _STILL_MARGIN * still)",
         "watch.travel_of(span)",
     ),
-    _bench("no closed loop looks at the direction", "rises = settings.closed_loop or closed_loop", "rises = False"),
+    _bench(
+        "no closed loop looks at the direction", "closed = any(phase.closed_loop for phase in work)", "closed = False"
+    ),
     _taken(
         "the loop in C sees no delay that grows", "DRIFT * most_of((double)(r->received_ns - l->heard_ns), 0.0)", "1e18"
     ),
