@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, final
 
@@ -116,7 +117,8 @@ class ControlLoop:
         self._past_y: deque[float] = deque(maxlen=REMEMBERED)
         self._start_ns = self._woke_ns = self._boot_ns = self._deadline_ns = 0
         self._wire_ns = self._slow_ns = 0  # spent in calls of the transport: in this sample, and in those too slow
-        self._failing_ns: int | None = None  # since when every sample has failed
+        self._thrown = 0  # readings before the first sample
+        self._failures = 0  # samples that have failed
         self._sequence = self._skipped = self._waited = self._commands = self._unsent = self._refused = 0
         self._late = False
         self._calm = 0  # samples in a row without a fault
@@ -133,7 +135,7 @@ class ControlLoop:
     @property
     def lost(self) -> int:
         """Measurements that were sent and never came."""
-        return self._intake.lost
+        return max(0, self._intake.lost - self._thrown)
 
     def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> RunOutcome:
         """Go through the phases and lead the device to the safe command; whatever happens, the transport is closed.
@@ -182,11 +184,9 @@ class ControlLoop:
         """One sample, due at monotonic time `deadline` [ns]; False after the last one."""
         self._deadline_ns, self._wire_ns = deadline, 0
         try:
-            going = self._sample(deadline)
+            return self._sample(deadline)
         except Exception as error:  # noqa: BLE001 - whatever is broken, the next samples lead to the safe command
             return self._failed(_said(error), deadline)
-        self._failing_ns = None
-        return going
 
     def outcome(self) -> RunOutcome:
         """What there is to say of the run so far."""
@@ -254,7 +254,8 @@ class ControlLoop:
         self._boot_ns = boot
         seen = self._look()
         stop = self._flag.cause or seen.dead
-        sure = self._anchor.judge(seen, self._clock.boot_ns())
+        # What a slow reading has told is as old as the judgement; for a command it is one more delay.
+        sure = self._anchor.judge(seen, boot if self._gate.anchored else self._clock.boot_ns())
         if not sure:
             return self._wait(woke, deadline, seen, stop)
         skipped = self._skipped + (self._waited if self._commands else 0)
@@ -323,22 +324,17 @@ class ControlLoop:
     def _failed(self, cause: str, deadline: int) -> bool:
         """A sample in which a part has failed that nothing goes without: nothing was decided, or it did not leave.
 
-        The next sample stops safely. Where that fails too, for longer than `stall_s`, the device is left to its
-        watchdog: False.
+        The next sample stops safely. Where such samples add up to `stall_s`, the device is left to its watchdog: False.
         """
         self._flag.set(cause)
-        try:
+        self._failures += 1
+        with suppress(Exception):  # the clock itself, or the book-keeping
             self._anchor.not_sent(self._clock.boot_ns())  # it may have left, and not be in the books
+            seen, held = Seen(math.nan, ("sample-failed",), ""), self._gate.last
             times = self._times(max(self._woke_ns, deadline), deadline)
-            self._failing_ns = times.done if self._failing_ns is None else self._failing_ns
-            seen = Seen(math.nan, ("sample-failed",), "")
-            self._conclude(times, seen, Decision(self._gate.last, "wait", cause), self._gate.last, seen.faults)
-            if times.done - self._failing_ns <= self._stall_ns:
-                return True
-        except Exception:  # noqa: BLE001 - the clock itself, or the book-keeping
-            self.faults["sample-failed"] += 1
-            if self.faults["sample-failed"] * self._dt_ns <= self._stall_ns:
-                return True
+            self._conclude(times, seen, Decision(held, "wait", cause), held, seen.faults)
+        if self._failures * self._dt_ns <= self._stall_ns:
+            return True
         self._cause = self._cause or cause
         return False
 
@@ -381,7 +377,7 @@ class ControlLoop:
         return slow
 
     def _drain(self) -> None:
-        """Judge what has piled up before the first sample, all but the newest; for `stall_s` at most.
+        """Throw away what has piled up before the first sample, all but the newest; for `stall_s` at most.
 
         What cannot be read meanwhile is old when it is read, and is judged by its age.
         """
@@ -392,9 +388,8 @@ class ControlLoop:
                 readings = [] if left < 0 else self._reader.within(left).readings
                 if not readings:
                     return
-                *old, newest = readings if self._newest is None else [self._newest, *readings]
-                self._newest = newest
-                self._intake.judge(old, self._clock.now_ns(), math.nan)
+                self._thrown += len(readings) - (self._newest is None)
+                self._newest = readings[-1]
         except Exception as error:  # noqa: BLE001 - as in a sample
             self._flag.set(_said(error))
 
