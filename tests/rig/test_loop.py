@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hystmpc.rig.commission.phases import CommandMotion, Decision, Past, Phase, PhaseInput, PretensionCheck
 from hystmpc.rig.safety.ramp import ramp_commands, way_commands
 
-from .bench_parts import DT, LIMITS, RAMPS, Rig, following, travel
+from .bench_parts import DT, LIMITS, NS, RAMPS, Rig, following, travel
 
 STEP = LIMITS.rate * DT + 1e-12
 
@@ -184,6 +184,47 @@ def test_a_late_command_is_a_miss_and_whole_samples_are_skipped() -> None:
     assert [s.sequence for s in missed] == [7, 12]  # two samples passed before the first command
     assert rig.sink.samples[13].sequence == 14
     assert outcome.faults["deadline-missed"] == 2
+
+
+@pytest.mark.parametrize("busy_s", [0.0, 0.03, 0.07, 0.1])
+def test_a_period_that_a_timer_misses_is_a_sample_that_ended_late(busy_s: float) -> None:
+    """`run` that is held up in a write, and a timer whose program does something else for as long after the sample."""
+    at, late_ns = 40, round(busy_s * NS)
+
+    def phase() -> Wild:
+        return Wild(3, 1000)
+
+    ran = Rig(following, costs_ns={at: late_ns})
+    ran.run([phase()])
+    rig = Rig(following)
+    loop = rig.loop_of()
+    loop.begin([phase()])
+    going, timer_ns = True, loop.due()
+    while going:
+        rig.clock.wait_until(timer_ns)
+        going = loop.sample(loop.due())
+        if len(rig.transport.sent) == at + 1 and late_ns:
+            rig.clock.ns, late_ns = rig.clock.ns + late_ns, 0
+            timer_ns = rig.clock.ns - DT * NS  # fires as soon as it can, and then on its grid
+        timer_ns = max(timer_ns + round(DT * NS), loop._deadline_ns + round(DT * NS))
+    told = [(s.command, s.sequence, s.source) for s in rig.sink.samples]
+    assert told == [(s.command, s.sequence, s.source) for s in ran.sink.samples]
+    assert loop.timings.skipped == ran.loop.timings.skipped
+    assert loop.outcome().confirmed
+
+
+def test_a_timer_on_its_grid_comes_back_to_the_deadlines() -> None:
+    """After a late call the next one comes at its own time: the loop is not a sample behind for ever."""
+    rig = Rig(following)
+    loop = rig.loop_of()
+    loop.begin([travel(hold_s=5.0)])
+    first = loop.due()
+    for k in range(60):
+        periods = k if k < 20 else k + 2
+        rig.clock.ns = first + round(periods * DT * NS) + (round(0.9 * DT * NS) if k == 20 else 1_000)
+        loop.sample(loop.due())
+    assert loop.timings.skipped == 2
+    assert [s.lateness_s > 0.5 * DT for s in rig.sink.samples].count(True) == 1
 
 
 def test_a_loop_that_stood_still_stops() -> None:
