@@ -53,7 +53,7 @@ class RunOutcome:
 
 _S = 1e-9
 _PILED_UP = 25  # times 4096 readings
-_SLOW_NS = 1_000_000_000  # longest time for which the wire may take longer than the samples
+_SLOW_NS = 400_000_000  # how far behind calls of the wire may put the loop
 _CALM = 5  # samples without a fault before others are taken in C
 
 
@@ -80,7 +80,7 @@ class ControlLoop:
     A sample is missed when its command leaves after its end; the next one starts at once and answers without a plan.
     Samples that have passed wholly are skipped and told to the phase. The loop stops safely on a signal or e-stop, a
     dead sensor, a fault of a phase, a device that listens no more, and after standing still for longer than `stall_s`,
-    or where no command has left, or the wire has been slower than the samples, for that long. Whatever is raised by
+    or where no command has left for that long, or a slow wire has put it as far behind. Whatever is raised by
     any part, an angle's judgement included, is the cause of a safe stop and is in the log. A run ends without a cause
     only where the safe command has been sent.
 
@@ -116,7 +116,7 @@ class ControlLoop:
         self._past_u: deque[float] = deque(maxlen=REMEMBERED)
         self._past_y: deque[float] = deque(maxlen=REMEMBERED)
         self._start_ns = self._woke_ns = self._boot_ns = self._deadline_ns = 0
-        self._wire_ns = self._slow_ns = 0  # spent in calls of the transport: in this sample, and in those too slow
+        self._wire_ns = self._behind_ns = 0  # spent in calls of the transport, and what it has cost in the end
         self._thrown = 0  # readings before the first sample
         self._failures = 0  # samples that have failed
         self._sequence = self._skipped = self._waited = self._commands = self._unsent = self._refused = 0
@@ -170,19 +170,19 @@ class ControlLoop:
         self._boot_ns = self._clock.boot_ns()
 
     def due(self) -> int:
-        """Monotonic time of the next sample [ns]; samples that have passed wholly are skipped."""
+        """Monotonic time of the next sample [ns]: the first deadline that has not passed by a whole sample."""
         deadline = self._deadline_ns + self._dt_ns
         try:
             behind = self._clock.now_ns() - deadline
         except Exception as error:  # noqa: BLE001 - as in a sample
             self._flag.set(_said(error))
             return deadline
-        self._skip(max(0, behind // self._dt_ns))
-        return deadline + self._skipped * self._dt_ns
+        return deadline + max(0, behind // self._dt_ns) * self._dt_ns
 
     def sample(self, deadline: int) -> bool:
         """One sample, due at monotonic time `deadline` [ns]; False after the last one."""
-        self._deadline_ns, self._wire_ns = deadline, 0
+        self._begin_at(deadline)
+        self._wire_ns = 0
         try:
             return self._sample(deadline)
         except Exception as error:  # noqa: BLE001 - whatever is broken, the next samples lead to the safe command
@@ -206,6 +206,7 @@ class ControlLoop:
         if parts is None:
             return deadline
         self._calm = 0
+        self._begin_at(deadline)
         own = {"deadline_ns": deadline, "boot_ns": self._boot_ns, "dt_ns": self._dt_ns, "stall_ns": self._stall_ns}
         compiled.begin({**parts, **self._anchor.numbers(), **own})
         taken = phase.taken_in_c(self._flag)
@@ -222,7 +223,7 @@ class ControlLoop:
         view = compiled.view
         self._left_c[compiled.reason] += 1
         self._transport.take_back(compiled.unread(), view.own_sequence)
-        self._skip(view.skipped)
+        self._deadline_ns = int(view.deadline_ns) - (1 + view.skipped) * self._dt_ns
         return int(view.deadline_ns)
 
     def _book(self, done: Any, raw: Sequence[tuple[bytes, int]], decision: Decision) -> None:
@@ -358,7 +359,7 @@ class ControlLoop:
         self.timings.missed += self._late
         if self._late:
             faults = (*faults, "deadline-missed")
-        if self._is_slow(times):
+        if self._is_slow():
             faults = (*faults, "wire-slow")
         self.faults.update(faults)
         self._calm = 0 if faults else self._calm + 1
@@ -367,14 +368,16 @@ class ControlLoop:
         self._woke_ns = times.woke
         self._sequence += 1
 
-    def _is_slow(self, times: Times) -> bool:
-        """Whether the wire took longer than a sample; asks for a stop where it does so for most of the time."""
-        slow, took = self._wire_ns > self._dt_ns, times.done - times.woke
-        most = min(self._stall_ns, _SLOW_NS)
-        self._slow_ns = max(0, self._slow_ns + (min(took, most // 3) if slow else -max(took, self._dt_ns)))
-        if self._slow_ns > most:
+    def _is_slow(self) -> bool:
+        """Whether the wire took longer than a sample; asks for a stop where it alone has put the loop too far behind.
+
+        Quicker samples make up for slow ones: a loaded machine is no slow wire.
+        """
+        over, most = self._wire_ns - self._dt_ns, min(self._stall_ns, _SLOW_NS)
+        self._behind_ns = max(0, self._behind_ns + min(over, most // 3))
+        if self._behind_ns > most:
             self._flag.set(f"the wire is too slow: {_S * self._wire_ns:.3f} s in a sample of {_S * self._dt_ns:g} s")
-        return slow
+        return over > 0
 
     def _drain(self) -> None:
         """Throw away what has piled up before the first sample, all but the newest; for `stall_s` at most.
@@ -488,6 +491,11 @@ class ControlLoop:
             self.timings.period.add(_S * period)
         self.timings.jitter.add(_S * lateness)
         self.timings.execution.add(_S * execution)
+
+    def _begin_at(self, deadline: int) -> None:
+        """The next sample is due then; those before it have passed wholly."""
+        self._skip(max(0, (deadline - self._deadline_ns) // self._dt_ns - 1))
+        self._deadline_ns = deadline
 
     def _skip(self, samples: int) -> None:
         """So many samples have passed wholly."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.rig.commission.phases import CommandMotion, Decision, Past, Phase, PhaseInput, PretensionCheck
+from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.safety.ramp import ramp_commands, way_commands
 
 from .bench_parts import DT, LIMITS, NS, RAMPS, Rig, following, travel
@@ -188,27 +190,26 @@ def test_a_late_command_is_a_miss_and_whole_samples_are_skipped() -> None:
 
 @pytest.mark.parametrize("busy_s", [0.0, 0.03, 0.07, 0.1])
 def test_a_period_that_a_timer_misses_is_a_sample_that_ended_late(busy_s: float) -> None:
-    """`run` that is held up in a write, and a timer whose program does something else for as long after the sample."""
-    at, late_ns = 40, round(busy_s * NS)
+    """`run` that is held up at the end of a sample, and a timer whose program does something else after it."""
+    rigs = [Rig(following), Rig(following)]
+    for rig in rigs:
+        put, sink = rig.sink.put, rig.sink
 
-    def phase() -> Wild:
-        return Wild(3, 1000)
+        def busy(sample: Sample, rig: Rig = rig, put: Callable[[Sample], None] = put) -> None:
+            put(sample)
+            rig.clock.ns += round(busy_s * NS) if len(rig.sink.samples) == 40 else 0
 
-    ran = Rig(following, costs_ns={at: late_ns})
-    ran.run([phase()])
-    rig = Rig(following)
+        sink.put = busy  # type: ignore[method-assign]
+    ran, rig = rigs
+    ran.run([Wild(3, 1000)])
     loop = rig.loop_of()
-    loop.begin([phase()])
-    going, timer_ns = True, loop.due()
+    loop.begin([Wild(3, 1000)])
+    going = True
     while going:
-        rig.clock.wait_until(timer_ns)
+        rig.clock.wait_until(loop.due())
         going = loop.sample(loop.due())
-        if len(rig.transport.sent) == at + 1 and late_ns:
-            rig.clock.ns, late_ns = rig.clock.ns + late_ns, 0
-            timer_ns = rig.clock.ns - DT * NS  # fires as soon as it can, and then on its grid
-        timer_ns = max(timer_ns + round(DT * NS), loop._deadline_ns + round(DT * NS))
-    told = [(s.command, s.sequence, s.source) for s in rig.sink.samples]
-    assert told == [(s.command, s.sequence, s.source) for s in ran.sink.samples]
+    told = [[(s.command, s.sequence, s.source, s.t_s) for s in one.sink.samples] for one in rigs]
+    assert told[0] == told[1]
     assert loop.timings.skipped == ran.loop.timings.skipped
     assert loop.outcome().confirmed
 

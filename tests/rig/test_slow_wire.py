@@ -135,16 +135,15 @@ def test_commands_keep_leaving_or_the_run_stops_and_ends_at_the_safe_command(
     assert wire.sent[-1][1] == 0.0
     assert math.isfinite(outcome.safe_s) or outcome.cause == ""
     assert gaps_s(wire, outcome) < 0.6
-    if read_ms + write_ms > 1e3 / rate_hz and not measures_hz:
+    if read_ms + write_ms > 1.5e3 / rate_hz and not measures_hz:
         assert "too slow" in outcome.cause
-    if outcome.cause and not 0 < measures_hz * read_ms < 1e3:  # a device that can be read at its own rate may do
-        assert outcome.stop_s < 1.0 + 1.0 + 1.5
+        assert outcome.stop_s < 1.0 + 1.5
 
 
 @pytest.mark.parametrize("rate_hz", [25.0, 100.0])
 @pytest.mark.parametrize("read_ms", [20, 60, 90])
 def test_a_read_that_always_has_something_does_not_keep_the_commands(rate_hz: float, read_ms: int) -> None:
-    """As long as a read is shorter than a sample, such a driver is a healthy one; else the run stops."""
+    """As long as a read is shorter than a sample, such a driver is a healthy one; else the run stops in time."""
     wire = SlowWire(FakeClock(), 0.0, read_ms * MS)
     outcome = run(wire, rate_hz)
     assert wire.sent[-1][1] == 0.0
