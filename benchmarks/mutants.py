@@ -33,10 +33,13 @@ from rich.table import Table
 
 import mutants_commissioning  # isort: skip
 import mutants_ctrl  # isort: skip
+import mutants_loop  # isort: skip
 import mutants_rig  # isort: skip
 from mutant import Mutant  # isort: skip
 
-MUTANTS: tuple[Mutant, ...] = mutants_ctrl.MUTANTS + mutants_rig.MUTANTS + mutants_commissioning.MUTANTS
+MUTANTS: tuple[Mutant, ...] = (
+    mutants_ctrl.MUTANTS + mutants_rig.MUTANTS + mutants_loop.MUTANTS + mutants_commissioning.MUTANTS
+)
 ROOT = Path(__file__).resolve().parent.parent
 LEAST_SHARE = 0.95
 _LEFT_OUT = (
