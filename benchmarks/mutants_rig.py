@@ -335,7 +335,11 @@ MUTANTS: tuple[Mutant, ...] = (
     _loop("a wire that takes no command goes on", "if now - self._refused_ns > self._stall_ns:", "if now < 0:"),
     _loop("a way back that was not sent ends well", "if not self._phase.sent and not self._cause:", "if now is None:"),
     _guard("nonsense is believed", "if fault := nonsense(found, self._now()):", "if fault := '':"),
-    _guard("calls wait behind one that hangs", "if self._newest is not None and not self._newest.done():", "if False:"),
+    _guard(
+        "calls wait behind one that hangs",
+        "        if not self.idle:\n            raise",
+        "        if False:\n            raise",
+    ),
     _guard("a driver ends the program", "future.set_exception(OSError(f", "future.set_exception(type(error)(f"),
     _guard("units are not converted", "raw = self._conversion.raw_command(command)", "raw = command"),
     _motion(

@@ -176,9 +176,10 @@ def control_loop(
     watch = None
     if sensor.kind != "none":
         watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg, closed_loop)
-    intake = Intake(sensor, contact.newest.received_ns, watch)
+    now = clock.now_ns()
+    intake = Intake(sensor, now, watch)
     with suppress(Exception):  # what nobody can judge is judged in the loop, which stops then
-        intake.judge([contact.newest], contact.newest.received_ns, math.nan)
+        intake.judge([contact.seen_at(now)], now, math.nan)
     return ControlLoop(clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, sensor.dead_after_s)
 
 
