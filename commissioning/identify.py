@@ -194,10 +194,14 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
 
 
 def certified(diagnosis: Diagnosis) -> bool:
-    """Whether the corrected simulator is better on trials that nothing was chosen on, the interval of 90 % included."""
+    """Whether the corrected simulator is better on trials that nothing was chosen on, the interval of 90 % included.
+
+    A faulty sensor is nothing that a simulator can be corrected by.
+    """
     gap = diagnosis.gap
     better = gap.with_effects_rmse_deg < min(gap.nominal_rmse_deg, gap.retuned_rmse_deg)
-    named = diagnosis.verdict in ("named", "one_of") and bool(diagnosis.effects) and bool(gap.final_trials)
+    found = any(effect.name != "sensor" for effect in diagnosis.effects)
+    named = diagnosis.verdict in ("named", "one_of") and found and bool(gap.final_trials)
     return named and better and gap.closed_ci90[0] > 0
 
 

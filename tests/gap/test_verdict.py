@@ -168,7 +168,7 @@ def test_rules_that_hold_for_all_facts(facts: VerdictFacts) -> None:
     elif facts.jumps:
         assert ruling.verdict in ("named", "one_of")
     if ruling.sensor:
-        assert facts.sensor
+        assert facts.sensor or facts.new_step
     if ruling.verdict == "retuned":
         assert facts.retuning.moved >= SETTINGS.lowered
         assert not ruling.explained
