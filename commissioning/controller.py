@@ -143,7 +143,7 @@ def fresh_references(subject: Subject, reached: Reached, motion_s: float) -> dic
 def sensor_step_deg(model: Path) -> float:
     """Step of the sensor's readings, as the model's file says [deg]; 0 of a continuous sensor."""
     noise = load_simulator(model).identification.noise
-    return 0.0 if noise is None else noise.step_deg
+    return 0.0 if noise is None else noise.sensor_resolution_deg
 
 
 def deaf_to(found: PidTuning, study: Study, step_deg: float) -> PidTuning:

@@ -32,7 +32,7 @@ def gains_for(settings: HandoverSettings, predictor: Predictor) -> PidSettings:
     found = PidSettings()
     if gain > 0:
         found = PidSettings(kp_per_deg=_KP_SHARE / gain, ki_per_deg_s=_KI_PER_S / gain)
-    return found if predictor.noise is None else found.deaf_to(predictor.noise.step_deg)
+    return found if predictor.noise is None else found.deaf_to(predictor.noise.sensor_resolution_deg)
 
 
 def handover_law(

@@ -71,7 +71,7 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         self._cost = PlanCost(settings.weights, self.horizon)
         known = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
         delay = known.delay_samples if isinstance(known, DrivenInverse) else 0
-        step = predictor.noise.step_deg if predictor.noise else 0.0
+        step = predictor.noise.sensor_resolution_deg if predictor.noise else 0.0
         self.rule = HoldRule(settings.hold, predictor.dt, delay, step)
         self.slope = attempt(lambda: static_gain(predictor))[0] or 0.0  # a model may fail where no plan ever is
 

@@ -96,13 +96,13 @@ class Decades:
 
     def log_noise(self, noise: NoiseModel) -> NoiseModel:
         """Noise of a model in working units, brought back."""
-        model, step = noise.model_sigma_deg, noise.sensor_resolution_deg
+        model = noise.model_sigma_deg
         return NoiseModel(
             sensor_sigma_deg=noise.sensor_sigma_deg * self.angle,
             drift_sigma_deg_per_sqrt_s=noise.drift_sigma_deg_per_sqrt_s * self.angle,
             motion_sigma_deg_per_sqrt_unit=noise.motion_sigma_deg_per_sqrt_unit * self.angle / math.sqrt(self.command),
             model_sigma_deg=None if model is None else model * self.angle,
-            sensor_resolution_deg=None if step is None else step * self.angle,
+            sensor_resolution_deg=noise.sensor_resolution_deg * self.angle,
         )
 
     def log_sizes(self, found: _R) -> _R:

@@ -232,8 +232,9 @@ def _without(
 ) -> tuple[VerdictFacts, Hypothesis]:
     """Facts and corrected simulator less one cause."""
     if dropped not in chosen.effects:
-        gone = {"sensor": False, "new_step": False} if dropped == "sensor" else {"jumps": False}
-        return replace(facts, **gone), chosen
+        if dropped == "sensor":
+            return replace(facts, sensor=False, new_step=False), chosen
+        return replace(facts, jumps=False), chosen
     kept, validation = chosen.effects - {dropped}, attribution.validation
     if not kept:
         return facts, attribution.retuned

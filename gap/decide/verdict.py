@@ -331,7 +331,7 @@ def reason_for(
 ) -> str:
     """The verdict in one sentence, with its numbers; `too_little` and `unrelated` say why trials are unusable."""
     sizes = f"retuned {gap.retuned_rmse_deg:#.3g} {unit}, floor {gap.floor_rmse_deg:#.3g} {unit}"
-    names = ", ".join(effect.name.replace("_", " ") for effect in effects)
+    names = ", ".join(effect.words for effect in effects)
     closed = f"{100 * gap.closed_share:.0f} % of the structural gap closed on trials kept for the end"
     sets = "; ".join(" or ".join(name.replace("_", " ") for name in names) for names in ruling.ambiguity)
     unexplained = "a structural gap that no effect of the library explains"

@@ -152,7 +152,7 @@ def _excess_mse(signs: SensorSigns, nominal_deg: float | None) -> float:
 
 def _known_step(identification: Identification, decades: Decades) -> float:
     """Step of the sensor's readings at identification, in working units; 0 where there was none, or it is unknown."""
-    return 0.0 if identification.noise is None else identification.noise.step_deg / decades.angle
+    return 0.0 if identification.noise is None else identification.noise.sensor_resolution_deg / decades.angle
 
 
 def _require_size(simulator: Simulator, decades: Decades) -> None:

@@ -100,19 +100,14 @@ class NoiseModel(Settings):
         model_sigma_deg: root mean square of the slow part of y - model about its mean over a free run [deg]: how far
             the model is off where no sensor corrects it. None in older files.
         sensor_resolution_deg: step of the sensor's readings where noise does not average over it [deg]; its error is
-            part of `sensor_sigma_deg`. None of a continuous sensor, and in older files.
+            part of `sensor_sigma_deg`. Zero of a continuous sensor, and in older files.
     """
 
     sensor_sigma_deg: Annotated[float, Field(gt=0, le=1e12)]
     drift_sigma_deg_per_sqrt_s: Sigma
     motion_sigma_deg_per_sqrt_unit: Sigma
     model_sigma_deg: Sigma | None = None
-    sensor_resolution_deg: Sigma | None = None
-
-    @property
-    def step_deg(self) -> float:
-        """Step of the readings, zero of a continuous sensor [deg]."""
-        return self.sensor_resolution_deg or 0.0
+    sensor_resolution_deg: Sigma = 0.0
 
 
 class Connection(Settings):

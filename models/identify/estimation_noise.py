@@ -80,7 +80,7 @@ def _noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int) -> No
         drift_sigma_deg_per_sqrt_s=more * math.sqrt(drift / trials[0].dt),
         motion_sigma_deg_per_sqrt_unit=more * math.sqrt(motion),
         model_sigma_deg=factor * math.sqrt(max(float(np.mean(slow)), 0.0)),
-        sensor_resolution_deg=step if step > _UNDITHERED * sensor else None,
+        sensor_resolution_deg=step if step > _UNDITHERED * sensor else 0.0,
     )
 
 

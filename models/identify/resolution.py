@@ -17,7 +17,7 @@ _APART = 0.5  # of the gap between levels: readings closer together than that ar
 def resolution(signals: Sequence[Vec]) -> float:
     """Step of the grid that the readings of a sensor lie on, in their unit; 0 of a continuous sensor.
 
-    The grid may have any offset. It is looked for in all readings, then in those that repeat the one before, which
+    The grid may have any offset. It is looked for in all readings and in those that repeat the one before, which
     linear interpolation to another rate leaves on it, and then in clusters of them, where a little noise was added
     after rounding. A log of few digits is on a grid, too: that of its last digit.
 
@@ -25,11 +25,9 @@ def resolution(signals: Sequence[Vec]) -> float:
         signals: readings of one sensor, (T,) each.
     """
     values = np.concatenate(signals)
-    step = grid_step(values)
-    if step > 0:
-        return step
     repeated = np.concatenate([signal[1:][np.diff(signal) == 0] for signal in signals])
-    return _of_many_levels(repeated, np.unique(repeated)) or _of_many_levels(values, _clusters(values))
+    step = max(grid_step(values), _of_many_levels(repeated, np.unique(repeated)))
+    return step or _of_many_levels(values, _clusters(values))
 
 
 def grid_step(values: Vec) -> float:
