@@ -169,8 +169,8 @@ def _late_words(scores: Mapping[str, Scored]) -> str:
     shares = ", ".join(f"{TITLES[name]} {100 * score.late_share:.0f} %" for name, score in scores.items())
     return (
         "Nothing is verified: this machine missed deadlines, and the comparison is not valid. Samples without time for "
-        f"the controller, which a fallback has answered or which were skipped: {shares}. Deadlines cause such errors, not "
-        "the model."
+        f"the controller, which a fallback has answered or which were skipped: {shares}. Deadlines cause such errors, "
+        "not the model."
     )
 
 
