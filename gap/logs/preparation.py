@@ -124,6 +124,7 @@ def prepare(
     form_mse = model_form_mse(identification, trials, motions, _sample_time(simulator))
     runs = common_rest(runs, form_mse)
     development, final = split_runs(runs, motions, known)
+    new_step = signs.coarse and signs.quantisation_deg > _COARSER * _known_step(identification, decades)
     return PreparedTrials(
         decades=decades,
         given=checked.given,
@@ -136,15 +137,15 @@ def prepare(
         raw=tuple(trial.angle for trial in in_working_units),
         form_mse=form_mse,
         too_little=shortage(checked.trials),
-        excess_mse=_excess_mse(signs, nominal),
+        excess_mse=_excess_mse(signs, nominal, new_step),
         order=order,
-        new_step=signs.coarse and signs.quantisation_deg > _COARSER * _known_step(identification, decades),
+        new_step=new_step,
     )
 
 
-def _excess_mse(signs: SensorSigns, nominal_deg: float | None) -> float:
-    """Energy of a faulty sensor's noise beyond its noise at identification; that of coarse steps is read off them."""
-    rounding = signs.quantisation_deg**2 / 12.0 if signs.coarse else 0.0
+def _excess_mse(signs: SensorSigns, nominal_deg: float | None, new_step: bool) -> float:
+    """Energy of a faulty sensor's noise beyond its noise at identification; that of new steps is read off them."""
+    rounding = signs.quantisation_deg**2 / 12.0 if new_step else 0.0
     if nominal_deg is None or not (signs.noisy or signs.coarse):
         return rounding
     return max(signs.energy - nominal_deg**2, rounding)
