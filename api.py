@@ -70,6 +70,7 @@ class Evaluation:
 
         return time_figure(self.trials)
 
+    @in_a_line
     def report(self, path: Path | str) -> Path:
         """Write one page with tables and figures, which opens offline."""
         return self._page().save(path)
@@ -120,6 +121,7 @@ class Fit:
             raise FitError(f"{self.kind} has no readable form, expected an operator such as backlash or pi")
         return self.found.simulator
 
+    @in_a_line
     def save(self, path: Path | str) -> Path:
         """Write the model: `.yaml` for the readable form of an operator, `.onnx` for any.
 

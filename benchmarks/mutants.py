@@ -31,17 +31,21 @@ from typing import Literal
 from rich.console import Console
 from rich.table import Table
 
+import mutants_belief  # isort: skip
 import mutants_codegen  # isort: skip
 import mutants_commissioning  # isort: skip
 import mutants_ctrl  # isort: skip
 import mutants_given  # isort: skip
+import mutants_loop  # isort: skip
 import mutants_rig  # isort: skip
 from mutant import Mutant  # isort: skip
 
 MUTANTS: tuple[Mutant, ...] = (
     mutants_ctrl.MUTANTS
     + mutants_rig.MUTANTS
+    + mutants_loop.MUTANTS
     + mutants_commissioning.MUTANTS
+    + mutants_belief.MUTANTS
     + mutants_codegen.MUTANTS
     + mutants_given.MUTANTS
 )

@@ -99,7 +99,6 @@ MUTANTS: tuple[Mutant, ...] = (
         "samples < HYSTMPC_MOST_SAMPLES ? samples + 1 : samples",
         "samples + 1",
     ),
-    _feedback("not-a-number passes the limits in C", "clamp(finite(u) ? u : last,", "clamp(u,"),
     _feedback("the command falls at any rate in C", "most(HYSTMPC_LOWER, at - HYSTMPC_REACH)", "HYSTMPC_LOWER"),
     _feedback(
         "the greatest command is not applied in C", "least(HYSTMPC_UPPER, at + HYSTMPC_REACH)", "at + HYSTMPC_REACH"

@@ -11,6 +11,8 @@ _stopped = mutated_file("commissioning", "device.py", "test_run.py")
 _config = mutated_file("commissioning", "config.py", "test_motions.py", "test_run.py")
 _motions = mutated_file("commissioning", "motions.py", "test_motions.py")
 _run = mutated_file("commissioning", "run.py", "test_run.py")
+_verify = mutated_file("commissioning", "verify.py", "test_verify.py")
+_track = mutated_file("commissioning", "device.py", "test_verify.py")
 _stages = mutated_file("commissioning", "stages.py", "test_run.py")
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -30,14 +32,37 @@ MUTANTS: tuple[Mutant, ...] = (
         "elif self._stirred and abs(self._at - self._moved) >= _STILL * self._travel:",
         "elif self._stirred and abs(self._at - self._moved) >= 1e9:",
     ),
+    _verify(
+        "missed deadlines are no reason",
+        "if max(score.late_share for score in scores.values()) > _FALLBACKS:",
+        "if not scores:",
+    ),
+    _verify(
+        "late fallbacks count as solver failures",
+        "late += sum(a and b not in _OWN",
+        "late += sum(False and b not in _OWN",
+    ),
+    _verify("skipped samples are not counted", "late_share=(late + skipped) /", "late_share=late /"),
+    _verify("samples that were answered in time are late", "late += sum(a and b not in _OWN", "late += sum(a"),
+    _verify(
+        "the noise is claimed below the error of the steps",
+        "sigma_deg = max(sigma_deg, rounding)",
+        "sigma_deg = sigma_deg",
+    ),
+    _track(
+        "what follows a missed deadline is in time",
+        "a.missed or b.sequence > a.sequence + 1",
+        "b.sequence > a.sequence + 1",
+    ),
+    _track("what follows a skipped sample is in time", "a.missed or b.sequence > a.sequence + 1", "a.missed"),
     _climb("a device is driven faster than it follows", "if lasts <= wanted + _FOLLOWS:", "if lasts > 0:"),
     _bounded(
         "the tip may pass its limits in motion",
         "if math.isnan(angle) or self._low <= angle <= self._high:",
         "if self._low < self._high:",
     ),
-    _device("a recording has no angle limits", "bounded(recorded, self._angle_limits)", "recorded"),
-    _device("a tracked reference has no angle limits", "bounded(phase, self._angle_limits)", "phase"),
+    _device("a recording has no angle limits", "Bounded(recorded, self._angle_limits, bench.sensor)", "recorded"),
+    _device("a tracked reference has no angle limits", "Bounded(phase, self._angle_limits, bench.sensor)", "phase"),
     _stopped("a stop counts as an end", "if result.outcome.cause:", "if not kept.samples:"),
     _config(
         "the range found does not bind",

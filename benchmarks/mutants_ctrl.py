@@ -11,6 +11,10 @@ _guarded = mutated_file(
 _fallback = mutated_file("ctrl", "fallback.py", "test_fallback.py", "test_contract.py")
 _estimator = mutated_file("ctrl", "estimation/observer.py", "test_estimator.py", "test_fallback.py")
 _noise = mutated_file("ctrl", "estimation/noise.py", "test_noise.py", "test_estimator.py")
+_steps = mutated_file("ctrl", "estimation/noise.py", "test_quantised.py")
+_hold = mutated_file("ctrl", "mpc.py", "test_quantised.py")
+_pid = mutated_file("ctrl", "feedback/pid.py", "test_quantised.py")
+_deaf = mutated_file("ctrl", "handover.py", "test_quantised.py")
 _bank = mutated_file("ctrl", "learning/bank.py", "test_learning.py")
 _basis = mutated_file("ctrl", "learning/basis.py", "test_learning.py")
 _learning = mutated_file("ctrl", "learning/estimator.py", "test_learning.py")
@@ -70,8 +74,8 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _guarded(
         "a start beyond the limits is accepted",
-        "if not (math.isfinite(usable_angle(y)) and low <= u <= high):",
-        "if not math.isfinite(usable_angle(y)):",
+        "if not (math.isfinite(angle) and held is not None and low <= held <= high):",
+        "if not math.isfinite(angle) or held is None:",
     ),
     _guarded(
         "a stop that is asked for is forgotten", "fallback=self._fallback.halt(cause))", "fallback=state.fallback)"
@@ -124,6 +128,29 @@ MUTANTS: tuple[Mutant, ...] = (
         "min(max(bank[0, i] + gain * error, -limit), limit)",
         "min(bank[0, i] + gain * error, limit)",
     ),
+    _steps(
+        "equal readings are better than their steps",
+        "np.maximum(usual * _SENSOR_FACTORS, least)",
+        "usual * _SENSOR_FACTORS",
+    ),
+    _hold(
+        "a hold is left within a step of the readings",
+        "_LEAVE_SIGMAS * sigma + self._step if",
+        "_LEAVE_SIGMAS * sigma if",
+    ),
+    _hold(
+        "a hold is entered a whole step away",
+        "if before.holding else waited * sigma",
+        "if before.holding else waited * sigma + self._step",
+    ),
+    _hold(
+        "the hold does not know the steps",
+        "HoldRule(settings.hold, predictor.dt, delay, step)",
+        "HoldRule(settings.hold, predictor.dt, delay)",
+    ),
+    _pid("half a step is integrated", "least = _HALF * step_deg", "least = 0.0"),
+    _pid("a greater dead zone is narrowed", "return self if self.dead_zone_deg >= least else", "return"),
+    _deaf("feedback that takes over hunts", "found.deaf_to(predictor.noise.sensor_resolution_deg)", "found"),
     _noise("the innovation has the wrong sign", "bank[0, i] + gain * error", "bank[0, i] - gain * error"),
     _noise("the gain of a bank is not bounded", "min(before * by_spread, most)", "before / spread"),
     _noise("weights may die", "share * by_model[i]", "0.0"),

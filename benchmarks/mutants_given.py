@@ -16,8 +16,8 @@ _recorder = Mutated("rig", "rig/recording/recorder_process.py", _RECEIVED)
 _bench = Mutated("rig", "rig/config.py", _RECEIVED)
 _device = Mutated("rig", "rig/device/server.py", _RECEIVED)
 _option = Mutated("cli", "cli/options.py", _RECEIVED)
-_compiled = mutated_file("rig", "compiled/controller.py", "test_backends.py")
-_build = Mutated("codegen", "codegen/build.py", ("tests/rig/test_backends.py",))
+_compiled = mutated_file("rig", "compiled/controller.py", "test_library.py")
+_build = Mutated("codegen", "codegen/build.py", ("tests/rig/test_library.py",))
 _server = mutated_file("rig", "live/server.py", "test_live_hostile.py", "test_live_control.py", "test_live.py")
 _hdf5 = mutated_file("trials", "mat_.py", "test_bounds.py", "test_mat.py")
 _version_5 = mutated_file("trials", "mat_bounds.py", "test_bounds.py")
@@ -32,7 +32,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "    if refused := refusal(name, group):\n        raise ConfigError",
         "    if refused := '':\n        raise ConfigError",
     ),
-    _named("a file may name what a program may", "if not _by_code.get():", "if False:"),
+    _named("a file may name what a program may", "elif _place_of(name):", "elif False:"),
     _named("a report imports what was allowed", "if not _reading.get() and (_ALL", "if (_ALL"),
     _named("a yes to one class is one to others", "or name in said)", "or name in ' '.join(said))"),
     _named(
@@ -40,7 +40,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "where == MEMORY if _by_code.get() is None else _by_code.get()",
         "where == MEMORY",
     ),
-    _named("a program's own name allows all", "        allow_python(name)\n", "        allow_python()\n"),
+    _named("a program's own name allows all", "            allow_python(name)\n", "            allow_python()\n"),
     _unread(
         "a report imports a controller",
         "if self._read_only:\n            return _unread",
@@ -119,8 +119,6 @@ MUTANTS: tuple[Mutant, ...] = (
         "os.access(folder, os.W_OK) and only_ours(folder)",
         "os.access(folder, os.W_OK)",
     ),
-    _kernels("a group may write", "found.st_gid != os.getgid()", "False"),
-    _kernels(
-        "another user's folder is ours", "return found.st_uid in (os.getuid(), 0) and not others", "return not others"
-    ),
+    _kernels("a group may write", "umask & (stat.S_IWGRP | stat.S_IWOTH)", "umask & stat.S_IWOTH"),
+    _kernels("another user's folder is ours", "return found.st_uid in (os.getuid(), 0) and not", "return not"),
 )

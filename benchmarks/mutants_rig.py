@@ -84,7 +84,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _taken("the loop in C takes any angle", "l->angle_low <= angle && angle <= l->angle_high && ", ""),
     _taken(
         "the loop in C takes jumps",
-        "!(fabs(angle - l->angle) <= l->angle_rate * elapsed_s) || ",
+        "!(fabs(angle - l->rated) <= l->angle_rate * elapsed_s) || ",
         "",
     ),
     _taken("the loop in C takes a frozen sensor", "l->repeats >= l->frozen_samples && ", "l->repeats < 0 && "),
@@ -135,13 +135,13 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _intake(
         "the time of flight does not count as age",
-        "return _S * (now_ns - reading.received_ns + excess)",
-        "return _S * (now_ns - reading.received_ns)",
+        "return _S * (now_ns - heard_ns + flight - least)",
+        "return _S * (now_ns - heard_ns)",
     ),
     _intake(
         "the time since receipt does not count as age",
-        "return _S * (now_ns - reading.received_ns + excess)",
-        "return _S * excess",
+        "return _S * (now_ns - heard_ns + flight - least)",
+        "return _S * (flight - least)",
     ),
     _intake(
         "the order of readings is not judged",
@@ -160,10 +160,12 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     _intake(
         "jumps are not judged",
-        "if abs(angle - self._angle) > settings.rate_limit_deg_s * elapsed_s:",
-        "if abs(angle - self._angle) > 1e9:",
+        "if abs(angle - self._rated[1]) > settings.rate_limit_deg_s * elapsed_s:",
+        "if abs(angle - self._rated[1]) > 1e9:",
     ),
-    _intake("a frozen sensor is not found", "frozen = count is not None and", "frozen = count is None and"),
+    _intake(
+        "a frozen sensor is not found", "if count and self._repeats >= count", "if count < 0 and self._repeats >= count"
+    ),
     _intake(
         "a frozen sensor is found at rest",
         "self._repeats >= count and self._travel >= settings.frozen_travel",
@@ -182,8 +184,16 @@ MUTANTS: tuple[Mutant, ...] = (
         "return self._watch.judge(angle, then, seen_ns)",
         "return self._watch.judge(angle, self._command, seen_ns)",
     ),
-    _frames("a silent device without a sensor is commanded on", "(wants_angle or self._tells)", "wants_angle"),
-    _intake("a dead sensor does not stop the run", "silent_s > self._settings.silence_s", "silent_s > 1e9"),
+    _frames(
+        "a silent device without a sensor is commanded on",
+        "silent = self._tells and silent_s",
+        "silent = self._tells and 0.0 * silent_s",
+    ),
+    _intake(
+        "a dead sensor does not stop the run",
+        "        if silent_s > self._settings.silence_s:",
+        "        if silent_s > 1e9:",
+    ),
     _followed(
         "a device that does not follow never stops the run",
         "self._off_ns = now_ns if self._off_ns is None else self._off_ns",
@@ -325,7 +335,11 @@ MUTANTS: tuple[Mutant, ...] = (
     _loop("a wire that takes no command goes on", "if now - self._refused_ns > self._stall_ns:", "if now < 0:"),
     _loop("a way back that was not sent ends well", "if not self._phase.sent and not self._cause:", "if now is None:"),
     _guard("nonsense is believed", "if fault := nonsense(found, self._now()):", "if fault := '':"),
-    _guard("calls wait behind one that hangs", "if self._newest is not None and not self._newest.done():", "if False:"),
+    _guard(
+        "calls wait behind one that hangs",
+        "        if not self.idle:\n            raise",
+        "        if False:\n            raise",
+    ),
     _guard("a driver ends the program", "future.set_exception(OSError(f", "future.set_exception(type(error)(f"),
     _guard("units are not converted", "raw = self._conversion.raw_command(command)", "raw = command"),
     _motion(
@@ -350,10 +364,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "ramps.acceleration_per_s2",
     ),
     _config("a weak brake is accepted", "> self.overshoot * (1 + 1e-9):", "> 1e9:"),
-    _plausibility(
-        "a blocked tip is not noticed", "if now_ns - self._since_ns < self._hold_ns and not at_once:", "if now_ns >= 0:"
-    ),
-    _plausibility("a blocked tip is given time however far the command goes", "and not at_once:", "and self._travel:"),
+    _plausibility("a blocked tip is not noticed", "if not self._on or (", "if self._on or ("),
     _plausibility(
         "an angle that moves counts as one that does not",
         "if not max(self._high, angle) - min(self._low, angle) < self._moves:",
@@ -368,7 +379,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _tracking("the model is not watched", "watch.judge(command.disturbance)", '""'),
     _intake(
         "the command held by a device that listens to another counts",
-        "self._held = reading.held if reading.listens else math.nan",
+        "self._held = reading.held if reading.listens and tells else math.nan",
         "self._held = reading.held",
     ),
     _admission(

@@ -40,6 +40,11 @@ class Bounded(Phase):
         self._low, self._high = low - more, high + more
         self._recent: deque[float] = deque(maxlen=MEDIAN)
 
+    @property
+    def closed_loop(self) -> bool:
+        """As the phase itself."""
+        return self._phase.closed_loop
+
     def begin(self, now: PhaseInput, past: Past) -> None:
         """As the phase itself."""
         self._recent.clear()

@@ -11,7 +11,7 @@ import numpy as np
 
 from hystmpc.rig.commission.phases import Decision, Past, Phase, PhaseInput
 from hystmpc.rig.config import BenchSettings
-from hystmpc.rig.safety.plausibility import MotionWatch
+from hystmpc.rig.safety.plausibility import SMOOTH_S, MotionWatch
 from hystmpc.rig.safety.ramp import stop_commands, way_commands
 from hystmpc.trials.types import Vec
 
@@ -88,7 +88,8 @@ class Climb(Phase):
         span, range_deg = bench.limits.upper - bench.limits.lower, sensor.upper_deg - sensor.lower_deg
         self._moves = watch.moves_of(range_deg)
         self._travel = watch.travel_of(span, onward=True) if watch.watch_motion else math.inf
-        self._watch, self._still = MotionWatch(watch, span, range_deg), 0.0
+        alike = watch.model_copy(update={"travel_s": SMOOTH_S})  # the command is averaged as the angle is
+        self._watch, self._still = MotionWatch(alike, span, range_deg), 0.0
         window = max(round(_WINDOW_S / bench.dt_s), 1)
         self._settling: deque[float] = deque(maxlen=2 * window)
         self._samples = self._waited = 0

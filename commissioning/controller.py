@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from hystmpc.models.simulator import load_simulator
 from hystmpc.sim.config import SimulationConfig, TuningSettings
 from hystmpc.sim.plants.simulated import SimulatedPlant
 from hystmpc.sim.study import Study, prepare
-from hystmpc.sim.tune_pid import PidLike, PidTuning, tuned_gains
+from hystmpc.sim.tune_pid import PidLike, PidTuning, mean_square_of, tuned_gains
 from hystmpc.trajectories.config import MotionSettings, PointToPointSettings
 from hystmpc.trials.config import dump_yaml
 from hystmpc.trials.files import write_atomically
@@ -61,7 +62,8 @@ def make_controllers(
         KeyboardInterrupt: if the user ended the search; nothing is kept.
     """
     reached = reached_angles(subject, model)
-    study = tuning_study(subject, model, reached, sigma_deg)
+    step = sensor_step_deg(model)
+    study = tuning_study(subject, model, reached, sigma_deg, step)
     whole = max(round(subject.block.tune_evaluations * min(1.0, _FULL_HZ / subject.rate_hz)), 24)
     shares = {"pid": whole, "inverse_pid": max(whole // _INVERSE_SHARE, 24)}
     starts: dict[str, PidLike] = {"pid": PidControllerSettings(), "inverse_pid": InversePidControllerSettings()}
@@ -72,7 +74,7 @@ def make_controllers(
             progress(before + share * done / of, total, f"gains {note}".strip())
 
         config = study.config.model_copy(update={"tune_pid": TuningSettings(evaluations=shares[name])})
-        found[name] = tuned_gains(replace(study, config=config), start, told)
+        found[name] = deaf_to(tuned_gains(replace(study, config=config), start, told), study, step)
         before += shares[name]
     gains = {name: tuned.settings.gains.model_dump() for name, tuned in found.items()}
     tolerance = max(_TOLERANCE_DEG, _TOLERANCE_SIGMAS * sigma_deg)
@@ -138,13 +140,40 @@ def fresh_references(subject: Subject, reached: Reached, motion_s: float) -> dic
     return references(reached, motion_s, (subject.block.seed, _FRESH), subject.block.motions)
 
 
-def tuning_study(subject: Subject, model: Path, reached: Reached, sigma_deg: float) -> Study:
-    """The identified model with the sensor's noise as the device, and references of the same kinds from its rest."""
+def sensor_step_deg(model: Path) -> float:
+    """Step of the sensor's readings, as the model's file says [deg]; 0 of a continuous sensor."""
+    noise = load_simulator(model).identification.noise
+    return 0.0 if noise is None else noise.sensor_resolution_deg
+
+
+def deaf_to(found: PidTuning, study: Study, step_deg: float) -> PidTuning:
+    """Gains that do not integrate half a step of the sensor's readings, so that a hold rests; their error on the model.
+
+    The search looks at the error alone, which a command that hunts around a reading may even lower.
+    """
+    gains = found.settings.gains.deaf_to(step_deg)
+    if gains == found.settings.gains:
+        return found
+    settings = found.settings.model_copy(update={"gains": gains})
+    return replace(found, settings=settings, rmse_deg=math.sqrt(mean_square_of(study, settings)))
+
+
+def tuning_study(subject: Subject, model: Path, reached: Reached, sigma_deg: float, step_deg: float = 0.0) -> Study:
+    """The identified model with the sensor as the device, and references of the same kinds from its rest.
+
+    Args:
+        sigma_deg: noise of the sensor, the error of its steps included [deg].
+        step_deg: step of its readings [deg].
+    """
     limits = subject.limits
     plant = SimulatedPlant(load_simulator(model), commands=Range(lower=limits.lower, upper=limits.upper))
     motions = references(reached, _TUNED_S, (subject.block.seed, _TUNING))
     data: dict[str, Any] = {
-        "plant": {"simulator": str(model), "noise_deg": sigma_deg},
+        "plant": {
+            "simulator": str(model),
+            "noise_deg": math.sqrt(max(sigma_deg**2 - step_deg**2 / 12.0, 0.0)) if step_deg else sigma_deg,
+            "quantisation_deg": step_deg,
+        },
         "model": str(model),
         "motions": {name: _from_rest(motion, plant.true_angle).model_dump() for name, motion in motions.items()},
         "controllers": {"pid": {"kind": "pid"}},

@@ -63,6 +63,7 @@ class Track:
         reference_deg, measured_deg: wanted and measured angle at the end of the sample, NaN without a usable one.
         command: sent at its beginning.
         source: what gave the command.
+        late: whether the sample had no time for the controller: the one before missed its deadline, or was skipped.
     """
 
     t: Vec
@@ -70,6 +71,7 @@ class Track:
     measured_deg: Vec
     command: Vec
     source: tuple[str, ...]
+    late: tuple[bool, ...] = ()
 
     @property
     def error_deg(self) -> Vec:
@@ -84,6 +86,7 @@ class Track:
             "angle_deg": self.measured_deg,
             "command": self.command,
             "source": self.source,
+            "late": np.array(self.late or [False] * len(self.source), dtype=np.float64),
         }
         return write_atomically(path, format_table(columns))
 
@@ -98,7 +101,8 @@ class Track:
         if "source" not in table.texts:
             raise LogError(f"{path}: got columns {', '.join(table.header)}, expected those of a tracked reference")
         n = table.numbers
-        return cls(n["time_s"], n["reference_deg"], n["angle_deg"], n["command"], table.texts["source"])
+        late = tuple(value > 0 for value in n["late"].tolist()) if "late" in n else ()  # tracks of earlier versions
+        return cls(n["time_s"], n["reference_deg"], n["angle_deg"], n["command"], table.texts["source"], late)
 
 
 class Device(Protocol):
@@ -288,6 +292,7 @@ def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track
     counted = [k for k in tracked if samples[k].sequence >= first]
     rows = [samples[k] for k in counted]
     after = [samples[k + 1] for k in counted]
+    before = [samples[max(k - 1, 0)] for k in counted]
     measured = [b.measured_deg if b.sequence == a.sequence + 1 else np.nan for a, b in zip(rows, after, strict=True)]
     return Track(
         t=dt_s * np.array([row.sequence - first + 1 for row in rows]),
@@ -295,6 +300,7 @@ def track_of(samples: Sequence[Sample], duration_s: float, dt_s: float) -> Track
         measured_deg=np.array(measured),
         command=np.array([row.command for row in rows]),
         source=tuple(str(row.source) for row in rows),
+        late=tuple(a.missed or b.sequence > a.sequence + 1 for a, b in zip(before, rows, strict=True)),
     )
 
 

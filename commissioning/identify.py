@@ -111,9 +111,10 @@ class Fitted:
         report: one line: what it consists of, and the error on trials left out.
         parts: part, form, error without and with it on trials left out [deg].
         numbers: name, value and ends of the interval of 90 %.
-        sensor_sigma_deg: noise of the sensor as the model has it [deg].
+        sensor_sigma_deg: noise of the sensor as the model has it, the error of its steps included [deg].
         model_sigma_deg: how far its free run is off [deg], NaN where that is not known.
         advice: what these trials do not determine, and what to record for it.
+        sensor_step_deg: step of the sensor's readings [deg]; 0 of a continuous sensor.
     """
 
     report: str
@@ -122,6 +123,7 @@ class Fitted:
     sensor_sigma_deg: Figure
     model_sigma_deg: Figure
     advice: tuple[str, ...]
+    sensor_step_deg: Figure = 0.0
 
 
 def fit_model(subject: Subject, folder: Path, progress: Progress) -> Fitted:
@@ -151,6 +153,7 @@ def fit_model(subject: Subject, folder: Path, progress: Progress) -> Fitted:
         sensor_sigma_deg=math.nan if noise is None else noise.sensor_sigma_deg,
         model_sigma_deg=math.nan if noise is None or noise.model_sigma_deg is None else noise.model_sigma_deg,
         advice=parts.advice if parts else (),
+        sensor_step_deg=0.0 if noise is None else noise.sensor_resolution_deg,
     )
 
 
@@ -194,10 +197,14 @@ def diagnose_model(subject: Subject, model: Path, folder: Path, progress: Progre
 
 
 def certified(diagnosis: Diagnosis) -> bool:
-    """Whether the corrected simulator is better on trials that nothing was chosen on, the interval of 90 % included."""
+    """Whether the corrected simulator is better on trials that nothing was chosen on, the interval of 90 % included.
+
+    A faulty sensor is nothing that a simulator can be corrected by.
+    """
     gap = diagnosis.gap
     better = gap.with_effects_rmse_deg < min(gap.nominal_rmse_deg, gap.retuned_rmse_deg)
-    named = diagnosis.verdict in ("named", "one_of") and bool(diagnosis.effects) and bool(gap.final_trials)
+    found = any(effect.name != "sensor" for effect in diagnosis.effects)
+    named = diagnosis.verdict in ("named", "one_of") and found and bool(gap.final_trials)
     return named and better and gap.closed_ci90[0] > 0
 
 

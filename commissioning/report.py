@@ -145,7 +145,16 @@ def _pieces(story: Story) -> Iterator[Piece]:
 
 def _scores(verified: Verified) -> Table:
     motions = next(iter(verified.scores.values())).by_motion
-    columns = ("controller", "RMS", *motions, "greatest", "rest in holds [%]", "fallbacks [%]", "beyond limits")
+    columns = (
+        "controller",
+        "RMS",
+        *motions,
+        "greatest",
+        "rest in holds [%]",
+        "fallbacks [%]",
+        "late [%]",
+        "beyond limits",
+    )
     rows = [
         (
             TITLES[name],
@@ -154,6 +163,7 @@ def _scores(verified: Verified) -> Table:
             score.greatest_deg,
             _or_dash(round(100 * score.rest_share, 1)),
             round(100 * score.fallback_share, 1),
+            round(100 * score.late_share, 1),
             score.beyond,
         )
         for name, score in verified.scores.items()
@@ -162,7 +172,8 @@ def _scores(verified: Verified) -> Table:
         columns,
         rows,
         f"Measured less wanted angle [deg]. The sensor's noise, {verified.sensor_sigma_deg:.3f} deg, is in all of "
-        "them. Rest: share of the settled samples of holds in which the command did not move.",
+        "them. Rest: share of the settled samples of holds in which the command did not move. Late: samples without "
+        "time for the controller, as a deadline was missed.",
     )
 
 
@@ -173,6 +184,7 @@ def _device(story: Story) -> Iterator[Piece]:
         "range": story.range_words,
         "recordings": f"{story.checked.trials} trials, {story.checked.seconds:.0f} s",
         "sensor's noise [deg]": fitted.sensor_sigma_deg,
+        **({"steps of its readings [deg]": fitted.sensor_step_deg} if fitted.sensor_step_deg else {}),
         "model's free run is off by [deg]": fitted.model_sigma_deg,
     }
     if story.used_s:

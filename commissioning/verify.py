@@ -11,6 +11,7 @@ import numpy as np
 
 from hystmpc.ctrl.command import Source
 from hystmpc.ctrl.limits import CommandLimits
+from hystmpc.models.identify.resolution import resolution
 from hystmpc.rig.config import BenchSettings
 from hystmpc.sim.results import holds, violations
 from hystmpc.trajectories.config import MotionSettings
@@ -30,6 +31,11 @@ _ERRORS = 2.0  # standard errors by which the square error has to fall
 _LEAST_GAIN = 0.05  # of the square error
 _NOISE_FACTOR = 1.5  # of the sensor's noise: nothing below can be told from it
 _FALLBACKS = 0.02  # of the samples
+_ROUNDS = 0.8  # of the sensor's noise, from which most of its square is the error of its steps
+_LATE_STEPS = (
+    "give the loop a core of its own (block realtime), lower rate_hz, or end other programs on this machine",
+    "verify again then: with other settings into a new --out, with the same ones after 7-verify is removed",
+)
 _OWN = (Source.MPC, Source.CONTROLLER)  # what a controller has decided itself
 
 Tracks = Mapping[str, Mapping[str, Track]]
@@ -46,6 +52,7 @@ class Scored:
         greatest_deg: greatest absolute error [deg].
         rest_share: of the settled samples of holds, those in which the command did not move; NaN without holds.
         fallback_share: of the samples, those that a fallback has answered.
+        late_share: of the samples, those that a fallback has answered after a missed deadline, or that were skipped.
         beyond: samples beyond a limit of the command.
     """
 
@@ -55,6 +62,7 @@ class Scored:
     rest_share: Figure
     fallback_share: Figure
     beyond: int
+    late_share: Figure = 0.0
 
 
 @dataclass(frozen=True)
@@ -126,7 +134,8 @@ def judge(tracks: Tracks, limits: CommandLimits, dt_s: float, sigma_deg: float, 
     """Scores of all controllers, and whether the predictive one is better than the PID.
 
     Square errors are compared in blocks of one second of the same reference: verified is a mean difference of more than
-    two standard errors and 5 %. The errors hold the noise of the sensor, which is the same for all.
+    two standard errors and 5 %. The errors hold the noise of the sensor, which is the same for all, and that of its
+    steps. Where deadlines were missed, fallbacks are compared, and nothing is said of the controllers.
 
     Args:
         sigma_deg, model_sigma_deg: noise of the sensor, and how far the model's free run is off [deg].
@@ -137,15 +146,32 @@ def judge(tracks: Tracks, limits: CommandLimits, dt_s: float, sigma_deg: float, 
     mean = float(np.mean(gains)) if gains.size else 0.0
     error = float(np.std(gains, ddof=1)) / math.sqrt(gains.size) if gains.size > 1 else math.inf
     verified = mean > _ERRORS * error and mean > _LEAST_GAIN * pid.rms_deg**2
+    step = resolution([t.measured_deg[np.isfinite(t.measured_deg)] for runs in tracks.values() for t in runs.values()])
+    rounding = step / math.sqrt(12.0)
+    sigma_deg = max(sigma_deg, rounding)
     figures = (
         f"RMS of measured less wanted angle {mpc.rms_deg:.3f} deg, PID {pid.rms_deg:.3f} deg, inverse alone "
         f"{scores['inverse'].rms_deg:.3f} deg; the sensor's noise alone is {sigma_deg:.3f} deg"
     )
+    if rounding > _ROUNDS * sigma_deg:
+        figures += f" (it reads in steps of {step:.3g} deg, so that no RMS below {rounding:.3f} deg can be measured)"
+    if max(score.late_share for score in scores.values()) > _FALLBACKS:
+        return Verified(False, f"{_late_words(scores)} {figures}.", _LATE_STEPS, sigma_deg, scores)
     if verified:
         steps = _verified_steps(scores)
         return Verified(True, f"Verified: better than the PID tuned on the model. {figures}.", steps, sigma_deg, scores)
     why, steps = _reasons(scores, mean, error, sigma_deg, model_sigma_deg)
     return Verified(False, f"Not better than the PID. {figures}. {why}", steps, sigma_deg, scores)
+
+
+def _late_words(scores: Mapping[str, Scored]) -> str:
+    """That deadlines were missed, and how many."""
+    shares = ", ".join(f"{TITLES[name]} {100 * score.late_share:.0f} %" for name, score in scores.items())
+    return (
+        "Nothing is verified: this machine missed deadlines, and the comparison is not valid. Samples without time for "
+        f"the controller, which a fallback has answered or which were skipped: {shares}. Deadlines cause such errors, "
+        "not the model."
+    )
 
 
 def _verified_steps(scores: Mapping[str, Scored]) -> tuple[str, ...]:
@@ -164,7 +190,7 @@ def _verified_steps(scores: Mapping[str, Scored]) -> tuple[str, ...]:
 def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> Scored:
     errors = {name: track.error_deg[np.isfinite(track.error_deg)] for name, track in tracks.items()}
     pooled = np.concatenate(list(errors.values()))
-    held = resting = samples = fallbacks = beyond = 0
+    held = resting = samples = fallbacks = beyond = late = skipped = 0
     for track in tracks.values():
         still = np.abs(np.diff(track.command, prepend=track.command[0])) <= _AT_REST * (limits.upper - limits.lower)
         for start, stop in holds(track.reference_deg, dt_s):
@@ -172,6 +198,8 @@ def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> 
             held, resting = held + part.size, resting + int(np.sum(part))
         samples += len(track.source)
         fallbacks += sum(source not in _OWN for source in track.source)
+        late += sum(a and b not in _OWN for a, b in zip(track.late, track.source, strict=False))
+        skipped += round((track.t[-1] - track.t[0]) / dt_s) + 1 - len(track.source)
         beyond += violations(track.command, float(track.command[0]), limits, dt_s)
     return Scored(
         rms_deg=_rms(pooled),
@@ -180,6 +208,7 @@ def _scored(tracks: Mapping[str, Track], limits: CommandLimits, dt_s: float) -> 
         rest_share=resting / held if held else math.nan,
         fallback_share=fallbacks / max(samples, 1),
         beyond=beyond,
+        late_share=(late + skipped) / max(samples + skipped, 1),
     )
 
 
@@ -203,8 +232,8 @@ def _reasons(
         )
     if mpc.fallback_share > _FALLBACKS:
         share = f"{100 * mpc.fallback_share:.0f} %"
-        return f"A fallback has answered {share} of the samples: the controller had no time, or no solution.", (
-            "read the deadlines missed in 7-verify/runs, give the loop a core of its own (realtime), lower rate_hz",
+        return f"A fallback has answered {share} of the samples, and not for want of time: it had no solution.", (
+            "read the status of these samples in 7-verify/runs; look at limits, sensor and model",
         )
     if abs(mean) <= _ERRORS * error:
         return "The difference is within chance on these motions.", (

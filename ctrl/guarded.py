@@ -9,7 +9,7 @@ from typing import Generic, TypeVar, final
 
 import numpy as np
 
-from hystmpc.trials.errors import ControllerError, HystmpcError
+from hystmpc.trials.errors import ControllerError, HystmpcError, shown
 from hystmpc.trials.types import Index, Vec
 
 from .command import EMPTY, Command, ControlInput, Stopwatch, Timing
@@ -17,7 +17,7 @@ from .estimation.observer import ANGLE_BOUND_DEG, Estimate, Observer, usable_ang
 from .fallback import FallbackChain, FallbackState, Level, attempt
 from .frozen import replace
 from .law import Law, Proposal
-from .limits import CommandLimits, numbers_of
+from .limits import CommandLimits, number_of, numbers_of
 
 _ROUNDING = 1e-6  # of a sample
 
@@ -98,17 +98,21 @@ class GuardedController(Generic[M]):
             ControllerError: if `y` or `u` is not finite, `u` is beyond the limits, or the model fails at rest.
         """
         low, high = self._limits.lower, self._limits.upper
-        if not (math.isfinite(usable_angle(y)) and low <= u <= high):
+        angle, held = usable_angle(y), number_of(u)
+        if not (math.isfinite(angle) and held is not None and low <= held <= high):
             raise ControllerError(
-                f"controller: got a start at {y} deg with command {u}, expected a finite angle within "
-                f"{ANGLE_BOUND_DEG:.0f} deg and a command within {low} to {high}"
+                f"controller: got a start at {shown(y, 50)} deg with command {shown(u, 50)}, expected a finite angle "
+                f"within {ANGLE_BOUND_DEG:.0f} deg and a command within {low} to {high}"
             )
         try:
-            return GuardedState(self._observer.init(y, u), self._law.init(y, u), FallbackState(), float(y))
+            estimate, memory = self._observer.init(angle, held), self._law.init(angle, held)
+            return GuardedState(estimate, memory, FallbackState(), angle)
         except HystmpcError:
             raise
         except Exception as error:
-            raise ControllerError(f"controller: the model fails at rest ({y} deg, command {u}): {error}") from error
+            raise ControllerError(
+                f"controller: the model fails at rest ({angle} deg, command {held}): {error}"
+            ) from error
 
     def replay(self, commands: Vec, angles: Vec) -> GuardedState[M]:
         """State after a recording: as if the controller had seen these angles and sent these commands itself.

@@ -29,9 +29,10 @@ def gains_for(settings: HandoverSettings, predictor: Predictor) -> PidSettings:
     if settings.pid is not None:
         return settings.pid
     gain = attempt(lambda: static_gain(predictor))[0] or 0.0
-    if not gain > 0:
-        return PidSettings()
-    return PidSettings(kp_per_deg=_KP_SHARE / gain, ki_per_deg_s=_KI_PER_S / gain)
+    found = PidSettings()
+    if gain > 0:
+        found = PidSettings(kp_per_deg=_KP_SHARE / gain, ki_per_deg_s=_KI_PER_S / gain)
+    return found if predictor.noise is None else found.deaf_to(predictor.noise.sensor_resolution_deg)
 
 
 def handover_law(

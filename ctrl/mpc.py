@@ -71,7 +71,8 @@ class PredictiveLaw(Law[PredictiveMemory[P]]):
         self._cost = PlanCost(settings.weights, self.horizon)
         known = inverse.inverse if isinstance(inverse, LearnedInverse) else inverse
         delay = known.delay_samples if isinstance(known, DrivenInverse) else 0
-        self.rule = HoldRule(settings.hold, predictor.dt, delay)
+        step = predictor.noise.sensor_resolution_deg if predictor.noise else 0.0
+        self.rule = HoldRule(settings.hold, predictor.dt, delay, step)
         self.slope = attempt(lambda: static_gain(predictor))[0] or 0.0  # a model may fail where no plan ever is
 
     def init(self, y: float, u: float) -> PredictiveMemory[P]:
@@ -144,14 +145,19 @@ class HoldRule:
     `tolerance_deg` at first; and with every `patience` that passes one standard deviation of the disturbance estimate
     more, up to five, since noise may never let it come closer and a command has to come to rest; once held, five.
 
+    A reading of a sensor with steps q stays where it is while the angle moves within q / 2 of it. At rest the estimate
+    goes there from what the motion has told, and corrections would creep until the reading flips, and come back: a
+    limit cycle. Once held, q more is close enough: an angle within q / 2 of the wanted one is never left, and one more
+    than 3 q / 2 away always is.
+
     A command that shows `delay` samples later has to leave that much earlier; `lead` counts from there.
 
     A longer lead would let the command cross the dead band before the reference turns. On a dead band as flat as the
     model's that is free; on a device that answers there, it moves the tip in a hold.
     """
 
-    def __init__(self, settings: HoldSettings, dt: float, delay: int = 0) -> None:
-        self._tolerance = settings.tolerance_deg
+    def __init__(self, settings: HoldSettings, dt: float, delay: int = 0, step_deg: float = 0.0) -> None:
+        self._tolerance, self._step = settings.tolerance_deg, step_deg
         self._patience, self._lead = round(settings.patience_s / dt), delay + max(round(settings.lead_s / dt), 1)
         self._settle_after, self._settle = round(settings.settle_after_s / dt), round(settings.settle_s / dt)
 
@@ -159,6 +165,7 @@ class HoldRule:
         """Numbers of the rule, for the same rule in another language."""
         return {
             "hold_tolerance": self._tolerance,
+            "hold_step": self._step,
             "hold_patience": max(self._patience, 1),
             "hold_lead": self._lead,
             "hold_settle_after": self._settle_after,
@@ -180,8 +187,8 @@ class HoldRule:
             return Hold(target=now)
         constant = before.constant + 1
         waited = min(float(constant // max(self._patience, 1)), _LEAVE_SIGMAS)
-        sigmas = _LEAVE_SIGMAS if before.holding else waited
-        return Hold(self.error(before, held) <= self._tolerance + sigmas * sigma, constant, before.target)
+        more = _LEAVE_SIGMAS * sigma + self._step if before.holding else waited * sigma
+        return Hold(self.error(before, held) <= self._tolerance + more, constant, before.target)
 
     @staticmethod
     def error(hold: Hold, held: Vec) -> float:

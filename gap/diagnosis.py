@@ -53,6 +53,12 @@ class FoundEffect:
     units: Mapping[str, str] = field(default_factory=dict)
     undetermined: tuple[str, ...] = ()
 
+    @property
+    def words(self) -> str:
+        """Its name in words, of a sensor with the steps of its readings."""
+        name, step = self.name.replace("_", " "), self.parameters.get("resolution_deg", 0.0)
+        return f"{name} with steps of {step:.3g} {self.units.get('resolution_deg', '')}".strip() if step > 0 else name
+
 
 @dataclass(frozen=True)
 class Gap:

@@ -102,6 +102,7 @@ class Decades:
             drift_sigma_deg_per_sqrt_s=noise.drift_sigma_deg_per_sqrt_s * self.angle,
             motion_sigma_deg_per_sqrt_unit=noise.motion_sigma_deg_per_sqrt_unit * self.angle / math.sqrt(self.command),
             model_sigma_deg=None if model is None else model * self.angle,
+            sensor_resolution_deg=noise.sensor_resolution_deg * self.angle,
         )
 
     def log_sizes(self, found: _R) -> _R:

@@ -128,7 +128,8 @@ def _loop(
     with control as notes:
         for text in notes:
             note(text)
-        loop = control_loop(settings, transport, clock, contact, flag, samples)
+        closed = any(phase.closed_loop for phase in work)
+        loop = control_loop(settings, transport, clock, contact, flag, samples, closed_loop=closed)
         outcome = loop.run(work, contact.newest.received_ns + round(0.5e9 * settings.dt_s))
     return BenchResult(outcome, loop.timings, dict(transport.counters), loop.lost, tuple(notes))
 
@@ -150,7 +151,7 @@ def control_loop(
     Args:
         safe: where a stop leads, in place of the bench's `safe_command`; NaN stays where it is, see `SafeStop`.
         stays: whether the safe command is to be sent on and on once it is held.
-        closed_loop: whether a controller moves the device by its angle, also where the settings do not say so.
+        closed_loop: whether a controller moves the device by its angle, which then has to rise with the command.
     """
     ramps, dt_s, sensor = settings.ramps, settings.dt_s, settings.sensor
     limits, safe = settings.limits.build(), settings.safe_command if safe is None else safe
@@ -174,11 +175,11 @@ def control_loop(
     anchor = Anchor(gate, tolerance, max(3.0 * dt_s, sensor.age_limit_s), silence_s, safe, sensor.dead_after_s)
     watch = None
     if sensor.kind != "none":
-        rises = settings.closed_loop or closed_loop
-        watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg, rises)
-    intake = Intake(sensor, contact.newest.received_ns, watch)
+        watch = MotionWatch(settings.plausibility, span, sensor.upper_deg - sensor.lower_deg, closed_loop)
+    now = clock.now_ns()
+    intake = Intake(sensor, now, watch)
     with suppress(Exception):  # what nobody can judge is judged in the loop, which stops then
-        intake.judge([contact.newest], contact.newest.received_ns, math.nan)
+        intake.judge([contact.seen_at(now)], now, math.nan)
     return ControlLoop(clock, transport, intake, gate, anchor, dt_s, samples, to_safe, flag, sensor.dead_after_s)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
@@ -72,8 +72,6 @@ class BenchSettings(Settings):
         connect_timeout_s: how long to wait for the first angle.
         latch_file: where a stop is remembered; by name of the device in the user's state folder where left out.
     """
-
-    closed_loop: ClassVar[bool] = False  # whether a controller moves the device by its angle
 
     name: Name
     rate_hz: float = Field(ge=1, le=1000)
@@ -159,8 +157,6 @@ class RunSettings(BenchSettings):
         drill: an exercise, None for none.
         live: the local page.
     """
-
-    closed_loop: ClassVar[bool] = True
 
     limits: ModelledLimitsSettings  # pyright: ignore[reportIncompatibleVariableOverride]  # settings are frozen
     controller: TipSettings

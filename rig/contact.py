@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 from hystmpc.trials.errors import ConfigError
@@ -28,6 +28,14 @@ class DeviceContact:
     def tells(self) -> bool:
         """Whether the device says itself what it holds."""
         return math.isfinite(self.newest.held)
+
+    def seen_at(self, now_ns: int) -> Reading:
+        """Its session, sequence and time of flight, as if it came now without an angle.
+
+        What has piled up since then is late by these, however long it lay.
+        """
+        later_ns, newest = now_ns - self.newest.received_ns, self.newest
+        return replace(newest, angle_deg=math.nan, sent_ns=newest.sent_ns + later_ns, received_ns=now_ns)
 
 
 @final

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, final
 
@@ -52,7 +53,7 @@ class RunOutcome:
 
 _S = 1e-9
 _PILED_UP = 25  # times 4096 readings
-_SLOW_NS = 1_000_000_000  # longest time for which the wire may take longer than the samples
+_SLOW_NS = 400_000_000  # how far behind calls of the wire may put the loop
 _CALM = 5  # samples without a fault before others are taken in C
 
 
@@ -79,7 +80,7 @@ class ControlLoop:
     A sample is missed when its command leaves after its end; the next one starts at once and answers without a plan.
     Samples that have passed wholly are skipped and told to the phase. The loop stops safely on a signal or e-stop, a
     dead sensor, a fault of a phase, a device that listens no more, and after standing still for longer than `stall_s`,
-    or where no command has left, or the wire has been slower than the samples, for that long. Whatever is raised by
+    or where no command has left for that long, or a slow wire has put it as far behind. Whatever is raised by
     any part, an angle's judgement included, is the cause of a safe stop and is in the log. A run ends without a cause
     only where the safe command has been sent.
 
@@ -115,8 +116,9 @@ class ControlLoop:
         self._past_u: deque[float] = deque(maxlen=REMEMBERED)
         self._past_y: deque[float] = deque(maxlen=REMEMBERED)
         self._start_ns = self._woke_ns = self._boot_ns = self._deadline_ns = 0
-        self._wire_ns = self._slow_ns = 0  # spent in calls of the transport: in this sample, and in those too slow
-        self._failing_ns: int | None = None  # since when every sample has failed
+        self._wire_ns = self._behind_ns = 0  # spent in calls of the transport, and what it has cost in the end
+        self._thrown = 0  # readings before the first sample
+        self._failures = 0  # samples that have failed
         self._sequence = self._skipped = self._waited = self._commands = self._unsent = self._refused = 0
         self._late = False
         self._calm = 0  # samples in a row without a fault
@@ -133,7 +135,7 @@ class ControlLoop:
     @property
     def lost(self) -> int:
         """Measurements that were sent and never came."""
-        return self._intake.lost
+        return max(0, self._intake.lost - self._thrown)
 
     def run(self, phases: Sequence[Phase], beat_ns: int = 0) -> RunOutcome:
         """Go through the phases and lead the device to the safe command; whatever happens, the transport is closed.
@@ -168,25 +170,23 @@ class ControlLoop:
         self._boot_ns = self._clock.boot_ns()
 
     def due(self) -> int:
-        """Monotonic time of the next sample [ns]; samples that have passed wholly are skipped."""
+        """Monotonic time of the next sample [ns]: the first deadline that has not passed by a whole sample."""
         deadline = self._deadline_ns + self._dt_ns
         try:
             behind = self._clock.now_ns() - deadline
         except Exception as error:  # noqa: BLE001 - as in a sample
             self._flag.set(_said(error))
             return deadline
-        self._skip(max(0, behind // self._dt_ns))
-        return deadline + self._skipped * self._dt_ns
+        return deadline + max(0, behind // self._dt_ns) * self._dt_ns
 
     def sample(self, deadline: int) -> bool:
         """One sample, due at monotonic time `deadline` [ns]; False after the last one."""
-        self._deadline_ns, self._wire_ns = deadline, 0
+        self._begin_at(deadline)
+        self._wire_ns = 0
         try:
-            going = self._sample(deadline)
+            return self._sample(deadline)
         except Exception as error:  # noqa: BLE001 - whatever is broken, the next samples lead to the safe command
             return self._failed(_said(error), deadline)
-        self._failing_ns = None
-        return going
 
     def outcome(self) -> RunOutcome:
         """What there is to say of the run so far."""
@@ -206,6 +206,7 @@ class ControlLoop:
         if parts is None:
             return deadline
         self._calm = 0
+        self._begin_at(deadline)
         own = {"deadline_ns": deadline, "boot_ns": self._boot_ns, "dt_ns": self._dt_ns, "stall_ns": self._stall_ns}
         compiled.begin({**parts, **self._anchor.numbers(), **own})
         taken = phase.taken_in_c(self._flag)
@@ -222,7 +223,7 @@ class ControlLoop:
         view = compiled.view
         self._left_c[compiled.reason] += 1
         self._transport.take_back(compiled.unread(), view.own_sequence)
-        self._skip(view.skipped)
+        self._deadline_ns = int(view.deadline_ns) - (1 + view.skipped) * self._dt_ns
         return int(view.deadline_ns)
 
     def _book(self, done: Any, raw: Sequence[tuple[bytes, int]], decision: Decision) -> None:
@@ -254,7 +255,8 @@ class ControlLoop:
         self._boot_ns = boot
         seen = self._look()
         stop = self._flag.cause or seen.dead
-        sure = self._anchor.judge(seen, self._clock.boot_ns())
+        # What a slow reading has told is as old as the judgement; for a command it is one more delay.
+        sure = self._anchor.judge(seen, boot if self._gate.anchored else self._clock.boot_ns())
         if not sure:
             return self._wait(woke, deadline, seen, stop)
         skipped = self._skipped + (self._waited if self._commands else 0)
@@ -325,22 +327,17 @@ class ControlLoop:
     def _failed(self, cause: str, deadline: int) -> bool:
         """A sample in which a part has failed that nothing goes without: nothing was decided, or it did not leave.
 
-        The next sample stops safely. Where that fails too, for longer than `stall_s`, the device is left to its
-        watchdog: False.
+        The next sample stops safely. Where such samples add up to `stall_s`, the device is left to its watchdog: False.
         """
         self._flag.set(cause)
-        try:
+        self._failures += 1
+        with suppress(Exception):  # the clock itself, or the book-keeping
             self._anchor.not_sent(self._clock.boot_ns())  # it may have left, and not be in the books
+            seen, held = Seen(math.nan, ("sample-failed",), ""), self._gate.last
             times = self._times(max(self._woke_ns, deadline), deadline)
-            self._failing_ns = times.done if self._failing_ns is None else self._failing_ns
-            seen = Seen(math.nan, ("sample-failed",), "")
-            self._conclude(times, seen, Decision(self._gate.last, "wait", cause), self._gate.last, seen.faults)
-            if times.done - self._failing_ns <= self._stall_ns:
-                return True
-        except Exception:  # noqa: BLE001 - the clock itself, or the book-keeping
-            self.faults["sample-failed"] += 1
-            if self.faults["sample-failed"] * self._dt_ns <= self._stall_ns:
-                return True
+            self._conclude(times, seen, Decision(held, "wait", cause), held, seen.faults)
+        if self._failures * self._dt_ns <= self._stall_ns:
+            return True
         self._cause = self._cause or cause
         return False
 
@@ -364,7 +361,7 @@ class ControlLoop:
         self.timings.missed += self._late
         if self._late:
             faults = (*faults, "deadline-missed")
-        if self._is_slow(times):
+        if self._is_slow():
             faults = (*faults, "wire-slow")
         self.faults.update(faults)
         self._calm = 0 if faults else self._calm + 1
@@ -373,17 +370,19 @@ class ControlLoop:
         self._woke_ns = times.woke
         self._sequence += 1
 
-    def _is_slow(self, times: Times) -> bool:
-        """Whether the wire took longer than a sample; asks for a stop where it does so for most of the time."""
-        slow, took = self._wire_ns > self._dt_ns, times.done - times.woke
-        most = min(self._stall_ns, _SLOW_NS)
-        self._slow_ns = max(0, self._slow_ns + (min(took, most // 3) if slow else -max(took, self._dt_ns)))
-        if self._slow_ns > most:
+    def _is_slow(self) -> bool:
+        """Whether the wire took longer than a sample; asks for a stop where it alone has put the loop too far behind.
+
+        Quicker samples make up for slow ones: a loaded machine is no slow wire.
+        """
+        over, most = self._wire_ns - self._dt_ns, min(self._stall_ns, _SLOW_NS)
+        self._behind_ns = max(0, self._behind_ns + min(over, most // 3))
+        if self._behind_ns > most:
             self._flag.set(f"the wire is too slow: {_S * self._wire_ns:.3f} s in a sample of {_S * self._dt_ns:g} s")
-        return slow
+        return over > 0
 
     def _drain(self) -> None:
-        """Judge what has piled up before the first sample, all but the newest; for `stall_s` at most.
+        """Throw away what has piled up before the first sample, all but the newest; for `stall_s` at most.
 
         What cannot be read meanwhile is old when it is read, and is judged by its age.
         """
@@ -394,9 +393,8 @@ class ControlLoop:
                 readings = [] if left < 0 else self._reader.within(left).readings
                 if not readings:
                     return
-                *old, newest = readings if self._newest is None else [self._newest, *readings]
-                self._newest = newest
-                self._intake.judge(old, self._clock.now_ns(), math.nan)
+                self._thrown += len(readings) - (self._newest is None)
+                self._newest = readings[-1]
         except Exception as error:  # noqa: BLE001 - as in a sample
             self._flag.set(_said(error))
 
@@ -495,6 +493,11 @@ class ControlLoop:
             self.timings.period.add(_S * period)
         self.timings.jitter.add(_S * lateness)
         self.timings.execution.add(_S * execution)
+
+    def _begin_at(self, deadline: int) -> None:
+        """The next sample is due then; those before it have passed wholly."""
+        self._skip(max(0, (deadline - self._deadline_ns) // self._dt_ns - 1))
+        self._deadline_ns = deadline
 
     def _skip(self, samples: int) -> None:
         """So many samples have passed wholly."""

@@ -22,7 +22,7 @@ class Taken(NamedTuple):
 
 @final
 class Reader:
-    """Reads until nothing is left or a quarter of a sample is over; never raises.
+    """Reads until nothing is left or a quarter of a sample is over; what it raises is named.
 
     At least one call is made. A call that takes longer cannot be broken off here, and no other one follows it. What is
     left comes first the next time: the oldest is read first, so that a backlog shows as age.
@@ -53,13 +53,14 @@ class Reader:
         readings: list[Reading] = []
         began = now = self._clock.now_ns()
         fault = ""
-        try:
-            while now - began <= budget_ns and len(readings) < _MOST:
+        while now - began <= budget_ns and len(readings) < _MOST:
+            try:
                 reading = self._transport.read()
-                if reading is None:
-                    break
-                readings.append(reading)
-                now = self._clock.now_ns()
-        except Exception as error:  # noqa: BLE001 - a device's driver may raise anything
-            fault = f"transport-{type(error).__name__}"
+            except Exception as error:  # noqa: BLE001 - a device's driver may raise anything
+                fault = f"transport-{type(error).__name__}"
+                break
+            if reading is None:
+                break
+            readings.append(reading)
+            now = self._clock.now_ns()
         return Taken(readings, fault, self._clock.now_ns() - began)

@@ -58,7 +58,7 @@ def tuned_gains(study: Study, settings: PidLike, progress: Progress | None = Non
         raise ConfigError("tune_pid: got none, expected settings of the search")
     study = replace(study, plant=study.plant.reseeded(study.config.seed + 1))
     return searched_gains(
-        settings, lambda tried: _mean_square(study, tried), search.evaluations, study.config.seed, progress
+        settings, lambda tried: mean_square_of(study, tried), search.evaluations, study.config.seed, progress
     )
 
 
@@ -140,7 +140,12 @@ def _point(settings: PidLike) -> Vec:
     return np.array([*kp_ki, gains.kd_s_per_deg, gains.dead_zone_deg])
 
 
-def _mean_square(study: Study, settings: AnyControllerSettings) -> float:
+def mean_square_of(study: Study, settings: AnyControllerSettings) -> float:
+    """Mean over motions of the mean square true error of a controller [deg^2].
+
+    Raises:
+        KeyboardInterrupt: if the user ends a run.
+    """
     controller = study.controller(settings)
     sensor, approach_s = study.config.sensor, study.approach_s
     runs = [

@@ -67,7 +67,10 @@ def shown(value: object, longest: int = 100) -> str:
 def in_a_line(function: Callable[P, R]) -> Callable[P, R]:
     """A function of the package's face, where an argument of a wrong type is a `ConfigError` too.
 
-    What Python says of it follows from the error that is raised, as its cause.
+    What Python says of it is in the line, and the cause of the error.
+
+    Raises:
+        ConfigError: by the function made of it, for what Python raises on a wrong type, key, number or file.
     """
 
     @functools.wraps(function)
@@ -75,7 +78,7 @@ def in_a_line(function: Callable[P, R]) -> Callable[P, R]:
         try:
             return function(*args, **kwargs)
         except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, OSError) as error:
-            name = function.__name__
+            name = function.__qualname__
             got = ", ".join([*map(shown, args), *(f"{key}={shown(value)}" for key, value in kwargs.items())])[:120]
             said = " ".join(f"{type(error).__name__}: {error}".split())
             line = f"{name}: got ({got}), expected what help(hystmpc.{name}) says: {said}"

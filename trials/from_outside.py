@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from importlib import import_module
-from importlib.machinery import PathFinder
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -90,20 +90,18 @@ def refusal(name: str, group: str) -> str:
         return ""
     if _reading.get():
         return f"{name} is not imported: a report only reads"
-    place = _place_of(name.partition(":")[0].partition(".")[0])
+    place = _place_of(name) or "a module that is not found"
     return f"{name} would run {place}, expected a yes if you trust it: --allow-python, in Python allow_python()"
 
 
-def _place_of(module: str) -> str:
-    """Where a module lies; nothing is imported to find out."""
-    if module in sys.builtin_module_names:
-        return "a part of Python"
+def _place_of(name: str) -> str:
+    """Where the module of MODULE:NAME lies, empty where it is not found; nothing is imported to find out."""
     found = None
-    with suppress(ImportError, ValueError, OSError):
-        found = PathFinder.find_spec(module, [*sys.path, str(Path.cwd())])
-    place = "" if found is None else found.origin or next(iter(found.submodule_search_locations or ()), "")
-    if not place:
-        return f"the module {module!r}, which is not found"
+    with working_folder(), suppress(ImportError, ValueError, OSError):
+        found = find_spec(name.partition(":")[0].partition(".")[0])
+    if found is None:
+        return ""
+    place = found.origin or next(iter(found.submodule_search_locations or ()), found.name)
     return place if len(place) <= _LONGEST_PLACE else f"...{place[-_LONGEST_PLACE:]}"
 
 
@@ -209,7 +207,8 @@ def installed_objects(group: str, what: str, kind: type[T], taken: Iterable[str]
 def with_kind(known: Iterable[str], group: str) -> Callable[[Any], Any]:
     """Reads a block with `kind: NAME` or `python: MODULE:CLASS`; the latter becomes `kind: python`.
 
-    A class that may not be imported is refused here, before anything else is done; a reader of a folder lets it be.
+    A class that may not be imported is refused here, before anything else is done. A reader of a folder lets it be, and
+    one that is not found is refused where it would be imported.
 
     Args:
         known: kinds of the package itself, which come before an entry point of the same name.
@@ -245,6 +244,7 @@ def _judge(name: Any, group: str) -> None:
     if not isinstance(name, str) or not re.match(MODULE_AND_CLASS, name) or _reading.get():
         return  # the field itself says what is wrong, or nothing is imported
     if refused := refusal(name, group):
-        if not _by_code.get():
+        if _by_code.get():
+            allow_python(name)
+        elif _place_of(name):
             raise ValueError(refused)
-        allow_python(name)

@@ -78,7 +78,10 @@ class NoiseBank:
         low, high = predictor.command_range
         known = predictor.noise or _UNKNOWN
         usual = max(known.sensor_sigma_deg, _LEAST_SENSOR_DEG)
-        sensor, by_sensor = _axis(given[0], usual, usual * _SENSOR_FACTORS)
+        least = known.sensor_resolution_deg / math.sqrt(
+            12.0
+        )  # error of rounding: equal readings are no better than that
+        sensor, by_sensor = _axis(given[0], usual, np.maximum(usual * _SENSOR_FACTORS, least))
         drift, by_drift = _axis(given[1], known.drift_sigma_deg_per_sqrt_s, _DRIFT)
         motion, by_motion = _axis(given[2], known.motion_sigma_deg_per_sqrt_unit, _MOTION / math.sqrt(high - low))
         grid = np.array([axis.ravel() for axis in np.meshgrid(sensor, drift, motion, indexing="ij")])

@@ -18,6 +18,8 @@ from ..limits import CommandLimits, NotNegative, Positive
 
 S = TypeVar("S", bound=SensorKindSettings)
 
+_HALF = 0.5001  # of a step: an error of exactly half of it is not integrated, whatever rounding does
+
 
 class PidSettings(Settings):
     """Gains in the parallel form; command unit per degree.
@@ -37,6 +39,11 @@ class PidSettings(Settings):
     filter_s: NotNegative = 0.1
     tracking_s: Positive = 0.1
     dead_zone_deg: NotNegative = 0.2
+
+    def deaf_to(self, step_deg: float) -> PidSettings:
+        """The same with errors within half a step of the sensor's readings not integrated: they may be its own."""
+        least = _HALF * step_deg
+        return self if self.dead_zone_deg >= least else self.model_copy(update={"dead_zone_deg": least})
 
 
 @dataclass(frozen=True)

@@ -154,6 +154,9 @@ class TipController:
             steps: how many.
             command: answer of the last of them.
             control: the controller's state after it; None where more are to come.
+
+        Raises:
+            ControllerError: if the command is beyond the limits, or `steps` is no whole number.
         """
         u = require_within(getattr(command, "u", None), self._assembly.limits, "took: got command")
         whole = require_number(steps, "took: steps")

@@ -136,6 +136,7 @@ def attribute(
             ambiguity=ambiguity_of(selection, settings.verdict, drift_test(validation, settings.verdict)),
             sensor="sensor" not in without and _sensor_matters(prepared, selection, settings.verdict),
             sensor_gap=_is_gap(prepared, prepared.excess_mse + _mended_mse(prepared), settings.verdict),
+            new_step="sensor" not in without and _step_matters(prepared, baseline.mse, settings.verdict),
             jumps=jumping,
             too_little=bool(prepared.too_little),
             unrelated=bool(prepared.checked.unrelated),
@@ -195,7 +196,8 @@ def confirm(prepared: PreparedTrials, attribution: Attribution, settings: Verdic
         moved=closed.moved,
     )
     ruling = decide_verdict(replace(facts, final=final), settings)
-    if chosen.effects and not ruling.explained:
+    if (chosen.effects and not ruling.explained) or (ruling.sensor and not facts.sensor):
+        facts = replace(facts, sensor=facts.sensor or ruling.sensor)
         facts, chosen, floor, closed = _proven(prepared, attribution, facts, retuned, seed)
         ruling = decide_verdict(replace(facts, final=final), settings)
     if ruling.verdict == "unknown" and repeatable.kind == "repeats" and _at(closed, repeatable.rmse_deg, settings):
@@ -230,7 +232,9 @@ def _without(
 ) -> tuple[VerdictFacts, Hypothesis]:
     """Facts and corrected simulator less one cause."""
     if dropped not in chosen.effects:
-        return replace(facts, sensor=False) if dropped == "sensor" else replace(facts, jumps=False), chosen
+        if dropped == "sensor":
+            return replace(facts, sensor=False, new_step=False), chosen
+        return replace(facts, jumps=False), chosen
     kept, validation = chosen.effects - {dropped}, attribution.validation
     if not kept:
         return facts, attribution.retuned
@@ -250,6 +254,11 @@ def _sensor_matters(prepared: PreparedTrials, selection: Selection, settings: Ve
     noise = signs.energy if signs.noisy or signs.coarse else 0.0
     good_part = noise > settings.noise_share * left or mended > settings.mended_share * left
     return good_part or _is_gap(prepared, mended + (prepared.excess_mse if signs.coarse else 0.0), settings)
+
+
+def _step_matters(prepared: PreparedTrials, mse: float, settings: VerdictSettings) -> bool:
+    """Whether the readings have steps that they did not have, whose error does not vanish beside all of it."""
+    return prepared.new_step and prepared.signs.quantisation_deg**2 / 12.0 >= settings.step_share * mse
 
 
 def _mended_mse(prepared: PreparedTrials) -> float:

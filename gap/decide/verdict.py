@@ -81,6 +81,8 @@ class VerdictSettings:
         confirmed_left: RMSE with all causes over noise and model-form error, up to which they are confirmed as well.
         noise_share: share of the remaining error from which noise and resolution of the sensor are named.
         mended_share: the same for outliers and dropouts.
+        step_share: share of the retuned error from which steps that the readings did not have are named where there is
+            no other gap: the log itself proves them.
         simplicity: share of the structural error that a resample has to gain by one more cause.
         moved: MSE of the simulator as given over that of the retuned one, from which numbers were off ...
         lowered: ... and the same where the retuned one leaves more than its form error had been.
@@ -111,6 +113,7 @@ class VerdictSettings:
     confirmed_left: float = 2.4
     noise_share: float = 0.3
     mended_share: float = 0.1
+    step_share: float = 0.005
     simplicity: float = 0.04
     moved: float = 2.0
     lowered: float = 1.2
@@ -153,6 +156,8 @@ class VerdictFacts:
         ambiguity: for each effect the others that explain the development trials as well.
         sensor: whether the sensor's faults are a good part of the error that the effects leave.
         sensor_gap: whether they would be a gap without any other cause.
+        new_step: whether the readings have steps that the simulator's device did not have, and that do not vanish
+            beside the error.
         jumps: whether the tip sticks and slips in steady motion.
         too_little, unrelated: whether the trials are too short, or no angle follows its command.
         retuning: what retuning did.
@@ -170,6 +175,7 @@ class VerdictFacts:
     ambiguity: tuple[tuple[str, ...], ...] = ()
     sensor: bool = False
     sensor_gap: bool = False
+    new_step: bool = False
     jumps: bool = False
     too_little: bool = False
     unrelated: bool = False
@@ -231,6 +237,7 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
     | sensor_beside_unknown | in place of (b): repairing the sensor closes >= `least_closed` of the gap   | named      |
     | at_floor              | in place of any other unknown: the retuned error is that of the noise       | none       |
     | moved                 | in place of any none: the error fell by retuning                            | retuned    |
+    | sensor_alone          | in place of any none: the readings have steps that they did not have        | named      |
     | reshaped              | the error fell by retuning, and a core of the same structure explains the   | retuned    |
     |                       | rest: one row of the table of `_reshaped`                                   |            |
 
@@ -268,7 +275,9 @@ def decide_verdict(facts: VerdictFacts, settings: VerdictSettings) -> Ruling:
     if usable and VERDICTS[case] == "unknown" and facts.final is not None and facts.final.at_floor:
         case = "at_floor"
     case = _retuned_case(case, facts, settings) if usable else case
-    sensor = usable and facts.sensor and VERDICTS[case] not in ("none", "retuned")
+    if usable and facts.new_step and VERDICTS[case] == "none":
+        case = "sensor_alone"
+    sensor = usable and (facts.sensor or case == "sensor_alone") and VERDICTS[case] not in ("none", "retuned")
     return Ruling(case, facts.ambiguity if case == "ambiguous" else (), sensor)
 
 
@@ -322,7 +331,7 @@ def reason_for(
 ) -> str:
     """The verdict in one sentence, with its numbers; `too_little` and `unrelated` say why trials are unusable."""
     sizes = f"retuned {gap.retuned_rmse_deg:#.3g} {unit}, floor {gap.floor_rmse_deg:#.3g} {unit}"
-    names = ", ".join(effect.name.replace("_", " ") for effect in effects)
+    names = ", ".join(effect.words for effect in effects)
     closed = f"{100 * gap.closed_share:.0f} % of the structural gap closed on trials kept for the end"
     sets = "; ".join(" or ".join(name.replace("_", " ") for name in names) for names in ruling.ambiguity)
     unexplained = "a structural gap that no effect of the library explains"

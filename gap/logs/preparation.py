@@ -31,6 +31,7 @@ from .sensor import SensorSigns, repaired, sensor_signs
 from .trial_choice import split_runs
 
 _LEAST_S, _LEAST_TURNS = 15.0, 3
+_COARSER = 1.5  # times the step that the readings had at identification
 _PLAYS, _EVALUATIONS, _TOLERANCE = 8, 40, 1e-5
 
 
@@ -52,7 +53,9 @@ class PreparedTrials:
         raw: angles as measured, before the sensor's faults were repaired (T,) each [deg].
         form_mse: model-form error [deg^2]; zero where unknown.
         too_little: why the trials do not allow a diagnosis, in words; empty where they do.
-        excess_mse: energy of the sensor's noise beyond its noise at identification [deg^2]; zero where unknown.
+        excess_mse: energy of the sensor's noise beyond its noise at identification [deg^2]; where that is unknown, of
+            its rounding.
+        new_step: whether the sensor's readings have coarse steps that they did not have at identification.
         order: whether the order of recording is known.
     """
 
@@ -69,6 +72,7 @@ class PreparedTrials:
     too_little: str
     excess_mse: float
     order: Order = "known"
+    new_step: bool = False
 
     def residuals(self, hypothesis: Hypothesis) -> list[Vec]:
         """Measured less simulated angle of every run (T,) each [deg]."""
@@ -120,7 +124,7 @@ def prepare(
     form_mse = model_form_mse(identification, trials, motions, _sample_time(simulator))
     runs = common_rest(runs, form_mse)
     development, final = split_runs(runs, motions, known)
-    faulty = signs.noisy or signs.coarse
+    new_step = signs.coarse and signs.quantisation_deg > _COARSER * _known_step(identification, decades)
     return PreparedTrials(
         decades=decades,
         given=checked.given,
@@ -133,9 +137,23 @@ def prepare(
         raw=tuple(trial.angle for trial in in_working_units),
         form_mse=form_mse,
         too_little=shortage(checked.trials),
-        excess_mse=max(signs.energy - nominal**2, 0.0) if nominal is not None and faulty else 0.0,
+        excess_mse=_excess_mse(signs, nominal, new_step),
         order=order,
+        new_step=new_step,
     )
+
+
+def _excess_mse(signs: SensorSigns, nominal_deg: float | None, new_step: bool) -> float:
+    """Energy of a faulty sensor's noise beyond its noise at identification; that of new steps is read off them."""
+    rounding = signs.quantisation_deg**2 / 12.0 if new_step else 0.0
+    if nominal_deg is None or not (signs.noisy or signs.coarse):
+        return rounding
+    return max(signs.energy - nominal_deg**2, rounding)
+
+
+def _known_step(identification: Identification, decades: Decades) -> float:
+    """Step of the sensor's readings at identification, in working units; 0 where there was none, or it is unknown."""
+    return 0.0 if identification.noise is None else identification.noise.sensor_resolution_deg / decades.angle
 
 
 def _require_size(simulator: Simulator, decades: Decades) -> None:

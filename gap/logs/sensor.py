@@ -9,13 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hystmpc.models.identify.resolution import grid_step
 from hystmpc.trials.errors import GapError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Mask, Vec
 
-_ON_GRID, _GRID_TOLERANCE = 0.95, 0.1  # share of samples; of the step (a fifth of the samples is that near by chance)
-_LEAST_LEVELS, _READINGS, _MOST_VALUES = 3, 25, 20_000  # readings on a level, where levels are few
-_MANY_LEVELS = 9  # that no chance puts on a grid
 _COARSE = 0.4  # rms of rounding over white noise, from which the resolution counts as a fault
 _NOISY = 1.5  # over the nominal noise
 _SPIKE = 6.0  # standard deviations of noise
@@ -78,7 +76,7 @@ def sensor_signs(trials: Sequence[Trial], nominal_noise_deg: float | None = None
     """
     if not trials:
         raise GapError("no trial given, expected one or more")
-    step = _grid(np.concatenate([trial.angle for trial in trials]))
+    step = grid_step(np.concatenate([trial.angle for trial in trials]))
     noise = white_noise([trial.angle[:: _pace(trial)] for trial in trials])
     spikes = [_spikes(trial, step, noise) for trial in trials]
     held = [_held(trial, step, noise) for trial in trials]
@@ -120,36 +118,6 @@ def repaired(trial: Trial, signs: SensorSigns, simulated: Vec | None = None) -> 
         shape = np.zeros(len(trial)) if simulated is None else simulated
         angle[mask] = shape[mask] + np.interp(trial.t[mask], trial.t[~mask], (angle - shape)[~mask])
     return Trial(trial.t, trial.command, angle, trial.channels, trial.units, trial.source)
-
-
-def _grid(values: Vec) -> float:
-    """Largest step of a grid with any offset that holds 95 % of the values; 0 without one."""
-    levels = np.unique(values)
-    if levels.size < 2:
-        return 0.0
-    levels = levels[:: max(1, levels.size // _MOST_VALUES)] if levels.size > _MOST_VALUES else levels
-    gaps = np.diff(levels)
-    gaps = gaps[gaps > 1e-9 * max(float(np.abs(levels).max()), 1.0)]
-    if gaps.size + 1 < (_LEAST_LEVELS if values.size >= _READINGS * (gaps.size + 1) else _MANY_LEVELS):
-        return 0.0
-    least = float(np.percentile(gaps, 1))
-    coarse = gaps[gaps > 0.5 * float(np.median(gaps))]
-    guesses = {float(np.median(gaps)), float(np.percentile(coarse, 5)), float(np.percentile(gaps, 10)), least}
-    fits = [_fitted(levels, guess, values) for guess in guesses]
-    return max((step for step, share in fits if share >= _ON_GRID), default=0.0)
-
-
-def _fitted(levels: Vec, guess: float, values: Vec) -> tuple[float, float]:
-    """Step near the guess by regression of levels on their whole numbers, and the share of values on that grid."""
-    numbers = np.concatenate([[0.0], np.cumsum(np.rint(np.diff(levels) / guess))])
-    if numbers[-1] + 1 < min(_MANY_LEVELS, levels.size):
-        return 0.0, 0.0
-    step = float(np.polyfit(numbers, levels, 1)[0])
-    if step <= 0:
-        return 0.0, 0.0
-    turn = np.exp(2j * np.pi * values / step)
-    off = np.angle(turn * np.conj(np.mean(turn))) / (2 * np.pi)
-    return step, float(np.mean(np.abs(off) <= _GRID_TOLERANCE))
 
 
 def _pace(trial: Trial) -> int:

@@ -37,7 +37,7 @@ def headline(diagnosis: Diagnosis) -> str:
 def _causes(diagnosis: Diagnosis) -> list[str]:
     """Effects found, each with those that it may stand for, as `lag or delay`."""
     sets = {name: words for names, words in zip(diagnosis.ambiguity, choices(diagnosis), strict=True) for name in names}
-    found = dict.fromkeys(sets.get(effect.name, in_words(effect.name)) for effect in diagnosis.effects)
+    found = dict.fromkeys(sets.get(effect.name, effect.words) for effect in diagnosis.effects)
     return list(found) or choices(diagnosis)
 
 

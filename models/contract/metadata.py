@@ -99,12 +99,15 @@ class NoiseModel(Settings):
         motion_sigma_deg_per_sqrt_unit: of its change over one unit of command travel [deg/sqrt(command unit)].
         model_sigma_deg: root mean square of the slow part of y - model about its mean over a free run [deg]: how far
             the model is off where no sensor corrects it. None in older files.
+        sensor_resolution_deg: step of the sensor's readings where noise does not average over it [deg]; its error is
+            part of `sensor_sigma_deg`. Zero of a continuous sensor, and in older files.
     """
 
     sensor_sigma_deg: Annotated[float, Field(gt=0, le=1e12)]
     drift_sigma_deg_per_sqrt_s: Sigma
     motion_sigma_deg_per_sqrt_unit: Sigma
     model_sigma_deg: Sigma | None = None
+    sensor_resolution_deg: Sigma = 0.0
 
 
 class Connection(Settings):

@@ -17,10 +17,12 @@ from ..contract.export import ExportBundle
 from ..contract.metadata import NoiseModel
 from ..decades import Decades
 from ..kernels.numba_ import njit
+from .resolution import resolution
 
 _LEAST_DEG = 1e-4  # of the sensor's noise: below it residuals are rounding, as those of simulated trials without noise
 _RATIOS = np.linspace(-18.0, 6.0, 7)  # logarithms of the walk's variance in a sample over that of the sensor
 _GREATEST_OPTIMISM = 2.0
+_UNDITHERED = 2.0  # of the sensor's noise: with more noise the mean of the readings is the angle within q / 100
 _LONGEST = 4000  # samples of one trial that a model is run over: enough for three numbers
 
 
@@ -35,6 +37,9 @@ def estimation_noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: 
     independent errors leaves (n - p) / n of their variance; errors whose neighbours are correlated by rho count as
     n (1 - rho) / (1 + rho) independent ones (Bartlett, J. Roy. Stat. Soc. 98, 1935). Drift and motion are enlarged by
     the square root of that factor, at most by 2. The sensor's noise stays: it is averaged over all samples.
+
+    Readings of a step q are off by q^2 / 12 in mean square (Widrow, Trans. AIEE 79, 1961). Where noise below q does not
+    make that error white, as at rest, the walk explains it: the sensor's variance is taken to be no less.
 
     What neighbours have in common is the slow error of the model, since the sensor's noise is white. About the mean of
     each trial, which a declared rest takes off, model_sigma^2 = mean (r_k - r) (r_{k+1} - r), enlarged likewise.
@@ -62,6 +67,7 @@ def _noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int) -> No
     if not travels:
         raise FitError("got no residuals, expected those of at least one trial")
     joint, travel = np.concatenate(residuals), np.concatenate(travels)
+    step = resolution([trial.angle for trial in trials])
     usual = max(float(np.mean(travel[travel > 0])) if np.any(travel > 0) else 1.0, 1e-12)
     drift, motion = _most_likely_ratios(joint, travel, usual)
     sensor = math.sqrt(max(walk_likelihood(joint, travel, drift, motion)[1], _LEAST_DEG**2))
@@ -70,10 +76,11 @@ def _noise(trials: Sequence[Trial], residuals: Sequence[Vec], fitted: int) -> No
     around = [part - part.mean() for part in residuals]
     slow = np.concatenate([part[1:] * part[:-1] for part in around])
     return NoiseModel(
-        sensor_sigma_deg=sensor,
+        sensor_sigma_deg=max(sensor, step / math.sqrt(12.0)),
         drift_sigma_deg_per_sqrt_s=more * math.sqrt(drift / trials[0].dt),
         motion_sigma_deg_per_sqrt_unit=more * math.sqrt(motion),
         model_sigma_deg=factor * math.sqrt(max(float(np.mean(slow)), 0.0)),
+        sensor_resolution_deg=step if step > _UNDITHERED * sensor else 0.0,
     )
 
 

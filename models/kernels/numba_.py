@@ -196,7 +196,7 @@ def cache_folder() -> Path:
 
 
 def only_ours(folder: Path) -> bool:
-    """Whether nobody but this user, the group of that name and the administrator writes in a folder.
+    """Whether nobody but the administrator and this user writes in a folder, and whom this user's umask lets write.
 
     Compiled code is loaded from where it lies: who can write there decides what runs. A folder that is not there yet
     will be made by this user.
@@ -207,8 +207,9 @@ def only_ours(folder: Path) -> bool:
         found = folder.stat()
     except FileNotFoundError:
         return True
-    others = found.st_mode & stat.S_IWOTH or (found.st_mode & stat.S_IWGRP and found.st_gid != os.getgid())
-    return found.st_uid in (os.getuid(), 0) and not others
+    umask = os.umask(0o077)
+    os.umask(umask)
+    return found.st_uid in (os.getuid(), 0) and not found.st_mode & umask & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def generated_module(source: str) -> ModuleType:

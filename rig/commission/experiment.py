@@ -216,6 +216,10 @@ class Tracking(Phase):
         self._k = 0
 
     @property
+    def closed_loop(self) -> bool:
+        return True
+
+    @property
     def reach_deg(self) -> tuple[float, float]:
         """Least and greatest angle that the controller can be sent to [deg]."""
         reach = self._tip.reachable(math.nan)

@@ -89,6 +89,11 @@ class Phase(Protocol):
 
     name: str  # as logs show it
 
+    @property
+    def closed_loop(self) -> bool:
+        """Whether a controller moves the device by its angle."""
+        return False
+
     def begin(self, now: PhaseInput, past: Past) -> None:
         """Start from rest at the command held."""
         ...

@@ -32,7 +32,8 @@ class Steering(Phase):
         safe_command: where a stop leads; NaN where it stays.
 
     Raises:
-        HystmpcError: if the controller's file cannot be used; one line.
+        ConfigError: if the controller's file cannot be used or its controller wants no continuous sensor.
+        HystmpcError: of any other kind, see `assemble`.
     """
 
     name = "steer"

@@ -12,7 +12,9 @@ from hystmpc.ctrl.limits import Positive
 from hystmpc.trials.config import Settings
 
 _S = 1e-9
-_SMOOTH_S = 0.2  # time constant over which noise of the angle is averaged
+SMOOTH_S = 0.2
+"""Time constant over which noise of the angle is averaged [s]."""
+
 _ONWARD_SHARE, _REVERSED_SHARE = 0.3, 0.5  # of the command's range: travel without motion, where nothing is said
 _ANGLE_SHARE = 0.025  # of the sensor's plausible range
 
@@ -98,7 +100,7 @@ class MotionWatch:
         if math.isnan(command) or math.isnan(angle_deg):
             return ""
         elapsed_s, self._seen_ns = _S * max(now_ns - self._seen_ns, 0), now_ns
-        self._smooth = _followed(self._smooth, angle_deg, elapsed_s / _SMOOTH_S)
+        self._smooth = _followed(self._smooth, angle_deg, elapsed_s / SMOOTH_S)
         self._lagged = _followed(self._lagged, command, elapsed_s / self._lag_s)
         angle, lagged = self._smooth, self._lagged
         self._lowest, self._highest = min(command, self._lowest), max(command, self._highest)
@@ -132,7 +134,7 @@ class MotionWatch:
             "travel": min(self._travel, self._onward) if self._on else -1.0,
             "lag_s": self._lag_s,
             "moves": self._moves,
-            "smooth_s": _SMOOTH_S,
+            "smooth_s": SMOOTH_S,
             "smooth": self._smooth,
             "lagged": self._lagged,
             "low": self._low,

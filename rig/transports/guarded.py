@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import replace
 from numbers import Integral, Real
 from queue import SimpleQueue
 from threading import Thread
 from typing import Any, TypeVar, final
+
+import numpy as np
 
 from hystmpc.trials.errors import ConfigError
 
@@ -22,6 +23,8 @@ METHODS = ("read", "write", "greet", "stop")
 PATIENCE_S = 0.1  # of a call; a transport returns at once
 _OPENS_S = 10.0  # a drive that initialises
 _CLOSES_S = 1.0
+_AT_ONCE, _AT_ONCE_NS = 64, 1_000_000  # readings fetched in one call, and for how long another one is begun
+_WHOLE = 1 << 63  # bound of whole numbers: stamps are int64, and a difference of two still is a number
 
 T = TypeVar("T")
 
@@ -35,9 +38,14 @@ class Worker:
         self._newest: Future[Any] | None = None
         Thread(target=self._work, name=name, daemon=True).start()
 
+    @property
+    def idle(self) -> bool:
+        """Whether no call hangs."""
+        return self._newest is None or self._newest.done()
+
     def call(self, function: Callable[[], T], patience_s: float) -> T:
         """What the function returns or raises; `TimeoutError` where it, or the call before, does not come back."""
-        if self._newest is not None and not self._newest.done():
+        if not self.idle:
             raise TimeoutError("it still hangs in the call before")
         future = self._newest = self._put(function)
         try:
@@ -84,6 +92,9 @@ class GuardedTransport(Transport):
     wire that hangs looks like one that is silent, and the run ends by the loop's own rules. What `read` returns is
     checked, counted where it is no measurement, and converted from the units of the block `wire`.
 
+    Readings are fetched several at a time, since a thread's answer takes longer than most drivers do. Those of a call
+    that comes back too late are kept; after them the wire is left to a command before it is read again.
+
     Args:
         make: makes the transport.
         name: of it, in messages.
@@ -96,6 +107,8 @@ class GuardedTransport(Transport):
         self._conversion, self._now = run.conversion, run.now_ns
         self._counters: Counter[str] = Counter()
         self._worker, self._open = Worker(name), True
+        self._come: deque[Any] = deque()  # fetched and not yet read: readings, whatever they are, and errors
+        self._late = False
         self._at_end: Future[dict[str, int]] = Future()  # what it has counted when it was closed
         try:
             self._device = self._worker.call(make, _OPENS_S)
@@ -120,14 +133,57 @@ class GuardedTransport(Transport):
         return {str(cause): int(n) for cause, n in dict(self._device.counters).items()}
 
     def read(self) -> Reading | None:
-        found = self._call("read", lambda: self._device.read())
-        if found is None:
-            return None
+        if not self._come:
+            if self._late and self._open and self._worker.idle:
+                self._late = False
+                return None
+            try:
+                self._call("read", self._fetch)
+            except TimeoutError:
+                self._late = True
+                raise
+            if not self._come:
+                return None
+        found = self._come.popleft()
+        if isinstance(found, Exception):
+            self._counters[f"read raised {type(found).__name__}"] += 1
+            raise found
         if fault := nonsense(found, self._now()):
             self._counters[fault] += 1
             raise ValueError(fault)
-        angle, held = self._conversion.angle_deg(float(found.angle_deg)), self._conversion.command(float(found.held))
-        return replace(found, angle_deg=angle, held=held)
+        return self._plain(found)
+
+    def _fetch(self) -> None:
+        """Read what is there, by the device's own thread; what fails later than at first is told in its turn."""
+        until, count = self._now() + _AT_ONCE_NS, 0
+        while count < _AT_ONCE and (not count or self._now() < until):
+            try:
+                found = self._device.read()
+            except Exception as error:
+                if not count:
+                    raise
+                found = error
+            if found is None:
+                return
+            self._come.append(found)
+            count += 1
+
+    def _plain(self, found: Reading) -> Reading:
+        """A reading of Python's own numbers, in the run's units."""
+        reading = Reading(
+            self._conversion.angle_deg(float(found.angle_deg)),
+            int(found.sequence),
+            int(found.session),
+            int(found.sent_ns),
+            int(found.received_ns),
+            self._conversion.command(float(found.held)),
+            bool(found.listens),
+        )
+        for name in ("angle_deg", "held"):
+            if math.isinf(getattr(reading, name)):
+                self._counters[fault := f"read returned no number as {name} in the units of the run"] += 1
+                raise ValueError(fault)
+        return reading
 
     def write(self, command: float) -> None:
         raw = self._conversion.raw_command(command)
@@ -174,14 +230,27 @@ def nonsense(found: object, now_ns: int) -> str:
     """
     if not isinstance(found, Reading):
         return f"read returned {type(found).__name__}, expected Reading or None"
-    numbers = {"angle_deg": Real, "held": Real, "sequence": Integral, "sent_ns": Integral, "received_ns": Integral}
-    for name, kind in numbers.items():
-        value = getattr(found, name)
-        if not isinstance(value, kind) or math.isinf(value):
+    for name in ("angle_deg", "held"):
+        if not _is_number(getattr(found, name)):
             return f"read returned no number as {name}"
-    if not isinstance(found.session, Integral):
-        return "read returned no number as session"
+    for name in ("sequence", "session", "sent_ns", "received_ns"):
+        if not _is_whole(getattr(found, name)):
+            return f"read returned no whole number as {name}"
+    if not isinstance(found.listens, bool | np.bool_):
+        return f"read returned {type(found.listens).__name__} as listens, expected a bool"
     return "received_ns lies ahead, expected time.monotonic_ns()" if found.received_ns > now_ns else ""
+
+
+def _is_number(value: object) -> bool:
+    """Whether it is a real number or not-a-number, which a sensor may well show."""
+    try:
+        return isinstance(value, Real) and not isinstance(value, bool) and not math.isinf(float(value))
+    except OverflowError:
+        return False
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool) and -_WHOLE <= int(value) < 2 * _WHOLE
 
 
 def _said(error: BaseException) -> str:

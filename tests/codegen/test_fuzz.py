@@ -101,7 +101,13 @@ def test_the_next_command_starts_at_the_last_one_sent(
 
 
 def test_a_refused_start_stops_a_controller_that_runs(made: Library) -> None:
-    for angle, held, answer in ((math.nan, START, 1), (START_DEG, UPPER + 1.0, 2), (170.0, START, 3)):
+    for angle, held, answer in (
+        (math.nan, START, 1),
+        (1e5, START, 1),
+        (START_DEG, UPPER + 1.0, 2),
+        (START_DEG, math.nan, 2),
+        (170.0, START, 3),
+    ):
         assert made.init(START_DEG, START) == 0
         made.set_target(60.0)
         last = [made.step(START_DEG).u for _ in range(4)][-1]
@@ -109,6 +115,44 @@ def test_a_refused_start_stops_a_controller_that_runs(made: Library) -> None:
         assert made.init(angle, held) == answer
         stopped = [made.step(START_DEG) for _ in range(3)]
         assert {(SOURCES[command.source], command.u) for command in stopped} == {("stop", last)}
+
+
+def test_without_a_sensor_it_holds_and_then_stops(made: Library) -> None:
+    """25 samples are bridged, and 25 failures in a row latch the stop, as in Python."""
+    assert made.init(START_DEG, START) == 0
+    made.set_target(75.0)
+    sent = [made.step(math.nan) for _ in range(55)]
+    assert {SOURCES[command.source] for command in sent[:25]} == {"mpc"}
+    assert {(SOURCES[command.source], command.status) for command in sent[25:49]} == {("hold", 3)}
+    assert {SOURCES[command.source] for command in sent[49:]} == {"stop"}
+    assert {command.u for command in sent[24:]} == {sent[24].u}
+    assert SOURCES[made.step(START_DEG).source] == "stop"
+
+
+@pytest.mark.parametrize(("target", "end"), [(150.0, UPPER), (-150.0, LOWER)])
+def test_an_inverse_beyond_the_limits_ends_on_them(made: Library, target: float, end: float) -> None:
+    """The model's own range is wider: 0 to 6 mm."""
+    assert made.init(START_DEG, START) == 0
+    made.set_target(target)
+    last = START
+    for _ in range(24):
+        made.hurry()
+        answer = made.step(START_DEG)
+        assert SOURCES[answer.source] == "inverse"
+        assert LOWER <= answer.u <= UPPER
+        assert abs(answer.u - last) <= REACH + 1e-12
+        last = answer.u
+    assert last == end
+
+
+def test_a_sensor_that_walks_away_leaves_a_finite_state(tmp_path: Path) -> None:
+    """In single precision no filter of the noise foretells an error of thousands of degrees: all weights are zero."""
+    walked = library(FUZZED["single-one-filter"][0], tmp_path, single=True)
+    assert walked.init(START_DEG, START) == 0
+    for k in range(400):
+        answer = walked.step(START_DEG + 12.0 * k)
+        assert math.isfinite(answer.predicted_deg)
+        assert SOURCES[answer.source] == "mpc"
 
 
 def test_counts_of_samples_do_not_run_over(made: Library) -> None:

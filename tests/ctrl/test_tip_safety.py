@@ -168,6 +168,20 @@ def test_a_reset_goes_on_from_the_command_sent_last() -> None:
     assert abs(tip.step(y).u - sent) <= STEP
 
 
+@pytest.mark.parametrize("kind", CONTROLLERS)
+def test_samples_taken_elsewhere_are_gone_on_from(kind: str) -> None:
+    tip, y = moved(kind)
+    before, u = tip.state(), tip.state().command
+    for sign in (1.0, -1.0):
+        for _ in range(4):
+            u = min(max(u + sign * STEP, LIMITS.lower), LIMITS.upper)
+            tip.took(1, Command(u, Source.MPC))
+        assert tip.state().command == u
+        last, u = u, tip.step(y).u
+        assert abs(u - last) <= STEP
+    assert tip.state().time_s == pytest.approx(before.time_s + 10 * DT)
+
+
 calls = st.one_of(
     st.tuples(st.just("target"), st.floats(20.0, 90.0)),
     *2 * [st.tuples(st.just("step"), st.one_of(st.just(math.nan), st.floats(20.0, 90.0)))],

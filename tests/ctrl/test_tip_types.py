@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 import hystmpc
-from hystmpc import HystmpcError
+from hystmpc import Evaluation, HystmpcError
 from hystmpc.ctrl import Command, Source, TipController
+from hystmpc.ctrl.build import build_controller
+from hystmpc.ctrl.config import parse_controller
 from hystmpc.trials.errors import ConfigError
 
 from .plays import DT, PLAY
@@ -165,6 +167,20 @@ def test_a_number_of_any_kind_is_one(kind: Callable[[float], Any], tip: TipContr
     assert tip.state() == twin.state()
     tip.reset(kind(32.0), kind(1.0))
     assert (tip.state().measured_deg, tip.state().command) == (32.0, 1.0)
+
+
+@pytest.mark.parametrize("value", [*NO_NUMBERS, *ODD_NUMBERS, None])
+def test_a_controller_of_its_own_starts_at_numbers_alone(value: Any) -> None:
+    controller = build_controller(parse_controller({"kind": "pid"}, "controller"), PLAY.predictor, PLAY.inverse, LIMITS)
+    refused(lambda: controller.init(value, 0.0))
+    refused(lambda: controller.init(PLAY.y_rest, value))
+    command, _ = controller.step(controller.init(PLAY.y_rest, 0.0), value, value)
+    assert command.u == 0.0
+
+
+def test_files_of_results_are_named_by_a_path(tmp_path: Path) -> None:
+    for value in [None, 3, [], object(), tmp_path / "no" / "such.html"]:
+        refused(lambda value=value: Evaluation(()).report(value))
 
 
 WRONG: list[Any] = [None, 3, [], [1], {"a": 1}, {1: 2}, object(), b"x", math.nan, [[1], [1, 2]], Path(), "no/such"]

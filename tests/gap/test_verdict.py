@@ -81,6 +81,15 @@ WEAK = FinalFacts(closed_share=0.5, residual_ratio=3.0)
         (replace(OPEN, sensor=True, final=None), "left_open", "unknown"),
         (replace(OPEN, jumps=True), "jumps", "named"),
         (replace(NOTHING, jumps=True, form_mse=0.5), "jumps", "named"),
+        # steps of the readings, where there would be no gap
+        (replace(NOTHING, new_step=True, form_mse=0.5), "sensor_alone", "named"),
+        (replace(EXPLAINED, new_step=True, form_mse=0.5), "sensor_alone", "named"),
+        (replace(OPEN, new_step=True, form_mse=0.2), "sensor_alone", "named"),
+        (replace(NOTHING, new_step=True, final=FinalFacts(0.0, 1.0, at_floor=True)), "sensor_alone", "named"),
+        (replace(EXPLAINED, new_step=True), "explained", "named"),
+        (replace(NOTHING, new_step=True), "no_effect", "unknown"),
+        (replace(NOTHING, new_step=True, form_mse=0.5, retuning=Retuning(2.0)), "moved", "retuned"),
+        (replace(NOTHING, new_step=True, too_little=True), "too_little", "too_little"),
         # retuning
         (replace(EXPLAINED, retuned_fit_mse=0.02, retuning=Retuning(2.0)), "moved", "retuned"),
         (replace(NOTHING, final=FinalFacts(0.0, 1.0, at_floor=True), retuning=Retuning(2.0)), "moved", "retuned"),
@@ -149,6 +158,7 @@ facts_ = st.builds(
     structure_left=st.booleans(),
     ambiguity=st.sampled_from([(), (("lag", "delay"),)]),
     sensor=st.booleans(),
+    new_step=st.booleans(),
     jumps=st.booleans(),
     too_little=st.booleans(),
     unrelated=st.booleans(),
@@ -168,7 +178,7 @@ def test_rules_that_hold_for_all_facts(facts: VerdictFacts) -> None:
     elif facts.jumps:
         assert ruling.verdict in ("named", "one_of")
     if ruling.sensor:
-        assert facts.sensor
+        assert facts.sensor or facts.new_step
     if ruling.verdict == "retuned":
         assert facts.retuning.moved >= SETTINGS.lowered
         assert not ruling.explained

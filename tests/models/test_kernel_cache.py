@@ -250,29 +250,33 @@ def test_a_damaged_generated_module_is_written_anew(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="modes are those of POSIX")
 @pytest.mark.parametrize(
-    ("mode", "group", "trusted"),
+    ("mode", "umask", "trusted"),
     [
-        (0o700, 0, True),
-        (0o755, 0, True),
-        (0o775, 0, True),
-        (0o775, 1, False),
-        (0o777, 0, False),
-        (0o1777, 0, False),
-        (0o702, 0, False),
+        (0o700, 0o022, True),
+        (0o755, 0o077, True),
+        (0o775, 0o002, True),
+        (0o775, 0o022, False),
+        (0o777, 0o022, False),
+        (0o777, 0o002, False),
+        (0o1777, 0o022, False),
+        (0o702, 0o022, False),
+        (0o777, 0o000, True),
     ],
 )
 def test_a_folder_that_others_may_write_in_holds_no_compiled_code(
     mode: int,
-    group: int,
+    umask: int,
     trusted: bool,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
+    request: pytest.FixtureRequest,
 ) -> None:
     folder = tmp_path / "cache"
     folder.mkdir()
     folder.chmod(mode)
-    monkeypatch.setattr(os, "getgid", lambda: folder.stat().st_gid + group)
+    before = os.umask(umask)
+    request.addfinalizer(lambda: os.umask(before))
     monkeypatch.setenv("HYSTMPC_CACHE_DIR", str(folder))
     assert (cache_folder() == folder) is trusted
     assert only_ours(cache_folder())

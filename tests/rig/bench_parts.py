@@ -176,6 +176,11 @@ class Rig:
         self.anchor = Anchor(self.gate, 0.1, 3 * DT, 0.5, self.safe, 0.5)
 
     def run(self, phases: Sequence[Phase]) -> RunOutcome:
+        return self.loop_of().run(phases)
+
+    def loop_of(self) -> ControlLoop:
+        """The loop of these parts."""
+
         def to_safe(cause: str) -> SafeStop:
             return SafeStop(
                 lambda held, velocity: stop_commands(held, velocity, self.safe, RAMPS, OVERSHOOT, DT),
@@ -186,7 +191,7 @@ class Rig:
 
         parts = self.clock, self.transport, self.intake, self.gate, self.anchor
         self.loop = ControlLoop(*parts, DT, self.sink, to_safe, self.flag, self.stall_s)
-        return self.loop.run(phases)
+        return self.loop
 
 
 def travel(to: float = 3.0, hold_s: float = 1.0) -> CommandMotion:

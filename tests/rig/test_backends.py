@@ -6,7 +6,6 @@ import itertools
 import math
 import random
 import signal
-import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,10 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hystmpc.codegen import build, export_controller
-from hystmpc.codegen.build import controller_library
 from hystmpc.codegen.compiler import EXPECTED, compiler
-from hystmpc.codegen.loaded import LoadedController
 from hystmpc.ctrl import TipController
 from hystmpc.ctrl.planner.assembly import assemble
 from hystmpc.ctrl.planner.settings import TipSettings
@@ -32,7 +28,7 @@ from hystmpc.studies.faults.cases import CASES as CAMPAIGN
 from hystmpc.studies.faults.cases import Link
 from hystmpc.studies.faults.judge import judge
 from hystmpc.studies.faults.play import play
-from hystmpc.trials.errors import ConfigError, ExportError
+from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import RunFolder
 
 from .bench_parts import DT, LIMITS, NS, Rig
@@ -283,78 +279,6 @@ def test_a_compiler_that_fails_leaves_nothing_in_the_cache(monkeypatch: pytest.M
     monkeypatch.setenv("CC", "false")
     assert "the C compiler false fails" in refused()
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-def test_a_process_compiles_a_source_once_and_loads_nothing_that_another_has_left(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """A file that was planted, cut or broken since in a folder of caches is not even looked at."""
-    monkeypatch.setenv("HYSTMPC_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(build, "_made", {})
-    export = export_controller(PLAIN)
-    made = controller_library(export)
-    assert stat.S_IMODE(made.parent.stat().st_mode) == 0o700
-    assert list(tmp_path.glob("*.so")) == []
-    monkeypatch.setenv("CC", "false")
-    assert controller_library(export) == made
-    with pytest.raises(ExportError):
-        controller_library(export_controller({**PLAIN, "model": "builtin:backlash"}))
-    monkeypatch.setattr(build, "_made", {})  # as another process
-    with pytest.raises(ExportError):
-        controller_library(export)
-
-
-def assembled() -> tuple[Any, TipSettings]:
-    settings = TipSettings.parse(PLAIN)
-    return assemble(settings, Path()), settings
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("fault", ["gain", "offset", "a nan", "after some steps", "source"])
-def test_a_library_that_answers_otherwise_is_refused_before_anything_moves(
-    fault: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Whatever the compiler made of the source: its first commands are those of Python, or it is not used."""
-    assembly, settings = assembled()
-    step, count = LoadedController.step, itertools.count()
-
-    def broken(self: LoadedController, angle_deg: float, reference: Any) -> Any:
-        answer, k = step(self, angle_deg, reference), next(count)
-        if fault == "gain":
-            answer.u *= 1.0001
-        elif fault == "offset":
-            answer.u += 2e-6
-        elif fault == "a nan":
-            answer.u = math.nan if k == 3 else answer.u
-        elif fault == "after some steps":
-            answer.u += 1e-3 * (k > 12)
-        else:
-            answer.source = 4 if k == 2 else answer.source
-        return answer
-
-    monkeypatch.setattr(LoadedController, "step", broken)
-    with pytest.raises(ConfigError, match=r"realtime\.backend c: in step \d+ of its check it sends") as refused:
-        compiled_controller(assembly.controller, settings)
-    assert "\n" not in str(refused.value)
-    assert len(str(refused.value)) <= 300
-
-
-@pytest.mark.slow
-def test_a_check_looks_at_samples_without_a_usable_angle(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Flags that take a compiler's word that no number is missing would be seen there alone."""
-    assembly, settings = assembled()
-    seen: list[float] = []
-    step = LoadedController.step
-
-    def watched(self: LoadedController, angle_deg: float, reference: Any) -> Any:
-        seen.append(angle_deg)
-        return step(self, angle_deg, reference)
-
-    monkeypatch.setattr(LoadedController, "step", watched)
-    compiled_controller(assembly.controller, settings)
-    assert sum(map(math.isnan, seen)) >= 2
-    assert len(seen) >= 20
 
 
 def test_a_recording_has_no_controller_to_compile() -> None:

@@ -12,6 +12,7 @@ from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -182,6 +183,107 @@ def test_the_class_speaks_the_units_of_the_wire(angle: float, held: float, facto
 )
 def test_nonsense_is_named(found: object) -> None:
     assert nonsense(found, 0)
+
+
+GOOD = Reading(30.0, 1, 0, 5, 5, 1.0)
+WHOLE = ("sequence", "session", "sent_ns", "received_ns")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *((name, value) for name in WHOLE for value in (None, 1.0, True, "1", [1], np.arange(2), 10**30, -(10**30))),
+        *((name, value) for name in ("angle_deg", "held") for value in (None, True, "1", np.ones(2), 10**400, 1j)),
+        *((name, sign * math.inf) for name in ("angle_deg", "held") for sign in (-1, 1)),
+        *(("listens", value) for value in (None, 1, 0, "yes", np.array([True, False]), math.nan)),
+    ],
+)
+def test_every_field_is_looked_at(name: str, value: Any) -> None:
+    assert name in nonsense(replace(GOOD, **{name: value}), 10)
+    wire = guard(Bus(lambda: replace(GOOD, **{name: value})))
+    with pytest.raises(ValueError, match=name):
+        wire.read()
+    wire.stop()
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"), [("held", Conversion(1.0, 0.0, 1e3)), ("angle_deg", Conversion(57.3, 0, 1))]
+)
+def test_a_number_that_is_none_in_the_units_of_the_run_is_nonsense(name: str, factor: Conversion) -> None:
+    wire = guard(Bus(lambda: replace(GOOD, **{name: 1e308})), factor)
+    with pytest.raises(ValueError, match=f"no number as {name} in the units of the run"):
+        wire.read()
+    wire.stop()
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.uint8, np.int32, np.uint32, np.int64, np.uint64])
+def test_numbers_of_numpy_become_those_of_python(kind: Any) -> None:
+    """Else a difference of two sequence numbers would overflow."""
+    found = Reading(np.float32(30.5), kind(7), kind(3), kind(5), kind(5), np.float64(1.5), np.bool_(False))  # type: ignore[arg-type]
+    wire = guard(Bus(lambda: found))
+    reading = wire.read()
+    assert reading == Reading(30.5, 7, 3, 5, 5, 1.5, False)
+    assert [type(getattr(reading, name)) for name in (*WHOLE, "held", "listens")] == [int] * 4 + [float, bool]
+    wire.stop()
+
+
+@given(st.lists(st.sampled_from(["reading", "text", "error"]), max_size=20))
+def test_what_is_fetched_several_at_a_time_comes_one_by_one_and_in_order(script: list[str]) -> None:
+    """A reading, nonsense or an error each at its turn, and None at the end."""
+    left = list(enumerate(script))
+
+    def read() -> Any:
+        if not left:
+            return None
+        k, what = left.pop(0)
+        if what == "error":
+            raise OSError(str(k))
+        return replace(GOOD, sequence=k) if what == "reading" else str(k)
+
+    wire, got = guard(Bus(read)), list[str]()
+    for _ in script:
+        try:
+            reading = wire.read()
+            assert reading is not None
+            got.append("reading")
+        except ValueError:
+            got.append("text")
+        except OSError:
+            got.append("error")
+    assert got == script
+    assert wire.read() is None
+    wire.stop()
+
+
+def test_a_reading_that_comes_late_is_kept_and_a_command_goes_before_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guarded, "PATIENCE_S", 0.02)
+    free, got, reads = threading.Event(), list[float](), [0]
+
+    def read() -> Reading:
+        reads[0] += 1
+        free.wait()
+        return replace(GOOD, sequence=reads[0])
+
+    wire = guard(Bus(read, got.append), replace(CONTEXT.conversion))
+    with pytest.raises(TimeoutError):
+        wire.read()
+    monkeypatch.setattr(guarded, "_AT_ONCE", 1)
+    free.set()
+    monkeypatch.setattr(guarded, "PATIENCE_S", 5.0)
+    end = time.monotonic() + 5
+    while not wire._worker.idle and time.monotonic() < end:
+        time.sleep(0.001)
+    count = reads[0]
+    for sequence in range(1, count + 1):
+        reading = wire.read()
+        assert reading is not None
+        assert reading.sequence == sequence
+    assert wire.read() is None
+    assert reads[0] == count
+    wire.write(1.0)
+    assert got == [1.0]
+    assert wire.read() is not None
+    wire.stop()
 
 
 def test_what_is_refused_is_counted_beside_what_the_class_counts() -> None:

@@ -134,6 +134,7 @@ BODIES = {
     "": 400,
     "\u0665".encode().decode("latin-1"): 400,
     "1e3": 400,
+    "\xb2": 400,  # a digit to Python, and no number
     str(MOST_BYTES + 1): 413,
     "9" * 400: 413,
     "18446744073709551615": 413,
@@ -159,6 +160,11 @@ def test_a_body_of_any_other_length_is_refused_without_being_read(length: str, s
 )
 def test_a_request_that_two_readers_would_read_otherwise_is_refused(lines: str, status: int, served: Served) -> None:
     assert said(served, lines) == status
+
+
+def test_a_head_is_kept_up_to_a_length(served: Served) -> None:
+    with served.connected(b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * (server._LARGEST_HEAD // 6 + 1)) as client:
+        assert b" 431 " in client.recv(100)
 
 
 def said(served: Served, lines: str) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -12,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hystmpc.rig.commission.phases import CommandMotion, Decision, Past, Phase, PhaseInput, PretensionCheck
+from hystmpc.rig.recording.sample import Sample
 from hystmpc.rig.safety.ramp import ramp_commands, way_commands
 
-from .bench_parts import DT, LIMITS, RAMPS, Rig, following, travel
+from .bench_parts import DT, LIMITS, NS, RAMPS, Rig, following, travel
 
 STEP = LIMITS.rate * DT + 1e-12
 
@@ -184,6 +186,46 @@ def test_a_late_command_is_a_miss_and_whole_samples_are_skipped() -> None:
     assert [s.sequence for s in missed] == [7, 12]  # two samples passed before the first command
     assert rig.sink.samples[13].sequence == 14
     assert outcome.faults["deadline-missed"] == 2
+
+
+@pytest.mark.parametrize("busy_s", [0.0, 0.03, 0.07, 0.1])
+def test_a_period_that_a_timer_misses_is_a_sample_that_ended_late(busy_s: float) -> None:
+    """`run` that is held up at the end of a sample, and a timer whose program does something else after it."""
+    rigs = [Rig(following), Rig(following)]
+    for rig in rigs:
+        put, sink = rig.sink.put, rig.sink
+
+        def busy(sample: Sample, rig: Rig = rig, put: Callable[[Sample], None] = put) -> None:
+            put(sample)
+            rig.clock.ns += round(busy_s * NS) if len(rig.sink.samples) == 40 else 0
+
+        sink.put = busy  # type: ignore[method-assign]
+    ran, rig = rigs
+    ran.run([Wild(3, 1000)])
+    loop = rig.loop_of()
+    loop.begin([Wild(3, 1000)])
+    going = True
+    while going:
+        rig.clock.wait_until(loop.due())
+        going = loop.sample(loop.due())
+    told = [[(s.command, s.sequence, s.source, s.t_s) for s in one.sink.samples] for one in rigs]
+    assert told[0] == told[1]
+    assert loop.timings.skipped == ran.loop.timings.skipped
+    assert loop.outcome().confirmed
+
+
+def test_a_timer_on_its_grid_comes_back_to_the_deadlines() -> None:
+    """After a late call the next one comes at its own time: the loop is not a sample behind for ever."""
+    rig = Rig(following)
+    loop = rig.loop_of()
+    loop.begin([travel(hold_s=5.0)])
+    first = loop.due()
+    for k in range(60):
+        periods = k if k < 20 else k + 2
+        rig.clock.ns = first + round(periods * DT * NS) + (round(0.9 * DT * NS) if k == 20 else 1_000)
+        loop.sample(loop.due())
+    assert loop.timings.skipped == 2
+    assert [s.lateness_s > 0.5 * DT for s in rig.sink.samples].count(True) == 1
 
 
 def test_a_loop_that_stood_still_stops() -> None:

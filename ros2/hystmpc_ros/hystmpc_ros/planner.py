@@ -66,7 +66,7 @@ class Planner:
             self._look_for_it()
         elif not self._over:
             self._over = not loop.sample(loop.due())
-            if cause := self._flag.cause or loop.cause:
+            if cause := loop.cause or self._flag.cause:
                 self.tip.stop()
                 self.status = cause if self._over else f"safe stop: {cause}"
 
