@@ -17,6 +17,7 @@ from .truth import MOVERS, Mover
 _SEED = 40
 _FAST: Mapping[str, Any] = {"ramps": {"velocity_per_s": 8.0, "acceleration_per_s2": 60.0, "jerk_per_s3": 1000.0}}
 _C_EVERY = 6  # of these runs with an MPC one is stepped in C
+_LOOP_HZ, _FAST_HZ = 25.0, 1000.0
 _WHOLE_EVERY = 5  # healthy devices, of which one is commissioned to the end
 
 
@@ -234,6 +235,12 @@ def device_plays(cases: tuple[DeviceCase, ...], movers: tuple[Mover, ...] = MOVE
             whole = case.healthy and k % _WHOLE_EVERY == 0
             found.append(DevicePlay(case, mover, How(law, backend, bench=case.bench, whole=whole)))  # type: ignore[arg-type]
     if "run" in movers:
-        in_c = How(LAW[0], "c", udp=True)
-        found += [DevicePlay(case, "run", replace(in_c, bench=case.bench)) for case in cases if case.name in _OVER_UDP]
+        found += [_over_udp(case) for case in cases if case.name in _OVER_UDP]
     return tuple(found)
+
+
+def _over_udp(case: DeviceCase) -> DevicePlay:
+    """At the loop's rate, since the loop in C leaves a sample with several readings to Python, or at 1 kHz."""
+    device = case.device if case.device.stream_hz >= _FAST_HZ else replace(case.device, stream_hz=_LOOP_HZ)
+    how = How(LAW[0], "c", udp=True, bench=case.bench)
+    return DevicePlay(replace(case, device=device), "run", how)

@@ -15,16 +15,22 @@ import numpy as np
 
 import hystmpc
 from hystmpc.commissioning.config import CommissionSettings
-from hystmpc.commissioning.device import BenchDevice, Device, DeviceStoppedError, SimulatedClock, Tick, Track
+from hystmpc.commissioning.device import BenchDevice, Device, DeviceStoppedError, Kept, SimulatedClock, Tick, Track
 from hystmpc.commissioning.plants import plants_in
 from hystmpc.commissioning.run import commission_device
 from hystmpc.ctrl import TipController
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.investigation.config import InvestigateSettings, located_investigation
 from hystmpc.investigation.run import investigate_device
-from hystmpc.rig.commission.phases import Phase
+from hystmpc.rig.bench import run_bench
+from hystmpc.rig.commission.experiment import run_experiment, tracking_phase
+from hystmpc.rig.commission.phases import CommandMotion, Phase
+from hystmpc.rig.commission.record import Recorded
 from hystmpc.rig.commission.steering import Steering
 from hystmpc.rig.config import BenchSettings, RunSettings
+from hystmpc.rig.recording.recorder_process import Views, open_recorder_process
+from hystmpc.rig.recording.recording import RecordingMeta
+from hystmpc.rig.recording.sample import Sink
 from hystmpc.rig.safety.ramp import way_commands
 from hystmpc.rig.transports.transport import Conversion, RunContext
 from hystmpc.trajectories.config import MotionSettings
@@ -114,7 +120,8 @@ def use(mover: Mover, device: HostileDevice, folder: Path, how: How = How()) -> 
         with served(device) as port:
             settings["transport"] = {"kind": "udp", "port": port}
             ending = _ended(_MOVERS[mover](settings, folder, how), folder)
-        ending = replace(ending, in_c=_in_c(folder))
+        one_each = device.spec.stream_hz <= settings["rate_hz"]
+        ending = replace(ending, in_c=_in_c(folder) if one_each else -1)
     else:
         ending = _ended(_MOVERS[mover](settings, folder, how), folder)
     if ending.how != "raised":
@@ -166,36 +173,41 @@ def _ended(move: Callable[[], str], folder: Path) -> Ending:
         return Ending("raised", f"{error}: it never left the device alone")
     except Exception as error:  # noqa: BLE001 - whatever it is, it is the finding
         return Ending("raised", f"{type(error).__name__}: {error}")
-    return Ending("stopped", words, True) if words else Ending("ended")
+    return Ending("stopped", words, latch.exists()) if words else Ending("ended")
 
 
 Move = Callable[[], str]
 
 
 def _run(settings: dict[str, Any], folder: Path, how: How) -> Move:
-    bench = BenchSettings.parse(settings)
-    tip = TipSettings.parse({"model": "builtin:pi", "controller": {"kind": how.law}})
+    """As `run_experiment` does it; over a real wire with the recording in a process of its own."""
     wanted = {**_REFERENCE, "cycles": _UDP_CYCLES} if how.udp else _REFERENCE
-    motion = RunSettings.parse({**settings, "controller": tip, "reference": dict(wanted)}).reference
-    opened = BenchDevice(bench, plants_in(Path(), bench.command_unit), folder)
+    tip = {"model": "builtin:pi", "controller": {"kind": how.law}}
+    run = RunSettings.parse({**settings, "controller": tip, "reference": dict(wanted)})
+    plants = plants_in(Path(), run.command_unit)
+    if how.udp:
+        return lambda: run_experiment(run, lambda: _recorder(run, folder / "run"), plants, folder=folder).outcome.cause
+    tracking = tracking_phase(run, beside=False)
+    return lambda: run_bench(run, lambda: [tracking], Kept, plants, clock=SimulatedClock()).outcome.cause
 
-    def move() -> str:
-        opened.track("run/track", tip, motion, bench)
-        return ""
 
-    return move
+def _recorder(run: RunSettings, folder: Path) -> Sink:
+    meta = RecordingMeta(run.command_unit, stages=("total", "execution"))
+    return open_recorder_process(folder, run, meta, run.rate_hz, Views(), lambda text: None, report=False)
 
 
 def _record(settings: dict[str, Any], folder: Path, how: How) -> Move:
-    del how
+    """As `record` does it."""
+    del folder, how
     bench = BenchSettings.parse({**settings, "realtime": {"backend": "python"}})
-    opened = BenchDevice(bench, plants_in(Path(), bench.command_unit), folder)
+    commands = _excitation(bench)
 
-    def move() -> str:
-        opened.play("record/excitation", _excitation(bench), bench)
-        return ""
+    def approach(held: float) -> Vec:
+        return way_commands(held, [float(commands[0])], [1.0], bench.ramps, bench.dt_s)
 
-    return move
+    phases: list[Phase] = [CommandMotion("approach", approach), Recorded("excitation", commands, bench.dt_s)]
+    plants = plants_in(Path(), bench.command_unit)
+    return lambda: run_bench(bench, lambda: phases, Kept, plants, clock=SimulatedClock()).outcome.cause
 
 
 def _excitation(bench: BenchSettings) -> Vec:

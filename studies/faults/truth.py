@@ -247,11 +247,12 @@ def _stands(truth: Truth, fault: DeviceFault) -> float:
     """Once the command, lagged as `plausibility.travel_s` allows, went through its `travel` since the tip stood."""
     began, asked = _began(truth, fault), truth.asked
     for motion in np.unique(truth.motion[(truth.t >= began) & (truth.motion >= 0)]):
-        rows = np.flatnonzero((truth.t >= began) & (truth.motion == motion))
+        rows = np.flatnonzero(truth.motion == motion)
         narrowed = asked.mover == "commission" and motion >= _DASH
         before = truth.held[truth.t < began]
         span = float(np.ptp(before)) if narrowed and before.size else asked.upper - asked.lower
-        followed = _lagged(truth.held[rows], truth.t[rows])
+        followed = _lagged(truth.held[rows], truth.t[rows])[truth.t[rows] >= began]
+        rows = rows[truth.t[rows] >= began]
         gone = np.maximum.accumulate(followed) - np.minimum.accumulate(followed)
         far = np.flatnonzero(gone >= _WATCH.travel_of(span))
         if far.size:
@@ -286,9 +287,17 @@ def _outside(truth: Truth, fault: DeviceFault) -> float:
 
 
 def _ages(truth: Truth) -> float:
-    """With a command before which all angles that were read are older than `sensor.age_limit_s` and a period."""
+    """With a command for which all angles are older than `sensor.age_limit_s`, from the connection's beginning on.
+
+    Nobody knows how long the first readings of a connection were on their way; a period and a sample are no age.
+    """
     youngest = _AGE_S + max(truth.asked.dt_s, 1.0 / truth.device.spec.stream_hz)
-    return _first(truth, np.isfinite(truth.received) & (truth.age > youngest))
+    sent = np.isfinite(truth.received)
+    found = []
+    for motion in np.unique(truth.motion[sent]):
+        rows = sent & (truth.motion == motion)
+        found.append(_first(truth, rows & (truth.age - truth.age[rows].min() > youngest)))
+    return min((t for t in found if math.isfinite(t)), default=math.nan)
 
 
 def _stray(truth: Truth, fault: DeviceFault) -> float:
