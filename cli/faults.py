@@ -1,4 +1,4 @@
-"""`hystmpc faults`: the fault campaign, over real connections, as a table."""
+"""`hystmpc faults`: the fault campaigns, over real connections or on devices that are computed, as a table."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.run_folder import require_vacant
 
 from .console import bar, errors, out, table
+from .fault_devices import FAILED, play_devices
 
 if TYPE_CHECKING:
     from hystmpc.studies.faults.cases import Kind, Link
     from hystmpc.studies.faults.judge import FaultVerdict
-
-FAILED = 1
 
 _COUNTS = ("commands", "beyond", "safe after s", "rise after fault mm")
 _COLUMNS = ("fault", "over", "has to", "does", *_COUNTS, "log", "says")
@@ -45,14 +44,32 @@ class _Play:
 def faults(
     folder: Annotated[Path, typer.Option("--out", help="Folder for the cases, new or empty.")],
     only: Annotated[list[str] | None, typer.Option("--only", help="A part of a case's name; may be repeated.")] = None,
-    transport: Annotated[Literal["udp", "dds", "both"], typer.Option("--transport", help="The wires.")] = "both",
+    transport: Annotated[
+        Literal["udp", "dds", "both"] | None, typer.Option("--transport", help="The wires; both where left out.")
+    ] = None,
     backend: Annotated[
-        Literal["python", "c"], typer.Option("--backend", help="What steps the controller; c leaves out frames.")
-    ] = "python",
+        Literal["python", "c"] | None, typer.Option("--backend", help="What steps the controller; c leaves out frames.")
+    ] = None,
     jobs: Annotated[int, typer.Option("--jobs", min=1, help="Cases at a time; more than cores spoils timing.")] = 1,
+    devices: Annotated[
+        bool, typer.Option("--devices", help="Hostile and healthy devices in place of faults of the wire.")
+    ] = False,
+    mover: Annotated[
+        list[str] | None, typer.Option("--mover", help="With --devices: run, record, commission, investigate, ros2.")
+    ] = None,
 ) -> None:
-    """Break sensor, wire, processes, disk, model and solver, case by case; exit code 1 if a case fails."""
-    plays = _chosen(folder, only or [], transport, backend)
+    """Break sensor, wire, processes, disk, model and solver, case by case; exit code 1 if a case fails.
+
+    With --devices every program that moves a device meets hostile and healthy ones, on a clock that is computed.
+    """
+    if devices:
+        if transport or backend:
+            raise ConfigError("--devices: got --transport or --backend, expected neither: there is no wire")
+        play_devices(folder, only or [], mover or [], jobs)
+        return
+    if mover:
+        raise ConfigError("--mover: expected --devices beside it")
+    plays = _chosen(folder, only or [], transport or "both", backend or "python")
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # no device may be left behind
     verdicts: list[FaultVerdict] = []
     try:

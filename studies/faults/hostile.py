@@ -1,0 +1,452 @@
+"""A device on a virtual clock that may be hostile: body, drive, sensor, stream and watchdog, with a log of its own."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal, final
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from hystmpc.rig.realtime import Clock
+from hystmpc.rig.transports.simulated import SimulatedSettings
+from hystmpc.rig.transports.transport import Reading, RunContext, Transport
+
+from .body import NOMINAL, Body, BodyState, at_rest, moved
+
+_NS = 1_000_000_000
+_STEP_NS = 2_000_000  # of the body, at most
+_ROW_NS = 10_000_000  # between two rows of the log, commands left out
+_SOCKET = 256  # readings that wait to be read; the newest are lost beyond, as in a socket
+_BETWEEN_NS = 200_000_000  # that pass between two connections
+_OUTSIDE_DEG = 9_999.0
+_LONGEST_NS = 600 * _NS
+SAFE = 0.0
+"""The command that a device holds at first, and to which its watchdog leads it [mm]."""
+
+FaultKind = Literal[
+    "stuck",  # the tip stays where it is
+    "dithers",  # it trembles there by `size` deg at `period_s`
+    "outside",  # the sensor is out of its range for every other `period_s`; for good where that is 0
+    "shifted",  # the sensor has come off: its angle is `size` deg beside
+    "spikes",  # every tenth reading is `size` deg beside
+    "silent",  # no reading comes any more
+    "ages",  # readings come later and later, by `size` s a second
+    "held",  # it says that it holds `size` mm
+    "held_nan",  # every other `period_s` it does not say what it holds
+    "deaf",  # it takes no command, and says so by what it holds
+    "restarts",  # it is switched off and on: another session, at rest
+    "leaves",  # its watchdog acts although commands come
+    "wanders",  # it moves by itself, up and down, and says so
+    "steepens",  # the tip goes `size` times as far as before
+    "reads_slowly",  # `read` takes `size` s and always has something
+    "writes_slowly",  # `write` takes `size` s
+    "stalls",  # the program that controls it stands still for `size` s, once
+]
+
+
+class EndlessError(BaseException):
+    """A device has been looked at for so long that whoever does it has lost count; nothing catches it by the way."""
+
+
+@dataclass(frozen=True)
+class DeviceFault:
+    """What a device does wrong, and when.
+
+    Attributes:
+        at_s: when it begins, counted from the first command of a connection [s].
+        motion: that connection, or a later one: a commissioning makes one for each motion, all others a single one.
+        lasts_s: how long it lasts [s].
+        size, period_s: see `FaultKind`.
+    """
+
+    kind: FaultKind
+    at_s: float = 3.0
+    motion: int = 0
+    lasts_s: float = math.inf
+    size: float = 0.0
+    period_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class DeviceSpec:
+    """Description of a device.
+
+    Attributes:
+        name: of it, in tables.
+        body: from the drive's position to the tip's angle.
+        drive_rate: of the drive; what it holds is its position [mm/s].
+        noise_deg, quantum_deg: of the sensor [deg].
+        stream_hz: readings a second, whatever the loop does.
+        flight_s: time that a reading takes to arrive [s].
+        tells: whether it says what it holds.
+        sessions: whether it listens to those alone that have greeted, and to nobody after its watchdog has acted; else
+            to everybody always.
+        watchdog_s, return_rate: silence after which it returns to rest, and how fast [mm/s].
+        faults: what it does wrong.
+        seed: of its noise.
+    """
+
+    name: str
+    body: Body = NOMINAL
+    drive_rate: float = math.inf
+    noise_deg: float = 0.1
+    quantum_deg: float = 0.0
+    stream_hz: float = 100.0
+    flight_s: float = 0.001
+    tells: bool = True
+    sessions: bool = True
+    watchdog_s: float = 0.5
+    return_rate: float = 2.0
+    faults: tuple[DeviceFault, ...] = ()
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row of a device's own log.
+
+    Attributes:
+        t_s: its time [s].
+        motion: number of the connection, from 0; -1 between two.
+        received: command that was taken, NaN in a row without one.
+        before: what it held right before [mm].
+        held: what it holds, or would once its drive is there [mm].
+        told: what it says that it holds.
+        x_mm: where the tip's own end of the drive is, after lag and dead time.
+        angle_deg, shown_deg: of the tip, and the last one that the sensor gave.
+        age_s: of the newest reading that was read, flight at the beginning left out [s].
+    """
+
+    t_s: float
+    motion: int
+    received: float
+    before: float
+    held: float
+    told: float
+    x_mm: float
+    angle_deg: float
+    shown_deg: float
+    age_s: float
+
+
+@dataclass
+class DeviceState:
+    """Everything about a device that changes."""
+
+    body: BodyState
+    ns: int = _NS
+    target: float = SAFE
+    position: float = SAFE
+    told: float = SAFE
+    shown_deg: float = math.nan
+    next_reading_ns: int = _NS
+    next_row_ns: int = _NS
+    newest_ns: int = _NS  # when the newest reading that was read had been taken
+    heard_ns: int | None = None  # last word of a controller; None where the watchdog rests
+    returns: bool = False
+    deaf: bool = True
+    sequence: int = 0
+    session: int = 1
+    motion: int = -1
+    open: bool = False
+    began_ns: list[int | None] = field(default_factory=list)
+    frozen_deg: float = math.nan
+    done: set[str] = field(default_factory=set)
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceReading:
+    """One reading on its way; times of the device [ns]."""
+
+    taken_ns: int
+    arrives_ns: int
+    angle_deg: float
+    told: float
+    sequence: int
+    session: int
+    listens: bool
+
+
+@final
+class HostileDevice:
+    """A device that is computed between the moments at which somebody looks at it; goes on over several connections.
+
+    Args:
+        spec: what it is.
+    """
+
+    def __init__(self, spec: DeviceSpec) -> None:
+        self.spec, self.rows = spec, list[Row]()
+        self.state = DeviceState(at_rest(spec.body, SAFE), began_ns=[None] * len(spec.faults))
+        self._random = np.random.default_rng([spec.seed, 7])
+        self._wire = deque[DeviceReading]()
+        self._period_ns = round(_NS / spec.stream_hz)
+
+    def began_s(self, kind: FaultKind) -> float:
+        """When the fault of that kind began [s]; NaN where there is none, or it has not."""
+        for fault, began in zip(self.spec.faults, self.state.began_ns, strict=True):
+            if fault.kind == kind and began is not None and began <= self.state.ns:
+                return began / _NS
+        return math.nan
+
+    def connect(self, clock: Clock) -> Connection:
+        """A wire to it, on somebody's clock."""
+        self.begin()
+        return Connection(self, clock)
+
+    def begin(self) -> None:
+        """Somebody connects; what was on the way to those before is lost, and a greeting is wanted."""
+        state = self.state
+        self.advance(state.ns + _BETWEEN_NS)
+        self._wire.clear()
+        state.motion, state.open, state.deaf = state.motion + 1, True, True
+
+    def leave(self, goodbye: bool) -> None:
+        """A controller has gone; its goodbye lets the watchdog rest where the drive does."""
+        state = self.state
+        state.open = False
+        if goodbye and abs(state.position - SAFE) <= 1e-3:
+            state.heard_ns = None
+
+    def settle(self, seconds: float) -> None:
+        """Time that passes without a controller."""
+        self.advance(self.state.ns + round(seconds * _NS))
+
+    def active(self, kind: FaultKind) -> DeviceFault | None:
+        """The fault of that kind, where it is going on."""
+        for fault, began in zip(self.spec.faults, self.state.began_ns, strict=True):
+            if fault.kind == kind and began is not None:
+                since_s = (self.state.ns - began) / _NS
+                if 0.0 <= since_s < fault.lasts_s and not self._pauses(fault, since_s):
+                    return fault
+        return None
+
+    @staticmethod
+    def _pauses(fault: DeviceFault, since_s: float) -> bool:
+        turns = fault.kind in ("outside", "held_nan") and fault.period_s > 0
+        return turns and int(since_s / fault.period_s) % 2 == 1
+
+    def advance(self, ns: int) -> None:
+        """Compute it up to a moment.
+
+        Raises:
+            EndlessError: beyond ten minutes of its time.
+        """
+        state = self.state
+        if ns > _LONGEST_NS:
+            raise EndlessError(f"no end after {_LONGEST_NS / _NS:.0f} s")
+        while state.ns < ns:
+            until = min(ns, state.ns + _STEP_NS, state.next_reading_ns, state.next_row_ns)
+            if until > state.ns:
+                self._step((until - state.ns) / _NS)
+                state.ns = until
+            if state.ns == state.next_reading_ns:
+                self._send()
+                state.next_reading_ns += self._period_ns
+            if state.ns == state.next_row_ns:
+                self._note(math.nan, state.target)
+                state.next_row_ns += _ROW_NS
+
+    def take(self, command: float) -> None:
+        """A command has arrived."""
+        state, before = self.state, self.state.target
+        for k, (fault, began) in enumerate(zip(self.spec.faults, state.began_ns, strict=True)):
+            if began is None and state.motion >= fault.motion:
+                state.began_ns[k] = state.ns + round(fault.at_s * _NS)
+        if state.deaf and self.spec.sessions:
+            return
+        state.heard_ns = state.ns
+        if self.active("deaf") is None and self.active("wanders") is None:
+            state.target, state.returns = command, False
+        self._note(command, before)
+
+    def greet(self) -> None:
+        """A controller asks to be listened to."""
+        self.state.deaf = False
+
+    def due(self) -> DeviceReading | None:
+        """The oldest reading that has arrived; one of this moment where `read` always has something."""
+        if self.active("reads_slowly") is not None:
+            self._wire.clear()
+            self._send(flight_s=0.0)
+        if not self._wire or self._wire[0].arrives_ns > self.state.ns:
+            return None
+        found = self._wire.popleft()
+        self.state.newest_ns = max(self.state.newest_ns, found.taken_ns)
+        return found
+
+    def once(self, kind: FaultKind) -> float:
+        """How long a fault that happens once takes [s]; 0 where it has not come or is over."""
+        fault = self.active(kind)
+        if fault is None or fault.kind in self.state.done:
+            return 0.0
+        self.state.done.add(fault.kind)
+        return fault.size
+
+    def _step(self, dt_s: float) -> None:
+        state, spec = self.state, self.spec
+        if self.active("restarts") is not None and state.session == 1:
+            state.session, state.sequence, state.deaf, state.heard_ns = 2, 0, True, None
+            state.target = state.position = SAFE
+        self._watch()
+        if state.returns:
+            way = spec.return_rate * dt_s
+            state.target += min(max(SAFE - state.target, -way), way)
+        if (wanders := self.active("wanders")) is not None:
+            state.target += wanders.size * dt_s * (1.0 if state.ns // _NS % 4 < 2 else -1.0)
+        way = spec.drive_rate * dt_s
+        state.position += min(max(state.target - state.position, -way), way)
+        steepens = self.active("steepens")
+        body = spec.body if steepens is None else replace(spec.body, gain=steepens.size * spec.body.gain)
+        stuck, dithers = self.active("stuck"), self.active("dithers")
+        held_fast = stuck is not None or dithers is not None
+        angle = moved(body, state.body, state.position, dt_s)
+        if not held_fast:
+            state.frozen_deg = angle
+        elif dithers is not None:
+            phase = 2.0 * math.pi * state.ns / _NS / dithers.period_s
+            state.body.angle_deg = state.frozen_deg + dithers.size * math.sin(phase)
+        else:
+            state.body.angle_deg = state.frozen_deg
+
+    def _watch(self) -> None:
+        state, spec = self.state, self.spec
+        silent = state.heard_ns is not None and state.ns - state.heard_ns > spec.watchdog_s * _NS
+        if silent or (self.active("leaves") is not None and not state.returns):
+            state.returns, state.deaf, state.heard_ns = True, True, None
+
+    def _send(self, flight_s: float | None = None) -> None:
+        """One reading, on its way."""
+        state, spec = self.state, self.spec
+        state.sequence += 1
+        state.told = self._told()
+        state.shown_deg = self._measured()
+        if self.active("silent") is not None:
+            return
+        flight = spec.flight_s if flight_s is None else flight_s
+        if (ages := self.active("ages")) is not None:
+            flight += ages.size * (state.ns / _NS - self.began_s("ages"))
+        if len(self._wire) < _SOCKET or flight > spec.flight_s:
+            arrives, listens = state.ns + round(flight * _NS), not (state.deaf and spec.sessions)
+            self._wire.append(
+                DeviceReading(state.ns, arrives, state.shown_deg, state.told, state.sequence, state.session, listens)
+            )
+
+    def _measured(self) -> float:
+        state, spec = self.state, self.spec
+        angle = state.body.angle_deg + spec.noise_deg * float(self._random.standard_normal())
+        if self.active("outside") is not None:
+            return _OUTSIDE_DEG
+        if (shifted := self.active("shifted")) is not None:
+            angle += shifted.size
+        if (spikes := self.active("spikes")) is not None and state.sequence % 10 == 0:
+            angle += spikes.size
+        return round(angle / spec.quantum_deg) * spec.quantum_deg if spec.quantum_deg else angle
+
+    def _told(self) -> float:
+        if not self.spec.tells or self.active("held_nan") is not None:
+            return math.nan
+        held = self.active("held")
+        return self.state.position if held is None else held.size
+
+    def _note(self, received: float, before: float) -> None:
+        state = self.state
+        motion = state.motion if state.open else -1
+        age_s = (state.ns - state.newest_ns) / _NS - self.spec.flight_s
+        self.rows.append(
+            Row(
+                state.ns / _NS,
+                motion,
+                received,
+                before,
+                state.target,
+                state.told,
+                state.body.x,
+                state.body.angle_deg,
+                state.shown_deg,
+                max(age_s, 0.0),
+            )
+        )
+
+
+@final
+class Connection(Transport):
+    """A wire to a device; `read` and `write` may take time, which then passes on the clock.
+
+    Args:
+        clock: of whoever controls; it is made to pass by waiting.
+    """
+
+    def __init__(self, device: HostileDevice, clock: Clock) -> None:
+        self._device, self._clock = device, clock
+        self._offset_ns = device.state.ns - clock.now_ns()
+        self._open = True
+
+    @property
+    def counters(self) -> Mapping[str, int]:
+        return {}
+
+    def read(self) -> Reading | None:
+        self._pass()
+        self._spend(self._device.once("stalls"))
+        slow = self._device.active("reads_slowly")
+        self._spend(0.0 if slow is None else slow.size)
+        found = self._device.due()
+        if found is None:
+            return None
+        numbers = found.sequence, found.session, found.taken_ns
+        return Reading(found.angle_deg, *numbers, self._clock.now_ns(), found.told, found.listens)
+
+    def write(self, command: float) -> None:
+        self._pass()
+        slow = self._device.active("writes_slowly")
+        self._spend(0.0 if slow is None else slow.size)
+        self._device.take(command)
+
+    def greet(self) -> None:
+        self._pass()
+        self._device.greet()
+
+    def stop(self, goodbye: bool = False) -> None:
+        self._pass()
+        if self._open:
+            self._open = False
+            self._device.leave(goodbye)
+
+    def _spend(self, seconds: float) -> None:
+        if seconds > 0:
+            self._clock.wait_until(self._clock.now_ns() + round(seconds * _NS))
+            self._pass()
+
+    def _pass(self) -> None:
+        self._device.advance(self._clock.now_ns() + self._offset_ns)
+
+
+class HostileSettings(SimulatedSettings):
+    """A hostile device in the place of a simulated one: every room takes it for one, and goes on its virtual clock."""
+
+    in_process: ClassVar[bool] = True
+    _device: HostileDevice | None = PrivateAttr(None)
+
+    @classmethod
+    def of(cls, device: HostileDevice) -> HostileSettings:
+        """Of a device that is there already."""
+        settings = cls(kind="simulated", plant={"hostile": device.spec.name}, seed=device.spec.seed)
+        settings._device = device
+        return settings
+
+    def open(self, run: RunContext) -> Transport:
+        assert self._device is not None
+        return self._device.connect(clock_of(run))
+
+
+def clock_of(run: RunContext) -> Clock:
+    """The clock that a run goes by: a device whose `read` takes time has to make it pass."""
+    clock: Any = getattr(run.now_ns, "__self__", None)
+    assert clock is not None, "a hostile device needs the clock itself"
+    found: Clock = clock
+    return found

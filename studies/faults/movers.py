@@ -1,0 +1,334 @@
+"""Everything of the package that moves a device, each let loose on a hostile one on a virtual clock."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal, final
+
+import numpy as np
+
+import hystmpc
+from hystmpc.commissioning.config import CommissionSettings
+from hystmpc.commissioning.device import BenchDevice, Device, DeviceStoppedError, SimulatedClock, Tick, Track
+from hystmpc.commissioning.plants import plants_in
+from hystmpc.commissioning.run import commission_device
+from hystmpc.ctrl import TipController
+from hystmpc.ctrl.planner.settings import TipSettings
+from hystmpc.investigation.config import InvestigateSettings, located_investigation
+from hystmpc.investigation.run import investigate_device
+from hystmpc.rig.commission.phases import Phase
+from hystmpc.rig.commission.steering import Steering
+from hystmpc.rig.config import BenchSettings, RunSettings
+from hystmpc.rig.safety.ramp import way_commands
+from hystmpc.rig.transports.transport import Conversion, RunContext
+from hystmpc.trajectories.config import MotionSettings
+from hystmpc.trials.config import dump_yaml
+from hystmpc.trials.errors import ConfigError, HystmpcError
+from hystmpc.trials.trial import Trial
+from hystmpc.trials.types import Vec
+
+from .hostile import SAFE, EndlessError, HostileDevice, HostileSettings
+from .over_udp import served
+from .truth import Asked, Ending, Mover
+
+LAW: tuple[str, ...] = ("linearised_mpc", "pid", "inverse")
+"""Controllers of a run, by the kind of their block."""
+
+ANGLE_LIMITS_DEG = (10.0, 110.0)
+"""Where the tip may go in a commissioning and an investigation [deg]."""
+
+_SETTLE_S = 6.0  # that a device is watched after everybody has left: its watchdog and the way back
+_REFERENCE: Mapping[str, Any] = {
+    "kind": "scan_sinusoid",
+    "start_deg": 45.0,
+    "centre_deg": 55.0,
+    "amplitude_deg": 15.0,
+    "frequency_hz": 0.4,
+    "cycles": 9,
+}
+_SCAN: Mapping[str, Any] = {**_REFERENCE, "amplitude_deg": 10.0, "frequency_hz": 0.5, "cycles": 1.0}
+BENCH: Mapping[str, Any] = {
+    "name": "device",
+    "rate_hz": 25,
+    "command_unit": "mm",
+    "limits": {"lower": 0.0, "upper": 6.0, "rate_per_s": 10.0},
+    "ramps": {"velocity_per_s": 3.0, "acceleration_per_s2": 15.0, "jerk_per_s3": 150.0},
+    "safe_command": SAFE,
+    "sensor": {"lower_deg": 0.0, "upper_deg": 120.0, "rate_limit_deg_s": 400.0},
+}
+_COMMISSION: Mapping[str, Any] = {
+    "minutes": 2.5,
+    "diagnose": False,
+    "tune_evaluations": 24,
+    "range_steps": 5,
+    "motions": {"scan": _SCAN},
+    "angle_limits_deg": ANGLE_LIMITS_DEG,
+}
+_INVESTIGATE: Mapping[str, Any] = {"model": "builtin:tendon-catheter", "minutes": 1.5, "longest_motion_s": 8.0}
+_UDP_CYCLES = 4
+_GRACE = 2.0  # samples: jitter at either end
+_ROS_S = 25.0
+_ROS_TARGETS_DEG = (45.0, 60.0, 40.0, 65.0, 50.0, 70.0, 45.0, 55.0, 40.0)
+_ROS_STAYS_S = 2.5  # at each of them
+_LATCH = "latched.json"
+
+
+@dataclass(frozen=True)
+class How:
+    """How a device is used.
+
+    Attributes:
+        law: kind of the controller of `run` and `ros2`.
+        backend: what steps it in `run`.
+        udp: whether `run` goes over a real wire, in real time: whole samples are taken in C there.
+        bench: changes of the bench file, nested.
+        whole: whether a commissioning goes on to the end; else, and with an investigation, it ends after its first
+            recordings, since nothing new moves the device afterwards but what `run` does.
+    """
+
+    law: str = "linearised_mpc"
+    backend: Literal["python", "c"] = "python"
+    udp: bool = False
+    bench: Mapping[str, Any] | None = None
+    whole: bool = False
+
+
+class RecordedError(Exception):
+    """All recordings are made: what a commissioning or an investigation does with them needs no device."""
+
+
+def use(mover: Mover, device: HostileDevice, folder: Path, how: How = How()) -> tuple[Asked, Ending]:
+    """Let one of the movers loose on a device, and watch it until it has to be at rest.
+
+    Raises:
+        ConfigError: if the mover is not there: the ROS 2 node's files are no part of an installed package.
+    """
+    settings = _bench(device, folder, how)
+    if how.udp:
+        with served(device) as port:
+            settings["transport"] = {"kind": "udp", "port": port}
+            ending = _ended(_MOVERS[mover](settings, folder, how), folder)
+        ending = replace(ending, in_c=_in_c(folder))
+    else:
+        ending = _ended(_MOVERS[mover](settings, folder, how), folder)
+    if ending.how != "raised":
+        device.settle(_SETTLE_S)
+    limits, sensor = settings["limits"], settings["sensor"]
+    angles = ANGLE_LIMITS_DEG if mover in ("commission", "investigate") else None
+    bench = BenchSettings.parse(settings)
+    asked = Asked(
+        mover,
+        limits["lower"],
+        limits["upper"],
+        limits["rate_per_s"],
+        bench.dt_s,
+        bench.overshoot,
+        (sensor["lower_deg"], sensor["upper_deg"]),
+        angles,
+        _GRACE * bench.dt_s if how.udp else 0.0,
+    )
+    return asked, ending
+
+
+def _in_c(folder: Path) -> int:
+    """Samples of a run that were taken whole in C."""
+    files = sorted(folder.rglob("timing.json"))
+    return int(json.loads(files[-1].read_text(encoding="utf-8"))["outcome"]["in_c"]) if files else 0
+
+
+def _bench(device: HostileDevice, folder: Path, how: How) -> dict[str, Any]:
+    own: Mapping[str, Any] = how.bench or {}
+    changed = {key: {**BENCH.get(key, {}), **value} if isinstance(value, dict) else value for key, value in own.items()}
+    more = {"transport": HostileSettings.of(device), "latch_file": folder / _LATCH}
+    return {**BENCH, **more, "realtime": {"backend": how.backend}, **changed}
+
+
+def _ended(move: Callable[[], str], folder: Path) -> Ending:
+    """How it ended; anything that is no error of ours is a fault of the program."""
+    latch = folder / _LATCH
+    try:
+        words = move()
+    except RecordedError:
+        return Ending("ended")
+    except DeviceStoppedError as stop:
+        return Ending("stopped", stop.result.outcome.cause, latch.exists())
+    except ConfigError as error:
+        return Ending("refused", str(error))
+    except HystmpcError as error:
+        return Ending("early", str(error))
+    except EndlessError as error:
+        return Ending("raised", f"{error}: it never left the device alone")
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is the finding
+        return Ending("raised", f"{type(error).__name__}: {error}")
+    return Ending("stopped", words, True) if words else Ending("ended")
+
+
+Move = Callable[[], str]
+
+
+def _run(settings: dict[str, Any], folder: Path, how: How) -> Move:
+    bench = BenchSettings.parse(settings)
+    tip = TipSettings.parse({"model": "builtin:pi", "controller": {"kind": how.law}})
+    wanted = {**_REFERENCE, "cycles": _UDP_CYCLES} if how.udp else _REFERENCE
+    motion = RunSettings.parse({**settings, "controller": tip, "reference": dict(wanted)}).reference
+    opened = BenchDevice(bench, plants_in(Path(), bench.command_unit), folder)
+
+    def move() -> str:
+        opened.track("run/track", tip, motion, bench)
+        return ""
+
+    return move
+
+
+def _record(settings: dict[str, Any], folder: Path, how: How) -> Move:
+    del how
+    bench = BenchSettings.parse({**settings, "realtime": {"backend": "python"}})
+    opened = BenchDevice(bench, plants_in(Path(), bench.command_unit), folder)
+
+    def move() -> str:
+        opened.play("record/excitation", _excitation(bench), bench)
+        return ""
+
+    return move
+
+
+def _excitation(bench: BenchSettings) -> Vec:
+    """Steps, holds and a sweep over most of the range, 20 s (N,)."""
+    t = bench.dt_s * np.arange(round(10.0 / bench.dt_s))
+    way = 0.7 * bench.limits.upper
+    sweep = 0.5 * way * (1.0 - np.cos(2.0 * math.pi * (0.2 + 0.02 * t) * t))
+    steps = way_commands(float(sweep[-1]), [1.0, 5.0, 2.0, 4.0, 0.0], [1.0] * 5, bench.ramps, bench.dt_s)
+    return np.concatenate([sweep, steps])
+
+
+def _commission(settings: dict[str, Any], folder: Path, how: How) -> Move:
+    block = {**_COMMISSION, **(how.bench or {}).get("commission", {})}
+    made = CommissionSettings.parse({**settings, "realtime": {"backend": "python"}, "commission": block})
+
+    def opened(root: Path, tick: Tick) -> Device:
+        plants, limits = plants_in(Path(), made.command_unit), made.commission.angle_limits_deg
+        own = BenchDevice(made, plants, root, limits, tick=tick)
+        return own if how.whole else OnlyRecordings(own, 6)
+
+    def move() -> str:
+        commission_device(made, opened, folder / "commission")
+        return ""
+
+    return move
+
+
+def _investigate(settings: dict[str, Any], folder: Path, how: How) -> Move:
+    del how
+    data = {**settings, "realtime": {"backend": "python"}, "investigate": dict(_INVESTIGATE)}
+    data["commission"] = {"angle_limits_deg": ANGLE_LIMITS_DEG}
+    made = located_investigation(InvestigateSettings.parse(data), Path())
+
+    def opened(root: Path, tick: Tick) -> Device:
+        plants, limits = plants_in(Path(), made.command_unit), made.commission.angle_limits_deg
+        return OnlyRecordings(BenchDevice(made, plants, root, limits, tick=tick), 3)
+
+    def move() -> str:
+        investigate_device(made, opened, folder / "investigate")
+        return ""
+
+    return move
+
+
+@final
+class OnlyRecordings(Device):
+    """A device that is not moved any more after so many recordings."""
+
+    def __init__(self, device: BenchDevice, most: int) -> None:
+        self._device, self._left = device, most
+        self.in_real_time = device.in_real_time
+
+    @property
+    def used_s(self) -> float:  # type: ignore[override]
+        """Device time [s]."""
+        return self._device.used_s
+
+    def explore(self, name: str, phase: Phase, bench: BenchSettings) -> None:
+        self._device.explore(name, phase, bench)
+
+    def play(self, name: str, commands: Vec, bench: BenchSettings) -> Trial:
+        """As the device does.
+
+        Raises:
+            RecordedError: after the last one.
+        """
+        trial = self._device.play(name, commands, bench)
+        self._left -= 1
+        if not self._left:
+            raise RecordedError("recorded")
+        return trial
+
+    def track(self, name: str, tip: TipSettings, reference: MotionSettings, bench: BenchSettings) -> Track:
+        return self._device.track(name, tip, reference, bench)
+
+
+PLANNER = Path(hystmpc.__file__).parent / "ros2" / "hystmpc_ros" / "hystmpc_ros" / "planner.py"
+"""The part of the ROS 2 node that knows no ROS."""
+
+
+def _planner() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("hystmpc_ros_planner", PLANNER)
+    if spec is None or spec.loader is None or not PLANNER.exists():
+        raise ConfigError(f"{PLANNER}: is not there, expected a checkout of the package; leave out --mover ros2")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _ros2(settings: dict[str, Any], folder: Path, how: How) -> Move:
+    bench = BenchSettings.parse({**settings, "realtime": {"backend": "python"}})
+    config = folder / "tip.yaml"
+    ladder = {"safe_command": SAFE}
+    config.write_text(dump_yaml({"model": "builtin:pi", "controller": {"kind": how.law, "ladder": ladder}}))
+    clock, steering = SimulatedClock(), Steering(config)
+    plants = plants_in(Path(), bench.command_unit)
+    transport = bench.transport.open(RunContext(Conversion(1.0, 0.0, 1.0), bench.dt_s, clock.now_ns, plants))
+    node = _planner().Planner(bench, steering, transport, clock)
+    return lambda: _steered(node, steering.tip, clock, bench.dt_s)
+
+
+def _steered(node: Any, tip: TipController, clock: SimulatedClock, dt_s: float) -> str:
+    """The node for as long as it is given targets, or until it has stopped; why it has, empty where it has not."""
+    targets, said = list(_ROS_TARGETS_DEG), ""
+    for k in range(round(_ROS_S / dt_s)):
+        _turn(node, clock, dt_s)
+        if tip.state().stopped:
+            said = str(node.status)
+            break
+        if not node.over and k * dt_s >= _ROS_STAYS_S * (len(_ROS_TARGETS_DEG) - len(targets)) and targets:
+            tip.set_target(targets.pop(0))
+    for _ in range(round(_ROS_STAYS_S / dt_s)):  # a stop is on its way
+        _turn(node, clock, dt_s)
+    node.leave("the node is ended")
+    for _ in range(round(_ROS_STAYS_S / dt_s)):
+        _turn(node, clock, dt_s)
+        if node.over:
+            break
+    node.close()
+    return said
+
+
+def _turn(node: Any, clock: SimulatedClock, dt_s: float) -> None:
+    """One sample of a timer that calls late where the node has taken longer."""
+    period = round(1e9 * dt_s)
+    clock.wait_until(clock.now_ns() // period * period + period)
+    node.sample()
+
+
+_MOVERS: Mapping[Mover, Callable[[dict[str, Any], Path, How], Move]] = {
+    "run": _run,
+    "record": _record,
+    "commission": _commission,
+    "investigate": _investigate,
+    "ros2": _ros2,
+}
