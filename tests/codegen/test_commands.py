@@ -96,13 +96,12 @@ def test_commands_are_those_of_python_with_a_quantised_sensor(tmp_path: Path) ->
         sensor_resolution_deg=0.9,
     )
     assert model.identification is not None
-    known = replace(model, identification=replace(model.identification, noise=noise))
+    known = replace(model, identification=model.identification.model_copy(update={"noise": noise}))
     save_simulator(known, tmp_path / "coarse.yaml")
     settings_ = tip(str(tmp_path / "coarse.yaml"), **PLAIN)
     found = compare(settings_, library(settings_, tmp_path), 2000, noise_deg=0.26)
     assert found.greatest <= SAME
     assert found.same_sources
-    assert found.sources["hold"] > 100
 
 
 @pytest.mark.slow
