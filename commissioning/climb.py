@@ -130,7 +130,7 @@ class Climb(Phase):
         moves_deg, moved_deg = abs(np.mean(after) - np.mean(before)), abs(angle - self._at_deg)
         self._waited += 1
         moves = moved_deg > self._moves and moves_deg > _SETTLED * moved_deg
-        return moves and self._waited * self._bench.dt_s < _SETTLES_S
+        return bool(moves) and self._waited * self._bench.dt_s < _SETTLES_S
 
     def _rested(self, now: PhaseInput, angle: float) -> None:
         """Judge the step that is over and plan the next one; without an angle, wait."""

@@ -138,7 +138,8 @@ def _read_hdf5(path: str) -> dict[str, Any]:
 
     with h5py.File(path, "r") as file:
         tree = _Hdf5Tree(path, file)
-        return {name: tree.read(tree.item(file, name)) for name in file if not name.startswith("#")}
+        names = [str(name) for name in file]
+        return {name: tree.read(tree.item(file, name)) for name in names if not name.startswith("#")}
 
 
 class _Hdf5Tree:
@@ -194,7 +195,7 @@ class _Hdf5Tree:
         self._around.append(place)
         try:
             if isinstance(item, h5py.Group):
-                return {name: self.read(self.item(item, name)) for name in item}
+                return {name: self.read(self.item(item, name)) for name in map(str, item)}
             if (item.size or 0) > self._left:
                 raise self._too_many()
             references = np.asarray(item[()]).reshape(-1)  # a cell, or one field of a struct array

@@ -77,8 +77,8 @@ static void judge_hold(hystmpc_controller *c, const given *g, const real *held) 
     }
     if (c->constant < HYSTMPC_MOST_SAMPLES) c->constant++;
     const real waited = least((real)(c->constant / HYSTMPC_HOLD_PATIENCE), HYSTMPC_LEAVE_SIGMAS);
-    const real sigmas = held_before ? HYSTMPC_LEAVE_SIGMAS : waited;
-    c->holding = farthest(held, H, g->disturbance, c->hold_target) <= HYSTMPC_HOLD_TOLERANCE + sigmas * g->sigma;
+    const real more = held_before ? HYSTMPC_LEAVE_SIGMAS * g->sigma + HYSTMPC_HOLD_STEP : waited * g->sigma;
+    c->holding = farthest(held, H, g->disturbance, c->hold_target) <= HYSTMPC_HOLD_TOLERANCE + more;
 }
 
 /* In a hold a correction as small as the error asks for, so that it meets the measurement before it is too far. */

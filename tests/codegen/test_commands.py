@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,9 @@ from hypothesis import strategies as st
 
 from hystmpc.codegen import export_controller
 from hystmpc.ctrl import TipController
+from hystmpc.models.contract.metadata import NoiseModel
+from hystmpc.models.load import library_file
+from hystmpc.models.simulator import load_simulator, save_simulator
 
 from .compiled import EXAMPLES, SOURCES, Library, library
 from .loops import START, START_DEG, compare
@@ -79,6 +83,25 @@ def test_commands_are_those_of_python_for_every_part(case: str, tmp_path: Path) 
     assert found.greatest <= SAME
     assert found.same_sources
     assert found.sources["mpc"] + found.sources["feedback"] > 500
+
+
+@pytest.mark.slow
+def test_commands_are_those_of_python_with_a_quantised_sensor(tmp_path: Path) -> None:
+    """A hold is left only beyond a step of the readings."""
+    model = load_simulator(library_file("pi"))
+    noise = NoiseModel(
+        sensor_sigma_deg=0.26,
+        drift_sigma_deg_per_sqrt_s=0.3,
+        motion_sigma_deg_per_sqrt_unit=1.0,
+        sensor_resolution_deg=0.9,
+    )
+    assert model.identification is not None
+    known = replace(model, identification=model.identification.model_copy(update={"noise": noise}))
+    save_simulator(known, tmp_path / "coarse.yaml")
+    settings_ = tip(str(tmp_path / "coarse.yaml"), **PLAIN)
+    found = compare(settings_, library(settings_, tmp_path), 2000, noise_deg=0.26)
+    assert found.greatest <= SAME
+    assert found.same_sources
 
 
 @pytest.mark.slow
