@@ -62,13 +62,10 @@ def faults(
 
     With --devices every program that moves a device meets hostile and healthy ones, on a clock that is computed.
     """
+    _check(devices, mover, transport, backend)
     if devices:
-        if transport or backend:
-            raise ConfigError("--devices: got --transport or --backend, expected neither: there is no wire")
         play_devices(folder, only or [], mover or [], jobs)
         return
-    if mover:
-        raise ConfigError("--mover: expected --devices beside it")
     plays = _chosen(folder, only or [], transport or "both", backend or "python")
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # no device may be left behind
     verdicts: list[FaultVerdict] = []
@@ -86,6 +83,14 @@ def faults(
             errors.print(text, style="red", soft_wrap=True, markup=False, highlight=False)
         raise typer.Exit(FAILED)
     out.print(f"{len(verdicts)} cases, all as they have to be; no command beyond the limits")
+
+
+def _check(devices: bool, mover: list[str] | None, transport: str | None, backend: str | None) -> None:
+    """Refuse a call that says something that would do nothing."""
+    if devices and (transport or backend):
+        raise ConfigError("--devices: got --transport or --backend, expected neither: its wires are its own")
+    if mover and not devices:
+        raise ConfigError("--mover: got no --devices, expected it beside --mover")
 
 
 def _chosen(folder: Path, only: list[str], transport: str, backend: str) -> list[_Play]:

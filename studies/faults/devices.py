@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .body import Body
-from .hostile import DeviceFault, DeviceSpec, FaultKind
+from .description import DeviceFault, DeviceSpec, FaultKind
 from .movers import LAW, How
 from .truth import MOVERS, Mover
 

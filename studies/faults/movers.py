@@ -13,7 +13,6 @@ from typing import Any, Literal, final
 
 import numpy as np
 
-import hystmpc
 from hystmpc.commissioning.config import CommissionSettings
 from hystmpc.commissioning.device import BenchDevice, Device, DeviceStoppedError, Kept, SimulatedClock, Tick, Track
 from hystmpc.commissioning.plants import plants_in
@@ -22,7 +21,7 @@ from hystmpc.ctrl import TipController
 from hystmpc.ctrl.planner.settings import TipSettings
 from hystmpc.investigation.config import InvestigateSettings, located_investigation
 from hystmpc.investigation.run import investigate_device
-from hystmpc.rig.bench import run_bench
+from hystmpc.rig.bench import BenchResult, run_bench
 from hystmpc.rig.commission.experiment import run_experiment, tracking_phase
 from hystmpc.rig.commission.phases import CommandMotion, Phase
 from hystmpc.rig.commission.record import Recorded
@@ -39,7 +38,8 @@ from hystmpc.trials.errors import ConfigError, HystmpcError
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 
-from .hostile import SAFE, EndlessError, HostileDevice, HostileSettings
+from .description import SAFE
+from .hostile import EndlessError, HostileDevice, HostileSettings
 from .over_udp import served
 from .truth import Asked, Ending, Mover
 
@@ -105,6 +105,9 @@ class How:
     whole: bool = False
 
 
+Move = Callable[[], Ending]
+
+
 class RecordedError(Exception):
     """All recordings are made: what a commissioning or an investigation does with them needs no device."""
 
@@ -156,11 +159,11 @@ def _bench(device: HostileDevice, folder: Path, how: How) -> dict[str, Any]:
     return {**BENCH, **more, "realtime": {"backend": how.backend}, **changed}
 
 
-def _ended(move: Callable[[], str], folder: Path) -> Ending:
+def _ended(move: Move, folder: Path) -> Ending:
     """How it ended; anything that is no error of ours is a fault of the program."""
     latch = folder / _LATCH
     try:
-        words = move()
+        return move()
     except RecordedError:
         return Ending("ended")
     except DeviceStoppedError as stop:
@@ -173,10 +176,6 @@ def _ended(move: Callable[[], str], folder: Path) -> Ending:
         return Ending("raised", f"{error}: it never left the device alone")
     except Exception as error:  # noqa: BLE001 - whatever it is, it is the finding
         return Ending("raised", f"{type(error).__name__}: {error}")
-    return Ending("stopped", words, latch.exists()) if words else Ending("ended")
-
-
-Move = Callable[[], str]
 
 
 def _run(settings: dict[str, Any], folder: Path, how: How) -> Move:
@@ -186,9 +185,16 @@ def _run(settings: dict[str, Any], folder: Path, how: How) -> Move:
     run = RunSettings.parse({**settings, "controller": tip, "reference": dict(wanted)})
     plants = plants_in(Path(), run.command_unit)
     if how.udp:
-        return lambda: run_experiment(run, lambda: _recorder(run, folder / "run"), plants, folder=folder).outcome.cause
+        return lambda: _outcome(
+            run_experiment(run, lambda: _recorder(run, folder / "run"), plants, folder=folder), folder
+        )
     tracking = tracking_phase(run, beside=False)
-    return lambda: run_bench(run, lambda: [tracking], Kept, plants, clock=SimulatedClock()).outcome.cause
+    return lambda: _outcome(run_bench(run, lambda: [tracking], Kept, plants, clock=SimulatedClock()), folder)
+
+
+def _outcome(result: BenchResult, folder: Path) -> Ending:
+    cause = result.outcome.cause
+    return Ending("stopped", cause, (folder / _LATCH).exists()) if cause else Ending("ended")
 
 
 def _recorder(run: RunSettings, folder: Path) -> Sink:
@@ -198,7 +204,7 @@ def _recorder(run: RunSettings, folder: Path) -> Sink:
 
 def _record(settings: dict[str, Any], folder: Path, how: How) -> Move:
     """As `record` does it."""
-    del folder, how
+    del how
     bench = BenchSettings.parse({**settings, "realtime": {"backend": "python"}})
     commands = _excitation(bench)
 
@@ -207,7 +213,7 @@ def _record(settings: dict[str, Any], folder: Path, how: How) -> Move:
 
     phases: list[Phase] = [CommandMotion("approach", approach), Recorded("excitation", commands, bench.dt_s)]
     plants = plants_in(Path(), bench.command_unit)
-    return lambda: run_bench(bench, lambda: phases, Kept, plants, clock=SimulatedClock()).outcome.cause
+    return lambda: _outcome(run_bench(bench, lambda: phases, Kept, plants, clock=SimulatedClock()), folder)
 
 
 def _excitation(bench: BenchSettings) -> Vec:
@@ -228,9 +234,9 @@ def _commission(settings: dict[str, Any], folder: Path, how: How) -> Move:
         own = BenchDevice(made, plants, root, limits, tick=tick)
         return own if how.whole else OnlyRecordings(own, 6)
 
-    def move() -> str:
+    def move() -> Ending:
         commission_device(made, opened, folder / "commission")
-        return ""
+        return Ending("ended")
 
     return move
 
@@ -245,9 +251,9 @@ def _investigate(settings: dict[str, Any], folder: Path, how: How) -> Move:
         plants, limits = plants_in(Path(), made.command_unit), made.commission.angle_limits_deg
         return OnlyRecordings(BenchDevice(made, plants, root, limits, tick=tick), 3)
 
-    def move() -> str:
+    def move() -> Ending:
         investigate_device(made, opened, folder / "investigate")
-        return ""
+        return Ending("ended")
 
     return move
 
@@ -284,7 +290,7 @@ class OnlyRecordings(Device):
         return self._device.track(name, tip, reference, bench)
 
 
-PLANNER = Path(hystmpc.__file__).parent / "ros2" / "hystmpc_ros" / "hystmpc_ros" / "planner.py"
+PLANNER = Path(__file__).resolve().parents[2] / "ros2" / "hystmpc_ros" / "hystmpc_ros" / "planner.py"
 """The part of the ROS 2 node that knows no ROS."""
 
 
@@ -309,8 +315,8 @@ def _ros2(settings: dict[str, Any], folder: Path, how: How) -> Move:
     return lambda: _steered(node, steering.tip, clock, bench.dt_s)
 
 
-def _steered(node: Any, tip: TipController, clock: SimulatedClock, dt_s: float) -> str:
-    """The node for as long as it is given targets, or until it has stopped; why it has, empty where it has not."""
+def _steered(node: Any, tip: TipController, clock: SimulatedClock, dt_s: float) -> Ending:
+    """The node for as long as it is given targets, or until it has stopped."""
     targets, said = list(_ROS_TARGETS_DEG), ""
     for k in range(round(_ROS_S / dt_s)):
         _turn(node, clock, dt_s)
@@ -327,7 +333,7 @@ def _steered(node: Any, tip: TipController, clock: SimulatedClock, dt_s: float) 
         if node.over:
             break
     node.close()
-    return said
+    return Ending("stopped", said, tip.state().stopped) if said else Ending("ended")
 
 
 def _turn(node: Any, clock: SimulatedClock, dt_s: float) -> None:

@@ -12,7 +12,8 @@ from hystmpc.rig.transports.transport import DeviceLink, Incoming, Outgoing
 from hystmpc.rig.transports.udp import UdpLink
 from hystmpc.trials.errors import ConfigError
 
-from .hostile import DeviceSpec, HostileDevice
+from .description import DeviceSpec
+from .hostile import HostileDevice
 
 _HOST = "127.0.0.1"
 _PAUSE_S = 0.0005

@@ -14,7 +14,8 @@ from hystmpc.commissioning.bounded import BESIDE, MEDIAN
 from hystmpc.rig.safety.plausibility import PlausibilitySettings
 from hystmpc.trials.types import Vec
 
-from .hostile import SAFE, DeviceFault, FaultKind, HostileDevice, Row
+from .description import SAFE, DeviceFault, FaultKind, Row
+from .hostile import HostileDevice
 
 Rows = NDArray[np.intp]
 Mover = Literal["run", "record", "commission", "investigate", "ros2"]

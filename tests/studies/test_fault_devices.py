@@ -21,8 +21,9 @@ from hystmpc.rig.safety.gate import Anchor, Gate
 from hystmpc.rig.safety.plausibility import MotionWatch
 from hystmpc.studies.faults.body import Body
 from hystmpc.studies.faults.campaign import played, played_all
+from hystmpc.studies.faults.description import DeviceFault, DeviceSpec, FaultKind, Row
 from hystmpc.studies.faults.devices import DeviceCase, DevicePlay, device_cases, device_plays
-from hystmpc.studies.faults.hostile import DeviceFault, DeviceSpec, FaultKind, HostileDevice, Row
+from hystmpc.studies.faults.hostile import HostileDevice
 from hystmpc.studies.faults.movers import How
 from hystmpc.studies.faults.truth import MOVERS, Asked, DeviceVerdict, Ending, Mover, judged
 
