@@ -91,13 +91,13 @@ def test_it_drives_the_device_of_hystmpc(world: World, device: subprocess.Popen[
 
     try:
         world.start()
-        until(lambda: not world.node.planner.over, 60.0)
+        until(lambda: world.states and world.states[-1].source == "mpc", 60.0)
         world.graph.publish("~/target", FLOAT(data=55.0))
         until(lambda: world.states[-1].settled and abs(bridge.angle - 55.0) < 1.0, 20.0)
         assert not world.states[-1].stopped
         world.graph.call("~/stop")
         until(lambda: bridge.held == 0.0, 20.0)
         world.graph.call("~/reset")
-        until(lambda: not world.node.planner.over, 20.0)
+        until(lambda: world.states[-1].source == "mpc", 20.0)
     finally:
         bridge.close()
