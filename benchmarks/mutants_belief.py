@@ -27,8 +27,8 @@ MUTANTS: tuple[Mutant, ...] = (
     _intake("noise of a fast stream is a jump", "_RATE_S = 0.02", "_RATE_S = 0.0002"),
     _intake(
         "small steps of a fast stream never add up",
-        "self._rated = taken_ns, reading.angle_deg",
-        "self._rated = self._accepted_ns, self._angle",
+        "if self._rated is None or taken_ns - self._rated[0] >= _RATE_S / _S:",
+        "if taken_ns >= 0:",
     ),
     _intake(
         "a coarse sensor is frozen",

@@ -54,7 +54,11 @@ MUTANTS: tuple[Mutant, ...] = (
         "boot if self._gate.anchored else self._clock.boot_ns()",
         "boot",
     ),
-    _slow("a pile is read for ever before the first sample", "[] if left < 0 else ", ""),
+    _slow(
+        "a pile is read for ever before the first sample",
+        "until = self._clock.now_ns() + self._stall_ns",
+        "until = self._clock.now_ns() + 1000 * self._stall_ns",
+    ),
     _reader("reading goes on for the whole sample", "_SHARE = 4 ", "_SHARE = 1 "),
     _reader("reading has no budget", "while now - began <= budget_ns and", "while began <= now and"),
     _reader("64 readings are all that is taken", "_MOST = 4096", "_MOST = 64"),

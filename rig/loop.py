@@ -53,7 +53,7 @@ class RunOutcome:
 
 _S = 1e-9
 _PILED_UP = 25  # times 4096 readings
-_SLOW_NS = 400_000_000  # how far behind calls of the wire may put the loop
+_SLOW_NS = 300_000_000  # how far behind calls of the wire may put the loop
 _CALM = 5  # samples without a fault before others are taken in C
 
 
@@ -361,7 +361,7 @@ class ControlLoop:
         self.timings.missed += self._late
         if self._late:
             faults = (*faults, "deadline-missed")
-        if self._is_slow():
+        if self._is_slow("command-not-sent" not in faults and decision.source != "wait"):
             faults = (*faults, "wire-slow")
         self.faults.update(faults)
         self._calm = 0 if faults else self._calm + 1
@@ -370,13 +370,14 @@ class ControlLoop:
         self._woke_ns = times.woke
         self._sequence += 1
 
-    def _is_slow(self) -> bool:
+    def _is_slow(self, sent: bool) -> bool:
         """Whether the wire took longer than a sample; asks for a stop where it alone has put the loop too far behind.
 
-        Quicker samples make up for slow ones: a loaded machine is no slow wire.
+        Quicker samples make up for slow ones where a command has left in them: a loaded machine is no slow wire.
         """
         over, most = self._wire_ns - self._dt_ns, min(self._stall_ns, _SLOW_NS)
-        self._behind_ns = max(0, self._behind_ns + min(over, most // 3))
+        if over > 0 or sent:
+            self._behind_ns = max(0, self._behind_ns + min(over, most // 3))
         if self._behind_ns > most:
             self._flag.set(f"the wire is too slow: {_S * self._wire_ns:.3f} s in a sample of {_S * self._dt_ns:g} s")
         return over > 0
@@ -389,8 +390,7 @@ class ControlLoop:
         try:
             until = self._clock.now_ns() + self._stall_ns
             for _ in range(_PILED_UP):
-                left = until - self._clock.now_ns()
-                readings = [] if left < 0 else self._reader.within(left).readings
+                readings = self._reader.within(until - self._clock.now_ns()).readings
                 if not readings:
                     return
                 self._thrown += len(readings) - (self._newest is None)

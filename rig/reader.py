@@ -9,7 +9,7 @@ from .transports.transport import Reading, Transport
 
 _SHARE = 4  # a quarter of a sample: judging may take as long once more, so half of it is left to decide and to send
 _MOST = 4096  # readings, where the clock stands still meanwhile
-_SPARED_NS = 1_000_000_000
+_SPARED_NS, _SLOW_FOR_NS = 800_000_000, 3_000_000_000
 
 
 class Taken(NamedTuple):
@@ -33,23 +33,28 @@ class Reader:
 
     def __init__(self, transport: Transport, clock: Clock, dt_ns: int) -> None:
         self._transport, self._clock, self._dt_ns = transport, clock, dt_ns
-        self._again_ns: int | None = None  # when a wire that is too slow is read again
+        self._slow_ns: int | None = None  # when reading last took longer than a sample
+        self._read_ns = 0
 
     def take(self, spared: bool = False) -> Taken:
         """What has arrived.
 
         Args:
-            spared: whether a wire on which reading took longer than a sample is left to the commands for a second.
+            spared: whether a wire on which reading lately took longer than a sample is left to the commands for most of
+                the time: it is read every 0.8 s.
         """
-        began = self._clock.now_ns()
-        if spared and self._again_ns is not None and began < self._again_ns:
+        now = self._clock.now_ns()
+        slow = self._slow_ns is not None and now - self._slow_ns < _SLOW_FOR_NS
+        if spared and slow and now - self._read_ns < _SPARED_NS:
             return Taken([], "", 0)
         taken = self.within(self._dt_ns // _SHARE)
-        self._again_ns = began + taken.took_ns + _SPARED_NS if taken.took_ns > self._dt_ns else None
+        self._read_ns = now + taken.took_ns
+        if taken.took_ns > self._dt_ns:
+            self._slow_ns = self._read_ns
         return taken
 
     def within(self, budget_ns: int) -> Taken:
-        """What has arrived, as far as it can be read in a time [ns]."""
+        """What has arrived, as far as it can be read in a time [ns]; nothing in one below 0."""
         readings: list[Reading] = []
         began = now = self._clock.now_ns()
         fault = ""

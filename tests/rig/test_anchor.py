@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hystmpc.ctrl.limits import CommandLimits
@@ -392,6 +392,8 @@ def false_for(rig: Rig, first: int, last: int, says: float) -> None:
     says=st.one_of(st.floats(-1.0, 7.0), st.just(1e308)),
     top=st.floats(0.5, 5.0),
 )
+@example(at=70, lasts=6, says=0.5, top=4.0)
+@example(at=20, lasts=6, says=5.5, top=4.0)
 @settings(max_examples=80)
 def test_a_device_that_says_something_false_is_never_sent_a_jump(at: int, lasts: int, says: float, top: float) -> None:
     """Any false command held, for any time: what is sent is within a sample's rate of what the device really holds.
@@ -416,6 +418,7 @@ def test_a_device_that_says_something_false_is_never_sent_a_jump(at: int, lasts:
         assert max((abs(b - a) for a, b in steps), default=0.0) <= STEP + 1e-9
     if led and lasts * DT > 4.0:
         assert outcome.cause
+        assert outcome.samples * DT <= at * DT + 4.0  # it is not waited for much longer than two seconds
     assert rig.transport.rest() == pytest.approx(0.0)
 
 

@@ -205,3 +205,14 @@ def test_a_sink_that_always_raises_moves_nothing(monkeypatch: pytest.MonkeyPatch
     outcome = rig.run([travel()])
     assert (outcome.cause, outcome.refused) == ("", outcome.samples)
     assert rig.clock.ns < 60 * NS
+
+
+def test_a_command_that_may_have_left_is_asked_for() -> None:
+    """The books say nothing of it: the next one is measured from what the device says, not from the one before."""
+    rig, failing = failing_rig("gate", "sent", lambda k: k == 20)
+    outcome = rig.run([travel()])
+    assert failing.raised == 1
+    failed = next(k for k, s in enumerate(rig.sink.samples) if "sample-failed" in s.faults)
+    assert [s.source for s in rig.sink.samples[failed : failed + 2]] == ["wait", "wait"]
+    assert "held-unknown" in rig.sink.samples[failed + 1].faults
+    assert outcome.confirmed

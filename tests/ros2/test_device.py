@@ -13,6 +13,8 @@ from typing import Any
 import pytest
 import yaml
 
+from hystmpc.rig.realtime import MonotonicClock
+
 from .test_messages import needs_dds
 from .test_planner import FLOAT, GIVEN, STAMPED, World, world
 
@@ -76,6 +78,7 @@ class Bridge:
 
 def test_it_drives_the_device_of_hystmpc(world: World, device: subprocess.Popen[str]) -> None:
     world.graph.parameters = {"config": GIVEN["config"]}
+    world.module.MonotonicClock = MonotonicClock  # the device's own: it is another process
     bridge = Bridge(world)
     world.device.period = bridge.turn  # type: ignore[method-assign]
 
@@ -88,13 +91,13 @@ def test_it_drives_the_device_of_hystmpc(world: World, device: subprocess.Popen[
 
     try:
         world.start()
-        until(lambda: world.node.planner.running, 60.0)
+        until(lambda: world.states and world.states[-1].source == "mpc", 60.0)
         world.graph.publish("~/target", FLOAT(data=55.0))
         until(lambda: world.states[-1].settled and abs(bridge.angle - 55.0) < 1.0, 20.0)
         assert not world.states[-1].stopped
         world.graph.call("~/stop")
         until(lambda: bridge.held == 0.0, 20.0)
         world.graph.call("~/reset")
-        until(lambda: world.node.planner.running, 20.0)
+        until(lambda: world.states[-1].source == "mpc", 20.0)
     finally:
         bridge.close()

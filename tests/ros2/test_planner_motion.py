@@ -273,7 +273,9 @@ def test_without_a_safe_command_a_stop_stays_where_it_is(steering: Steering, pla
         node = Node(steering, planner_class)
         node.turns(10).planner.tip.set_target(80.0)
         node.turns(60).planner.stop("somebody")
-        held = node.device.held
+        assert node.turns(1).planner.status == "safe stop: somebody"
+        held = node.turns(60).device.held
+        assert held > 3.0
         node.turns(60)
         assert node.device.held == pytest.approx(held, abs=1e-6)
         node.turns(1, round(0.8 * NS))
