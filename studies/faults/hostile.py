@@ -143,7 +143,7 @@ class HostileDevice:
                 self._step((until - state.ns) / _NS)
                 state.ns = until
             if state.ns == state.next_reading_ns:
-                self._send()
+                self._show()
                 state.next_reading_ns += self._period_ns
             if state.ns == state.next_row_ns:
                 self._note(math.nan, state.target)
@@ -170,7 +170,7 @@ class HostileDevice:
         """The oldest reading that has arrived; one of this moment where `read` always has something."""
         if self.active("reads_slowly") is not None:
             self._wire.clear()
-            self._send(flight_s=0.0)
+            self._show(flight_s=0.0)
         if not self._wire or self._wire[0].arrives_ns > self.state.ns:
             return None
         found = self._wire.popleft()
@@ -217,7 +217,7 @@ class HostileDevice:
         if silent or (self.active("leaves") is not None and not state.returns):
             state.returns, state.deaf, state.heard_ns = True, True, None
 
-    def _send(self, flight_s: float | None = None) -> None:
+    def _show(self, flight_s: float | None = None) -> None:
         """One reading, on its way."""
         state, spec = self.state, self.spec
         state.sequence += 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -17,14 +18,18 @@ from typer.testing import CliRunner
 from hystmpc.cli.main import app
 from hystmpc.commissioning import bounded
 from hystmpc.commissioning.device import SimulatedClock
+from hystmpc.commissioning.plants import plants_in
 from hystmpc.rig.safety.gate import Anchor, Gate
 from hystmpc.rig.safety.plausibility import MotionWatch
+from hystmpc.rig.transports.transport import Conversion, Reading, RunContext
+from hystmpc.rig.transports.udp import UdpSettings
 from hystmpc.studies.faults.body import Body
 from hystmpc.studies.faults.campaign import played, played_all
 from hystmpc.studies.faults.description import DeviceFault, DeviceSpec, FaultKind, Row
 from hystmpc.studies.faults.devices import DeviceCase, DevicePlay, device_cases, device_plays
 from hystmpc.studies.faults.hostile import HostileDevice
 from hystmpc.studies.faults.movers import How
+from hystmpc.studies.faults.over_udp import served
 from hystmpc.studies.faults.truth import MOVERS, Asked, DeviceVerdict, Ending, Mover, judged
 
 NS = 1_000_000_000
@@ -308,6 +313,26 @@ def test_several_processes_find_the_same(tmp_path: Path) -> None:
     one, two = (tuple(played_all(plays, tmp_path / str(jobs), jobs)) for jobs in (1, 2))
     assert [v.words for v in one] == [v.words for v in two]
     assert all(math.isclose(a.shows_s, b.shows_s) for a, b in zip(one, two, strict=True))
+
+
+@pytest.mark.slow
+def test_a_device_in_a_process_of_its_own_keeps_what_it_got_over_udp() -> None:
+    device = HostileDevice(HEALTHY)
+    with served(device) as port:
+        made = UdpSettings(kind="udp", port=port)
+        wire = made.open(RunContext(Conversion(1.0, 0.0, 1.0), 0.04, time.monotonic_ns, plants_in(Path(), "mm")))
+        readings: list[Reading] = []
+        until = time.monotonic() + 30.0
+        while len(readings) < 20 and time.monotonic() < until:
+            found = wire.read()
+            readings += [] if found is None else [found]
+            if len(readings) == 5 and not device.rows:
+                wire.write(0.2)
+        wire.stop()
+    assert [row.received for row in device.rows if math.isfinite(row.received)][:1] == [0.2]
+    assert readings[-1].held in (0.0, 0.2)
+    device.settle(2.0)
+    assert device.rows[-1].held == 0.0
 
 
 def test_the_verb_shows_a_table_and_what_failed(tmp_path: Path) -> None:
