@@ -250,8 +250,7 @@ def _stands(truth: Truth, fault: DeviceFault) -> float:
     for motion in np.unique(truth.motion[(truth.t >= began) & (truth.motion >= 0)]):
         rows = np.flatnonzero(truth.motion == motion)
         narrowed = asked.mover == "commission" and motion >= _DASH
-        before = truth.held[truth.t < began]
-        span = float(np.ptp(before)) if narrowed and before.size else asked.upper - asked.lower
+        span = float(np.ptp(truth.held[: rows[0]])) if narrowed else asked.upper - asked.lower
         followed = _lagged(truth.held[rows], truth.t[rows])[truth.t[rows] >= began]
         rows = rows[truth.t[rows] >= began]
         gone = np.maximum.accumulate(followed) - np.minimum.accumulate(followed)
