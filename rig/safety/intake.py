@@ -45,8 +45,8 @@ class SensorSettings(Settings):
             all during 10 s, or once that time beyond the plausible range. For kind none, time without a message of a
             device that has said what it holds.
         frozen_samples: an angle repeated to the last bit that often while the command moves means a frozen sensor, if
-            it has shown noise before, in nearly every angle. A coarse or noiseless one repeats itself anyway: the watch on
-            motion finds it. Null does not look.
+            it has shown noise before, in nearly every angle. A coarse or noiseless one repeats itself anyway: the
+            watch on motion finds it. Null does not look.
         frozen_travel: how far the command has to travel meanwhile, in its unit.
         held_tolerance: how far what the device says it holds may lie beside all that was sent during `dead_after_s`,
             in the command's unit; null does not look. See `DriveFollowing`.
