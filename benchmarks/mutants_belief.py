@@ -122,9 +122,6 @@ MUTANTS: tuple[Mutant, ...] = (
         "return replace(self._found, still=self._still)",
         "return replace(self._found, still=0.0)",
     ),
-    _climb(
-        "a step may be longer than the watch on motion allows", "math.copysign(min(abs(step), longest), step)", "step"
-    ),
     _bounded("an angle out of range is missing", "else now.shown_deg", "else math.nan"),
     _bounded(
         "no limits are any", "angle_limits or (sensor.lower_deg, sensor.upper_deg)", "angle_limits or (-1e9, 1e9)"

@@ -28,7 +28,7 @@ _WINDOW_S = 0.2
 
 _CAUTION = 1.5  # times the steepest slope seen is what the next step is taken to do
 _LEAST_STEP = 0.25  # of a step: less is not worth going
-_STILL, _LONGEST_STEP = 0.45, 0.7  # of the travel that the watch on motion allows
+_STILL = 0.45  # of the travel that the watch on motion allows
 _DASH_SHARE, _DASH_S = 0.5, 0.6  # of the range, and of a second at the greatest rate
 _FOLLOWS = 2  # samples that the device may need longer than the command for the same way
 _CAREFUL = 0.9  # of the rate at which a device that does not follow has moved
@@ -171,8 +171,6 @@ class Climb(Phase):
         if self._at == self._start:
             return _LEAST_STEP * whole  # nothing is known of the slope yet
         step = whole if abs(left) > 1.2 * abs(whole) else left
-        longest = max(_LONGEST_STEP * self._travel, _LEAST_STEP * abs(whole))
-        step = math.copysign(min(abs(step), longest), step)
         move = _CAUTION * self._slope * step
         room = max(self._limits[1] - angle if move > 0 else angle - self._limits[0], 0.0)
         if abs(move) > room:

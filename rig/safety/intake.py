@@ -24,7 +24,7 @@ _S = 1e-9
 _DRIFT = 500e-6  # of the time passed: how fast the clocks of two machines drift apart at most
 _RATE_S = 0.02  # least time over which the rate of the angle is judged: noise between two readings is no motion
 _MEMORY_S = 10.0  # over which the times without an angle add up
-_NOISY = 5  # turns of the angle while the command rests that show noise, one repetition in each five of them at most
+_NOISY = 5  # turns of the angle that show noise, with a fifth as many repetitions at most
 
 
 class SensorSettings(Settings):
@@ -45,8 +45,8 @@ class SensorSettings(Settings):
             all during 10 s, or once that time beyond the plausible range. For kind none, time without a message of a
             device that has said what it holds.
         frozen_samples: an angle repeated to the last bit that often while the command moves means a frozen sensor, if
-            it has shown noise in every angle before, while the command was at rest. A coarse or noiseless one repeats
-            itself anyway: the watch on motion finds it. Null does not look.
+            it has shown noise before, in nearly every angle. A coarse or noiseless one repeats itself anyway: the
+            watch on motion finds it. Null does not look.
         frozen_travel: how far the command has to travel meanwhile, in its unit.
         held_tolerance: how far what the device says it holds may lie beside all that was sent during `dead_after_s`,
             in the command's unit; null does not look. See `DriveFollowing`.
@@ -214,8 +214,8 @@ class Intake:
         self._rated: tuple[int, float] | None = None  # the accepted angle from which the rate counts
         self._flight_ns: dict[bool, tuple[float, int]] = {}  # least time of flight, and when it was looked at
         self._repeats, self._travel, self._command = 0, 0.0, math.nan
-        self._slope, self._turns = 0.0, 0  # of the angle while the command rests
-        self._equal = self._same = 0  # its repetitions then, up to the last change and since
+        self._slope, self._turns = 0.0, 0  # of the angle
+        self._equal = self._same = 0  # its repetitions, up to the last change and since
         longest_s = settings.silence_s  # a camera shows nothing for longer than an angle may be old
         self._absences = Absences(settings.age_limit_s if settings.kind == "continuous" else longest_s, longest_s)
         self._shown_deg = math.nan
@@ -353,8 +353,7 @@ class Intake:
             elapsed_s = max(_S * abs(taken_ns - self._rated[0]), _RATE_S)
             if abs(angle - self._rated[1]) > settings.rate_limit_deg_s * elapsed_s:
                 return "jump"
-        if self._travel == 0.0:
-            self._at_rest(angle)
+        self._count_turns(angle)
         if angle != self._angle:
             self._repeats, self._travel = 0, 0.0
             return ""
@@ -362,8 +361,8 @@ class Intake:
         count = self._frozen_samples
         return "frozen" if count and self._repeats >= count and self._travel >= settings.frozen_travel else ""
 
-    def _at_rest(self, angle: float) -> None:
-        """Count an angle that came while the command rested: noise turns it to and fro, a coarse sensor repeats it."""
+    def _count_turns(self, angle: float) -> None:
+        """Count what noise does: it turns the angle to and fro. A coarse sensor repeats it instead."""
         slope = angle - self._angle
         if slope == 0.0:
             self._same += 1

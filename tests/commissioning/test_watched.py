@@ -68,6 +68,17 @@ def test_a_step_is_judged_when_the_tip_has_come_to_rest(tmp_path: Path) -> None:
     assert max(tip.true_deg) <= 90.5
 
 
+@pytest.mark.parametrize("steps", [4, 12])
+def test_a_tip_that_saturates_is_no_blocked_one_whatever_the_steps(steps: int, tmp_path: Path) -> None:
+    """A quarter of the range in a step is less than the watch on motion allows beyond the last motion."""
+    bench, sent = bench_settings(tmp_path), list[float]()
+    climb = Climb(bench, 6.0, (6.0, 114.0), steps)
+    flat = spied_device(bench, tmp_path, sent, lambda k, u, y: 30.0 + 10.0 * min(u, 1.6) + 1e-6 * (k % 7))
+    flat.explore("1-range/climb", climb, bench)
+    assert climb.found.end == pytest.approx(1.6, abs=1.3)
+    assert "stayed at 46.00 deg" in climb.found.why
+
+
 @pytest.mark.parametrize("gain", [35.0, 60.0])
 @pytest.mark.parametrize("limits", [(10.0, 110.0), None])
 def test_an_angle_beyond_the_range_of_the_sensor_is_beyond_the_limits(

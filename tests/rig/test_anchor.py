@@ -302,12 +302,16 @@ def test_travel_counts_as_a_device_of_the_slowest_lag_would_follow_it(lag_s: flo
     assert 0.01 * (1 + verdicts.index(True)) == pytest.approx(lag_s * math.log(2.0), abs=0.02)
 
 
-def test_play_is_left_after_a_reversal_alone() -> None:
-    """30 % of the range in the direction of the last motion, 50 % against it or where nothing has moved yet."""
+@pytest.mark.parametrize("gain", [20.0, -20.0])
+def test_play_is_left_after_a_reversal_alone(gain: float) -> None:
+    """30 % of the range in the direction of the last motion, 50 % against it or where nothing has moved yet.
+
+    In a recording it is seen by the motion itself whether the angle rises with the command.
+    """
     for before, then, least in [(3.0, 1.0, 1.8), (3.0, -1.0, 3.0), (0.0, 1.0, 3.0)]:
         watch, t, u, angle = MotionWatch(PlausibilitySettings(travel_s=1e-3), 6.0, 120.0), 0, 0.0, 40.0
         for k in range(int(before / 0.01)):
-            u, angle, t = u + 0.01, 40.0 + 20.0 * 0.01 * (k + 1), t + 40_000_000
+            u, angle, t = u + 0.01, 40.0 + gain * 0.01 * (k + 1), t + 40_000_000
             assert watch.judge(angle, u, t) == ""
         turned = u
         for _ in range(400):
@@ -357,6 +361,7 @@ def motions(seed: int, rate: float, dt_s: float) -> list[float]:
     dt_s=st.sampled_from([0.04, 0.01]),
     inverted=st.booleans(),
 )
+@example(seed=3878, play=0.4, lag_s=0.5, gain=20.0, noise_deg=0.1, rate=3.0, dt_s=0.04, inverted=False)
 @settings(max_examples=60)
 def test_no_healthy_device_is_implausible_and_an_inverted_one_is(
     seed: int, play: float, lag_s: float, gain: float, noise_deg: float, rate: float, dt_s: float, inverted: bool

@@ -165,6 +165,14 @@ def test_a_command_that_is_late_for_its_judgement_does_not_leave(ride: Ride) -> 
     assert view.samples[(view.written - 1) % 256].sent == 0
 
 
+def test_a_sample_that_ends_late_is_followed_by_one_without_a_plan(ride: Ride) -> None:
+    """Its command leaves after its end, and before that of the next one: no sample has passed wholly."""
+    ride.controller.at, ride.controller.sleeps_s = 20, 1.4 * DT_S
+    reason, _ = ride.run(0.5)
+    assert reason == "asked"
+    assert ride.controller.hurried >= 1
+
+
 def test_a_step_that_takes_longer_than_a_sample_is_followed_by_one_without_a_plan(ride: Ride) -> None:
     ride.controller.at, ride.controller.sleeps_s = 20, 0.035
     reason, view = ride.run(0.5)
