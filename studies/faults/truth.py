@@ -224,7 +224,8 @@ _COLUMNS = ("t", "motion", "received", "before", "held", "told", "x", "angle", "
 def shows_s(truth: Truth) -> float:
     """The first moment at which a fault has shown [s]; NaN where none has. Each kind's rule stands at its function."""
     found = [_RULES[fault.kind](truth, fault) for fault in truth.device.spec.faults if fault.kind in _RULES]
-    found.append(_ages(truth))
+    if not truth.asked.grace_s or any(fault.kind == "ages" for fault in truth.device.spec.faults):
+        found.append(_ages(truth))  # a device in real time stands still at times, and nothing is wrong with it
     if truth.device.spec.body.gain < 0 and truth.asked.mover in ("run", "ros2"):
         found.append(_against(truth))
     return min((t for t in found if math.isfinite(t)), default=math.nan)
