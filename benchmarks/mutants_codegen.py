@@ -103,7 +103,7 @@ MUTANTS: tuple[Mutant, ...] = (
     _feedback(
         "the greatest command is not applied in C", "least(HYSTMPC_UPPER, at + HYSTMPC_REACH)", "at + HYSTMPC_REACH"
     ),
-    _device("a step of the FMU may last for ever", "if (!(whole <= MOST_SAMPLES &&", "if (!(whole <= 1e306 &&"),
+    _device("a step of the FMU may last for ever", "if (!(whole <= (double)MOST_SAMPLES &&", "if (!(whole <= 1e306 &&"),
     _device("samples of the FMU run over", "s->samples <= INT64_MAX - MOST_SAMPLES", "s->samples <= INT64_MAX"),
     _device(
         "an angle of the FMU may be not-a-number", "return plain_number(sum) && plain_number(s->output);", "return 1;"

@@ -262,7 +262,7 @@ def _may_latch(file: Path) -> bool:
     try:
         text = file.read_text(encoding="utf-8")
         found = json.loads(text) if text.strip() else {"cause": ""}
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return True
     except (OSError, ValueError, RecursionError):
         return False

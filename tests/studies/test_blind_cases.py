@@ -61,7 +61,13 @@ def test_case_folders_look_alike_and_hold_no_hint(folder: Path) -> None:
         assert logs == [f"trial_{k:02d}.csv" for k in range(1, len(logs) + 1)]
         for path in case.iterdir():
             text = path.read_text(encoding="utf-8").lower()
-            for key in ("lag_one", "skip_first_flexure", "sensor_sigma_deg", "drift_sigma_deg"):  # of every file
+            for key in (
+                "lag_one",
+                "skip_first_flexure",
+                "sensor_sigma_deg",
+                "sensor_resolution_deg",
+                "drift_sigma_deg",
+            ):  # of every file
                 text = text.replace(key, "")
             assert not [word for word in WORDS if word in text]
         (header,) = {log.read_text().splitlines()[0] for log in case.glob("*.csv")}

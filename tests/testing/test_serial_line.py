@@ -15,6 +15,7 @@ from hystmpc.rig.commission.record import record
 from hystmpc.rig.config import load_record
 from hystmpc.testing import Connected, TransportContract
 from hystmpc.trials import read_trials
+from hystmpc.trials.from_outside import ALLOWED
 
 from ..rig.bench_parts import ListSink
 
@@ -53,7 +54,8 @@ def test_it_keeps_the_contract(law: str, example: Any) -> None:
 
 
 @pytest.mark.slow
-def test_it_records_through_the_loop(example: Any, tmp_path: Path) -> None:
+def test_it_records_through_the_loop(example: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(ALLOWED, "drive:Drive")
     over = threading.Event()
     with example.device() as line:
         thread = threading.Thread(target=example.serve, args=(line, lambda: not over.is_set()))

@@ -106,7 +106,7 @@ static int device_step(const struct instance *d, device_state *s, double at_s, d
                  HYSTMPC_SAMPLE_S);
         return tell(d, length_s > 0.0 && plain_number(length_s) ? REFUSED : FAILED, line);
     }
-    if (!(whole <= MOST_SAMPLES && s->samples >= 0 && s->samples <= INT64_MAX - MOST_SAMPLES)) {
+    if (!(whole <= (double)MOST_SAMPLES && s->samples >= 0 && s->samples <= INT64_MAX - MOST_SAMPLES)) {
         snprintf(line, sizeof line, "step: got %.9g s, expected at most %d samples of %.9g s", length_s, MOST_SAMPLES,
                  HYSTMPC_SAMPLE_S);
         return tell(d, FAILED, line);
