@@ -263,11 +263,11 @@ def test_a_controller_without_c_is_refused_before_anything_moves() -> None:
 
 def test_no_compiler_is_said_in_one_line_that_lists_what_would_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
-    assert "CC=no-such-compiler" in refused()
+    assert "CC=no-such-compiler" in refused(horizon=8)  # nobody has compiled this one
     monkeypatch.delenv("CC")
     monkeypatch.setattr("hystmpc.codegen.compiler.shutil.which", lambda name: None)
     monkeypatch.setattr("hystmpc.codegen.compiler.importlib.util.find_spec", lambda name: None)
-    said = refused()
+    said = refused(horizon=8)
     assert all(word in said for word in ("variable CC", "program cc", "ziglang", "backend: python"))
 
 
