@@ -34,6 +34,8 @@ from hystmpc.trials.run_folder import RunFolder
 from ..sim.small import SCAN, study_data
 from .test_verbs import run
 
+pytestmark = pytest.mark.slow  # seconds together
+
 MARK = "ran.txt"  # in the working folder, where a planted module has run
 PLANTED = f"open({MARK!r}, 'a').write(__name__ + '\\n')\n"
 LAW = """

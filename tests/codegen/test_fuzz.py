@@ -20,6 +20,8 @@ from .compiled import EXAMPLES, SOURCES, Library, compile_c, compilers, library,
 from .networks import small_network
 from .test_commands import ANYTHING, CASES, PLAIN, START, START_DEG, tip
 
+pytestmark = pytest.mark.slow  # seconds together
+
 LOWER, UPPER, REACH = 0.5, 5.0, 0.16  # [mm]
 LIMITED = tip("builtin:pi", **PLAIN, limits={"lower": LOWER, "upper": UPPER, "rate_per_s": 4.0})
 ONE_FILTER = {f"{name}_sigma_deg{per}": 0.01 for name, per in (("sensor", ""), ("drift", "_per_sqrt_s"))}

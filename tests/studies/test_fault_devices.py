@@ -32,6 +32,8 @@ from hystmpc.studies.faults.movers import How
 from hystmpc.studies.faults.over_udp import served
 from hystmpc.studies.faults.truth import MOVERS, Asked, DeviceVerdict, Ending, Mover, judged
 
+pytestmark = pytest.mark.slow  # seconds together
+
 NS = 1_000_000_000
 ASKED = Asked("record", 0.0, 6.0, 10.0, 0.04, 0.12, (0.0, 120.0))
 BOUNDED = replace(ASKED, mover="commission", angle_limits_deg=(10.0, 110.0))
