@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import typer
@@ -70,7 +71,7 @@ def _chosen(only: Sequence[str], movers: Sequence[str]) -> tuple[DevicePlay, ...
     chosen = tuple(play for play in plays if not only or any(text in play.name for text in only))
     if not chosen:
         names = "; ".join(dict.fromkeys(play.case.name for play in plays))
-        raise ConfigError(f"--only: got {', '.join(only)}, available: {names}")
+        raise ConfigError(f"--only: got {', '.join(only)}, available: {shorten(names, 200, placeholder=' ...')}")
     return chosen
 
 

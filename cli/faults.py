@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -112,7 +113,9 @@ def _chosen(folder: Path, only: list[str], transport: str, backend: str) -> list
     ]
     if not wanted:
         names = "; ".join(case.name for case in known if "udp" in kinds or not case.of_datagrams)
-        raise ConfigError(f"--only: got {', '.join(only)}, available over {transport}: {names}")
+        raise ConfigError(
+            f"--only: got {', '.join(only)}, available over {transport}: {shorten(names, 180, placeholder=' ...')}"
+        )
     require_vacant(folder)
     first = os.getpid()  # two campaigns at a time keep apart
     domains = (_DOMAINS[(first + k) % len(_DOMAINS)] for k in range(len(wanted)))

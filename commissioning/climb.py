@@ -20,12 +20,9 @@ from .bounded import BESIDE, MEDIAN, keep_shown
 HOLD_S = 0.6
 """Rest at every step of the climb, at least [s]."""
 
-_SETTLES_S, _SETTLED = (
-    2.5,
-    0.1,
-)  # longest further rest [s], until a fifth of a second moves the tip by so little of the step
-_WINDOW_S = 0.2
-
+_SETTLES_S = 2.5  # longest further rest [s]
+_WINDOW_S = 0.2  # a tip has come to rest when it moves by little in such a time [s]
+_SETTLED = 0.1  # of its step: so little
 _CAUTION = 1.5  # times the steepest slope seen is what the next step is taken to do
 _LEAST_STEP = 0.25  # of a step: less is not worth going
 _STILL = 0.45  # of the travel that the watch on motion allows

@@ -32,9 +32,7 @@ class PhaseInput:
     told: float = math.nan  # the command that the device says it holds, NaN where it does not tell
     velocity: float = 0.0  # of the command between the last two samples; 0 where the device was found at rest [unit/s]
     frames: tuple[SeenFrame, ...] = ()  # of an intermittent sensor, accepted since the last sample
-    shown_deg: float = (
-        math.nan
-    )  # the newest angle that is not stale, also an implausible one; NaN where none came [deg]
+    shown_deg: float = math.nan  # the newest angle that is not stale, believed or not; NaN where none came [deg]
 
 
 @dataclass(frozen=True, slots=True)
