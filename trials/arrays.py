@@ -90,12 +90,15 @@ class ArrayLog:
 
     def _missing(self, signal: str) -> LogError:
         """That a signal is not there, or why it cannot be read."""
-        steps = split_path(signal)
-        unread = {name: why for name, why in self.unread.items() if steps and name == steps[0]}
-        if unread or (self.unread and not self.names()):
-            name, why = next(iter((unread or self.unread).items()))
-            return LogError(f"{self.path}: {shown(name, 40)} is {why}")
+        first = str((split_path(signal) or [signal])[0])
+        if self.unread and first not in self.variables:
+            return self.not_read(first)
         return missing(self.path, signal, self.names())
+
+    def not_read(self, name: str = "") -> LogError:
+        """Why a variable cannot be read; of another name, the first of those that cannot."""
+        known = name if name in self.unread else next(iter(self.unread))
+        return LogError(f"{self.path}: {shown(known, 40)} is {self.unread[known]}")
 
 
 def _is_matrix(value: Any) -> bool:

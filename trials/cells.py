@@ -65,7 +65,7 @@ class Converted:
 
 def is_value(cell: str) -> bool:
     """Whether a cell holds a number, or a date or time; not where it says that there is none."""
-    return _number_like(cell) or _stamp(cell) is not None
+    return bool(cell) and (_number_like(cell) or _stamp(cell) is not None)
 
 
 def _number_like(cell: str) -> bool:
@@ -185,7 +185,9 @@ def _times(cells: Sequence[str]) -> Converted:
     values = np.full(len(cells), math.nan)
     if wrong is not None:
         return Converted("time", values, (known[wrong], "no such date"))
-    values[known] = _since_first(days, seconds, None if any(s is not None and s["a"] for s in rows) else 24 * unit)
+    values[known] = _since_first(
+        days, seconds, None if any(s is not None and s["a"] for s in rows) else (60 if minutes_first else 24) * unit
+    )
     return Converted("time", values, fault)
 
 

@@ -122,16 +122,18 @@ def read_columns(log: Path | str | Frame, preset: str | Preset = "auto", sampled
     channels = {layout.channels.get(k, k): table.numbers[k] for k in others}
     unit, factor = COMMAND_UNIT_OF.get(layout.command[command], (layout.command[command], 1.0))
     u, angle = factor * table.numbers[command], table.numbers[angle_name]
-    units = Units(unit, angle_unit, inverse=False)
+    units, note = Units(unit, angle_unit, inverse=False), table.left_out(names.values())
     if sampled_hz is not None:
-        return Columns(even_time(u.size, sampled_hz), u, angle, channels, units, layout, table, names)
+        t = even_time(u.size, sampled_hz)
+        return Columns(t, u, angle, channels, units, layout, table, names, note=note)
     t = table.numbers[layout.time]
     if is_merged(u, angle):
         found = merged(t, u, angle, channels)
+        note = "; ".join(filter(None, (found.note, note)))
         return Columns(
-            found.t, found.command, found.angle, found.channels, units, layout, table, names, found.rows, found.note
+            found.t, found.command, found.angle, found.channels, units, layout, table, names, found.rows, note
         )
-    return Columns(t, u, angle, channels, units, layout, table, names)
+    return Columns(t, u, angle, channels, units, layout, table, names, note=note)
 
 
 def read_csv(log: Path | str | Frame, preset: str | Preset = "auto", sampled_hz: float | None = None) -> Trial:

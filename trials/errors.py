@@ -15,12 +15,18 @@ LONGEST = 292
 """Characters of the text of an error: with `error: ` before it, a line has at most 300."""
 
 
-def in_short(text: str, longest: int = LONGEST) -> str:
-    """The text with its middle left out where it has more characters than `longest`."""
-    if len(text) <= longest:
+_LONGEST_PLACE = 50
+
+
+def in_short(text: str) -> str:
+    """The text in at most `LONGEST` characters: without the beginning of a long path, then without its own middle."""
+    place, colon, rest = text.partition(": ")
+    if len(text) > LONGEST and len(place) > _LONGEST_PLACE and "/" in place:
+        text = f"...{place[3 - _LONGEST_PLACE :]}{colon}{rest}"
+    if len(text) <= LONGEST:
         return text
-    end = (longest - 5) * 2 // 5
-    return f"{text[: longest - 5 - end]} ... {text[-end:]}"
+    end = (LONGEST - 5) * 2 // 5
+    return f"{text[: LONGEST - 5 - end]} ... {text[-end:]}"
 
 
 class HystmpcError(Exception):

@@ -49,6 +49,8 @@ class Grid:
 
 def cells_of(line: str, delimiter: str) -> list[str]:
     """The cells of one row of text, stripped."""
+    if not line:
+        return []
     if delimiter == BLANK:
         return line.split()
     if '"' in line:
@@ -72,7 +74,8 @@ def grid_of_lines(lines: Sequence[str], source: str, wanted: Iterable[str] = ())
     Raises:
         LogError: if there are no rows, or more columns than in any log.
     """
-    sample, letters = [], 0
+    sample: list[int] = []
+    letters = 0
     for k, line in enumerate(lines):
         if line.strip():
             letters += len(line)

@@ -65,7 +65,7 @@ class Preset:
 
         A name that the layout knows as it stands is kept: capitals tell nm from Nm.
         """
-        known = self.known()
+        known = frozenset(self.known())
         names = {_folded(name): name for name in known}
         found, taken = list(header), set(header)
         for k, name in enumerate(header):
@@ -88,7 +88,7 @@ class Preset:
         """The names that a command may have, in few words."""
         first, *others = self.command
         several = len(others) > 1 and all(name.startswith(f"{first}_") for name in others)
-        return f"{first} or {first}_UNIT (UNIT such as mm)" if several else " or ".join(self.command)
+        return f"{first} or {first}_UNIT" if several else " or ".join(self.command)
 
     def command_column(self, header: Sequence[str]) -> str:
         """The column of `header` that holds the command.
@@ -212,7 +212,7 @@ def detect_preset(header: Sequence[str]) -> Preset:
             return preset
     nearest = min((p for p in PRESETS if p.has_header), key=lambda p: len(p.missing(p.spelled(header))))
     gone = ", ".join(nearest.missing(nearest.spelled(header)))
-    raise LogError(f"columns fit no preset: {nearest.name} misses {gone}; available: {few(header)}")
+    raise LogError(f"columns fit no preset: {nearest.name} misses {gone}; available: {few(header, 50)}")
 
 
 def few(names: Iterable[str], longest: int = 60) -> str:
@@ -227,8 +227,8 @@ def few(names: Iterable[str], longest: int = 60) -> str:
 
 
 MAPPING_HINT = (
-    "; other names: add `--preset map.yaml`, a mapping file `{time: COLUMN, command: {signal: COLUMN, unit: mm}, "
-    "angle: {signal: COLUMN, unit: deg}}`"
+    "; or map the names: `{time: NAME, command: {signal: NAME, unit: mm}, angle: {signal: NAME, unit: deg}}` "
+    "in map.yaml, `--preset map.yaml`"
 )
 """For the end of an error line on columns that no preset knows."""
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from .errors import LogError
 from .tables import Table, sheet_table
+from .types import Vec
 
 _START = "LabVIEW Measurement"
 _END = "***End_of_Header***"
@@ -58,11 +59,11 @@ def lvm_table(lines: Sequence[str], source: str) -> Table:
     table = sheet_table(rows, source, [X_VALUE])
     if not x or about.get("x_dimension", ["Time"])[0].lower() != "time":
         return table
-    stamps = table.numbers.get(X_VALUE)
-    if stamps is None or np.isnan(stamps).all():
+    stamps: Vec = table.numbers.get(X_VALUE, np.array([np.nan]))
+    if np.isnan(stamps).all():
         start, step = (_number(source, about, key) for key in ("x0", "delta_x"))
         count = len(next(iter(table.numbers.values())))
-        stamps = start + step * np.arange(count)
+        stamps = start + step * np.arange(count, dtype=np.float64)
     return replace(table, numbers={**table.numbers, X_VALUE: stamps}, times=table.times | {X_VALUE})
 
 

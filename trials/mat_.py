@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .arrays import ArrayLog
-from .errors import LogError, require, shown
+from .errors import LogError, require
 from .formats import MOST_BYTES
 from .mat_bounds import require_bounded
 
@@ -50,10 +50,7 @@ def open_mat(path: Path | str) -> ArrayLog:
     except Exception as error:  # noqa: BLE001 - on damaged files both libraries raise whatever they meet
         reason = " ".join(str(error).split()) or type(error).__name__
         raise LogError(f"{path}: not a readable MATLAB file, or cut off ({reason})") from None
-    if not variables and unread:
-        name, why = next(iter(unread.items()))
-        raise LogError(f"{path}: {shown(name, 40)} is {why}")
-    if not variables:
+    if not variables and not unread:
         raise LogError(f"{path}: holds no variable")
     return ArrayLog(str(path), variables, unread=unread)
 

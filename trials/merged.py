@@ -65,11 +65,15 @@ def merged(t: Vec, command: Vec, angle: Vec, channels: Mapping[str, Vec]) -> Mer
         there &= (t >= u.t.min()) & (t <= u.t.max())
     base = t[there]
     others = {name: _between(base, own_rows(t, values)) for name, values in channels.items()}
-    note = (
-        f"rows hold one signal each: {np.count_nonzero(~np.isnan(command))} of the command, "
+    return Merged(np.flatnonzero(there), base, _last(base, u), angle[there], others, said_of(command, angle))
+
+
+def said_of(command: Vec, angle: Vec) -> str:
+    """What a user should know of such a log."""
+    return (
+        f"signals lie in rows of their own: {np.count_nonzero(~np.isnan(command))} of the command, "
         f"{np.count_nonzero(~np.isnan(angle))} of the angle; the command keeps its value until its next row"
     )
-    return Merged(np.flatnonzero(there), base, _last(base, u), angle[there], others, note)
 
 
 def _last(t: Vec, series: Series) -> Vec:

@@ -39,7 +39,9 @@ def open_npz(path: Path | str) -> ArrayLog:
             if found is None:
                 raise LogError(f"{path}: an array of pickled objects, which can run code; save plain numbers instead")
             variables = _single(found)
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, NotImplementedError, RuntimeError, MemoryError) as error:
+    except LogError:
+        raise
+    except Exception as error:  # noqa: BLE001 - on damaged files archive, packing and headers raise whatever they meet
         reason = " ".join(str(error).split())[:100] or type(error).__name__
         raise LogError(f"{path}: not a readable file of NumPy, or cut off ({reason})") from None
     if not variables and not unread:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeGuard
@@ -18,7 +18,7 @@ from .formats import ENDINGS, format_of
 from .layouts import LogMapping, Preset, get_preset, is_mapping_file, load_mapping
 from .mat_ import open_mat
 from .mcap_ import open_mcap
-from .merged import is_merged, own_rows
+from .merged import is_merged, own_rows, said_of
 from .npz_ import open_npz
 from .rosbag1_ import open_bag1
 from .rosbag_ import is_bag, open_bag
@@ -149,8 +149,13 @@ def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float
             raise ConfigError(
                 f"{source.path}: preset {name} is for delimited text, expected auto or a mapping file (*.yaml)"
             )
-    timed = isinstance(source, ArrayLog) and bool(source.clocks)
-    return read_mapped(source, _sampled(canonical_mapping(source.names(), source.path, timed), sampled_hz))
+    try:
+        mapping = canonical_mapping(source.names(), source.path, isinstance(source, ArrayLog) and bool(source.clocks))
+    except LogError:
+        if isinstance(source, ArrayLog) and source.unread:
+            raise source.not_read() from None
+        raise
+    return read_mapped(source, _sampled(mapping, sampled_hz))
 
 
 def _read_mapping(log: Path | str | Frame, mapping: LogMapping, sampled_hz: float | None) -> Raw:
@@ -194,21 +199,21 @@ def _open(log: Path | str | Frame, wanted: Iterable[str]) -> Source:
 class _TableLog:
     """A `Source` over the columns of a table, for mapping files."""
 
-    note = ""
-
     def __init__(self, table: Table) -> None:
-        self.path, self.table = table.source, table
+        self.path, self.table, self.note = table.source, table, ""
 
     def names(self) -> tuple[str, ...]:
         return tuple(name for name in self.table.numbers if name)
 
-    def series(self, signals: Iterable[str], time: str) -> list[Series]:
+    def series(self, signals: Sequence[str], time: str) -> list[Series]:
+        self.note = self.table.left_out((*signals, time))
         t = self._column(time) if time not in ("log", "header") else None
         columns = [self._column(signal) for signal in signals]
         if t is None:
             return [Series(np.full(y.size, np.nan), y) for y in columns]
         command, angle, *_ = columns
         if is_merged(command, angle):
+            self.note = "; ".join(filter(None, (said_of(command, angle), self.note)))
             return [own_rows(t, y) for y in columns]
         return [Series(t, y) for y in columns]
 

@@ -153,7 +153,7 @@ def canonical_mapping(names: Sequence[str], path: str, timed: bool = False) -> L
     if command is None or angle is None or ("time_s" not in ends and not timed):
         raise LogError(
             f"{path}: holds no time_s, command, angle_deg; expected these, or a mapping file after --preset; "
-            f"available: {few(names)}"
+            f"available: {few(names, 120)}"
         )
     keys = ends.get("time_s", LOG_TIME), ends[command], ends[angle]
     home = keys[1].rpartition(".")[0]
@@ -203,7 +203,7 @@ def walk(value: Any, steps: Sequence[str | int], single: bool = False) -> Any:
 
 def missing(path: str, name: str, names: Sequence[str]) -> LogError:
     """What to raise where a signal is not in the log."""
-    choice = f"available: {few(names, 90)}{nearest(name, names[:_MOST_COMPARED])}"
+    choice = f"available: {few(sorted(names), 90)}{nearest(name, names[:_MOST_COMPARED])}"
     return LogError(f"{path}: no signal {shown(name, 40)}; {choice if names else 'the log holds no numbers'}")
 
 

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -67,6 +68,16 @@ class Table:
             units={new[name]: unit for name, unit in self.units.items()},
             faults={new[name]: fault for name, fault in self.faults.items()},
         )
+
+    def left_out(self, asked: Iterable[str]) -> str:
+        """What to say of columns that begin with numbers, hold something else further on, and are not asked for."""
+        faults = {name: fault[0] for name, fault in self.faults.items() if name not in asked}
+        if not faults:
+            return ""
+        name, sample = next(iter(faults.items()))
+        row, cell = self.locate(sample, name)
+        more = f" and {len(faults) - 1} more" if len(faults) > 1 else ""
+        return f"column {shown(name, 40)}{more} left out: row {row} holds {shown(cell, 40)}, no number"
 
     def not_numbers(self, column: str) -> LogError:
         """What to raise where a column of `texts` is asked for as numbers."""
@@ -140,6 +151,7 @@ def text_table(lines: Sequence[str], source: str, wanted: Iterable[str] = (), na
     if grid.start < stop == len(lines) and _is_unfinished(lines[-1], grid.delimiter, len(header)):
         stop -= 1
 
+    @cache
     def rows() -> list[Row]:
         return _checked(_rows(lines[:stop], grid, source), header, source)
 

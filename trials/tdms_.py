@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -30,7 +33,8 @@ def open_tdms(path: Path | str) -> ArrayLog:
     require("nptdms", "logs", f"{path}: reading TDMS files")
     data = read_bytes(path)
     try:
-        variables, clocks = _read(str(path), data)
+        with _warnings() as said:
+            variables, clocks = _read(str(path), data)
     except LogError:
         raise
     except Exception as error:  # noqa: BLE001 - on damaged files the library raises whatever it meets
@@ -38,7 +42,24 @@ def open_tdms(path: Path | str) -> ArrayLog:
         raise LogError(f"{path}: not a readable TDMS file, or cut off ({reason})") from None
     if not variables:
         raise LogError(f"{path}: holds no channel of numbers")
-    return ArrayLog(str(path), variables, clocks=clocks)
+    note = f"cut off or damaged: {said[0][:100]}; what stands before is read" if said else ""
+    return ArrayLog(str(path), variables, note, clocks)
+
+
+@contextmanager
+def _warnings() -> Iterator[list[str]]:
+    """What the library says of a damaged file, which it would print."""
+    logger, said = logging.getLogger("nptdms"), list[str]()
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = lambda record: said.append(" ".join(record.getMessage().split()))  # type: ignore[method-assign]
+    before = logger.propagate
+    logger.propagate = False
+    logger.addHandler(handler)
+    try:
+        yield said
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = before
 
 
 def _read(path: str, data: bytes) -> tuple[dict[str, Any], dict[str, Vec]]:
@@ -78,8 +99,8 @@ def _numbers(channel: Any) -> np.ndarray[Any, Any] | None:
 def _clocks(waves: dict[str, tuple[Any, float, float, int]]) -> dict[str, Vec]:
     starts = [began for began, *_ in waves.values() if began is not None]
     origin = min(starts) if starts and len(starts) == len(waves) else None
-    clocks = {}
+    clocks: dict[str, Vec] = {}
     for name, (began, offset, step, count) in waves.items():
         since = 0.0 if origin is None else float((began - origin) / np.timedelta64(1, "s"))
-        clocks[name] = since + offset + step * np.arange(count)
+        clocks[name] = np.asarray(since + offset + step * np.arange(count), dtype=np.float64)
     return clocks

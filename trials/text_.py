@@ -19,6 +19,7 @@ _MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16-be"),
 )
 _TAIL = "\x00\x1a"  # what a power cut leaves behind the last row, and the end mark of DOS
+_BLOCK = 1 << 22
 _SAMPLE = 4096
 _MANY, _FEW = 0.4, 0.02  # shares of zero bytes: text of western letters in UTF-16 has every second one
 
@@ -45,18 +46,21 @@ def read_bytes(path: Path | str) -> bytes:
     Raises:
         LogError: if the path is missing, a folder or unreadable, or holds more than `MOST_BYTES`.
     """
+    blocks, left = [], MOST_BYTES
     try:
         with Path(path).open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
+            while left >= 0 and (block := file.read(_BLOCK)):  # as much at once as there is, not as there might be
+                blocks.append(block)
+                left -= len(block)
     except FileNotFoundError:
         raise LogError(f"{path}: no such file") from None
     except IsADirectoryError:
         raise LogError(f"{path}: is a folder, expected a file") from None
     except (OSError, ValueError) as error:
         raise LogError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    if len(data) > MOST_BYTES:
+    if left < 0:
         raise LogError(f"{path}: more than {MOST_BYTES} bytes, expected a log of one trial")
-    return data
+    return b"".join(blocks)
 
 
 def _decoded(path: Path | str, data: bytes) -> str:

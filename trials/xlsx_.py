@@ -18,6 +18,7 @@ MOST_BYTES = 1 << 28
 
 _MOST_PARTS, _MOST_ROWS, _MOST_SHEETS = 2000, 1_048_576, 50
 _MOST_CELLS = 20_000_000
+_MOST_EMPTY = 10_000  # rows between others; a sheet of one cell far down would have a million
 _BLOCK = 1 << 20
 _DOCTYPE = b"<!doctype"
 _UTF_16 = (b"<\0", b"\0<", b"\xff\xfe", b"\xfe\xff")
@@ -65,8 +66,12 @@ def _sheets(path: Path | str) -> list[tuple[str, list[list[str]]]]:
             for sheet in book.worksheets[:_MOST_SHEETS]:
                 sheet.reset_dimensions()  # what the file says of them is often wrong
                 rows: list[list[str]] = []
+                filled = 0
                 for row in sheet.iter_rows(max_row=_MOST_ROWS, values_only=True):
                     cells = _texts(row)
+                    filled = len(rows) if cells else filled
+                    if len(rows) - filled > _MOST_EMPTY:
+                        break
                     left -= len(cells) + 1
                     if left < 0 or len(cells) > MOST_COLUMNS:
                         raise LogError(f"{path}: more cells than in any log, expected one trial; save it as CSV")
