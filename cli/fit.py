@@ -56,9 +56,13 @@ Test = Annotated[
     typer.Option("--test", metavar="LOG", help="Log or folder to score on, which the fit does not see; repeatable."),
 ]
 
+DEFAULT_RATE_HZ = 25.0
+RateHz = Annotated[
+    float | None, typer.Option(help=f"Rate to which the logs are resampled [Hz]; else {DEFAULT_RATE_HZ:g}.")
+]
+
 _PARTS = ("part", "form", "without it", "with it")
 _KINDS = ", ".join(kind.name for kind in KINDS)
-DEFAULT_RATE_HZ = 25.0
 
 
 class Command(TyperCommand):
@@ -91,9 +95,7 @@ def fit(
     path: Annotated[Path, typer.Option("--out", help="File to write: .onnx, or .yaml for an operator.")],
     preset: Layout = "auto",
     sampled_hz: SampledHz = None,
-    rate_hz: Annotated[
-        float | None, typer.Option(help=f"Rate to which the logs are resampled [Hz]; else {DEFAULT_RATE_HZ:g}.")
-    ] = None,
+    rate_hz: RateHz = None,
     skip_first_flexure: SkipFirstFlexure = False,
     direction: Annotated[Direction, typer.Option(help="Command to angle, or the inverse map.")] = Direction.FORWARD,
     plays: Annotated[int | None, typer.Option(min=1, max=50, help="Plays of a pi (4) or drdpi (10).")] = None,

@@ -185,9 +185,8 @@ def _times(cells: Sequence[str]) -> Converted:
     values = np.full(len(cells), math.nan)
     if wrong is not None:
         return Converted("time", values, (known[wrong], "no such date"))
-    values[known] = _since_first(
-        days, seconds, None if any(s is not None and s["a"] for s in rows) else (60 if minutes_first else 24) * unit
-    )
+    turn = None if any(s is not None and s["a"] for s in rows) else (60 if minutes_first else 24) * unit
+    values[known] = _since_first(days, seconds, turn)
     return Converted("time", values, fault)
 
 

@@ -101,7 +101,11 @@ def grid_of_lines(lines: Sequence[str], source: str, wanted: Iterable[str] = ())
 
 
 def grid_of_cells(rows: Sequence[Sequence[str]], source: str, wanted: Iterable[str] = ()) -> Grid:
-    """Find the table among rows of cells, such as those of a sheet; see `grid_of_lines`."""
+    """Find the table among rows of cells, such as those of a sheet; see `grid_of_lines`.
+
+    Raises:
+        LogError: if all are empty, or there are more columns than in any log.
+    """
     sample = [k for k, row in enumerate(rows) if any(row)][:_SAMPLE]
     if not sample:
         raise LogError(f"{source}: empty, expected a header row and at least two rows of numbers")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -10,14 +11,14 @@ from hystmpc.cli.main import main
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.read import read_log
 
-CASES = Path(__file__).parents[3] / "shared" / "field_cases"
-
 
 @pytest.fixture
 def cases() -> Path:
-    if not CASES.is_dir():
+    data = os.environ.get("HYSTMPC_DATA", Path(__file__).parents[3] / "shared" / "data")
+    found = Path(data).parent / "field_cases"
+    if not found.is_dir():
         pytest.skip("the cases of the field are not beside this checkout")
-    return CASES
+    return found
 
 
 @pytest.mark.parametrize(
