@@ -29,6 +29,7 @@ class ArrayLog:
         note: what a user should know about the file.
         clocks: time stamps [s] of signals that have their own, by name of the signal.
         unread: variables that cannot be read, by name, and what to do.
+        times: names of signals that were dates; they are in seconds since the first.
     """
 
     path: str
@@ -36,6 +37,12 @@ class ArrayLog:
     note: str = ""
     clocks: Mapping[str, Vec] = field(default_factory=dict)
     unread: Mapping[str, str] = field(default_factory=dict)
+    times: frozenset[str] = frozenset()
+
+    @property
+    def clock(self) -> str:
+        """What stands in for a time signal that has no known name; empty for nothing."""
+        return min(self.times, default=LOG_TIME if self.clocks else "")
 
     def names(self) -> tuple[str, ...]:
         """Vectors, and the signals of matrices: `t`, `run.tip`, `data[1]`, counted from 0.

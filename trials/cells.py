@@ -113,23 +113,28 @@ def _floats(cells: Sequence[str]) -> Vec | None:
 
 
 def _marks(cells: Iterable[str]) -> set[str]:
-    """What the cells say of their decimal mark: `.` and `,` for certain, `?.` and `?,` where it may part thousands."""
+    """What the cells say of their decimal mark: `.` or `,` for certain, `?.` and `?,` where it may part thousands."""
     found = set()
     for cell in cells:
-        points, commas = cell.count("."), cell.count(",")
-        if not (points or commas) or not _number_like(cell):
-            continue
-        if points and commas:
-            found.add("." if cell.rfind(".") > cell.rfind(",") else ",")
-        elif points + commas > 1:
-            found.add("," if points else ".")
-        elif one := _EITHER.fullmatch(cell.replace(_MINUS, "-")):
-            before, mark, after, power = one.groups()
-            sure = len(after) != 3 or not 1 <= len(before) <= 3 or before.startswith("0") or power
-            found.add(mark if sure else f"?{mark}")
-        else:  # thousands parted by a space or an apostrophe
-            found.add("." if points else ",")
+        if ("." in cell or "," in cell) and _number_like(cell):
+            found.add(_mark(cell))
+            if found & {".", ","}:  # a cell that says otherwise is found when the column is read
+                break
     return found
+
+
+def _mark(cell: str) -> str:
+    points, commas = cell.count("."), cell.count(",")
+    if points and commas:
+        return "." if cell.rfind(".") > cell.rfind(",") else ","
+    if points + commas > 1:
+        return "," if points else "."
+    one = _EITHER.fullmatch(cell.replace(_MINUS, "-"))
+    if one is None:  # thousands parted by a space or an apostrophe
+        return "." if points else ","
+    before, mark, after, power = one.groups()
+    sure = len(after) != 3 or not 1 <= len(before) <= 3 or before.startswith("0") or power
+    return mark if sure else f"?{mark}"
 
 
 def _column(cells: Sequence[str], mark: str, comma_likely: bool) -> Converted:
@@ -142,6 +147,9 @@ def _column(cells: Sequence[str], mark: str, comma_likely: bool) -> Converted:
 
 
 def _numbers(cells: Sequence[str], mark: str, comma_likely: bool) -> Converted:
+    whole = _floats([cell.replace(",", ".") for cell in cells]) if mark == "," and "." not in "".join(cells) else None
+    if whole is not None:
+        return Converted("number", whole)
     values, fault = np.full(len(cells), math.nan), None
     decimal = mark or ("," if comma_likely else "?")
     form, group = (_COMMA, ".") if decimal == "," else (_POINT, ",")

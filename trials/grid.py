@@ -51,11 +51,12 @@ def cells_of(line: str, delimiter: str) -> list[str]:
     """The cells of one row of text, stripped."""
     if not line:
         return []
-    if delimiter == BLANK:
+    if delimiter == BLANK and '"' not in line:
         return line.split()
     if '"' in line:
         try:
-            return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+            cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+            return [cell for cell in cells if cell] if delimiter == BLANK else cells
         except csv.Error:  # a cell longer than any
             return [line]
     return [cell.strip() for cell in line.split(delimiter)]

@@ -61,6 +61,8 @@ def _object(kind: str, name: str) -> str:
     remedy = {
         "table": f"writetable({short}, 'log.csv')",
         "timetable": f"writetimetable({short}, 'log.csv')",
+        "datetime": f"t = seconds({short} - {short}(1))",
+        "duration": f"t = seconds({short})",
         "timeseries": f"t = {short}.Time; y = {short}.Data; save('log.mat', 't', 'y')",
     }.get(kind, "plain vectors or a struct of vectors")
     return f"a MATLAB {kind[:40]}, which only MATLAB can read; save it there with {remedy}"

@@ -87,6 +87,9 @@ def _array(path: str, file: BinaryIO, size: int, left: int) -> np.ndarray[Any, A
     content = file.read(needed)
     if len(content) < needed:
         raise ValueError("it ends within an array")
+    if dtype.kind == "M":  # dates
+        dates = np.frombuffer(content, dtype=dtype)
+        return (dates - dates[:1]) / np.timedelta64(1, "s")
     flat = np.frombuffer(content, dtype=dtype, count=math.prod(shape)) if dtype.itemsize else np.empty(0)
     return flat.reshape(shape, order="F" if by_columns else "C") if flat.size else np.empty(0)
 

@@ -150,7 +150,8 @@ def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float
                 f"{source.path}: preset {name} is for delimited text, expected auto or a mapping file (*.yaml)"
             )
     try:
-        mapping = canonical_mapping(source.names(), source.path, isinstance(source, ArrayLog) and bool(source.clocks))
+        clock = source.clock if isinstance(source, ArrayLog) else ""
+        mapping = canonical_mapping(source.names(), source.path, clock)
     except LogError:
         if isinstance(source, ArrayLog) and source.unread:
             raise source.not_read() from None
@@ -160,7 +161,8 @@ def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float
 
 def _read_mapping(log: Path | str | Frame, mapping: LogMapping, sampled_hz: float | None) -> Raw:
     source = _open(log, (mapping.time, *(name for s in mapping.signals() for name in (s.signal, s.minus or s.signal))))
-    if isinstance(source, _TableLog) and mapping.time in source.table.times:
+    times = source.table.times if isinstance(source, _TableLog) else getattr(source, "times", ())
+    if mapping.time in times:
         mapping = mapping.model_copy(update={"time_unit": "s"})  # a date has no other
     return read_mapped(source, _sampled(mapping, sampled_hz))
 

@@ -135,13 +135,13 @@ def read_mapped(source: Source, mapping: LogMapping) -> Raw:
     return _joined(source, mapping, found)
 
 
-def canonical_mapping(names: Sequence[str], path: str, timed: bool = False) -> LogMapping:
+def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMapping:
     """The mapping of a log whose signals have the names of canonical columns, told from the names alone.
 
     Args:
         names: of the signals.
         path: of the log, for messages.
-        timed: whether signals have time stamps of their own, which stand in for a missing `time_s`.
+        clock: what stands in for a missing `time_s`: a signal that is one by its kind, or `log`; empty for none.
 
     Raises:
         LogError: if they have not; lists what there is and says what to do.
@@ -150,12 +150,12 @@ def canonical_mapping(names: Sequence[str], path: str, timed: bool = False) -> L
     ends = {CANONICAL.spelled([name.rpartition(".")[2]])[0]: name for name in reversed(names)}
     outputs = {"angle_deg": "deg"} | {f"angle_{unit}": unit for unit in OUTPUT_UNITS}
     command, angle = (next((name for name in known if name in ends), None) for known in (commands, outputs))
-    if command is None or angle is None or ("time_s" not in ends and not timed):
+    if command is None or angle is None or ("time_s" not in ends and not clock):
         raise LogError(
             f"{path}: holds no time_s, command, angle_deg; expected these, or a mapping file after --preset; "
             f"available: {few(names, 120)}"
         )
-    keys = ends.get("time_s", LOG_TIME), ends[command], ends[angle]
+    keys = ends.get("time_s", clock), ends[command], ends[angle]
     home = keys[1].rpartition(".")[0]
     others = [name for name in names if name not in keys and name.rpartition(".")[0] == home]
     channels = {name.rpartition(".")[2]: {"signal": name} for name in others}

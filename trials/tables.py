@@ -225,14 +225,13 @@ def _require_once(header: Sequence[str], where: str) -> None:
 
 def _rows(lines: Sequence[str], grid: Grid, source: str) -> Iterable[Row]:
     """Every row of data that is neither blank nor a comment."""
-    if not any('"' in line for line in lines[grid.start :]):
+    if grid.delimiter == BLANK or not any('"' in line for line in lines[grid.start :]):
         for k in range(grid.start, len(lines)):
             cells = cells_of(lines[k], grid.delimiter)
             if any(cells) and not _is_comment(cells):
                 yield k + 1, cells
         return
-    delimiter = grid.delimiter if grid.delimiter != BLANK else ","
-    reader = csv.reader((line + "\n" for line in lines[grid.start :]), delimiter=delimiter)
+    reader = csv.reader((line + "\n" for line in lines[grid.start :]), delimiter=grid.delimiter)
     try:
         for raw in reader:
             cells = [cell.strip() for cell in raw]

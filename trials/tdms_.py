@@ -34,7 +34,7 @@ def open_tdms(path: Path | str) -> ArrayLog:
     data = read_bytes(path)
     try:
         with _warnings() as said:
-            variables, clocks = _read(str(path), data)
+            variables, clocks, times = _read(str(path), data)
     except LogError:
         raise
     except Exception as error:  # noqa: BLE001 - on damaged files the library raises whatever it meets
@@ -43,7 +43,7 @@ def open_tdms(path: Path | str) -> ArrayLog:
     if not variables:
         raise LogError(f"{path}: holds no channel of numbers")
     note = f"cut off or damaged: {said[0][:100]}; what stands before is read" if said else ""
-    return ArrayLog(str(path), variables, note, clocks)
+    return ArrayLog(str(path), variables, note, clocks, times=times)
 
 
 @contextmanager
@@ -62,11 +62,12 @@ def _warnings() -> Iterator[list[str]]:
         logger.propagate = before
 
 
-def _read(path: str, data: bytes) -> tuple[dict[str, Any], dict[str, Vec]]:
+def _read(path: str, data: bytes) -> tuple[dict[str, Any], dict[str, Vec], frozenset[str]]:
     from nptdms import TdmsFile
 
     variables: dict[str, dict[str, Any]] = {}
     waves: dict[str, tuple[Any, float, float, int]] = {}
+    times: set[str] = set()
     with TdmsFile.open(BytesIO(data)) as file:  # of bytes: of a path, an index file beside it would be read too
         channels = [channel for group in file.groups() for channel in group.channels()]
         if len(channels) > _MOST_CHANNELS:
@@ -78,12 +79,15 @@ def _read(path: str, data: bytes) -> tuple[dict[str, Any], dict[str, Vec]]:
             if values is None:
                 continue
             variables.setdefault(channel.group_name, {})[channel.name] = values
+            name = f"{channel.group_name}.{channel.name}"
+            if np.dtype(channel.dtype).kind == "M":
+                times.add(name)
             step = channel.properties.get("wf_increment")
             if step:
                 began = channel.properties.get("wf_start_time")
                 offset = float(channel.properties.get("wf_start_offset", 0.0))
-                waves[f"{channel.group_name}.{channel.name}"] = (began, offset, float(step), values.size)
-    return dict(variables), _clocks(waves)
+                waves[name] = (began, offset, float(step), values.size)
+    return dict(variables), _clocks(waves), frozenset(times)
 
 
 def _numbers(channel: Any) -> np.ndarray[Any, Any] | None:

@@ -171,6 +171,16 @@ def tdms(waveforms: bool) -> Writer:
     return write
 
 
+def tdms_of_dates(folder: Path, t: Vec, u: Vec, y: Vec) -> Path:
+    from nptdms import ChannelObject, TdmsWriter
+
+    stamps = np.datetime64(START) + np.rint(1e6 * t).astype("timedelta64[us]")
+    with TdmsWriter(folder / "log.tdms") as file:
+        channels = {"Time": stamps, "command_mm": u, "angle_deg": y}
+        file.write_segment([ChannelObject("data", name, values) for name, values in channels.items()])
+    return folder / "log.tdms"
+
+
 def mcap(folder: Path, t: Vec, u: Vec, y: Vec) -> Path:
     from hystmpc.trials.mcap_ import format_mcap
 
@@ -223,6 +233,12 @@ WAYS: Mapping[str, Writer] = {
     "numbers above": above("2000,1\n4,17\n"),
     "sep= of Excel": above("sep=;\n", ";"),
     "commented header": above("# "),
+    "quoted names, blanks": lambda folder, t, u, y: _write(
+        folder, _text(_rows(t, u, y), " ", tuple(f'"{name}"' for name in HEADER))
+    ),
+    "names of rows": lambda folder, t, u, y: _write(
+        folder, _text([[f'"{k}"', *row] for k, row in enumerate(_rows(t, u, y))], header=('""', *HEADER))
+    ),
     "units below": below("s,mm,deg"),
     "units in brackets below": below("[s],[mm],[°]"),
     "units and kinds below": below("s,mm,deg\nfloat,float,float"),
@@ -251,6 +267,7 @@ WAYS: Mapping[str, Writer] = {
     "MATLAB struct": matlab(run=lambda t, u, y: dict(zip(HEADER, (t, u, y), strict=True))),
     "TDMS": tdms(waveforms=False),
     "TDMS waveforms": tdms(waveforms=True),
+    "TDMS of dates": tdms_of_dates,
     "MCAP": mcap,
     "ROS 1": ros1,
 }
