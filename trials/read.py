@@ -127,9 +127,12 @@ def _logs_in(folder: Path) -> list[Path]:
     """The `*.csv` of a folder; without any, its bags and logs of other formats, by name."""
     if is_bag(folder):
         return [folder]
-    tables = sorted(folder.glob("*.csv"))
-    others = [entry for entry in folder.iterdir() if is_bag(entry) or entry.suffix.lower() in ENDINGS]
-    return tables or sorted(others)
+    entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith(_NO_LOGS))
+    tables = [entry for entry in entries if entry.suffix == ".csv"]
+    return tables or [entry for entry in entries if is_bag(entry) or entry.suffix.lower() in ENDINGS]
+
+
+_NO_LOGS = (".", "~$")  # what macOS and Excel leave beside files
 
 
 def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float | None = None) -> Raw:

@@ -13,6 +13,7 @@ pytest.importorskip("mcap", reason="mcap (extra `logs`) is not installed")
 pytest.importorskip("rosbags", reason="rosbags (extra `logs`) is not installed")
 
 from hystmpc.trials.check import Severity, check
+from hystmpc.trials.errors import LogError
 from hystmpc.trials.layouts import LogMapping
 from hystmpc.trials.read import Layout, read_log, read_trials
 
@@ -58,3 +59,20 @@ def test_a_folder_stands_for_its_logs_of_any_format(way: str, tmp_path: Path) ->
     WAYS[way](tmp_path, *signals)
     (trial,) = read_trials([tmp_path])
     np.testing.assert_allclose(trial.command, signals[1], rtol=1e-12)
+
+
+def test_what_other_programs_leave_beside_logs_is_no_log(tmp_path: Path) -> None:
+    WAYS["Excel"](tmp_path, *drawn(1))
+    (tmp_path / "~$log.xlsx").write_bytes(b"owner")
+    (tmp_path / "._log.xlsx").write_bytes(b"Mac OS X")
+    assert len(read_trials([tmp_path])) == 1
+
+
+@pytest.mark.parametrize(("way", "package"), [("Excel", "openpyxl"), ("TDMS", "nptdms"), ("ROS 1", "rosbags")])
+def test_a_missing_package_is_named_with_how_to_install_it(
+    way: str, package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = WAYS[way](tmp_path, *drawn(1))
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(LogError, match=rf"needs the package {package}: pip install 'hystmpc\[logs\]'"):
+        read_log(path)
