@@ -26,7 +26,7 @@ demo: $(DEMO_VENV)/.installed ## simulated closed-loop comparison without torch;
 	$(DEMO_VENV)/bin/hystmpc demo $(ARGS)
 	@echo "To go on in this shell:          . $(DEMO_VENV)/bin/activate && hystmpc --help"
 	@echo "In an environment of your own:   pip install '.[train,tune,logs]'"
-	@echo "Extras: train (networks), tune, env (gymnasium), logs (MCAP, ROS 2 bags), rig (DDS), bench, dev"
+	@echo "Extras: train (networks), tune, env (gymnasium), logs (MCAP, ROS bags, Excel, TDMS), rig (DDS), bench, dev"
 
 test: $(VENV)/.installed ## the whole suite; ARGS="tests/ctrl -x" is handed to pytest
 	$(PYTEST) $(ARGS)

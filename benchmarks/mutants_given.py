@@ -22,6 +22,9 @@ _server = mutated_file("rig", "live/server.py", "test_live_hostile.py", "test_li
 _hdf5 = mutated_file("trials", "mat_.py", "test_bounds.py", "test_mat.py")
 _version_5 = mutated_file("trials", "mat_bounds.py", "test_bounds.py")
 _mcap = mutated_file("trials", "mcap_.py", "test_bounds.py")
+_numpy = mutated_file("trials", "npz_.py", "test_bounds.py")
+_workbook = mutated_file("trials", "xlsx_.py", "test_bounds.py")
+_bag = mutated_file("trials", "rosbag1_.py", "test_bounds.py")
 _kernels = mutated_file("models", "kernels/numba_.py", "test_kernel_cache.py")
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -99,12 +102,20 @@ MUTANTS: tuple[Mutant, ...] = (
     _hdf5("data may lie in a file of raw numbers", "if item.external or item.is_virtual:", "if item.is_virtual:"),
     _hdf5("data may be virtual", "if item.external or item.is_virtual:", "if item.external:"),
     _hdf5("a link may lead out", "if kind != h5l.TYPE_SOFT:", "if False:"),
-    _hdf5("a link of the first level is followed blindly", "tree.read(tree.item(file, name))", "tree.read(file[name])"),
+    _hdf5("a link of the first level is followed blindly", "item = tree.item(file, name)\n", "item = file[name]\n"),
     _hdf5("a link in a group is followed blindly", "self.read(self.item(item, name))", "self.read(item[name])"),
     _hdf5("a filter is looked for", "- _FILTERS:", "- _FILTERS - {32015}:"),
     _hdf5("a variable may be as large as it says", "        self._bytes -= size * (item.size or 0)\n", ""),
     _hdf5("a chunk may be as large as it says", "min(self._bytes, MOST_BYTES - size * chunk) < 0", "self._bytes < 0"),
     _hdf5("references are read without end", "if (item.size or 0) > self._left:", "if False:"),
+    _numpy("pickles are read", "if dtype.hasobject:", "if False:"),
+    _numpy("an array is as large as it says", "if needed > size:", "if False:"),
+    _numpy("arrays count one by one", "            left -= value.nbytes\n", ""),
+    _workbook("parts unpack without a bound", "or size > MOST_BYTES:", "or False:"),
+    _workbook("entities are read", "if _DOCTYPE in (tail + block).lower():", "if False:"),
+    _workbook("other encodings hide entities", "if not tail and block.startswith(_UTF_16):", "if False:"),
+    _workbook("rows far down are made", "if len(rows) - filled > _MOST_EMPTY:", "if False:"),
+    _bag("chunks unpack without a bound", "if left < 0:", "if False:"),
     _version_5("cells are made without room", "if holds in _HOLDING and", "if holds == 1 and"),
     _version_5(
         "cells within cells are not looked at", "                self.walk(content, depth + 1)", "                pass"

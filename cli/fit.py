@@ -23,7 +23,7 @@ from hystmpc.models.simulator import save_simulator
 from hystmpc.trials.errors import ConfigError
 from hystmpc.trials.figure_folder import figures_to
 from hystmpc.trials.read import expand_logs
-from hystmpc.trials.trial import Trial, Units
+from hystmpc.trials.trial import SlowLogError, Trial, Units
 
 from .console import bar, errors, out, table
 from .evaluate import errors_table, free_runs, warn_outside
@@ -54,6 +54,11 @@ class Direction(StrEnum):
 Test = Annotated[
     list[Path] | None,
     typer.Option("--test", metavar="LOG", help="Log or folder to score on, which the fit does not see; repeatable."),
+]
+
+DEFAULT_RATE_HZ = 25.0
+RateHz = Annotated[
+    float | None, typer.Option(help=f"Rate to which the logs are resampled [Hz]; else {DEFAULT_RATE_HZ:g}.")
 ]
 
 _PARTS = ("part", "form", "without it", "with it")
@@ -90,7 +95,7 @@ def fit(
     path: Annotated[Path, typer.Option("--out", help="File to write: .onnx, or .yaml for an operator.")],
     preset: Layout = "auto",
     sampled_hz: SampledHz = None,
-    rate_hz: Annotated[float, typer.Option(help="Rate to which the logs are resampled [Hz].")] = 25.0,
+    rate_hz: RateHz = None,
     skip_first_flexure: SkipFirstFlexure = False,
     direction: Annotated[Direction, typer.Option(help="Command to angle, or the inverse map.")] = Direction.FORWARD,
     plays: Annotated[int | None, typer.Option(min=1, max=50, help="Plays of a pi (4) or drdpi (10).")] = None,
@@ -139,12 +144,27 @@ def fit(
         limits=_limits(command_limits, command_rate),
     )
     chosen.check([], request)
-    trials = trials_at(logs, preset, rate_hz, sampled_hz)
-    held = trials_at(unseen, preset, rate_hz, sampled_hz) if unseen else []
+    trials = _at_rate(logs, preset, rate_hz, sampled_hz)
+    held = _at_rate(unseen, preset, rate_hz, sampled_hz) if unseen else []
     _warn_of_limits([*trials, *held], request.limits.command)
     swapped = direction is Direction.INVERSE
     found = _identify(chosen, [t.swapped() for t in trials] if swapped else trials, request, path)
     _score(found, path, {_SEEN: trials, _UNSEEN: held}, skip_first_flexure, page, figures)
+
+
+def _at_rate(logs: Sequence[Path], preset: str, rate_hz: float | None, sampled_hz: float | None) -> list[Trial]:
+    """The logs at the rate of `--rate-hz`; a log that is too slow for a rate that nobody gave is told which to give.
+
+    Raises:
+        LogError: see `trials_at`.
+    """
+    if rate_hz is not None:
+        return trials_at(logs, preset, rate_hz, sampled_hz)
+    try:
+        return trials_at(logs, preset, DEFAULT_RATE_HZ, sampled_hz)
+    except SlowLogError as error:
+        default = f"the default of {DEFAULT_RATE_HZ:g} Hz"
+        raise SlowLogError(error.source, error.own_hz, default, f"; add `--rate-hz {error.own_hz:.4g}`") from None
 
 
 _SEEN, _UNSEEN = " that it was identified from", " that the fit did not see"

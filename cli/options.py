@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _LAYOUTS = ", ".join(preset.name for preset in PRESETS)
 
 Logs = Annotated[
-    list[Path], typer.Argument(metavar="LOG", help="Recorded trials (csv, mcap, ROS 2 bag, mat) or folders of them.")
+    list[Path], typer.Argument(metavar="LOG", help="Recorded trials (csv, xlsx, mat, ROS bag, ...) or folders of them.")
 ]
 Layout = Annotated[
     str, typer.Option("--preset", help=f"Layout of the logs: auto, {_LAYOUTS}, or a mapping file *.yaml.")

@@ -26,9 +26,11 @@ from hystmpc.rig.safety.ramp import way_commands
 from hystmpc.rig.transports.simulated import SimulatedSettings
 from hystmpc.rig.transports.transport import PlantFactory
 from hystmpc.trajectories.config import MotionSettings
-from hystmpc.trials.csv_files import format_table, read_lines, read_table
+from hystmpc.trials.csv_files import format_table
 from hystmpc.trials.errors import HystmpcError, LogError
 from hystmpc.trials.files import write_atomically
+from hystmpc.trials.tables import read_table
+from hystmpc.trials.text_ import read_lines
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Vec
 

@@ -102,7 +102,7 @@ def check(log: Log, preset: Layout = "auto", sampled_hz: float | None = None) ->
         raw = read_raw(log, layout, sampled_hz)
         return _report(raw, raw.preset, CANONICAL, "sample {}".format, raw.note)
     columns = read_columns(log, layout, sampled_hz)
-    return _report(columns, columns.preset.name, columns.preset, lambda k: f"row {columns.row(k)}")
+    return _report(columns, columns.preset.name, columns.preset, lambda k: f"row {columns.row(k)}", columns.note)
 
 
 def _report(

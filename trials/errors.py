@@ -11,11 +11,32 @@ from typing import ParamSpec, TypeVar
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_LONGEST = 300  # characters of a line of error
+LONGEST = 292
+"""Characters of the text of an error: with `error: ` before it, a line has at most 300."""
+
+
+_LONGEST_PLACE = 50
+
+
+def in_short(text: str) -> str:
+    """The text in at most `LONGEST` characters: without the beginning of a long path, then without its own middle."""
+    place, colon, rest = text.partition(": ")
+    if len(text) > LONGEST and len(place) > _LONGEST_PLACE and "/" in place:
+        text = f"...{place[3 - _LONGEST_PLACE :]}{colon}{rest}"
+    if len(text) <= LONGEST:
+        return text
+    end = (LONGEST - 5) * 2 // 5
+    return f"{text[: LONGEST - 5 - end]} ... {text[-end:]}"
 
 
 class HystmpcError(Exception):
-    """Base of every error that hystmpc raises on purpose; the command line prints its text and exits with 2."""
+    """Base of every error that hystmpc raises on purpose; the command line prints its text and exits with 2.
+
+    A text of more than `LONGEST` characters loses its middle: its beginning names the file, its end says what to do.
+    """
+
+    def __init__(self, *parts: object) -> None:
+        super().__init__(*(in_short(part) if isinstance(part, str) else part for part in parts))
 
 
 class LogError(HystmpcError):
@@ -82,17 +103,25 @@ def in_a_line(function: Callable[P, R]) -> Callable[P, R]:
             got = ", ".join([*map(shown, args), *(f"{key}={shown(value)}" for key, value in kwargs.items())])[:120]
             said = " ".join(f"{type(error).__name__}: {error}".split())
             line = f"{name}: got ({got}), expected what help(hystmpc.{name}) says: {said}"
-            raise ConfigError(line[:_LONGEST]) from error
+            raise ConfigError(line) from error
 
     return call
+
+
+_LONGEST_NAME = 200
 
 
 def did_you_mean(got: str, available: Iterable[str]) -> str:
     """Return `available: a, b, c; did you mean 'b'?` for the end of an error line."""
     names = sorted(available)
-    close = difflib.get_close_matches(got, names, n=1)
-    hint = f"; did you mean {close[0]!r}?" if close else ""
-    return f"available: {', '.join(names)}{hint}"
+    return f"available: {', '.join(names)}{nearest(got, names)}"
+
+
+def nearest(got: str, available: Iterable[str]) -> str:
+    """Return `; did you mean 'b'?`, or nothing where no name is near."""
+    near = [name for name in available if len(name) <= _LONGEST_NAME]  # the search takes the product of the lengths
+    close = difflib.get_close_matches(got, near, n=1) if len(got) <= _LONGEST_NAME else []
+    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def require(package: str, extra: str, purpose: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -56,17 +56,23 @@ class Preset:
         """Whether the first row of the log names the columns."""
         return not self.columns
 
+    def known(self) -> tuple[str, ...]:
+        """Names that time, command and output may have."""
+        return (self.time, self.angle, *self.command, *self.other_angles)
+
     def spelled(self, header: Sequence[str]) -> tuple[str, ...]:
-        """The header with the names of this layout as it writes them, where only capitals differ.
+        """The header with the names of this layout as it writes them, where only capitals or the micro sign differ.
 
         A name that the layout knows as it stands is kept: capitals tell nm from Nm.
         """
-        known = (self.time, self.angle, *self.command, *self.other_angles)
-        names = {name.casefold(): name for name in known}
-        found = list(header)
+        known = frozenset(self.known())
+        names = {_folded(name): name for name in known}
+        found, taken = list(header), set(header)
         for k, name in enumerate(header):
-            own = names.get(name.casefold(), name)
-            found[k] = name if name in known or own in found else own
+            own = names.get(_folded(name), name)
+            if name not in known and own not in taken:
+                found[k] = own
+                taken.add(own)
         return tuple(found)
 
     def missing(self, header: Sequence[str]) -> list[str]:
@@ -82,7 +88,7 @@ class Preset:
         """The names that a command may have, in few words."""
         first, *others = self.command
         several = len(others) > 1 and all(name.startswith(f"{first}_") for name in others)
-        return f"{first} or {first}_UNIT (UNIT such as mm)" if several else " or ".join(self.command)
+        return f"{first} or {first}_UNIT" if several else " or ".join(self.command)
 
     def command_column(self, header: Sequence[str]) -> str:
         """The column of `header` that holds the command.
@@ -117,11 +123,35 @@ COMMAND_UNITS = ("mm", "bar", "kPa", "V", "A", "N", "deg", "rad", "percent", *_F
 OUTPUT_UNITS = ("mm", "um", "m", "N", "V", "A", "bar", "kPa", "percent", "cm", "Pa", "MPa", "psi", *_FURTHER)
 """Units, beside deg, that the canonical column `angle_<unit>` may carry in its name."""
 
+COMMAND_UNIT_OF = MappingProxyType(
+    {unit: (unit, 1.0) for unit in COMMAND_UNITS}
+    | {"um": ("mm", 1e-3), "cm": ("mm", 10.0), "m": ("mm", 1e3)}
+    | {"Pa": ("bar", 1e-5), "MPa": ("bar", 10.0), "psi": ("bar", 0.0689475729)}
+)
+"""Unit that a command may be logged in -> the unit that it is read in, and the factor; any other stays what it is."""
+
+_MICRO = str.maketrans({"\u00b5": "u", "\u03bc": "u"})  # the micro sign, and the Greek letter that looks like it
+_ALIASES = MappingProxyType(
+    {"°": "deg", "degree": "deg", "degrees": "deg", "%": "percent", "volt": "V", "volts": "V", "counts": "count"}
+    | {"sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "radians": "rad"}
+)
+
+
+def unit_of(text: str) -> str:
+    """A unit as this package writes it: `um` for both spellings of micrometres, `deg` for a degree sign."""
+    plain = text.strip("[](){}<> ").translate(_MICRO)
+    return _ALIASES.get(plain.lower(), plain)
+
+
+def _folded(name: str) -> str:
+    return name.translate(_MICRO).casefold()
+
+
 CANONICAL = Preset(
     name="canonical",
     summary="time_s, command (or command_mm, command_bar, ...), angle_deg (or angle_mm, ...), any further columns",
     time="time_s",
-    command={"command": COMMAND_UNITS[0]} | {f"command_{unit}": unit for unit in COMMAND_UNITS},
+    command={"command": COMMAND_UNITS[0]} | {f"command_{unit}": unit for unit in (*COMMAND_UNITS, *COMMAND_UNIT_OF)},
     angle="angle_deg",
     other_angles={f"angle_{unit}": unit for unit in OUTPUT_UNITS},
 )
@@ -180,23 +210,28 @@ def detect_preset(header: Sequence[str]) -> Preset:
     for preset in PRESETS:
         if preset.has_header and not preset.missing(preset.spelled(header)):
             return preset
-    needs = "; ".join(f"{p.name} misses {', '.join(p.missing(p.spelled(header)))}" for p in PRESETS if p.has_header)
-    raise LogError(f"columns fit no preset: {needs}; available: {', '.join(header)}")
+    nearest = min((p for p in PRESETS if p.has_header), key=lambda p: len(p.missing(p.spelled(header))))
+    gone = ", ".join(nearest.missing(nearest.spelled(header)))
+    raise LogError(f"columns fit no preset: {nearest.name} misses {gone}; available: {few(header, 50)}")
+
+
+def few(names: Iterable[str], longest: int = 60) -> str:
+    """The first names, in so many letters, for an error line."""
+    kept: list[str] = []
+    every = [name for name in names if name]
+    for name in every:
+        if kept and len(", ".join([*kept, name])) > longest:
+            break
+        kept.append(name if len(name) <= longest else f"{name[: longest - 4]} ...")
+    return ", ".join(kept) + (f", ... ({len(every)} in all)" if len(kept) < len(every) else "") or "none"
 
 
 MAPPING_HINT = (
-    "; other names or units: write a mapping file, map.yaml, `{time: COLUMN, time_unit: s, command: {signal: COLUMN, "
-    "unit: mm}, angle: {signal: COLUMN, unit: deg}}`, and add `--preset map.yaml`"
+    "; or map the names: `{time: NAME, command: {signal: NAME, unit: mm}, angle: {signal: NAME, unit: deg}}` "
+    "in map.yaml, `--preset map.yaml`"
 )
 """For the end of an error line on columns that no preset knows."""
 
-
-COMMAND_UNIT_OF = MappingProxyType(
-    {unit: (unit, 1.0) for unit in COMMAND_UNITS}
-    | {"um": ("mm", 1e-3), "cm": ("mm", 10.0), "m": ("mm", 1e3)}
-    | {"Pa": ("bar", 1e-5), "MPa": ("bar", 10.0), "psi": ("bar", 0.0689475729)}
-)
-"""Unit that a command may be logged in -> the unit that it is read in, and the factor; any other stays what it is."""
 
 ANGLE_UNIT_OF = MappingProxyType({"rad": ("deg", math.degrees(1.0))})
 """Unit that an output may be logged in -> the unit that it is read in, and the factor; any other stays what it is."""
@@ -234,6 +269,8 @@ class SignalSettings(Settings):
     @model_validator(mode="before")
     @classmethod
     def _name_alone(cls, data: Any) -> Any:
+        if isinstance(data, dict) and isinstance(data.get("unit"), str):
+            return data | {"unit": unit_of(data["unit"])}
         return {"signal": data} if isinstance(data, str) else data
 
     @classmethod

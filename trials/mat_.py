@@ -1,20 +1,18 @@
-"""Signals out of MATLAB files: variables, fields of structs, columns of matrices; up to version 7.3."""
+"""Variables of MATLAB files, version 4 to 7.3."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, final
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import ArrayLog
 from .errors import LogError, require
-from .layouts import HEADER_TIME, LOG_TIME
-from .mat_bounds import MOST_BYTES, require_bounded
-from .signals import Series, missing, split_path, walk
+from .formats import MOST_BYTES
+from .mat_bounds import require_bounded
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _DEEPEST = 8  # structs within structs; deeper is no log
@@ -22,65 +20,13 @@ _MOST_OBJECTS = 20_000  # of an HDF5 file, counted once for every link
 _FILTERS = {1, 2, 3, 4, 5, 6, 32000}  # of the library itself; any other is code that it would look for on this machine
 _MOST_SOFT_LINKS = 16  # that lead to one another
 _LONGEST_TEXT = 10_000  # letters of a text that are read; a text is no signal
-_MOST_COLUMNS = 64  # of a matrix that are listed as signals
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class MatLog:
-    """A `Source` over the variables of a MATLAB file.
-
-    Attributes:
-        path: the file.
-        variables: by name; a struct is a mapping, a struct array a list, numbers are arrays.
-        note: empty; a MATLAB file is read whole or refused.
-    """
-
-    path: str
-    variables: Mapping[str, Any]
-    note: str = ""
-
-    def names(self) -> tuple[str, ...]:
-        """Vectors, and columns of matrices: `t`, `run.tip`, `data[1]`; columns count from 0."""
-        return tuple(_vectors(self.variables, ""))
-
-    def series(self, signals: Sequence[str], time: str) -> list[Series]:
-        """The signals asked for; see `Source`.
-
-        Raises:
-            LogError: on an unknown signal, one that is no vector, or one of another length than time.
-        """
-        values = [self._vector(signal) for signal in signals]
-        if time in (LOG_TIME, HEADER_TIME):
-            return [Series(np.full(y.size, np.nan), y) for y in values]
-        t = self._vector(time)
-        for signal, y in zip(signals, values, strict=True):
-            if y.size != t.size:
-                raise LogError(f"{self.path}: {signal!r} has {y.size} samples, expected {t.size} as in {time!r}")
-        return [Series(t, y) for y in values]
-
-    def _vector(self, signal: str) -> NDArray[np.float64]:
-        *way, last = split_path(signal)
-        try:
-            found = walk(self.variables, way)
-            is_matrix = isinstance(found, np.ndarray) and found.ndim == 2
-            value = found[:, last] if is_matrix and isinstance(last, int) else walk(found, [last])
-        except (KeyError, IndexError, TypeError):
-            raise missing(self.path, signal, self.names()) from None
-        array = np.asarray(value)
-        if array.dtype.kind not in "fiub" or sum(size > 1 for size in array.shape) > 1:
-            shape = "x".join(map(str, array.shape)) or "single"
-            raise LogError(
-                f"{self.path}: {signal!r} is a {shape} {array.dtype} value, expected a vector of real numbers"
-                f"{'; name a column, counted from 0: ' + signal + '[0]' if array.ndim == 2 else ''}"
-            )
-        return array.astype(np.float64).reshape(-1)
-
-
-def open_mat(path: Path | str) -> MatLog:
+def open_mat(path: Path | str) -> ArrayLog:
     """Read the variables of a MATLAB file, version 4 to 7.3.
 
-    Tables, timetables and other objects of MATLAB are left out: only MATLAB can read them; save them as structs.
+    Tables, timetables and other objects of MATLAB are left out: only MATLAB can read them. Who asks for one is told how
+    to save it.
 
     Raises:
         LogError: if the file is missing, cut off or no MATLAB file, its links form a loop, or `h5py` (version 7.3) is
@@ -96,26 +42,59 @@ def open_mat(path: Path | str) -> MatLog:
     is_hdf5 = _HDF5 in (head[:8], head[512:520])
     if is_hdf5:
         require("h5py", "logs", f"{path}: reading MATLAB 7.3 files")
-    reader: Callable[[str], dict[str, Any]] = _read_hdf5 if is_hdf5 else _read_scipy
+    reader: Callable[[str], tuple[dict[str, Any], dict[str, str]]] = _read_hdf5 if is_hdf5 else _read_scipy
     try:
-        variables = reader(str(path))
+        variables, unread = reader(str(path))
     except LogError:
         raise
     except Exception as error:  # noqa: BLE001 - on damaged files both libraries raise whatever they meet
         reason = " ".join(str(error).split()) or type(error).__name__
         raise LogError(f"{path}: not a readable MATLAB file, or cut off ({reason})") from None
-    if not variables:
+    if not variables and not unread:
         raise LogError(f"{path}: holds no variable")
-    return MatLog(str(path), variables)
+    return ArrayLog(str(path), variables, unread=unread)
 
 
-def _read_scipy(path: str) -> dict[str, Any]:
+def _object(kind: str, name: str) -> str:
+    """What is said of a variable that only MATLAB can read."""
+    short = name if name.isidentifier() and len(name) <= 40 else "T"
+    remedy = {
+        "table": f"writetable({short}, 'log.csv')",
+        "timetable": f"writetimetable({short}, 'log.csv')",
+        "datetime": f"t = seconds({short} - {short}(1))",
+        "duration": f"t = seconds({short})",
+        "timeseries": f"t = {short}.Time; y = {short}.Data; save('log.mat', 't', 'y')",
+    }.get(kind, "plain vectors or a struct of vectors")
+    return f"a MATLAB {kind[:40]}, which only MATLAB can read; save it there with {remedy}"
+
+
+def _read_scipy(path: str) -> tuple[dict[str, Any], dict[str, str]]:
     from scipy.io import loadmat
+    from scipy.io.matlab import MatlabFunction, MatlabObject, MatlabOpaque
 
     require_bounded(path)
     # Without a name of its own scipy would add .mat to a path that has another ending.
     found = loadmat(path, appendmat=False, struct_as_record=True, squeeze_me=False, chars_as_strings=True)
-    return {name: _plain(value) for name, value in found.items() if not name.startswith("__")}
+    variables, unread = {}, {}
+    for name, value in found.items():
+        if isinstance(value, MatlabOpaque | MatlabObject | MatlabFunction):
+            own, kind = _opaque(value, name)
+            unread[own] = _object(kind, own)
+        elif not name.startswith("__"):
+            variables[name] = _plain(value)
+    return variables, unread
+
+
+def _opaque(value: Any, name: str) -> tuple[str, str]:
+    """Name and class of an object; those of a table stand in its content."""
+    if value.dtype.names and {"s0", "s2"} <= set(value.dtype.names) and value.size:
+        own, kind = (value.reshape(-1)[0][part] for part in ("s0", "s2"))
+        return _text(own) or name, _text(kind) or "object"
+    return name, str(getattr(value, "classname", "object"))
+
+
+def _text(value: Any) -> str:
+    return value.decode("latin-1") if isinstance(value, bytes) else str(value)
 
 
 def _plain(value: Any, depth: int = 0) -> Any:
@@ -133,13 +112,21 @@ def _plain(value: Any, depth: int = 0) -> Any:
     return value
 
 
-def _read_hdf5(path: str) -> dict[str, Any]:
+def _read_hdf5(path: str) -> tuple[dict[str, Any], dict[str, str]]:
     import h5py
 
+    variables, unread = {}, {}
     with h5py.File(path, "r") as file:
         tree = _Hdf5Tree(path, file)
-        names = [str(name) for name in file]
-        return {name: tree.read(tree.item(file, name)) for name in names if not name.startswith("#")}
+        for name in map(str, file):
+            if name.startswith("#"):
+                continue
+            item = tree.item(file, name)
+            if "MATLAB_object_decode" in item.attrs:
+                unread[name] = _object(_text(item.attrs.get("MATLAB_class", b"object")), name)
+            else:
+                variables[name] = tree.read(item)
+    return variables, unread
 
 
 class _Hdf5Tree:
@@ -234,17 +221,3 @@ def _matrix(item: Any) -> Any:
     if item.attrs.get("MATLAB_class") == b"char":  # stored as the numbers of its letters
         return "".join(map(chr, np.asarray(item[()]).reshape(-1)[:_LONGEST_TEXT].tolist()))
     return np.asarray(item[()]).T
-
-
-def _vectors(value: Any, prefix: str) -> list[str]:
-    """Names of everything that is a vector of numbers."""
-    if isinstance(value, Mapping):
-        inner = [(f"{prefix}.{name}" if prefix else str(name), item) for name, item in value.items()]
-        return [name for path, item in inner for name in _vectors(item, path)]
-    if isinstance(value, list):
-        return [name for k, item in enumerate(value[:_MOST_COLUMNS]) for name in _vectors(item, f"{prefix}[{k}]")]
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.size < 2 or value.ndim > 2:
-        return []
-    if value.ndim == 1 or 1 in value.shape:
-        return [prefix]
-    return [f"{prefix}[{k}]" for k in range(min(value.shape[1], _MOST_COLUMNS))]

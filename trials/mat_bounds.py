@@ -10,9 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .errors import LogError
-
-MOST_BYTES = 1 << 30
-"""Of all variables of a file, unpacked."""
+from .formats import MOST_BYTES
 
 _DEEPEST = 32  # matrices within cells and structs
 _HEADER, _TAG = 128, 8

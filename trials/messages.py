@@ -11,8 +11,8 @@ from typing import Any, final
 import numpy as np
 
 from .errors import LogError, require
-from .layouts import HEADER_TIME, LOG_TIME
-from .signals import Series, listed, split_path, walk
+from .layouts import HEADER_TIME, LOG_TIME, few
+from .signals import Series, split_path, walk
 
 Decoder = Callable[[bytes], Any]
 
@@ -27,8 +27,8 @@ def cdr_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
 
     Args:
         message_type: such as `std_msgs/msg/Float64`.
-        encoding: of the definition, `ros2msg`, `ros2idl`, or empty where the bag has none: then it must be one of
-            the message types that come with ROS 2.
+        encoding: of the definition, `ros2msg`, `ros2idl`, `ros1msg` (then the messages are those of ROS 1), or empty
+            where the bag has none: then it must be one of the message types that come with ROS 2.
         definition: the text of the definition.
 
     Raises:
@@ -38,7 +38,7 @@ def cdr_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
     require("rosbags", "logs", "reading ROS 2 messages")
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-    if not definition or encoding not in ("ros2msg", "ros2idl"):
+    if not definition or encoding not in ("ros1msg", "ros2msg", "ros2idl"):
         store = _common()
         if message_type not in store.types:
             raise UnreadableError(f"{message_type}: the bag does not define it and it is none of ROS 2's own messages")
@@ -46,7 +46,7 @@ def cdr_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
         try:
             parsed = (
                 get_types_from_msg(definition, message_type)
-                if encoding == "ros2msg"
+                if encoding != "ros2idl"
                 else get_types_from_idl(definition)
             )
             store = get_typestore(Stores.EMPTY)
@@ -54,11 +54,25 @@ def cdr_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
         except Exception as error:  # noqa: BLE001 - so does the parser of definitions
             raise UnreadableError(f"{message_type}: definition cannot be read ({one_line(error)})") from None
 
+    read = store.deserialize_ros1 if encoding == "ros1msg" else store.deserialize_cdr
+
     def decode(raw: bytes) -> Any:
         try:
-            return store.deserialize_cdr(raw, message_type)
+            return read(raw, message_type)
         except Exception as error:  # noqa: BLE001 - the generated parsers raise whatever damaged bytes lead to
             raise UnreadableError(f"{message_type}: {one_line(error)}") from None
+
+    return decode
+
+
+def late_decoder(message_type: str, encoding: str, definition: str) -> Decoder:
+    """A `cdr_decoder` that looks at the definition when the first message is read."""
+    found: list[Decoder] = []
+
+    def decode(raw: bytes) -> Any:
+        if not found:
+            found.append(cdr_decoder(message_type, encoding, definition))
+        return found[0](raw)
 
     return decode
 
@@ -181,7 +195,7 @@ class MessageLog:
         fitting = [name for name in self.topics if signal == name or signal.startswith((f"{name}.", f"{name}["))]
         if not fitting:
             topics = sorted(self.topics)
-            raise LogError(f"{self.path}: no topic of signal {signal!r}; topics: {listed(topics)}")
+            raise LogError(f"{self.path}: no topic of signal {signal!r}; topics: {few(topics, 100)}")
         topic = max(fitting, key=len)
         return topic, split_path(signal[len(topic) :])
 
@@ -216,7 +230,7 @@ class MessageLog:
         try:
             value = walk(message, steps)
         except (KeyError, TypeError) as error:
-            asked, kind, fields = what or path_text(steps), self.topics[topic].kind, listed(list(fields_of(message)))
+            asked, kind, fields = what or path_text(steps), self.topics[topic].kind, few(fields_of(message), 90)
             raise LogError(
                 f"{self.path}: topic {topic!r} ({kind}) has no {asked!r} (at {error}); available: {fields}"
             ) from None

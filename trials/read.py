@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .csv_files import Frame, Table, first_row, frame_table, read_csv, read_lines, read_table, split_lines
+from .arrays import ArrayLog
+from .csv_files import open_table, read_csv
 from .errors import ConfigError, LogError, in_a_line
+from .formats import ENDINGS, format_of
 from .layouts import LogMapping, Preset, get_preset, is_mapping_file, load_mapping
 from .mat_ import open_mat
 from .mcap_ import open_mcap
+from .merged import is_merged, own_rows, said_of
+from .npz_ import open_npz
+from .rosbag1_ import open_bag1
 from .rosbag_ import is_bag, open_bag
 from .signals import Raw, Series, Source, canonical_mapping, missing, read_mapped
+from .tables import Frame, Table
+from .tdms_ import open_tdms
 from .trial import Trial, at_rate, even_time, positive_rate
+from .types import Vec
 
 Layout = str | Preset | LogMapping
 """A layout's name, a mapping file (`*.yaml`), a `Preset` (tables), a `LogMapping`, or `auto`."""
@@ -26,8 +34,16 @@ Layout = str | Preset | LogMapping
 Log = Path | str | Frame | Trial
 """One recorded trial: a file, the folder of a ROS 2 bag, a data frame, or the trial itself."""
 
-OPENERS: dict[str, Callable[[Path], Source]] = {".mcap": open_mcap, ".db3": open_bag, ".mat": open_mat}
-"""Formats of named signals by the ending of the file; every other ending is delimited text."""
+OPENERS: dict[str, Callable[[Path], Source]] = {
+    "mcap": open_mcap,
+    "rosbag2": open_bag,
+    "rosbag1": open_bag1,
+    "mat": open_mat,
+    "npz": open_npz,
+    "npy": open_npz,
+    "tdms": open_tdms,
+}
+"""Formats of named signals; all others are tables."""
 
 
 @in_a_line
@@ -41,8 +57,8 @@ def read_trials(
     """Read recorded trials of any format, in the order given.
 
     Args:
-        logs: one or several of: delimited text, `.mat`, MCAP, ROS 2 bag, a folder of these, a data frame with the
-            columns of the layout (such as `time_s`, `command`, `angle_deg`), a `Trial`.
+        logs: one or several of: delimited text, Excel, LabVIEW, MATLAB, NumPy, MCAP, ROS bag, a folder of these, a data
+            frame with the columns of the layout (such as `time_s`, `command`, `angle_deg`), a `Trial`.
         preset: layout of all of them: `auto`, `canonical`, `tendon-catheter`, or a mapping file `*.yaml`.
         rate_hz: resample to this rate [Hz] and cut at gaps, see `at_rate`; None leaves the samples as they are.
         sampled_hz: rate [Hz] of logs that were sampled evenly, whose time stamps are not looked at.
@@ -87,6 +103,9 @@ def read_log(log: Log, preset: Layout = "auto", sampled_hz: float | None = None)
     return read_raw(log, layout, sampled_hz).trial()
 
 
+_OTHERS = ", ".join(f"*{ending}" for ending in ENDINGS)
+
+
 def expand_logs(paths: Iterable[Path | str]) -> list[Path]:
     """Logs to read: a folder stands for its `*.csv`, or else its logs of other formats, in the order of their names.
 
@@ -97,7 +116,7 @@ def expand_logs(paths: Iterable[Path | str]) -> list[Path]:
     for path in map(Path, paths):
         inside = _logs_in(path) if path.is_dir() else [path]
         if not inside:
-            raise LogError(f"{path}: no *.csv (nor *.mcap, *.db3, *.mat) in this folder, expected recorded logs")
+            raise LogError(f"{path}: no *.csv (nor {_OTHERS}) in this folder, expected recorded logs")
         files += inside
     if not files:
         raise LogError("no logs given, expected files or folders of logs")
@@ -105,12 +124,15 @@ def expand_logs(paths: Iterable[Path | str]) -> list[Path]:
 
 
 def _logs_in(folder: Path) -> list[Path]:
-    """The `*.csv` of a folder; without any, its bags, `*.mcap`, `*.db3` and `*.mat`, by name."""
+    """The `*.csv` of a folder; without any, its bags and logs of other formats, by name."""
     if is_bag(folder):
         return [folder]
-    tables = sorted(folder.glob("*.csv"))
-    others = [entry for entry in folder.iterdir() if is_bag(entry) or entry.suffix.lower() in OPENERS]
-    return tables or sorted(others)
+    entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith(_NO_LOGS))
+    tables = [entry for entry in entries if entry.suffix == ".csv"]
+    return tables or [entry for entry in entries if is_bag(entry) or entry.suffix.lower() in ENDINGS]
+
+
+_NO_LOGS = (".", "~$")  # what macOS and Excel leave beside files
 
 
 def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float | None = None) -> Raw:
@@ -120,16 +142,32 @@ def read_raw(log: Path | str | Frame, preset: Layout = "auto", sampled_hz: float
         LogError: if the log cannot be read, or lacks a signal.
         ConfigError: on an unknown preset or a wrong mapping file, or a preset of another format.
     """
-    layout, source = resolve(preset), _open(log)
+    layout = resolve(preset)
     if isinstance(layout, LogMapping):
-        return read_mapped(source, _sampled(layout, sampled_hz))
+        return _read_mapping(log, layout, sampled_hz)
+    source = _open(log, ())
     if layout != "auto":
         name = layout.name if isinstance(layout, Preset) else layout
         if name != "canonical":
             raise ConfigError(
                 f"{source.path}: preset {name} is for delimited text, expected auto or a mapping file (*.yaml)"
             )
-    return read_mapped(source, _sampled(canonical_mapping(source.names(), source.path), sampled_hz))
+    try:
+        clock = source.clock if isinstance(source, ArrayLog) else ""
+        mapping = canonical_mapping(source.names(), source.path, clock)
+    except LogError:
+        if isinstance(source, ArrayLog) and source.unread:
+            raise source.not_read() from None
+        raise
+    return read_mapped(source, _sampled(mapping, sampled_hz))
+
+
+def _read_mapping(log: Path | str | Frame, mapping: LogMapping, sampled_hz: float | None) -> Raw:
+    source = _open(log, (mapping.time, *(name for s in mapping.signals() for name in (s.signal, s.minus or s.signal))))
+    times = source.table.times if isinstance(source, _TableLog) else getattr(source, "times", ())
+    if mapping.time in times:
+        mapping = mapping.model_copy(update={"time_unit": "s"})  # a date has no other
+    return read_mapped(source, _sampled(mapping, sampled_hz))
 
 
 def _sampled(mapping: LogMapping, sampled_hz: float | None) -> LogMapping:
@@ -149,53 +187,52 @@ def resolve(preset: Layout) -> Layout:
 
 
 def is_table(log: Path | str | Frame) -> TypeGuard[Path | str | Frame]:
-    """Whether a log is delimited text or a data frame."""
-    return isinstance(log, Frame) or (Path(log).suffix.lower() not in OPENERS and not is_bag(Path(log)))
+    """Whether a log is delimited text, a workbook or a data frame."""
+    return isinstance(log, Frame) or not (is_bag(Path(log)) or format_of(Path(log)) in OPENERS)
 
 
-def _open(log: Path | str | Frame) -> Source:
+def _open(log: Path | str | Frame, wanted: Iterable[str]) -> Source:
     if isinstance(log, Frame):
-        return _TableLog(frame_table(log))
+        return _TableLog(open_table(log))
     path = Path(log)
     if is_bag(path):
         return open_bag(path)
-    opener = OPENERS.get(path.suffix.lower())
-    return opener(path) if opener is not None else _TableLog(_guessed_table(path))
-
-
-def _guessed_table(path: Path) -> Table:
-    """Delimited text whose delimiter is not known; columns without a header row are `[0]`, `[1]`, ..."""
-    lines, delimiter = split_lines(read_lines(path))
-    _, cells = first_row(lines, delimiter)
-    unnamed = [f"[{k}]" for k in range(len(cells))] if all(map(_is_number, cells)) else []
-    return read_table(lines, str(path), delimiter, unnamed)
+    opener = OPENERS.get(format_of(path))
+    return opener(path) if opener is not None else _TableLog(open_table(path, wanted))
 
 
 class _TableLog:
     """A `Source` over the columns of a table, for mapping files."""
 
-    note = ""
-
     def __init__(self, table: Table) -> None:
-        self.path, self._table = table.source, table
+        self.path, self.table, self.note = table.source, table, ""
 
     def names(self) -> tuple[str, ...]:
-        return tuple(name for name in self._table.numbers if name)
+        return tuple(name for name in self.table.numbers if name)
 
-    def series(self, signals: Iterable[str], time: str) -> list[Series]:
+    def series(self, signals: Sequence[str], time: str) -> list[Series]:
+        self.note = self.table.left_out((*signals, time))
         t = self._column(time) if time not in ("log", "header") else None
         columns = [self._column(signal) for signal in signals]
-        return [Series(np.full(y.size, np.nan) if t is None else t, y) for y in columns]
+        if t is None:
+            return [Series(np.full(y.size, np.nan), y) for y in columns]
+        command, angle, *_ = columns
+        if is_merged(command, angle):
+            self.note = "; ".join(filter(None, (said_of(command, angle), self.note)))
+            return [own_rows(t, y) for y in columns]
+        return [Series(t, y) for y in columns]
 
-    def _column(self, name: str) -> NDArray[np.float64]:
-        if name not in self._table.numbers:
+    def _column(self, name: str) -> Vec:
+        if name in self.table.faults:
+            raise self.table.not_numbers(name)
+        if name not in self.table.numbers:
+            place = int(name[1:-1]) if _PLACE.fullmatch(name) else -1
+            if 0 <= place < len(self.table.header) and self.table.header[place] in self.table.numbers:
+                return self.table.numbers[self.table.header[place]]
+            if name in self.table.texts:
+                raise self.table.not_numbers(name)
             raise missing(self.path, name, self.names())
-        return self._table.numbers[name]
+        return self.table.numbers[name]
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+_PLACE = re.compile(r"\[\d{1,4}\]")  # a column by its place, also of a table whose columns have names

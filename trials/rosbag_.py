@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from .errors import LogError, require
 from .mcap_ import open_mcap
-from .messages import Decoder, MessageLog, Topic, cdr_decoder, one_line
+from .messages import MessageLog, Topic, late_decoder, one_line
 
 METADATA = "metadata.yaml"
 _DEFINITIONS = {"MSG": "ros2msg", "IDL": "ros2idl"}
@@ -56,7 +55,7 @@ def _read(place: Path, topics: dict[str, Topic], messages: list[tuple[str, int, 
     with Reader(place) as reader:
         for connection in reader.connections:
             encoding = _DEFINITIONS.get(connection.msgdef.format.name, "")
-            decode = _late(connection.msgtype, encoding, connection.msgdef.data)
+            decode = late_decoder(connection.msgtype, encoding, connection.msgdef.data)
             topics[connection.topic] = Topic(connection.topic, connection.msgtype, decode)
         for connection, stamp, raw in reader.messages():
             messages.append((connection.topic, stamp, bytes(raw)))
@@ -77,15 +76,3 @@ def _recovered(path: str, storage: list[Path]) -> MessageLog:
     topics = {name: topic for log in logs for name, topic in log.topics.items()}
     messages = [message for log in logs for message in log.messages]
     return MessageLog(path, topics, messages, next((note for note in notes if note), ""))
-
-
-def _late(kind: str, encoding: str, definition: str) -> Decoder:
-    """A decoder that looks at the definition when the first message is read."""
-    found: list[Decoder] = []
-
-    def decode(raw: bytes) -> Any:
-        if not found:
-            found.append(cdr_decoder(kind, encoding, definition))
-        return found[0](raw)
-
-    return decode

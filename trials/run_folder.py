@@ -19,10 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import mcap_
 from .config import Settings, dump_yaml, read_yaml
-from .csv_files import format_table, read_csv, read_lines, read_table
+from .csv_files import format_table, read_csv
 from .errors import ConfigError, LogError
 from .files import require_writable, write_atomically
 from .layouts import CANONICAL
+from .tables import read_table
+from .text_ import read_lines
 from .trial import Trial
 
 FORMAT = "hystmpc-run/1"

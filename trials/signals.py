@@ -9,9 +9,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from .errors import LogError, did_you_mean
+from .errors import LogError, nearest, shown
 from .layouts import (
     ANGLE_UNIT_OF,
+    CANONICAL,
     COMMAND_UNIT_OF,
     HEADER_TIME,
     LOG_TIME,
@@ -19,10 +20,12 @@ from .layouts import (
     SECONDS,
     LogMapping,
     SignalSettings,
+    few,
 )
 from .trial import Trial, Units
 from .types import Vec
 
+_MOST_COMPARED = 2000  # names among which the nearest is looked for
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[([^\[\]]+)\]")
 
 
@@ -132,23 +135,28 @@ def read_mapped(source: Source, mapping: LogMapping) -> Raw:
     return _joined(source, mapping, found)
 
 
-def canonical_mapping(names: Sequence[str], path: str) -> LogMapping:
+def canonical_mapping(names: Sequence[str], path: str, clock: str = "") -> LogMapping:
     """The mapping of a log whose signals have the names of canonical columns, told from the names alone.
+
+    Args:
+        names: of the signals.
+        path: of the log, for messages.
+        clock: what stands in for a missing `time_s`: a signal that is one by its kind, or `log`; empty for none.
 
     Raises:
         LogError: if they have not; lists what there is and says what to do.
     """
     commands = {"command": "mm"} | {f"command_{unit}": unit for unit in COMMAND_UNIT_OF}
-    ends = {name.rpartition(".")[2]: name for name in reversed(names)}
+    ends = {CANONICAL.spelled([name.rpartition(".")[2]])[0]: name for name in reversed(names)}
     outputs = {"angle_deg": "deg"} | {f"angle_{unit}": unit for unit in OUTPUT_UNITS}
     command, angle = (next((name for name in known if name in ends), None) for known in (commands, outputs))
-    if command is None or "time_s" not in ends or angle is None:
+    if command is None or angle is None or ("time_s" not in ends and not clock):
         raise LogError(
             f"{path}: holds no time_s, command, angle_deg; expected these, or a mapping file after --preset; "
-            f"available: {listed(names)}"
+            f"available: {few(names, 120)}"
         )
-    keys = ends["time_s"], ends[command], ends[angle]
-    home = keys[0].rpartition(".")[0]
+    keys = ends.get("time_s", clock), ends[command], ends[angle]
+    home = keys[1].rpartition(".")[0]
     others = [name for name in names if name not in keys and name.rpartition(".")[0] == home]
     channels = {name.rpartition(".")[2]: {"signal": name} for name in others}
     return LogMapping.parse(
@@ -168,14 +176,24 @@ def split_path(path: str) -> list[str | int]:
     return [int(part) if part.lstrip("-").isdigit() else part for part in found]
 
 
-def walk(value: Any, steps: Sequence[str | int]) -> Any:
+def walk(value: Any, steps: Sequence[str | int], single: bool = False) -> Any:
     """Follow keys, attributes and indices into a message; a text index looks up the message's list `name`.
+
+    Args:
+        value: the message.
+        steps: as `split_path` gives them.
+        single: whether the one element of a list may also be written without it, and `[0]` of what is no list: MATLAB
+            makes no difference between a struct and an array of one.
 
     Raises:
         KeyError: where the way ends; holds the step.
     """
     owner: Any = None
     for step in steps:
+        if single and step == 0 and isinstance(value, Mapping):
+            continue
+        if single and isinstance(step, str) and isinstance(value, list) and len(value) == 1:
+            value = value[0]
         found = _enter(value, step, owner)
         if found is KeyError:
             raise KeyError(step)
@@ -183,15 +201,10 @@ def walk(value: Any, steps: Sequence[str | int]) -> Any:
     return value
 
 
-def listed(names: Sequence[str], most: int = 20) -> str:
-    """The first names, for an error line."""
-    return ", ".join(names[:most]) + (f", ... ({len(names)} in all)" if len(names) > most else "") or "none"
-
-
 def missing(path: str, name: str, names: Sequence[str]) -> LogError:
     """What to raise where a signal is not in the log."""
-    choice = did_you_mean(name, names) if len(names) <= 20 else f"available: {listed(names)}"
-    return LogError(f"{path}: no signal {name!r}; {choice if names else 'the log holds no numbers'}")
+    choice = f"available: {few(sorted(names), 90)}{nearest(name, names[:_MOST_COMPARED])}"
+    return LogError(f"{path}: no signal {shown(name, 40)}; {choice if names else 'the log holds no numbers'}")
 
 
 def _enter(value: Any, step: str | int, owner: Any) -> Any:

@@ -281,6 +281,20 @@ def _lies_at(trial: Trial, rate_hz: float) -> bool:
         return False
 
 
+class SlowLogError(LogError):
+    """A log has too few samples for a rate: a finer grid would only invent them."""
+
+    def __init__(self, source: str, own_hz: float, asked: str, remedy: str = "") -> None:
+        super().__init__(
+            f"{source}: sampled at {own_hz:.4g} Hz (median), too slow for {asked}, expected at most "
+            f"{_RATE_MARGIN * own_hz:.4g} Hz ({_RATE_MARGIN:g} times its own rate){remedy}"
+        )
+        self.source, self.own_hz, self._rest = source, own_hz, (asked, remedy)
+
+    def __reduce__(self) -> tuple[type[SlowLogError], tuple[object, ...]]:
+        return SlowLogError, (self.source, self.own_hz, *self._rest)  # it travels out of worker processes
+
+
 def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Trial:
     """Interpolate linearly onto t[0] + k / rate_hz, up to the last sample; channels come along.
 
@@ -294,7 +308,8 @@ def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Tria
 
     Raises:
         ConfigError: if the rate is not a positive number.
-        LogError: at a gap, on a rate above 1.5 times the log's own, or if the trial is shorter than one interval.
+        SlowLogError: on a rate above 1.5 times the log's own.
+        LogError: at a gap, or if the trial is shorter than one interval.
     """
     positive_rate(rate_hz)
     first, *others = parts_at_gaps(trial, max_gap_s)
@@ -303,10 +318,7 @@ def resample(trial: Trial, rate_hz: float, max_gap_s: float = MAX_GAP_S) -> Tria
     trial = first
     own_hz = 1.0 / trial.dt
     if rate_hz > _RATE_MARGIN * own_hz:
-        raise LogError(
-            f"{trial.source}: got rate_hz {rate_hz:g}, expected at most {_RATE_MARGIN * own_hz:.4g} "
-            f"({_RATE_MARGIN:g} times the log's own median rate of {own_hz:.4g} Hz)"
-        )
+        raise SlowLogError(trial.source, own_hz, f"{rate_hz:g} Hz")
     count = math.floor(trial.duration_s * rate_hz + 1e-6) + 1
     t = trial.t[0] + np.arange(count) / rate_hz
     return Trial(

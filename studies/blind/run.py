@@ -14,10 +14,12 @@ import numpy as np
 from hystmpc.gap.decide.findings import Findings
 from hystmpc.models.simulator import Simulator
 from hystmpc.sim.jobs.runner import attempt, backend_for, run_jobs
-from hystmpc.trials.csv_files import read_lines, read_table, write_csv
+from hystmpc.trials.csv_files import write_csv
 from hystmpc.trials.errors import ConfigError, HystmpcError, LogError, did_you_mean
 from hystmpc.trials.files import write_atomically
 from hystmpc.trials.read import read_trials
+from hystmpc.trials.tables import read_table
+from hystmpc.trials.text_ import read_lines
 from hystmpc.trials.trial import Trial
 from hystmpc.trials.types import Progress
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import struct
 import tracemalloc
+import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -19,10 +20,17 @@ pytest.importorskip("mcap", reason="mcap (extra `logs`) is not installed")
 
 import h5py
 
-from hystmpc.trials import mat_, mat_bounds, mcap_
+from hystmpc.trials import formats, mat_, mat_bounds, mcap_, npz_, rosbag1_, xlsx_
 from hystmpc.trials.errors import LogError
 from hystmpc.trials.mat_ import open_mat
 from hystmpc.trials.mcap_ import open_mcap
+from hystmpc.trials.npz_ import open_npz
+from hystmpc.trials.read import read_log
+from hystmpc.trials.rosbag1_ import open_bag1
+from hystmpc.trials.tdms_ import open_tdms
+from hystmpc.trials.xlsx_ import open_xlsx
+
+from .written_ways import WAYS, archive
 
 N = 100
 SECRET = np.arange(1.0, N + 1)
@@ -256,5 +264,126 @@ def test_a_chunk_has_the_bytes_that_it_says(how: str, size: int) -> None:
         mcap_._unpacked(Chunk(), 1 << 20)
 
 
+def test_a_workbook_that_fills_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("openpyxl")
+    packed = workbook(tmp_path / "log.xlsx", {"xl/media/image1.png": bytes(3_000_000)})
+    assert packed.stat().st_size < 100_000
+    assert len(open_xlsx(packed).numbers["time_s"]) == 3
+    monkeypatch.setattr(xlsx_, "MOST_BYTES", 2_000_000)
+    refused(lambda: open_xlsx(packed), r"unpacks to \d+ bytes in \d+ parts")
+
+
+def test_a_row_far_down_a_sheet_takes_no_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("openpyxl")
+    far = b'<row r="999999999999"><c r="A999999999999"><v>1</v></c></row></sheetData>'
+    path = workbook(tmp_path / "log.xlsx", {}, lambda sheet: sheet.replace(b"</sheetData>", far))
+    rows: list[object] = []
+    texts = xlsx_._texts
+    monkeypatch.setattr(xlsx_, "_texts", lambda row: rows.append(row) or texts(row))
+    assert len(open_xlsx(path).numbers["time_s"]) == 3
+    assert len(rows) < 20_000
+
+
+ENTITIES = b'<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]>'
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_a_workbook_with_entities_is_refused(encoding: str, tmp_path: Path) -> None:
+    """Entities can read other files, and grow beyond all bounds."""
+    pytest.importorskip("openpyxl")
+
+    def change(sheet: bytes) -> bytes:
+        head, found, rest = sheet.partition(b"<worksheet")
+        text = (head + b"<!-- " + b" " * 3_000_000 + b"-->" + ENTITIES + found + rest).decode()
+        return text.encode(encoding)
+
+    expected = "defines entities" if encoding == "utf-8" else "not in UTF-8"
+    refused(lambda: open_xlsx(workbook(tmp_path / "log.xlsx", {}, change)), expected)
+
+
+def workbook(path: Path, more: Mapping[str, bytes], change: Callable[[bytes], bytes] = lambda sheet: sheet) -> Path:
+    """A sheet of three rows, with further parts, and the XML of its cells changed."""
+    from openpyxl import Workbook
+
+    book = Workbook()
+    for row in [["time_s", "command", "angle_deg"], [0, 1, 2], [1, 2, 3], [2, 3, 4]]:
+        book.active.append(row)
+    book.save(path)
+    with zipfile.ZipFile(path) as file:
+        parts = {name: file.read(name) for name in file.namelist()}
+    parts["xl/worksheets/sheet1.xml"] = change(parts["xl/worksheets/sheet1.xml"])
+    return archive(path, parts | more)
+
+
+def test_pickles_in_a_file_of_numpy_are_not_read(tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", time_s=SECRET, command=np.array([{}, object], dtype=object), angle_deg=SECRET)
+    with pytest.raises(LogError, match="'command' is an array of pickled objects, which can run code"):
+        read_log(tmp_path / "log.npz")
+    np.save(tmp_path / "log.npy", np.array([{}], dtype=object))
+    with pytest.raises(LogError, match="pickled objects, which can run code"):
+        read_log(tmp_path / "log.npy")
+
+
+def numpy_header(shape: tuple[int, ...]) -> bytes:
+    out = BytesIO()
+    np.lib.format.write_array_header_1_0(out, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("shape", [(1 << 24,), (1 << 40,), (1 << 20, 1 << 20), (-3,), (1 << 62, 4)])
+@pytest.mark.parametrize("packed", [True, False])
+def test_an_array_that_a_file_has_no_room_for_is_refused(shape: tuple[int, ...], packed: bool, tmp_path: Path) -> None:
+    content = numpy_header(shape) + bytes(80)
+    path = tmp_path / "log.npy"
+    path.write_bytes(content)
+    if packed:
+        path = archive(tmp_path / "log.npz", {"time_s.npy": content})
+    refused(lambda: open_npz(path), "an array of")
+
+
+def test_arrays_that_fill_the_memory_together_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(npz_, "MOST_BYTES", 1_000_000)
+    np.savez_compressed(tmp_path / "log.npz", **{f"x{k}": np.zeros(30_000) for k in range(5)})
+    refused(lambda: open_npz(tmp_path / "log.npz"), "unpacks to more than 1000000 bytes")
+
+
+@pytest.mark.parametrize("how", ["bz2", "lz4"])
+def test_a_bag_whose_chunks_fill_the_memory_is_refused(
+    how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rosbags")
+    import bz2
+
+    import lz4.frame
+
+    monkeypatch.setattr(rosbag1_, "MOST_BYTES", 1_000_000)
+    content = (bz2.compress if how == "bz2" else lz4.frame.compress)(bytes(5_000_000))
+    fields = [b"op=\x05", b"compression=" + how.encode(), b"size=" + struct.pack("<I", 10)]
+    head = b"".join(struct.pack("<I", len(field)) + field for field in fields)
+    record = struct.pack("<I", len(head)) + head + struct.pack("<I", len(content)) + content
+    (tmp_path / "log.bag").write_bytes(b"#ROSBAG V2.0\n" + record)
+    refused(lambda: open_bag1(tmp_path / "log.bag"), "unpacks to more than 1000000 bytes")
+
+
+def test_a_tdms_file_reads_no_index_beside_it_and_holds_what_it_says(tmp_path: Path) -> None:
+    pytest.importorskip("nptdms")
+    path = WAYS["TDMS"](tmp_path, SECRET, SECRET, SECRET)
+    (tmp_path / "log.tdms_index").write_bytes(b"TDSh" + bytes(200))
+    before = open_tdms(path).names()
+    assert len(before) == 3
+    content = path.read_bytes()
+    count = struct.pack("<IQ", 1, SECRET.size)  # one dimension, so many samples
+    path.write_bytes(content.replace(count, struct.pack("<IQ", 1, 1 << 50)))
+    tracemalloc.start()
+    try:
+        log = open_tdms(path)  # what stands in it is read, since a file that was cut off looks the same
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
+    assert "cut off or damaged" in log.note
+    assert all(log.series([name], "log")[0].values.size <= len(content) for name in log.names())
+
+
 def test_the_bounds_are_those_of_the_page() -> None:
-    assert mat_bounds.MOST_BYTES == mcap_._MOST_BYTES == mat_.MOST_BYTES == 1 << 30
+    assert mat_bounds.MOST_BYTES == mcap_._MOST_BYTES == mat_.MOST_BYTES == formats.MOST_BYTES == 1 << 30
+    assert xlsx_.MOST_BYTES == 1 << 28

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from hystmpc.trials.csv_files import read_columns, read_csv, write_csv
 from hystmpc.trials.errors import ConfigError, LogError
-from hystmpc.trials.layouts import COMMAND_UNITS, PRESETS, Preset, detect_preset, get_preset
+from hystmpc.trials.layouts import COMMAND_UNIT_OF, COMMAND_UNITS, PRESETS, Preset, detect_preset, get_preset
 from hystmpc.trials.read import read_trials
 from hystmpc.trials.trial import Trial, Units
 
@@ -39,9 +39,10 @@ def test_every_layout_reads_its_own_columns(preset: Preset, command: str, tmp_pa
     trial = read_csv(path, preset)
 
     np.testing.assert_array_equal(trial.t, block[:, header.index(preset.time)])
-    np.testing.assert_array_equal(trial.command, block[:, header.index(command)])
+    unit, factor = COMMAND_UNIT_OF.get(preset.command[command], (preset.command[command], 1.0))
+    np.testing.assert_array_equal(trial.command, factor * block[:, header.index(command)])
     np.testing.assert_array_equal(trial.angle, block[:, header.index(preset.angle)])
-    assert trial.units == Units(command=preset.command[command])
+    assert trial.units == Units(command=unit)
     others = [name for name in header if name not in (preset.time, command, preset.angle)]
     assert list(trial.channels) == [preset.channels.get(name, name) for name in others]
 
@@ -113,7 +114,7 @@ BAD = {
     "time repeats": (GOOD.replace("0.2,", "0.1,").encode(), ["row 4", "'time_s'", "0.1 s after 0.1 s"]),
     "column twice": (b"time_s,command,command,angle_deg\n0,1,1,2\n", ["row 1", "'command' occurs twice"]),
     "two commands": (b"time_s,command_mm,command_bar,angle_deg\n0,1,1,2\n", ["command_mm, command_bar"]),
-    "other names": (b"t,u,theta\n0,0,30\n", ["available: t, u, theta", "mapping file", "angle: {signal: COLUMN"]),
+    "other names": (b"t,u,theta\n0,0,30\n", ["available: t, u, theta", "map.yaml", "angle: {signal: NAME"]),
     "decimal commas": (b"time_s;command;angle_deg\n0,0;1,1;2,2,2\n", ["row 2", "'2,2,2'"]),
     "no header": (b"0,0,30\n0.1,1,31\n", ["row 1", "first row holds numbers"]),
     "open quote": (b'time_s,command,angle_deg\n0,0,30\n1,"' + b"1,2\n" * 50_000, ["row", "limit"]),

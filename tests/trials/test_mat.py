@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import sys
 from collections.abc import Callable, Mapping
 from itertools import pairwise
@@ -118,7 +119,7 @@ def test_variables_of_canonical_names_need_no_mapping(name: str, tmp_path: Path)
         ({"command": "all[3]"}, r"no signal 'all\[3\]'"),
         (
             {"command": "all"},
-            r"'all' is a 30x3 float64 value, expected a vector.*name a column, counted from 0: all\[0\]",
+            r"'all' is a 30x3 float64 value, expected a vector.*name one of its signals, counted from 0: all\[0\]",
         ),
         ({"command": "gain"}, r"'gain' has 1 samples, expected 30 as in 'time'"),
         ({"command": "rig"}, r"'rig' is a single object value, expected a vector"),
@@ -226,6 +227,40 @@ def test_links_that_form_a_loop_are_refused_in_one_line(
     finally:
         sys.argv = before
     assert (end.value.code, capsys.readouterr().err) == (2, f"error: {caught.value}\n")
+
+
+@pytest.mark.parametrize(("kind", "remedy"), [("table", "writetable(run"), ("timetable", "writetimetable(run")])
+@pytest.mark.parametrize("version", ["7", "7.3"])
+@pytest.mark.parametrize("layout", ["auto", "of_it", "of_another"])
+def test_a_table_of_matlab_is_named_with_what_to_do(
+    kind: str, remedy: str, version: str, layout: str, tmp_path: Path
+) -> None:
+    """Only MATLAB can read its objects; whatever is asked for, the line says how to save one."""
+    path = tmp_path / "a.mat"
+    if version == "7":
+        path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + _object_v5(b"run", kind.encode()))
+    else:
+        write_v73(path, {"t": T, "run": T})
+        with h5py.File(path, "r+") as file:
+            file["run"].attrs["MATLAB_class"] = np.bytes_(kind)
+            file["run"].attrs["MATLAB_object_decode"] = 3
+    name = "run" if layout == "of_it" else "other"
+    asked = "auto" if layout == "auto" else mapping(time=f"{name}.t", command=f"{name}.u", angle=f"{name}.y")
+    with pytest.raises(LogError) as caught:
+        read_log(path, asked)
+    assert f"'run' is a MATLAB {kind}, which only MATLAB can read; save it there with {remedy}" in str(caught.value)
+
+
+def _object_v5(name: bytes, kind: bytes) -> bytes:
+    """An object of MATLAB as it stands in a file: what it holds is elsewhere, in a form that is not published."""
+
+    def element(number: int, content: bytes) -> bytes:
+        return struct.pack("<II", number, len(content)) + content + b"\0" * (-len(content) % 8)
+
+    flags = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 6, 1)) + element(1, b"")
+    inner = element(14, flags + element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1)))
+    outer = element(6, struct.pack("<II", 17, 0)) + element(1, name) + element(1, b"MCOS") + element(1, kind)
+    return element(14, outer + inner)
 
 
 def test_one_object_under_two_names_is_no_loop(tmp_path: Path) -> None:

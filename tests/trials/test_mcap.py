@@ -191,7 +191,9 @@ def test_columns_without_a_header_row_are_counted(sign: str, tmp_path: Path) -> 
         read_log(path, layout.model_copy(update={"command": layout.command.model_copy(update={"signal": "[5]"})}))
     path.write_text(path.read_text() + "4.5" + sign + "x" + sign + "1\n")
     with pytest.raises(LogError, match="row 4, column '\\[1\\]': got 'x'"):
-        read_log(path, layout)
+        read_log(path, layout.model_copy(update={"command": layout.command.model_copy(update={"signal": "[1]"})}))
+    assert len(read_log(path, layout)) == 4  # the column is not asked for
+    assert check(path, layout).of("file")[0].message == "column '[1]' left out: row 4 holds 'x', no number"
 
 
 def test_a_command_may_be_the_difference_of_two_signals(tmp_path: Path) -> None:
