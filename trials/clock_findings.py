@@ -74,7 +74,7 @@ def as_sampled(clock: Clock) -> Vec:
     steps = np.diff(clock.t[np.isfinite(clock.t)])
     coarse = steps.size and np.all(steps >= 0) and np.mean(steps == 0) > _COARSE_SHARE
     if coarse and clock.interval is not None and clock.interval.middle > 0:
-        return np.arange(clock.t.size) * clock.interval.middle * clock.factor
+        return np.arange(clock.t.size, dtype=np.float64) * (clock.interval.middle * clock.factor)
     return clock.t * clock.factor
 
 

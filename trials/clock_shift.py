@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .types import Vec
+from .types import Index, Vec
 
 DELAY_S = 1.5
 """Delay of an angle behind its command that a device may have [s]: less is never told from one."""
@@ -86,7 +86,7 @@ def shift_between(command_t: Vec, command: Vec, angle_t: Vec, angle: Vec) -> Clo
     return ClockShift(float(lags[best] * dt + angle_t[0] - command_t[0]), float(like[best]), float("nan"))
 
 
-def correlations(u: Vec, y: Vec, most: int) -> tuple[Vec, Vec]:
+def correlations(u: Vec, y: Vec, most: int) -> tuple[Index, Vec]:
     """Correlation of y(k + lag) with u(k) over their common samples, for lags of up to `most` samples either way.
 
     Returns:
@@ -110,7 +110,7 @@ def correlations(u: Vec, y: Vec, most: int) -> tuple[Vec, Vec]:
     # Where hardly anything moves in the common part, likeness is chance.
     moves = (power_u > 0.1 * count * u.var()) & (power_y > 0.1 * count * y.var())
     scale = np.sqrt(np.where(moves, power_u * power_y, 1.0))
-    return lags, np.where(moves, together / scale, 0.0)
+    return lags, np.asarray(np.where(moves, together / scale, 0.0), dtype=np.float64)
 
 
 def _left_by_lags(u: Vec, y: Vec, dt: float) -> float:

@@ -24,6 +24,7 @@ MODULI = (
 )  # fmt: skip
 """Where angles and counters wrap: radians, turns, percent, degrees, gons, decimal counts, and 2^n counts."""
 
+_UNUSUAL = (1.0, 100.0, 200.0, 400.0, 1000.0, 1800.0, 2000.0, 3600.0, 4000.0, 6400.0, 8000.0, 10000.0, 20000.0)
 _MANY = 0.4  # of the samples: a value that makes more of them is no exception
 _FAR, _ANY_FAR = 0.5, 3.0  # ranges of the others by which a known code, or any value, lies outside them
 _JUMP = 5.0  # times the greatest usual step: no motion
@@ -31,10 +32,13 @@ _USUAL = 99.5  # percentile of the steps that are usual
 _BRIEF_S = 0.25  # stretches of a value that is no known code
 _CHOPPY = 0.1  # share of steps that jump, above which a signal has no usual step
 _LATE_S = 1.5  # of an angle behind its command
+_CLEARLY = 0.95  # of what the repair before it leaves: a repair that is taken in its place
 _SMOOTH = 0.25  # of the jumps: what a repair may leave of them
 _LEAST = 10  # samples
 _LEAST_BIT = 7
 _SOFT = (0.0, -1.0)  # codes that lie within the range of many signals: told by the jumps alone
+_ASKED = 0.1  # of the range of the command: a step, in one sample, that may make an angle jump
+_NO_WORSE = 1.3  # of the same, for jumps of an angle that its command does not ask for
 _BETTER = 0.6  # of the variance left unexplained by the other signal, after a repair that counts
 
 
@@ -175,14 +179,23 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
         return None
     before = _unexplained(signal, witness, late, is_command)
     at = tuple(int(index[k + 1]) for k in np.flatnonzero(big))
-    best, limit = None, _BETTER * before
+    # An angle that jumps while its command does not, by the same each time, is no motion.
+    unasked = not is_command and _unasked(witness, np.flatnonzero(big) + 1, late)
+    best, limit = None, (_NO_WORSE if unasked else _BETTER) * before
     for key, value, repaired in _repairs(signal, size[big], usual):
         smooth = float(np.abs(np.diff(repaired)).max()) <= _SMOOTH * float(np.median(size[big]))
         if smooth and (left := _unexplained(repaired, witness, late, is_command)) < limit:
             whole = values.copy()
             whole[index] = repaired
-            best, limit = Encoding(key, value, at, whole), 0.95 * left
+            best, limit = Encoding(key, value, at, whole), _CLEARLY * left
     return best
+
+
+def _unasked(command: Vec, jumps: NDArray[np.intp], late: int) -> bool:
+    """Whether the command makes no step of its own before any of the jumps of the angle."""
+    steps, least = np.abs(np.diff(command, prepend=command[:1])), _ASKED * float(np.ptp(command))
+    before = np.cumsum(steps > least)
+    return bool(np.all(before[jumps] == before[np.maximum(jumps - late, 0)]))
 
 
 def _repairs(signal: Vec, jumps: Vec, usual: float) -> list[tuple[Key, float, Vec]]:
@@ -198,16 +211,21 @@ def _repairs(signal: Vec, jumps: Vec, usual: float) -> list[tuple[Key, float, Ve
         if max(float(low.max(initial=0.0)), float(high.max())) < 0.5 * 2.0**bit:
             found.append(("sign_bit", float(bit), sign_and_magnitude(signal, bit)))
     near = [m for m in MODULI if abs(m - size) <= min(slack, 0.1 * m) and most - least <= 1.01 * m]
-    near.sort(key=lambda m: _seam(signal, m))
+    steps = np.abs(np.diff(signal))
+    grain = float(steps[steps > 0].min())  # a sensor of coarse steps leaves two moduli open: the usual one of them
+    least_seam = min((_seam(signal, m) for m in near), default=0.0)
+    near.sort(key=lambda m: (_seam(signal, m) > least_seam + grain, m in _UNUSUAL, _seam(signal, m)))
     return [*found, *(("wraps_at", float(m), unwrapped(signal, m)) for m in near)]
 
 
 def _seam(signal: Vec, modulus: float) -> float:
-    """Root mean square step where the signal was wrapped at a modulus [log]: least at the right one."""
+    """How far the jumps are from those of a modulus: of a motion across the seam they are shorter by its step."""
     steps = np.diff(signal)
-    wrapped = np.abs(steps) > 0.5 * modulus
-    left = np.abs(steps[wrapped]) - modulus
-    return float(np.sqrt(np.mean(left**2))) if left.size else np.inf
+    wrapped = np.flatnonzero(np.abs(steps) > 0.5 * modulus)
+    beside = 0.5 * (steps[np.maximum(wrapped - 1, 0)] + steps[np.minimum(wrapped + 1, steps.size - 1)])
+    moved = np.where(np.abs(beside) < 0.25 * modulus, np.abs(beside), 0.0)
+    left = np.abs(steps[wrapped]) + moved - modulus
+    return float(np.median(np.abs(left))) if left.size else np.inf
 
 
 def _unexplained(signal: Vec, witness: Vec, late: int, is_command: bool) -> float:

@@ -288,7 +288,8 @@ def _two_clocks(mapping: LogMapping, command: Series, angle: Series) -> str:
         return "; are their clocks two?"
     other = ", or `time: log`" if mapping.time == HEADER_TIME else ""
     late = "late" if shift.late_s > 0 else "early"
-    return f"; the angle's clock is about {abs(shift.late_s):.4g} s {late}: `angle: {{shift_s: {-shift.late_s:.4g}}}`{other}"
+    key = f"`angle: {{..., shift_s: {-shift.late_s:.4g}}}`"
+    return f"; the angle's clock is about {abs(shift.late_s):.4g} s {late}: {key}{other}"
 
 
 def _ordered(series: Series) -> Series:
