@@ -58,10 +58,22 @@ def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
     device = (lags * dt >= -_EARLY_S) & (lags * dt <= DELAY_S)
     if device[best] or size[best] < _LIKE:
         return None
-    left, left_by_device = 1 - size[best] ** 2, 1 - float(size[device].max()) ** 2
+    left, left_by_device = 1 - size[best] ** 2, 1 - _like_a_device(u, y, int(lags[best]), dt, size[device]) ** 2
     if left > _BETTER * left_by_device or left > _BETTER * _left_by_lags(u, y, dt):
         return None
     return ClockShift(float(lags[best] * dt), float(like[best]), float(like[lags == 0][0]))
+
+
+def _like_a_device(u: Vec, y: Vec, lag: int, dt: float, whole: Vec) -> float:
+    """Greatest correlation at a delay of a device: of the whole log, and of the parts that the shift compares.
+
+    A log whose first motion differs from its later ones is like itself one motion later, but also in each part.
+    """
+    found, count = [float(whole.max())], u.size - abs(lag)
+    for part in (slice(0, count), slice(u.size - count, u.size)):
+        lags, like = correlations(u[part], y[part], round(DELAY_S / dt))
+        found.append(float(np.abs(like[lags * dt >= -_EARLY_S]).max()))
+    return max(found)
 
 
 def shift_between(command_t: Vec, command: Vec, angle_t: Vec, angle: Vec) -> ClockShift | None:

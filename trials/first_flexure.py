@@ -7,6 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from .clock_shift import DELAY_S
 from .segments import Segments
 from .trial import Trial
 from .types import Vec
@@ -18,6 +19,7 @@ LEAST_SET = 0.02
 """Share of the angle's range below which a change is none; three times the noise of an electromagnetic tracker."""
 
 _LEAST_NOISES = 4.0  # standard errors
+_BENDS = 0.2  # of the range of the angle: less of a first flexure does not tell which way the angle goes
 _TAIL = 0.5  # of a rest, at its end: what is looked at
 _CREEP = 0.5  # of the bend: the most that creep adds
 _FULL_LOOP = 1.2  # of the half-way gap, by which the gap at the start is greater if plays from rest are not its cause
@@ -78,10 +80,13 @@ def first_flexure(trial: Trial, parts: Segments) -> FirstFlexure:
 
     The angle has to stand still in both, so that lag, drift and creep are no set. Creep of time constant tau that
     drifts by d is still off by d tau, and not by more than 0.5 T / tau of the bend if it had the time T to grow; for no
-    tau that is more than sqrt(0.5 d T bend). A play leaves the angle above where it began, if the flexure was
-    upwards, whatever the play: a change the other way is a set. Of a change this way, the gap between the way there
-    and the way back tells: of plays that begin at rest and a command that begins at an end of its range, it is never
-    wider at the start than half-way. Where the gap does not tell, it is a set, or a play that began elsewhere.
+    tau that is more than sqrt(0.5 d T bend).
+
+    A play leaves the angle above where it began, if the flexure was upwards and came back from there, whatever the
+    play: a change the other way is a set. Of a change this way, the gap between the way there and the way back tells:
+    of plays that begin between their middle and the side of the flexure it is never wider at the start than half-way.
+    Plays begin so where the command begins at zero, the end of its range. Anywhere else it is a set, or a play that
+    began elsewhere.
 
     Args:
         trial: uniformly sampled.
@@ -89,7 +94,7 @@ def first_flexure(trial: Trial, parts: Segments) -> FirstFlexure:
     """
     if not parts.reversals.size:
         return FirstFlexure(Verdict.UNKNOWN, why="the command never turns back")
-    top, u, y = int(parts.reversals[0]), trial.command, trial.angle
+    top, u = int(parts.reversals[0]), trial.command
     span = float(np.ptp(u))
     rests = [rest(trial, start, stop) for start, stop in parts.holds]
     early = [r for r in rests if r.start < top and abs(r.command - u[top]) > SAME * span]
@@ -97,22 +102,27 @@ def first_flexure(trial: Trial, parts: Segments) -> FirstFlexure:
         return FirstFlexure(Verdict.UNKNOWN, why="the command does not rest before it")
     before = early[0]
     again = [r for r in rests if r.start > top and abs(r.command - before.command) <= SAME * span]
-    if not again:
-        why = f"the command does not rest again at {before.command:.4g} {trial.units.command}, where it began"
-        return FirstFlexure(Verdict.UNKNOWN, before, why=why)
-    after = min(again, key=lambda r: r.drift)
-    change = abs(after.angle - before.angle)
-    noise = _LEAST_NOISES * float(np.hypot(before.error, after.error))
-    elapsed = float(trial.t[after.stop - 1] - trial.t[0])
+    why = f"the command does not rest again at {before.command:.4g} {trial.units.command}, where it began"
+    found = FirstFlexure(Verdict.UNKNOWN, before, why=why)
+    for after in again:
+        found = _compared(trial, before, after, top)
+        if found.verdict is not Verdict.UNKNOWN:
+            break
+    return found
+
+
+def _compared(trial: Trial, before: Rest, after: Rest, top: int) -> FirstFlexure:
+    """What these two rests say."""
+    bend, change = float(np.ptp(trial.angle)), abs(after.angle - before.angle)
+    elapsed, moved = trial.t[after.stop - 1] - trial.t[before.stop - 1], trial.t[after.start] - trial.t[before.stop - 1]
     drift = max(before.drift, after.drift)
-    creeping = max(drift * elapsed, float(np.sqrt(_CREEP * drift * elapsed * np.ptp(y))))
-    least = max(LEAST_SET * float(np.ptp(y)), noise)
-    if change <= least:
+    creeping = max(drift * float(elapsed), float(np.sqrt(_CREEP * drift * moved * bend)))
+    if change <= max(LEAST_SET * bend, _LEAST_NOISES * float(np.hypot(before.error, after.error))):
         return FirstFlexure(Verdict.NONE, before, after)
     if change <= creeping:
         why = "the angle had not come to rest in the holds, or is too noisy there"
         return FirstFlexure(Verdict.UNKNOWN, before, after, why)
-    return FirstFlexure(_set_or_play(trial, before, after, top, span), before, after)
+    return FirstFlexure(_set_or_play(trial, before, after, top), before, after)
 
 
 def rest(trial: Trial, start: int, stop: int) -> Rest:
@@ -131,24 +141,28 @@ def rest(trial: Trial, start: int, stop: int) -> Rest:
     )
 
 
-def _set_or_play(trial: Trial, before: Rest, after: Rest, top: int, span: float) -> Verdict:
-    """Whether no play that begins at rest explains a change."""
+def _set_or_play(trial: Trial, before: Rest, after: Rest, top: int) -> Verdict:
+    """Whether no play explains a change."""
     u, y = trial.command, trial.angle
-    change = after.angle - before.angle
-    out = float(np.sign(u[top] - before.command))
-    rises = float(np.sign((y[top] - before.angle) * out)) * out  # of the angle, by the way to the first turn
+    span, change = float(np.ptp(u)), after.angle - before.angle
+    way = y[before.stop : top + 1 + round(DELAY_S / trial.dt)] - before.angle
+    farthest = float(way[np.argmax(np.abs(way))])
+    if abs(farthest) < _BENDS * float(np.ptp(y)):
+        return Verdict.SET_OR_PLAY
+    out, rises = float(np.sign(u[top] - before.command)), float(np.sign(farthest))
     if change * rises < 0:
-        return Verdict.SET
+        beyond = float((out * (u[top : after.start + 1] - before.command)).min()) < -SAME * span
+        return Verdict.SET_OR_PLAY if beyond else Verdict.SET
     at_end = min(abs(before.command - u.min()), abs(before.command - u.max())) <= SAME * span
-    if not at_end:
+    if not at_end or abs(before.command) > SAME * span:
         return Verdict.SET_OR_PLAY
     half = 0.5 * (before.command + float(u[top]))
     there, back = _at(u, y, before.stop - 1, top, half), _at(u, y, top, after.start, half)
     if there is None or back is None:
         return Verdict.SET_OR_PLAY
     gap = (back - there) * rises
-    bend = max(1.0, _steeper(there, back, before, after, float(y[top])))
-    return Verdict.SET if abs(change) > _FULL_LOOP * bend * max(gap, 0.0) else Verdict.SET_OR_PLAY
+    steeper = max(1.0, _steeper(there, back, before, after, float(y[top])))
+    return Verdict.SET if abs(change) > _FULL_LOOP * steeper * max(gap, 0.0) else Verdict.SET_OR_PLAY
 
 
 def _steeper(there: float, back: float, before: Rest, after: Rest, top: float) -> float:

@@ -47,8 +47,8 @@ def answer(command: Vec, dt: float, device: Device, random: np.random.Generator,
     u = np.concatenate([np.full(late, command[0]), command])[: command.size]
     keep = np.exp(-dt / device.lag_s) if device.lag_s else 0.0
     slow = np.exp(-dt / device.creep_s)
-    x = greatest = crept = u[0]
-    z = u[0] + play_at * device.play
+    x, z = u[0], u[0] + play_at * device.play
+    first = greatest = crept = (1 - device.play_share) * x + device.play_share * z
     y = np.empty(command.size)
     for k, value in enumerate(u):
         x = keep * x + (1 - keep) * value
@@ -56,7 +56,7 @@ def answer(command: Vec, dt: float, device: Device, random: np.random.Generator,
         bend = (1 - device.play_share) * x + device.play_share * z
         greatest = max(greatest, bend)
         crept = slow * crept + (1 - slow) * bend
-        y[k] = bend + device.creep * (crept - u[0]) + device.set * (greatest - u[0])
+        y[k] = bend + device.creep * (crept - first) + device.set * (greatest - first)
     y = device.offset + device.gain * y + device.noise * random.normal(size=y.size)
     return device.step * np.rint(y / device.step) if device.step else y
 
