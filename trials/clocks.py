@@ -173,8 +173,9 @@ class CounterWrap:
     @property
     def text(self) -> str:
         """What it is."""
-        what = f"a counter of {self.bits} bits" if self.bits else "a clock"
-        return f"{what} that wraps at {self.modulus:.16g}"
+        if self.bits and self.modulus == 2.0**self.bits:
+            return f"a counter of {self.bits} bits that wraps at 2^{self.bits}"
+        return f"a clock that wraps at {self.modulus:.16g}"
 
 
 _PERIODS = (60.0, 3600.0, 43200.0, 86400.0)  # seconds of a minute, of an hour, of half a day, of a day

@@ -30,10 +30,11 @@ _FAR, _ANY_FAR = 0.5, 3.0  # ranges of the others by which a known code, or any 
 _JUMP = 5.0  # times the greatest usual step: no motion
 _USUAL = 99.5  # percentile of the steps that are usual
 _BRIEF_S = 0.25  # stretches of a value that is no known code
+_ROUNDED = 1e-4  # of a modulus: by which a range may be greater than it, where numbers are rounded
 _CHOPPY = 0.1  # share of steps that jump, above which a signal has no usual step
 _LATE_S = 1.5  # of an angle behind its command
 _CLEARLY = 0.95  # of what the repair before it leaves: a repair that is taken in its place
-_SMOOTH = 0.25  # of the jumps: what a repair may leave of them
+_SMOOTH = 2.0  # greatest other steps: what a repair may leave of the jumps
 _LEAST = 10  # samples
 _LEAST_BIT = 7
 _SOFT = (0.0, -1.0)  # codes that lie within the range of many signals: told by the jumps alone
@@ -183,7 +184,7 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
     unasked = not is_command and _unasked(witness, np.flatnonzero(big) + 1, late)
     best, limit = None, (_NO_WORSE if unasked else _BETTER) * before
     for key, value, repaired in _repairs(signal, size[big], usual):
-        smooth = float(np.abs(np.diff(repaired)).max()) <= _SMOOTH * float(np.median(size[big]))
+        smooth = float(np.abs(np.diff(repaired)).max()) <= _SMOOTH * usual
         if smooth and (left := _unexplained(repaired, witness, late, is_command)) < limit:
             whole = values.copy()
             whole[index] = repaired
@@ -210,7 +211,7 @@ def _repairs(signal: Vec, jumps: Vec, usual: float) -> list[tuple[Key, float, Ve
         low, high = signal[signal < 2.0**bit], signal[signal >= 2.0**bit] - 2.0**bit
         if max(float(low.max(initial=0.0)), float(high.max())) < 0.5 * 2.0**bit:
             found.append(("sign_bit", float(bit), sign_and_magnitude(signal, bit)))
-    near = [m for m in MODULI if abs(m - size) <= min(slack, 0.1 * m) and most - least <= 1.01 * m]
+    near = [m for m in MODULI if abs(m - size) <= min(slack, 0.1 * m) and most - least <= (1 + _ROUNDED) * m]
     steps = np.abs(np.diff(signal))
     grain = float(steps[steps > 0].min())  # a sensor of coarse steps leaves two moduli open: the usual one of them
     least_seam = min((_seam(signal, m) for m in near), default=0.0)

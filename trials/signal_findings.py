@@ -19,7 +19,8 @@ from .types import Vec
 
 _SEGMENT_RATE_HZ = 50.0  # enough for tip motions up to a few Hz
 _FOLLOWS, _SURE = 0.3, 0.7  # correlation of angle and command below which the sign cannot be told, or is in doubt
-_MUCH_MORE = 0.5  # of the variance that is left without a delay
+_MUCH_MORE, _FAR_MORE = 0.5, 0.1  # of the variance left without a delay, or with the other sign
+_ALIKE = 0.95  # correlation at a delay that tells the sign where that without one does not
 _ROUNDING = 1e-9
 
 # Range of a signal -> what its numbers look like: (from, to, suspicion); between the rows they look right. Only where
@@ -113,22 +114,29 @@ def _sign(trial: Trial) -> Finding:
     return Finding(Severity.WARNING, "sign", f"the angle falls as the command rises: {text}; {advice}")
 
 
-_WHY = "; a play wider than the motion, a delay beyond it, or signals of two devices?"
+_WHY = "; a play wider than the motion, a long delay, or signals of two devices?"
 
 
 def _best_delay(trial: Trial) -> tuple[int, float]:
-    """Delay of the angle [samples] of those that a device may have, and the correlation there.
+    """Delay of the angle [samples] of those that a device may have, and the correlation there; 0 if none adds much.
 
-    None counts as long as a delay does not explain much more.
+    A periodic command is like its opposite half a period later: the sign is that without a delay, unless the other one
+    leaves next to nothing.
     """
     u, y = trial.command, trial.angle
-    most = min(round(DELAY_S / trial.dt), len(trial) // 4)
-    lags, like = correlations(u, y, most)
-    likely = np.where(lags >= 0, np.abs(like), 0.0)
-    best = int(np.argmax(likely))
-    now = int(np.flatnonzero(lags == 0)[0])
-    best = best if 1 - likely[best] ** 2 < _MUCH_MORE * (1 - likely[now] ** 2) else now
-    return int(lags[best]), float(like[best])
+    lags, like = correlations(u, y, min(round(DELAY_S / trial.dt), len(trial) // 4))
+    like = like[lags >= 0]
+    now = float(like[0])
+    same, other = like * np.sign(now or 1.0), -like * np.sign(now or 1.0)
+    if other.max() >= _ALIKE and 1 - float(other.max()) ** 2 < _FAR_MORE * (1 - float(same.max()) ** 2):
+        best = int(np.argmax(other))
+        return best, float(like[best])
+    fallen = np.flatnonzero(same < 0.5 * np.maximum.accumulate(same))
+    best = int(np.argmax(same[: int(fallen[0])] if fallen.size else same))
+    useful = 1 - same[best] ** 2 < _MUCH_MORE * (1 - now**2)
+    # Of a weak likeness that only grows with the delay, such as that of a force and its motion, nothing is known.
+    best = best if useful and (abs(now) >= _FOLLOWS or same[best] >= _ALIKE) else 0
+    return best, float(like[best])
 
 
 def _excitation(trial: Trial, parts: Segments) -> Finding:
