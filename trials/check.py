@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from .clock_findings import as_sampled, clock_of, time_findings
+from .clock_shift import IMPOSSIBLE_S, clock_shift
 from .clocks import suspected_unit
 from .csv_files import Columns, read_columns
 from .errors import LogError, in_a_line
@@ -16,7 +17,7 @@ from .findings import Finding as Finding
 from .findings import Severity as Severity
 from .layouts import ANGLE_UNIT_OF, CANONICAL, COMMAND_UNIT_OF, LogMapping, Preset, SignalSettings
 from .read import Layout, Log, is_table, read_raw, resolve
-from .signal_findings import Written, encoding_findings, motion_findings
+from .signal_findings import Written, encoding_findings, motion_findings, shift_said
 from .signals import Raw
 from .trial import Trial, even_time
 from .types import Vec
@@ -128,7 +129,7 @@ def _value_findings(log: Trial | Raw | Columns, where: Callable[[int], str]) -> 
 
 
 def require_sound(trial: Trial) -> None:
-    """Refuse a trial that is read wrongly: its time is in another unit, or a signal holds codes or jumps by a modulus.
+    """Refuse a trial that is read wrongly: time in another unit, codes, jumps by a modulus, an early answer.
 
     Raises:
         LogError: with what `check` says of it.
@@ -137,6 +138,9 @@ def require_sound(trial: Trial) -> None:
     findings, _ = encoding_findings(trial, (Written(), Written()), "sample {}".format)
     for finding in findings:
         raise LogError(f"{trial.source}: {finding.topic}: {finding.message}")
+    shift = clock_shift(trial.t, trial.command, trial.angle)
+    if shift is not None and shift.late_s < -IMPOSSIBLE_S:
+        raise LogError(f"{trial.source}: {shift_said(shift)}")
 
 
 def require_seconds(trial: Trial) -> None:

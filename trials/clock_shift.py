@@ -8,8 +8,11 @@ import numpy as np
 
 from .types import Index, Vec
 
-DELAY_S = 1.5
+DELAY_S = 2.0
 """Delay of an angle behind its command that a device may have [s]: less is never told from one."""
+
+IMPOSSIBLE_S = 0.5
+"""Time by which an angle that answers early is no answer, whatever the command's own sensor [s]."""
 
 _EARLY_S = 0.25  # by which a measured command may come late
 _GRID = 1500  # samples that are looked at

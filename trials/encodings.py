@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .clocks import plainest
 from .types import Vec
 
 Key = Literal["missing", "wraps_at", "sign_bit"]
@@ -19,18 +20,18 @@ CODES = (
 """Magnitudes that loggers write in the place of a missing value, whatever the sign."""
 
 MODULI = (
-    np.pi, 2 * np.pi, 1.0, 100.0, 180.0, 200.0, 360.0, 400.0, 1000.0, 1800.0, 2000.0, 3600.0, 4000.0, 6400.0, 8000.0,
-    10000.0, 20000.0, 36000.0, *(2.0**bits for bits in range(7, 33)),
+    np.pi, 2 * np.pi, 1.0, 90.0, 100.0, 180.0, 200.0, 360.0, 400.0, 720.0, 1000.0, 1440.0, 1800.0, 2000.0, 3600.0,
+    4000.0, 6400.0, 8000.0, 10000.0, 20000.0, 36000.0, *(2.0**bits for bits in range(7, 33)),
 )  # fmt: skip
 """Where angles and counters wrap: radians, turns, percent, degrees, gons, decimal counts, and 2^n counts."""
 
-_UNUSUAL = (1.0, 100.0, 200.0, 400.0, 1000.0, 1800.0, 2000.0, 3600.0, 4000.0, 6400.0, 8000.0, 10000.0, 20000.0)
+_UNUSUAL = (1.0, 90.0, 100.0, 200.0, 400.0, 1000.0, 1800.0, 2000.0, 3600.0, 4000.0, 6400.0, 8000.0, 10000.0, 20000.0)
 _MANY = 0.4  # of the samples: a value that makes more of them is no exception
 _FAR, _ANY_FAR = 0.5, 3.0  # ranges of the others by which a known code, or any value, lies outside them
 _JUMP = 5.0  # times the greatest usual step: no motion
 _USUAL = 99.5  # percentile of the steps that are usual
 _BRIEF_S = 0.25  # stretches of a value that is no known code
-_ROUNDED = 1e-4  # of a modulus: by which a range may be greater than it, where numbers are rounded
+_ROUNDED = 1e-4  # of a modulus: by which a jump may be longer, where numbers are rounded
 _CHOPPY = 0.1  # share of steps that jump, above which a signal has no usual step
 _LATE_S = 1.5  # of an angle behind its command
 _CLEARLY = 0.95  # of what the repair before it leaves: a repair that is taken in its place
@@ -211,10 +212,13 @@ def _repairs(signal: Vec, jumps: Vec, usual: float) -> list[tuple[Key, float, Ve
         low, high = signal[signal < 2.0**bit], signal[signal >= 2.0**bit] - 2.0**bit
         if max(float(low.max(initial=0.0)), float(high.max())) < 0.5 * 2.0**bit:
             found.append(("sign_bit", float(bit), sign_and_magnitude(signal, bit)))
-    near = [m for m in MODULI if abs(m - size) <= min(slack, 0.1 * m) and most - least <= (1 + _ROUNDED) * m]
+    # A motion across the seam shortens the jump by its step: the modulus is no less than the longest one.
     steps = np.abs(np.diff(signal))
     grain = float(steps[steps > 0].min())  # a sensor of coarse steps leaves two moduli open: the usual one of them
-    least_seam = min((_seam(signal, m) for m in near), default=0.0)
+    shortest = max(float(jumps.max()), most - least)
+    longest = shortest + max(float(np.percentile(steps[steps <= usual], _USUAL)), grain) + _ROUNDED * shortest
+    near = [m for m in MODULI if (1 - _ROUNDED) * shortest <= m <= longest] or [plainest(shortest, longest)]
+    least_seam = min(_seam(signal, m) for m in near)
     near.sort(key=lambda m: (_seam(signal, m) > least_seam + grain, m in _UNUSUAL, _seam(signal, m)))
     return [*found, *(("wraps_at", float(m), unwrapped(signal, m)) for m in near)]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .clock_shift import DELAY_S, clock_shift, correlations
-from .encodings import Encoding, encodings
+from .clock_shift import DELAY_S, ClockShift, clock_shift, correlations
+from .encodings import MODULI, Encoding, encodings
 from .errors import LogError
 from .findings import Finding, Severity
 from .first_flexure import Verdict, first_flexure
@@ -52,14 +52,7 @@ def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
         return
     shift = clock_shift(trial.t, trial.command, trial.angle)
     if shift is not None:
-        late = "later" if shift.late_s > 0 else "earlier"
-        yield Finding(
-            Severity.WARNING,
-            "clocks",
-            f"the angle answers {abs(shift.late_s):.3g} s {late} than the command was given (correlation "
-            f"{shift.without:.2f}, {shift.correlation:.2f} without this shift): two clocks? A mapping file with "
-            f"`angle: {{..., shift_s: {-shift.late_s:.3g}}}` moves it",
-        )
+        yield Finding(Severity.WARNING, "clocks", shift_said(shift))
         trial = _moved(trial, shift.late_s)
     yield _sign(trial)
     try:
@@ -72,6 +65,16 @@ def motion_findings(trial: Trial, preset: Preset) -> Iterator[Finding]:
     yield _excitation(even, parts)
     yield _segments(even, parts)
     yield _first_flexure(even, parts)
+
+
+def shift_said(shift: ClockShift) -> str:
+    """A shift in words, with the key of a mapping file that takes it out."""
+    late = "later" if shift.late_s > 0 else "earlier"
+    return (
+        f"the angle answers {abs(shift.late_s):.3g} s {late} than the command was given (correlation "
+        f"{shift.without:.2f}, {shift.correlation:.2f} without this shift): two clocks? A mapping file with "
+        f"`angle: {{..., shift_s: {-shift.late_s:.3g}}}` moves it"
+    )
 
 
 def _moved(trial: Trial, late_s: float) -> Trial:
@@ -251,7 +254,8 @@ def _encoding(found: Encoding, name: str, count: int, where: str) -> str:
             f"{times} jumps by about {2**found.value:g}, first at {where}: bit {value} is the sign; a mapping file "
             f"with `{name}: {{..., sign_bit: {value}}}` reads it"
         )
+    exact = "" if found.value in MODULI else ", or the sensor's own exact range,"
     return (
         f"{times} jumps by about {value}, first at {where}: it wraps there; a mapping file with "
-        f"`{name}: {{..., wraps_at: {value}}}` takes them out"
+        f"`{name}: {{..., wraps_at: {value}}}`{exact} takes them out"
     )
