@@ -90,8 +90,11 @@ def _longest(inside: np.ndarray) -> tuple[int, int]:
 
 
 def _resolution(t: Vec) -> float:
-    """Last decimal that stamps are written with [s]; 0 where they have all digits."""
-    for digits in range(8):
+    """Last decimal that stamps are written with, which increase [s]; 0 where they have all digits."""
+    least = float(np.diff(t).min())
+    for digits in range(10):
+        if 10.0**-digits > 1.001 * least:  # stamps that coarse would repeat
+            continue
         scaled = t * 10.0**digits
         if np.all(np.abs(scaled - np.rint(scaled)) < 1e-4):
             return float(10.0**-digits)
