@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .segments import turning_points
 from .types import Index, Vec
 
 DELAY_S = 2.0
@@ -19,6 +20,11 @@ _GRID = 1500  # samples that are looked at
 _LEAST = 50  # samples of a signal that are looked at
 _LONGEST = 0.5  # of the log: more would leave too little in common
 _LIKE = 0.9  # least correlation at the shift that is told
+_TURNS, _TURN = (
+    4,
+    0.1,
+)  # reversals that are compared, and their size in ranges of the command: of few, likeness is chance
+_KNOWN = 0.8  # correlation above which an angle follows its command, or a command its own past
 _BETTER = 0.3  # of the variance that no delay of a device explains
 _LAGS_S = np.geomspace(0.1, 60.0, 9)  # time constants of a device that is slow instead
 
@@ -43,7 +49,7 @@ def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
 
     It is told where a shift makes the two look alike (correlation of 0.9 and more) and leaves less than 0.3 of the
     variance that is left by every delay of up to `DELAY_S`, and by every first-order lag. A periodic command tells no
-    shift from another one a period later.
+    shift from another one a period later: where the command is like itself after this time, none is told.
 
     Args:
         t: time, increasing (T,) [s].
@@ -61,10 +67,22 @@ def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
     device = (lags * dt >= -_EARLY_S) & (lags * dt <= DELAY_S)
     if device[best] or size[best] < _LIKE:
         return None
-    left, left_by_device = 1 - size[best] ** 2, 1 - _like_a_device(u, y, int(lags[best]), dt, size[device]) ** 2
+    common = u[: u.size - lags[best]] if lags[best] > 0 else u[-lags[best] :]
+    if turning_points(common, _TURN * float(np.ptp(u)))[1].size < _TURNS:
+        return None
+    as_it_is = _like_a_device(u, y, int(lags[best]), dt, size[device])
+    if as_it_is > _KNOWN or _repeats(u, abs(int(lags[best])), round(DELAY_S / dt)):
+        return None
+    left, left_by_device = 1 - size[best] ** 2, 1 - as_it_is**2
     if left > _BETTER * left_by_device or left > _BETTER * _left_by_lags(u, y, dt):
         return None
     return ClockShift(float(lags[best] * dt), float(like[best]), float(like[lags == 0][0]))
+
+
+def _repeats(u: Vec, lag: int, slack: int) -> bool:
+    """Whether a command, or its opposite, comes again about `lag` samples later."""
+    lags, like = correlations(u, u, min(lag + slack, u.size - 10))
+    return bool(np.any(np.abs(like[np.abs(lags - lag) <= slack]) > _KNOWN))
 
 
 def _like_a_device(u: Vec, y: Vec, lag: int, dt: float, whole: Vec) -> float:

@@ -36,6 +36,7 @@ _CHOPPY = 0.1  # share of steps that jump, above which a signal has no usual ste
 _LATE_S = 1.5  # of an angle behind its command
 _CLEARLY = 0.95  # of what the repair before it leaves: a repair that is taken in its place
 _SMOOTH = 2.0  # greatest other steps: what a repair may leave of the jumps
+_FEW = 2  # jumps
 _LEAST = 10  # samples
 _LEAST_BIT = 7
 _SOFT = (0.0, -1.0)  # codes that lie within the range of many signals: told by the jumps alone
@@ -177,12 +178,14 @@ def _jumps(values: Vec, other: Vec, late: int, is_command: bool) -> Encoding | N
     if float(size.max()) == 0 or np.count_nonzero(big) > _CHOPPY * size.size:
         return None
     usual = float(size[~big].max())
-    if float(np.median(size[big])) < _JUMP * float(np.percentile(size[~big], _USUAL)):
+    if usual == 0 or float(np.median(size[big])) < _JUMP * float(np.percentile(size[~big], _USUAL)):
         return None
     before = _unexplained(signal, witness, late, is_command)
     at = tuple(int(index[k + 1]) for k in np.flatnonzero(big))
     # An angle that jumps while its command does not, by the same each time, is no motion.
     unasked = not is_command and _unasked(witness, np.flatnonzero(big) + 1, late)
+    if not unasked and np.count_nonzero(big) < _FEW:
+        return None
     best, limit = None, (_NO_WORSE if unasked else _BETTER) * before
     for key, value, repaired in _repairs(signal, size[big], usual):
         smooth = float(np.abs(np.diff(repaired)).max()) <= _SMOOTH * usual

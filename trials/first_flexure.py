@@ -20,6 +20,7 @@ LEAST_SET = 0.02
 
 _LEAST_NOISES = 4.0  # standard errors
 _BENDS = 0.2  # of the range of the angle: less of a first flexure does not tell which way the angle goes
+_SAME_READING = 1e-6  # of the range of the angle
 _TAIL = 0.5  # of a rest, at its end: what is looked at
 _CREEP = 0.5  # of the bend: the most that creep adds
 _FULL_LOOP = 1.2  # of the half-way gap, by which the gap at the start is greater if plays from rest are not its cause
@@ -96,7 +97,9 @@ def first_flexure(trial: Trial, parts: Segments) -> FirstFlexure:
         return FirstFlexure(Verdict.UNKNOWN, why="the command never turns back")
     top, u = int(parts.reversals[0]), trial.command
     span = float(np.ptp(u))
-    rests = [rest(trial, start, stop) for start, stop in parts.holds]
+    steps = np.abs(np.diff(trial.angle))
+    grain = 2 * float(steps[steps > _SAME_READING * np.ptp(trial.angle)].min(initial=float(np.ptp(trial.angle))))
+    rests = [rest(trial, start, stop, grain) for start, stop in parts.holds]
     early = [r for r in rests if r.start < top and abs(r.command - u[top]) > SAME * span]
     if not early:
         return FirstFlexure(Verdict.UNKNOWN, why="the command does not rest before it")
@@ -125,8 +128,8 @@ def _compared(trial: Trial, before: Rest, after: Rest, top: int) -> FirstFlexure
     return FirstFlexure(_set_or_play(trial, before, after, top), before, after)
 
 
-def rest(trial: Trial, start: int, stop: int) -> Rest:
-    """The end of a hold."""
+def rest(trial: Trial, start: int, stop: int, grain: float = 0.0) -> Rest:
+    """The end of a hold; `grain` is what an angle may drift by that is always read the same."""
     first = stop - max(2, round((stop - start) * _TAIL))
     first = max(first, start)
     t, y = trial.t[first:stop], trial.angle[first:stop]
@@ -134,10 +137,16 @@ def rest(trial: Trial, start: int, stop: int) -> Rest:
     moment = t - t.mean()
     power = float(moment @ moment)
     slope = float(moment @ y) / power if power > 0 else 0.0
-    noise = float(np.std(y - y.mean() - slope * moment))
+    grain = grain if float(np.ptp(y)) <= _SAME_READING * float(np.ptp(trial.angle)) else 0.0
+    noise, seconds = float(np.std(y - y.mean() - slope * moment)), float(np.ptp(t)) or trial.dt
     error = noise / np.sqrt(power) if power > 0 else 0.0
     return Rest(
-        start, stop, float(np.median(trial.command[start:stop])), median, noise / y.size**0.5, abs(slope) + error
+        start,
+        stop,
+        float(np.median(trial.command[start:stop])),
+        median,
+        noise / y.size**0.5 + grain / 8,
+        abs(slope) + error + grain / seconds,
     )
 
 

@@ -18,7 +18,7 @@ from .trial import Trial, parts_at_gaps, resample
 from .types import Vec
 
 _SEGMENT_RATE_HZ = 50.0  # enough for tip motions up to a few Hz
-_FOLLOWS, _SURE = 0.3, 0.7  # correlation of angle and command below which the sign cannot be told, or is in doubt
+_FOLLOWS, _SURE = 0.3, 0.85  # correlation of angle and command below which the sign cannot be told, or is in doubt
 _MUCH_MORE, _FAR_MORE = 0.5, 0.1  # of the variance left without a delay, or with the other sign
 _ALIKE = 0.95  # correlation at a delay that tells the sign where that without one does not
 _ROUNDING = 1e-9
