@@ -25,6 +25,7 @@ _TURNS, _TURN = (
     0.1,
 )  # reversals that are compared, and their size in ranges of the command: of few, likeness is chance
 _KNOWN = 0.8  # correlation above which an angle follows its command, or a command its own past
+_GONE = 0.5  # correlation below which a command is no longer like itself
 _BETTER = 0.3  # of the variance that no delay of a device explains
 _LAGS_S = np.geomspace(0.1, 60.0, 9)  # time constants of a device that is slow instead
 
@@ -71,7 +72,7 @@ def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
     if turning_points(common, _TURN * float(np.ptp(u)))[1].size < _TURNS:
         return None
     as_it_is = _like_a_device(u, y, int(lags[best]), dt, size[device])
-    if as_it_is > _KNOWN or _repeats(u, abs(int(lags[best])), round(DELAY_S / dt)):
+    if as_it_is > _LIKE or _repeats(u, int(lags[best]), round(DELAY_S / dt)):
         return None
     left, left_by_device = 1 - size[best] ** 2, 1 - as_it_is**2
     if left > _BETTER * left_by_device or left > _BETTER * _left_by_lags(u, y, dt):
@@ -80,9 +81,12 @@ def clock_shift(t: Vec, command: Vec, angle: Vec) -> ClockShift | None:
 
 
 def _repeats(u: Vec, lag: int, slack: int) -> bool:
-    """Whether a command, or its opposite, comes again about `lag` samples later."""
-    lags, like = correlations(u, u, min(lag + slack, u.size - 10))
-    return bool(np.any(np.abs(like[np.abs(lags - lag) <= slack]) > _KNOWN))
+    """Whether a command, or its opposite, comes again so that a delay of up to `slack` samples looks like `lag`."""
+    near, far = (lag - slack, lag) if lag > 0 else (-lag, slack - lag)
+    _, like = correlations(u, u, min(far, u.size - 10))
+    later = np.abs(like[like.size // 2 :])  # from no lag on
+    gone = int(np.argmax(later < _GONE)) if np.any(later < _GONE) else later.size
+    return bool(np.any(later[max(near, gone) :] > _KNOWN))
 
 
 def _like_a_device(u: Vec, y: Vec, lag: int, dt: float, whole: Vec) -> float:
