@@ -26,6 +26,7 @@ MODULI = (
 """Where angles and counters wrap: radians, turns, percent, degrees, gons, decimal counts, and 2^n counts."""
 
 _UNUSUAL = (1.0, 90.0, 100.0, 200.0, 400.0, 1000.0, 1800.0, 2000.0, 3600.0, 4000.0, 6400.0, 8000.0, 10000.0, 20000.0)
+_CODES = 3  # different ones in one signal
 _MANY = 0.4  # of the samples: a value that makes more of them is no exception
 _FAR, _ANY_FAR = 0.5, 3.0  # ranges of the others by which a known code, or any value, lies outside them
 _JUMP = 5.0  # times the greatest usual step: no motion
@@ -101,19 +102,24 @@ def encodings(values: Vec, other: Vec, dt: float, is_command: bool) -> list[Enco
     """
     found: list[Encoding] = []
     late = max(1, round(_LATE_S / dt))
-    for far_only in (True, False):
-        for _ in range(3):
-            known = np.isfinite(values)
-            code = _code(values, known, dt, is_command, far_only)
+
+    def codes(values: Vec, far_only: bool) -> list[Encoding]:
+        kept: list[Encoding] = []
+        for _ in range(_CODES):
+            last = kept[-1].values if kept else values
+            code = _code(last, np.isfinite(last), dt, is_command, far_only)
             if code is None:
                 break
-            found.append(code)
-            values = code.values
-        if far_only and (jumps := _jumps(values, other, late, is_command)) is not None:
-            found.append(jumps)
-            values = jumps.values
-            break
-    return found
+            kept.append(code)
+        return kept
+
+    found += codes(values, far_only=True)
+    values = found[-1].values if found else values
+    jumps, others = _jumps(values, other, late, is_command), codes(values, far_only=False)
+    # Jumps that are all to one value and back are its code, whatever their size.
+    if jumps is not None and (not others or _jumps(others[-1].values, other, late, is_command) is not None):
+        return [*found, jumps]
+    return [*found, *others]
 
 
 def _code(values: Vec, known: NDArray[np.bool_], dt: float, is_command: bool, far_only: bool) -> Encoding | None:
